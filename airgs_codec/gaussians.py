@@ -1,0 +1,57 @@
+"""The data: one frame of 3D Gaussians in stored domain.
+
+N Gaussians, K = (degree + 1)^2 - 1 SH coefficients past DC.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), real SH band 0
+SH_REST = (0, 3, 8, 15)  # SH coefficients past DC for degree 0..3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gaussians:
+    """One frame of N Gaussians. Row n is the same Gaussian in every frame of a group.
+
+    Colour seen from direction d: max(0, 0.5 + SH(d)); covariance R S S^T R^T (AirGS, "Representation").
+    """
+
+    means: NDArray[np.float32]  # (N, 3)     world units
+    quaternions: NDArray[np.float32]  # (N, 4)     w, x, y, z; any length but 0
+    log_scales: NDArray[np.float32]  # (N, 3)     ln(world units)
+    opacity_logits: NDArray[np.float32]  # (N,)       logit of [0, 1]
+    sh_dc: NDArray[np.float32]  # (N, 3)     r, g, b
+    sh_rest: NDArray[np.float32]  # (N, K, 3)  r, g, b last
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        """0..3."""
+        return SH_REST.index(self.sh_rest.shape[1])
+
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Gaussians:
+        """The rows picked by an index or mask array."""
+        return Gaussians(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def opacities(self) -> NDArray[np.float32]:
+        """(N,) alpha in [0, 1]."""
+        return sigmoid(self.opacity_logits)
+
+
+def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
+    """All rows of all parts, in order; the parts share one SH degree."""
+    return Gaussians(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Gaussians)))
+
+
+def sigmoid(x: NDArray[np.floating]) -> NDArray:
+    """1 / (1 + e^-x) without overflow; -inf gives 0 and inf gives 1."""
+    z = np.exp(-np.abs(x))
+    return np.where(x >= 0, 1 / (1 + z), z / (1 + z)).astype(np.asarray(x).dtype)
