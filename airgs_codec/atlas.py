@@ -1,0 +1,73 @@
+"""Planes tiled into one picture. T frames, P planes, N rows; a plane holds one channel, one sample a row.
+
+Row i goes to the i-th cell of 16x16 blocks; cells of a block follow a Z-curve, blocks run row by row over the plane.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.manifest import Atlas
+
+BLOCK = 16
+CELLS = BLOCK * BLOCK
+MIN_SIDE = 64  # smaller pictures trip encoders
+GREY = 128
+
+
+def choose_layout(rows: int, planes: int) -> tuple[int, int]:
+    """Plane width and columns that make the picture nearly square."""
+    blocks = -(-rows // CELLS)
+    wide = max(1, round(float(np.sqrt(blocks))))
+    high = -(-blocks // wide)
+    columns = max(1, min(planes, round(float(np.sqrt(planes * high / wide)))))
+    return wide * BLOCK, columns
+
+
+def plane_height(rows: int, plane_width: int) -> int:
+    """Samples."""
+    blocks = -(-rows // CELLS)
+    return BLOCK * -(-blocks // (plane_width // BLOCK))
+
+
+def picture_size(atlas: Atlas) -> tuple[int, int]:
+    """Least width and height that hold the atlas."""
+    height = plane_height(atlas.rows, atlas.plane_width) * -(-len(atlas.planes) // atlas.columns)
+    return max(MIN_SIDE, atlas.plane_width * atlas.columns), max(MIN_SIDE, height)
+
+
+@lru_cache(maxsize=64)
+def sample_index(rows: int, plane_width: int, columns: int, planes: int, stride: int) -> NDArray[np.intp]:
+    """(P, N) flat index of each sample in a picture of `stride` samples a line."""
+    i = np.arange(rows)
+    block, cell = i // CELLS, i % CELLS
+    x, y = np.zeros(rows, np.intp), np.zeros(rows, np.intp)
+    for bit in range(4):
+        x |= ((cell >> (2 * bit)) & 1) << bit
+        y |= ((cell >> (2 * bit + 1)) & 1) << bit
+    blocks_wide = plane_width // BLOCK
+    x += block % blocks_wide * BLOCK
+    y += block // blocks_wide * BLOCK
+    plane = np.arange(planes)
+    height = plane_height(rows, plane_width)
+    corner = plane // columns * height * stride + plane % columns * plane_width
+    index = corner[:, None] + (y * stride + x)[None]
+    index.flags.writeable = False
+    return index
+
+
+def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) -> NDArray[np.uint8]:
+    """(T, P, N) samples -> (T, height, width) pictures; unused cells are 128."""
+    index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), width)
+    pictures = np.full((len(samples), height * width), GREY, np.uint8)
+    pictures[:, index.ravel()] = samples.reshape(len(samples), -1)
+    return pictures.reshape(-1, height, width)
+
+
+def extract(picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
+    """(height, width) picture -> (P, N) samples."""
+    index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), picture.shape[1])
+    return np.ascontiguousarray(picture).reshape(-1).take(index)

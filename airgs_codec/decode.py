@@ -1,0 +1,161 @@
+"""Package -> Gaussians, top to bottom. N rows of a group, n rows of a level, P planes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec import canonical as space
+from airgs_codec import escapes
+from airgs_codec.atlas import extract
+from airgs_codec.canonical import Canonical
+from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.gaussians import Gaussians
+from airgs_codec.manifest import Atlas, Picture, key_init_path, state_init_path, unpack_matrix
+from airgs_codec.package import Package
+from airgs_codec.quantize import from_codes
+from airgs_codec.sidecar import unpack_key_sidecar
+from airgs_codec.tiers import STATIC
+from airgs_codec.video import decode_clip
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A decoded frame of the sequence."""
+
+    number: int
+    gaussians: Gaussians
+
+
+def decode_frame(package: Package, frame: int, level: int = 0, quality: int = 0) -> Gaussians:
+    """One frame; decodes nothing but its key units and the start of its segment.
+
+    Raises FormatError for a broken package, ConfigError for a frame, level or quality that is not there.
+    """
+    for shown in decode_frames(package, frame, frame + 1, level, quality):
+        return shown.gaussians
+    raise ConfigError(f"frame {frame}: expected 0..{package.manifest.frames - 1}")
+
+
+def decode_frames(
+    package: Package, start: int, stop: int, level: int = 0, quality: int = 0, tiers: int | None = None
+) -> Iterator[Frame]:
+    """Frames [start, stop) with the first `tiers` key tiers (default: all), each key and segment decoded once."""
+    m = package.manifest
+    if not (0 <= start <= stop <= m.frames):
+        raise ConfigError(f"frames {start}:{stop}: expected a range inside 0:{m.frames}")
+    if not (0 <= level < len(m.levels) and 0 <= quality < len(m.qualities)):
+        expected = f"expected level 0..{len(m.levels) - 1} and key quality 0..{len(m.qualities) - 1}"
+        raise ConfigError(f"{expected}, got {level} and {quality}")
+    base: Canonical | None = None
+    group = -1
+    for index, segment in enumerate(m.segments):
+        if segment.stop <= start or segment.start >= stop:
+            continue
+        if segment.group != group:
+            group = segment.group
+            base = decode_canonical(package, group, quality, tiers)
+        assert base is not None
+        first, last = max(start, segment.start), min(stop, segment.stop)
+        shown = decode_segment(package, index, base, level, first - segment.start, last - segment.start)
+        for number, gaussians in zip(range(first, last), shown, strict=True):
+            yield Frame(number, gaussians)
+
+
+def decode_canonical(package: Package, group: int, quality: int, tiers: int | None = None) -> Canonical:
+    """The canonical space of a group from its first `tiers` key tiers (default: all)."""
+    m = package.manifest
+    g = m.groups[group]
+    transform = unpack_matrix(g.colour_transform, m.colour_channels)
+    steps = space.key_steps(g.key_steps, m.colour_channels) * m.qualities[quality].factor
+    parts = []
+    for t, tier in enumerate(g.tiers[:tiers]):
+        if not tier.number:
+            continue
+        media, sidecar_path = m.key_files(group, t, quality)
+        sidecar = unpack_key_sidecar(package.read(sidecar_path), tier.qualities, sidecar_path)
+        pictures = decode_clip(package.read(key_init_path(t, quality)), package.read(media), media)
+        picture = next(pictures, None)
+        if picture is None:
+            raise FormatError("bad_picture", media, "expected one picture, got none")
+        _expect_size(picture, m.key_pictures[t][quality], media)
+        atlas = tier.qualities[quality]
+        codes = read_codes(picture, atlas, sidecar.bases[quality])
+        parts.append((from_codes(codes, steps, m.key_gain), sidecar))
+    if not parts:
+        raise ConfigError(f"group {group}: expected at least one key tier with rows, got tiers={tiers}")
+    return space.read_key(
+        np.concatenate([channels for channels, _ in parts], axis=1),
+        np.concatenate([s.codes for _, s in parts]),
+        np.concatenate([s.classes for _, s in parts]),
+        np.concatenate([s.depths for _, s in parts]),
+        transform,
+        g.grid,
+        g.key_steps,
+    )
+
+
+def decode_segment(
+    package: Package, index: int, base: Canonical, level: int, first: int, last: int
+) -> Iterator[Gaussians]:
+    """Frames [first, last) of a segment, counted from its start, over a decoded canonical space.
+
+    With fewer tiers than the group has, the rows at hand are the first of every level (rows are in tier order).
+    """
+    m = package.manifest
+    segment = m.segments[index]
+    files = m.state_files(index, level)
+    if not files:
+        frame = space.show(base)
+        for _ in range(first, last):
+            yield frame
+        return
+    group = m.groups[segment.group]
+    atlas = group.levels[level]
+    rows = np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
+    complete = len(base.means) == group.count
+    if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
+        detail = f"the sidecars give {len(rows)} rows, airgs.json {atlas.rows}"
+        raise FormatError("count_mismatch", files[0], detail)
+    steps = space.state_steps(group.state_steps, m.colour_channels) * m.levels[level].factor
+    shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
+    most = 4 + 12 * shape[0] * shape[1] * shape[2]
+    payload = escapes.inflate(package.read(files[1]), most, files[1])
+    escape_index, jumps, used = escapes.unpack(payload, shape, files[1])
+    if used != len(payload):
+        raise FormatError("bad_sidecar", files[1], f"expected the end at {used}, got {len(payload)} bytes")
+    turns = _varies(atlas, 6, 9)
+    coloured = _varies(atlas, space.STATE_FIXED, len(atlas.centres))
+    shown = 0
+    pictures = decode_clip(package.read(state_init_path(level)), package.read(files[0]), files[0])
+    for shown, picture in enumerate(pictures, 1):
+        if shown > first:
+            _expect_size(picture, m.state_pictures[level], files[0])
+            bases = escapes.bases_at(escape_index, jumps, shape, shown - 1)
+            channels = from_codes(read_codes(picture, atlas, bases)[:, : len(rows)], steps, m.state_gain)
+            yield space.apply_state(base, rows, channels, group.state_steps, turns, coloured)
+        if shown == last:
+            break
+    if shown < last:
+        raise FormatError("bad_picture", files[0], f"expected {shape[0]} pictures, got {shown}")
+
+
+def read_codes(picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32]) -> NDArray[np.int32]:
+    """(P, n) bases and a picture -> (channels, n) codes; channels without a plane are constant at their centre."""
+    codes = np.empty((len(atlas.centres), atlas.rows), np.int32)
+    codes[:] = np.array(atlas.centres, np.int32)[:, None]
+    codes[atlas.planes] += extract(picture, atlas).astype(np.int32) - 128 + escapes.UNIT * bases
+    return codes
+
+
+def _varies(atlas: Atlas, start: int, stop: int) -> bool:
+    return any(start <= p < stop for p in atlas.planes) or any(atlas.centres[start:stop])
+
+
+def _expect_size(picture: NDArray[np.uint8], size: Picture, where: str) -> None:
+    if picture.shape != (size.height, size.width):
+        got = f"{picture.shape[1]}x{picture.shape[0]}"
+        raise FormatError("bad_picture", where, f"expected {size.width}x{size.height}, got {got}")

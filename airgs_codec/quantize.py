@@ -1,0 +1,30 @@
+"""Uniform quantisation by step: values <-> integer codes, `gain` codes a step."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import SceneError
+
+CODE_LIMIT = 1 << 30  # |code| stays below: sums of a code, a centre and an escape fit int32
+
+
+def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: float) -> NDArray[np.int32]:
+    """(T, C, N) values, (C,) steps -> (T, C, N) codes. |value - from_codes(code)| <= step / (2 gain).
+
+    Raises SceneError for a value more than 2^30 codes from 0: nothing is clipped.
+    """
+    codes = np.rint(values * (gain / steps)[:, None])
+    if codes.size and not np.abs(codes).max() < CODE_LIMIT:
+        channel = int(np.unravel_index(np.abs(codes).argmax(), codes.shape)[1])
+        largest = float(np.abs(values[:, channel]).max())
+        raise SceneError(
+            f"channel {channel}: expected at most {CODE_LIMIT} codes, got value {largest:g} at step {steps[channel]:g}"
+        )
+    return codes.astype(np.int32)
+
+
+def from_codes(codes: NDArray[np.int32], steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
+    """(C, N) codes -> values."""
+    return (codes * (steps / gain).astype(np.float32)[:, None]).astype(np.float32)

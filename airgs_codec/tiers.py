@@ -1,0 +1,34 @@
+"""Which rows come first (key tiers) and whose updates are sent (depths). N rows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+STATIC = 255  # depth of a row that no level carries
+DEFAULT_TIERS = (0.8, 0.2)  # core, rest
+
+
+def assign_tiers(usage: NDArray[np.float64], shares: Sequence[float] = DEFAULT_TIERS) -> NDArray[np.uint8]:
+    """(N,) usage -> (N,) tier: the most used first, ties by row; `shares` of the rows each, summing to 1."""
+    order = np.argsort(-usage, kind="stable")
+    bounds = np.rint(np.cumsum(shares) * len(usage)).astype(np.intp)
+    tiers = np.empty(len(usage), np.uint8)
+    tiers[order] = np.searchsorted(bounds[:-1], np.arange(len(usage)), side="right")
+    return tiers
+
+
+def assign_depths(score: NDArray[np.float64], moving: NDArray[np.bool_], pruned: Sequence[float]) -> NDArray[np.uint8]:
+    """(N,) depth: the deepest level that carries a row; STATIC for rows that do not move.
+
+    Level j withholds the `pruned[j]` share of the moving rows with the lowest score (paper: p keeps the Gaussians
+    with the highest usage frequency); ascending shares make levels nested.
+    """
+    rows = np.flatnonzero(moving)
+    ranked = rows[np.argsort(-score[rows], kind="stable")]
+    depths = np.full(len(score), STATIC, np.uint8)
+    for level, share in enumerate(pruned):
+        depths[ranked[: round((1 - share) * len(ranked))]] = level
+    return depths

@@ -1,0 +1,219 @@
+"""Pictures <-> H.264 in fragmented MP4. The only importer of av.
+
+Luma carries the samples, chroma is 128, the full-range flag is set, and no frame ever meets swscale.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import av.bitstream
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import CodecError, FormatError
+
+DEFAULT_PRESET = "veryslow"
+PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
+KEY_QP = 14  # 2^((14 - 4) / 6) = 3.17 luma levels
+STATE_QP = 20  # 6.35 luma levels
+# x264 codes IDR pictures finer and B-pictures coarser than the constant QP by these ratios of quantisers.
+# A key unit is one IDR, so its ratio is 1; a state segment's IDR is what its other pictures predict from.
+KEY_IP_RATIO = 1.0
+STATE_IP_RATIO = 1.4
+STATE_PB_RATIO = 1.3
+
+
+def quantiser(qp: int) -> float:
+    """Quantiser step of an H.264 QP in luma levels: the gain of an atlas coded at that QP."""
+    return float(2.0 ** ((qp - 4) / 6))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clip:
+    """Pictures that are decoded together: one IDR, then P and B."""
+
+    pictures: Iterable[NDArray[np.uint8]]  # (H, W) each
+    start: int  # presentation time of the first, ticks
+    ticks: int  # duration of each, ticks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """A representation: its init segment, a media segment a clip, and H.264 bytes a picture in display order."""
+
+    codecs: str  # RFC 6381
+    init: bytes
+    media: list[bytes]
+    picture_bytes: list[list[int]]
+
+
+@dataclass(frozen=True, slots=True)
+class CodecSettings:
+    """What x264 is told."""
+
+    qp: int
+    ip_ratio: float
+    pb_ratio: float
+    preset: str = DEFAULT_PRESET
+
+    def options(self) -> dict[str, str]:
+        """AVOptions. AQ, psy and mb-tree off: every sample counts alike. Scene cuts off: clips decide the IDRs."""
+        params = (
+            f"keyint=infinite:scenecut=0:open-gop=0:aq-mode=0:psy=0:mbtree=0:rc-lookahead=0:sync-lookahead=0:"
+            f"ipratio={self.ip_ratio}:pbratio={self.pb_ratio}:fullrange=on:threads=1"
+        )
+        return {"preset": self.preset, "qp": str(self.qp), "forced-idr": "1", "x264-params": params}
+
+
+def encode_stream(
+    clips: Iterable[Clip], size: tuple[int, int], rate: Fraction, timescale: int, settings: CodecSettings
+) -> Stream:
+    """Code clips of `size` = (width, height) pictures as one representation; each clip is a segment of its own.
+
+    `rate`: pictures a second, from which x264 derives the level; `timescale`: ticks a second.
+
+    Raises CodecError when FFmpeg refuses or a clip did not become one segment.
+    """
+    output = io.BytesIO()
+    options = {"movflags": "cmaf+frag_keyframe+empty_moov+default_base_moof", "video_track_timescale": str(timescale)}
+    options |= {"avoid_negative_ts": "disabled"}
+    sizes: dict[int, int] = {}
+    spans: list[list[int]] = []
+    try:
+        with av.open(output, "w", format="mp4", options=options) as container:
+            stream = container.add_stream("libx264", rate=rate, options=settings.options())
+            context = stream.codec_context
+            context.width, context.height, context.pix_fmt = *size, "yuv420p"
+            context.color_range = 2  # full
+            context.time_base = Fraction(1, timescale)
+            context.thread_count = 1
+            without_sei = None
+            durations: dict[int, int] = {}
+
+            def mux(packets: Iterable[av.Packet]) -> None:
+                nonlocal without_sei
+                for packet in packets:
+                    if without_sei is None:  # x264 repeats its version and options in an SEI of every stream
+                        without_sei = av.bitstream.BitStreamFilterContext("filter_units=remove_types=6", stream)
+                    for kept in without_sei.filter(packet):
+                        sizes[_ticks(kept.pts)] = kept.size
+                        kept.duration = durations[_ticks(kept.pts)]
+                        container.mux(kept)
+
+            for clip in clips:
+                spans.append([])
+                for number, picture in enumerate(clip.pictures):
+                    frame = _frame(picture, clip.start + number * clip.ticks, timescale)
+                    frame.pict_type = av.video.frame.PictureType.I if number == 0 else av.video.frame.PictureType.NONE
+                    durations[_ticks(frame.pts)] = clip.ticks
+                    spans[-1].append(_ticks(frame.pts))
+                    mux(stream.encode(frame))
+            mux(stream.encode(None))
+    except av.FFmpegError as error:
+        raise CodecError(f"H.264 encoder refused {size[0]}x{size[1]} pictures: {error}") from error
+    boxes = _boxes(output.getvalue())
+    init = b"".join(data for kind, data in boxes if kind in (b"ftyp", b"moov"))
+    media = _fragments(boxes)
+    if len(media) != len(spans):
+        raise CodecError(f"expected {len(spans)} segments from the muxer, got {len(media)}")
+    return Stream(_codecs_string(init), init, media, [[sizes[pts] for pts in span] for span in spans])
+
+
+def _ticks(pts: int | None) -> int:
+    if pts is None:
+        raise CodecError("a packet has no presentation time")
+    return pts
+
+
+def _frame(picture: NDArray[np.uint8], pts: int, timescale: int) -> av.VideoFrame:
+    height, width = picture.shape
+    frame = av.VideoFrame(width, height, "yuv420p")
+    luma = np.frombuffer(frame.planes[0], np.uint8).reshape(-1, frame.planes[0].line_size)
+    luma[:height, :width] = picture
+    for plane in frame.planes[1:]:
+        np.frombuffer(plane, np.uint8)[:] = 128
+    frame.pts = pts
+    frame.time_base = Fraction(1, timescale)
+    return frame
+
+
+def _boxes(data: bytes) -> list[tuple[bytes, bytes]]:
+    """Top-level ISO BMFF boxes as (type, whole box)."""
+    boxes, at = [], 0
+    while at < len(data):
+        size, kind = struct.unpack_from(">I4s", data, at)
+        if size < 8 or at + size > len(data):
+            raise CodecError(f"the muxer wrote a box {kind!r} of {size} bytes at {at} of {len(data)}")
+        boxes.append((kind, data[at : at + size]))
+        at += size
+    return boxes
+
+
+def _fragments(boxes: list[tuple[bytes, bytes]]) -> list[bytes]:
+    """Each moof with its mdat."""
+    media: list[bytes] = []
+    for kind, data in boxes:
+        if kind == b"moof":
+            media.append(data)
+        elif kind == b"mdat":
+            media[-1] += data
+    return media
+
+
+def _codecs_string(init: bytes) -> str:
+    at = init.find(b"avcC")
+    if at < 0:
+        raise CodecError("the init segment has no avcC box")
+    return "avc1." + init[at + 5 : at + 8].hex().upper()
+
+
+def decode_clip(init: bytes, media: bytes, where: str) -> Iterator[NDArray[np.uint8]]:
+    """(H, W) luma of each picture of one segment, in display order; stop iterating to stop decoding.
+
+    The order is the decoder's own: FFmpeg shifts the presentation times of a lone segment whose MP4 composition
+    offsets are negative, so times are not used. Raises FormatError(bad_picture) when the bytes do not decode.
+    """
+    try:
+        with av.open(io.BytesIO(init + media), format="mp4") as container:
+            if not container.streams.video:
+                raise FormatError("bad_picture", where, "expected a video track, got none")
+            stream = container.streams.video[0]
+            stream.codec_context.thread_count = 1
+            for frame in container.decode(stream):
+                if frame.format.name not in ("yuv420p", "yuvj420p"):
+                    raise FormatError("bad_picture", where, f"expected 8-bit 4:2:0, got {frame.format.name}")
+                plane = frame.planes[0]
+                yield np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
+    except (av.FFmpegError, OSError) as error:
+        raise FormatError("bad_picture", where, f"expected H.264 in MP4, the decoder said: {error}") from error
+
+
+def write_movie(path: Path, frames: Iterable[NDArray[np.uint8]], fps: Fraction) -> None:
+    """(H, W, 3) RGB frames as an H.264 film for people to watch. Raises CodecError."""
+    try:
+        with av.open(str(path), "w") as container:
+            stream = None
+            for picture in frames:
+                if stream is None:
+                    stream = container.add_stream("libx264", rate=fps, options={"crf": "18", "preset": "medium"})
+                    stream.height, stream.width = (side - side % 2 for side in picture.shape[:2])
+                    stream.pix_fmt = "yuv420p"
+                even = np.ascontiguousarray(picture[: stream.height, : stream.width])
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(even, "rgb24")))
+            if stream is None:
+                raise CodecError(f"{path}: expected at least one frame")
+            container.mux(stream.encode(None))
+    except (av.FFmpegError, OSError) as error:
+        raise CodecError(f"{path}: cannot write the film: {error}") from error
+
+
+def library_versions() -> dict[str, str]:
+    """Versions that decide the encoder's bytes."""
+    return {"av": av.__version__, **{name: ".".join(map(str, v)) for name, v in av.library_versions.items()}}
