@@ -10,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec import escapes
 from airgs_codec.manifest import Atlas
 
 BLOCK = 16
@@ -71,3 +72,11 @@ def extract(picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
     """(height, width) picture -> (P, N) samples."""
     index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), picture.shape[1])
     return np.ascontiguousarray(picture).reshape(-1).take(index)
+
+
+def read_codes(picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32]) -> NDArray[np.int32]:
+    """A picture and (P, n) escape bases -> (channels, n) codes; without a plane a channel is its centre."""
+    codes = np.empty((len(atlas.centres), atlas.rows), np.int32)
+    codes[:] = np.array(atlas.centres, np.int32)[:, None]
+    codes[atlas.planes] += extract(picture, atlas).astype(np.int32) - 128 + escapes.UNIT * bases
+    return codes

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from airgs_codec import canonical as space
 from airgs_codec import escapes
-from airgs_codec.atlas import extract
+from airgs_codec.atlas import read_codes
 from airgs_codec.canonical import Canonical
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.gaussians import Gaussians
@@ -141,14 +141,6 @@ def decode_segment(
             break
     if shown < last:
         raise FormatError("bad_picture", files[0], f"expected {shape[0]} pictures, got {shown}")
-
-
-def read_codes(picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(P, n) bases and a picture -> (channels, n) codes; channels without a plane are constant at their centre."""
-    codes = np.empty((len(atlas.centres), atlas.rows), np.int32)
-    codes[:] = np.array(atlas.centres, np.int32)[:, None]
-    codes[atlas.planes] += extract(picture, atlas).astype(np.int32) - 128 + escapes.UNIT * bases
-    return codes
 
 
 def _varies(atlas: Atlas, start: int, stop: int) -> bool:

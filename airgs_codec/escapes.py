@@ -73,7 +73,7 @@ def bases_at(
 
 def byte_planes(values: NDArray[np.unsignedinteger]) -> bytes:
     """(M,) little-endian integers -> all lowest bytes, then all second bytes, and so on."""
-    return values.view(np.uint8).reshape(len(values), -1).T.tobytes()
+    return values.view(np.uint8).reshape(len(values), values.itemsize).T.tobytes()
 
 
 def from_byte_planes(payload: memoryview | bytes, width: int) -> NDArray[np.uint64]:

@@ -77,7 +77,9 @@ def read_cameras(path: Path) -> list[Camera]:
     except OSError as error:
         raise SceneError(f"{path}: cannot read cameras: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, AttributeError, np.linalg.LinAlgError) as error:
-        raise SceneError(f"{path}: expected a nerfstudio transforms.json, got {type(error).__name__}: {error}") from error
+        raise SceneError(
+            f"{path}: expected a nerfstudio transforms.json, got {type(error).__name__}: {error}"
+        ) from error
     if not cameras:
         raise SceneError(f"{path}: expected at least one camera under 'frames', got none")
     return list(cameras.values())

@@ -1,0 +1,1 @@
+"""Training: dynamic scenes from multi-view video."""

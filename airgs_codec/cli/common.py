@@ -1,0 +1,74 @@
+"""What every command shares: errors as one line, progress on stderr, frame ranges."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+
+from tqdm import tqdm
+
+from airgs_codec.errors import AirgsError, ConfigError
+
+# OpenMP threads of numba spin while they wait unless told so before the first import that loads them.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
+def run_command(name: str, work: Callable[[], int]) -> int:
+    """Exit status of a command: an AirgsError is one line on stderr and 2, a bug keeps its traceback."""
+    try:
+        return work()
+    except AirgsError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader of our output has gone, `| head` for one
+        sys.stderr.close()
+        return 0
+
+
+class Bar:
+    """A progress bar for each stage of a long work; silent where stderr is no terminal or `quiet`."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._quiet = quiet or not sys.stderr.isatty()
+        self._bar: tqdm | None = None
+        self._what = ""
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        """`done` of `total` steps of stage `what` are finished."""
+        if self._quiet:
+            return
+        if what != self._what:
+            self.close()
+            self._what = what
+            self._bar = tqdm(total=total, desc=what, leave=False)
+        if self._bar is not None:
+            self._bar.update(done - self._bar.n)
+
+    def close(self) -> None:
+        """Clear the line."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+
+def parse_range(text: str, frames: int) -> tuple[int, int]:
+    """A:B, A:, :B or a single frame number inside 0..frames. Raises ConfigError."""
+    head, colon, tail = text.partition(":")
+    try:
+        start = int(head) if head else 0
+        stop = (int(tail) if tail else frames) if colon else start + 1
+    except ValueError as error:
+        raise ConfigError(f"--frames: expected A:B, got {text!r}") from error
+    if not 0 <= start < stop <= frames:
+        raise ConfigError(f"--frames: expected A:B inside 0:{frames}, got {text!r}")
+    return start, stop
+
+
+def level_number(text: str, names: list[str], option: str) -> int:
+    """Index of a level or key quality given as its id or its number. Raises ConfigError."""
+    if text in names:
+        return names.index(text)
+    if text.isdigit() and int(text) < len(names):
+        return int(text)
+    raise ConfigError(f"{option}: expected one of {', '.join(names)}, got {text!r}")

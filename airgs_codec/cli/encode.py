@@ -1,0 +1,160 @@
+"""airgs-encode: a folder of .ply frames to a package."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+
+from airgs_codec.author import AuthorReport, author_package
+from airgs_codec.cli.common import Bar, run_command
+from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.inspection import format_summary
+from airgs_codec.measure import DEFAULT_FRAMES
+from airgs_codec.sequence import open_sequence
+from airgs_codec.settings import DEFAULT_LEVELS, PAPER_LEVELS, QUALITY_FACTORS, EncodeSettings
+from airgs_codec.usage import MEASURES
+from airgs_codec.video import DEFAULT_PRESET, PRESETS
+
+
+def _parser() -> argparse.ArgumentParser:
+    defaults = EncodeSettings()
+    parser = argparse.ArgumentParser(
+        prog="airgs-encode",
+        description="Encode a Gaussian sequence (a folder of .ply frames) as H.264 pictures and a DASH manifest.",
+    )
+    parser.add_argument("scene", type=Path, help="folder of .ply frames, optionally sequence.json and transforms.json")
+    parser.add_argument("-o", "--output", type=Path, help="package folder (default: SCENE with .airgs appended)")
+    parser.add_argument("--levels", help="PRUNED%%:STEP_FACTOR,… ascending (default: 0:1,30:1.5,50:2,60:3)")
+    parser.add_argument(
+        "--ladder",
+        choices=("default", "paper"),
+        default="default",
+        help="preset for --levels; paper: 0..90 %% pruned, steps fixed",
+    )
+    parser.add_argument(
+        "--segment",
+        type=float,
+        default=defaults.segment_s,
+        metavar="S",
+        help="longest state segment, seconds (default: 1)",
+    )
+    parser.add_argument(
+        "--group",
+        type=int,
+        default=defaults.group_frames,
+        metavar="FRAMES",
+        help="longest group without given keyframes (default: 30)",
+    )
+    parser.add_argument(
+        "--quality",
+        choices=tuple(QUALITY_FACTORS),
+        default="medium",
+        help="a factor on every quantiser step: low 1.6, medium 1, high 0.6",
+    )
+    parser.add_argument(
+        "--views",
+        type=Path,
+        metavar="FILE",
+        help="cameras that usage and quality are measured on (default: SCENE/transforms.json, else generated)",
+    )
+    parser.add_argument(
+        "--usage",
+        choices=MEASURES,
+        default=defaults.usage,
+        help="what ranks Gaussians: max or sum of alpha T, or pixel hits (the paper, literally) (default: max)",
+    )
+    parser.add_argument("--fps", type=Fraction, help="frames a second (default: sequence.json, else 30)")
+    parser.add_argument(
+        "--preset", choices=PRESETS, default=DEFAULT_PRESET, help=f"x264 preset (default: {DEFAULT_PRESET})"
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=defaults.jobs, help="representations encoded at a time (default: cores)"
+    )
+    parser.add_argument(
+        "--measure-frames",
+        type=int,
+        default=DEFAULT_FRAMES,
+        metavar="N",
+        help=f"frames a segment on which every rung is rendered (default: {DEFAULT_FRAMES}; 0: do not measure)",
+    )
+    parser.add_argument("--attribution", metavar="TEXT", help="who made the scene (default: SCENE/ATTRIBUTION.txt)")
+    parser.add_argument("--json", action="store_true", help="print a JSON report instead of a table")
+    return parser
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit status."""
+    args = _parser().parse_args(argv)
+    return run_command("airgs-encode", lambda: _run(args))
+
+
+def parse_levels(text: str) -> tuple[tuple[float, float], ...]:
+    """'0:1,30:1.5' -> ((0, 1), (0.3, 1.5)). Raises ConfigError."""
+    try:
+        pairs = [part.split(":") for part in text.split(",")]
+        return tuple((float(pruned) / 100, float(factor)) for pruned, factor in pairs)
+    except ValueError as error:
+        raise ConfigError(f"--levels: expected PRUNED:FACTOR,…, got {text!r}") from error
+
+
+def _run(args: argparse.Namespace) -> int:
+    levels = PAPER_LEVELS if args.ladder == "paper" else DEFAULT_LEVELS
+    if args.measure_frames < 0:
+        raise ConfigError(f"--measure-frames: expected 0 or more, got {args.measure_frames}")
+    settings = EncodeSettings(
+        levels=parse_levels(args.levels) if args.levels else levels,
+        quality=QUALITY_FACTORS[args.quality],
+        segment_s=args.segment,
+        group_frames=args.group,
+        usage=args.usage,
+        preset=args.preset,
+        jobs=args.jobs,
+    )
+    if args.fps is not None and not 0 < args.fps <= 1000:
+        raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
+    sequence = open_sequence(args.scene, views=args.views, fps=args.fps)
+    target = args.output or args.scene.with_name(args.scene.name + ".airgs")
+    bar = Bar(args.json)
+    try:
+        report = author_package(
+            sequence,
+            target,
+            settings,
+            attribution=_attribution(args),
+            measure_frames=args.measure_frames,
+            progress=bar,
+        )
+    finally:
+        bar.close()
+    print(json.dumps(_as_json(report, target)) if args.json else _as_words(report, target))
+    return 0
+
+
+def _attribution(args: argparse.Namespace) -> str:
+    file = args.scene / "ATTRIBUTION.txt"
+    try:
+        return args.attribution or (file.read_text(encoding="utf-8").strip() if file.is_file() else "")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(f"{file}: expected UTF-8 text: {error}") from error
+
+
+def _as_json(report: AuthorReport, target: Path) -> dict[str, object]:
+    m = report.manifest
+    return {
+        "package": str(target),
+        "frames": m.frames,
+        "bytes": sum(f.bytes for f in m.files.values()) + report.manifest_bytes,
+        "top_rung_bytes": m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes,
+        "encode_s": round(report.encode_s, 3),
+        "measure_s": round(report.measure_s, 3),
+        "repairs": m.repairs,
+    }
+
+
+def _as_words(report: AuthorReport, target: Path) -> str:
+    m = report.manifest
+    times = f"{m.frames} frames in {report.encode_s:.1f} s, quality measured in {report.measure_s:.1f} s"
+    return f"{format_summary(m, report.manifest_bytes)}\n\n{target}: {times}"

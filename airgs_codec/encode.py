@@ -1,0 +1,444 @@
+"""Gaussians -> package files, top to bottom. T frames, N rows of a group, n rows of a level, P planes, C colours.
+
+Two passes over the sequence: the canonical frames make the key streams; what those decode to is the space that the
+states of all frames are differences to.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec import __version__, escapes
+from airgs_codec import canonical as space
+from airgs_codec import manifest as tables
+from airgs_codec.atlas import assemble, choose_layout, picture_size, read_codes
+from airgs_codec.canonical import Canonical
+from airgs_codec.errors import SceneError
+from airgs_codec.gaussians import Gaussians
+from airgs_codec.grouping import plan_groups
+from airgs_codec.manifest import Atlas, FileEntry, Group, GroupTier, Picture, Segment
+from airgs_codec.package import write_file
+from airgs_codec.plan import GroupPlan, load_frames, plan_group
+from airgs_codec.quantize import from_codes, to_codes
+from airgs_codec.render import Camera
+from airgs_codec.sequence import Sequence as GaussianSequence
+from airgs_codec.settings import EncodeSettings
+from airgs_codec.sidecar import KeySidecar, pack_key_sidecar
+from airgs_codec.tiers import STATIC, assign_depths
+from airgs_codec.video import (
+    KEY_IP_RATIO,
+    KEY_QP,
+    STATE_IP_RATIO,
+    STATE_PB_RATIO,
+    STATE_QP,
+    Clip,
+    CodecSettings,
+    Stream,
+    decode_clip,
+    encode_stream,
+    library_versions,
+    quantiser,
+)
+
+Progress = Callable[[str, int, int], None]  # what, done, total
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Coded:
+    """A representation, if it has anything to show, and its picture size."""
+
+    stream: Stream | None
+    size: tuple[int, int]
+
+    def picture(self) -> Picture:
+        """Its entry in the tables."""
+        return Picture(*self.size, self.stream.codecs) if self.stream else Picture(0, 0, "")
+
+
+def encode_sequence(
+    sequence: GaussianSequence,
+    cameras: Sequence[Camera],
+    views: tables.Views,
+    settings: EncodeSettings,
+    folder: Path,
+    attribution: str = "",
+    progress: Progress = lambda what, done, total: None,
+) -> tables.Manifest:
+    """Write every segment and sidecar of a package into `folder`; gives its tables, without measured quality.
+
+    `cameras` are the training views that usage is measured on. Raises SceneError, CodecError, ConfigError.
+    """
+    grouping = plan_groups(sequence, settings.group_frames)
+    scratch = folder / ".scratch"
+    scratch.mkdir()
+    plans = []
+    for i, (start, stop) in enumerate(grouping.spans):
+        progress("usage and order", i, len(grouping.spans))
+        plans.append(plan_group(sequence, start, stop, cameras, views.source == "given", settings))
+    gains = quantiser(KEY_QP), quantiser(STATE_QP)
+    timescale, ticks = _timing(sequence.fps)
+    for plan in plans:
+        _code_keys(plan, settings, gains[0])
+    _number_keys(plans)
+    key_streams = _encode_keys(plans, settings, sequence.fps, timescale, ticks, progress)
+    spans = [_segment_spans(plan, settings.segment_s, sequence.fps) for plan in plans]
+    moving: list[list[list[bool]]] = []  # group x segment x level: is there anything to fetch
+    for g, plan in enumerate(plans):
+        progress("states", g, len(plans))
+        base = _decode_canonical(plan, key_streams, gains[0], settings)
+        frames = load_frames(sequence, plan.start, plan.stop).frames
+        moving.append(_code_states(plan, base, frames, spans[g], settings, gains[1], scratch, g))
+    state_streams = _encode_states(plans, spans, moving, settings, sequence.fps, timescale, ticks, scratch, progress)
+    files = _write_streams(folder, key_streams, state_streams)
+    files |= _write_sidecars(folder, plans, spans, moving, scratch, len(settings.levels))
+    for path in scratch.iterdir():
+        path.unlink()
+    scratch.rmdir()
+    notes = grouping.notes + [note for plan in plans for note in plan.notes]
+    return tables.Manifest(
+        version=tables.VERSION,
+        generator=tables.Generator(__version__, library_versions(), settings.table()),
+        attribution=attribution,
+        repairs=notes,
+        frame_rate=[sequence.fps.numerator, sequence.fps.denominator],
+        timescale=timescale,
+        frames=len(sequence),
+        sh_degree=sequence.sh_degree,
+        key_gain=gains[0],
+        state_gain=gains[1],
+        views=views,
+        qualities=[tables.KeyQuality(f"Q{i}", factor) for i, factor in enumerate(settings.key_factors)],
+        levels=[tables.Level(f"L{j}", share, factor) for j, (share, factor) in enumerate(settings.levels)],
+        key_pictures=[[coded.picture() for coded in row] for row in key_streams],
+        state_pictures=[coded.picture() for coded in state_streams],
+        groups=_group_tables(plans),
+        segments=_segment_tables(spans, moving, state_streams),
+        files=dict(sorted(files.items())),
+    )
+
+
+def _timing(fps: Fraction) -> tuple[int, int]:
+    """Timescale (ticks a second, at least 1000) and ticks a frame, both whole."""
+    factor = 1 if fps.numerator >= 1000 else 1000
+    return fps.numerator * factor, fps.denominator * factor
+
+
+def _atlas(codes: NDArray[np.int32], limit: float) -> Atlas:
+    """Centres, planes and layout of (T, channels, n) codes; a channel within `limit` of its centre has no plane."""
+    low, high = codes.min(axis=(0, 2)).astype(np.int64), codes.max(axis=(0, 2)).astype(np.int64)
+    near_constant = high - low <= 2 * limit
+    median = np.rint(np.median(codes, axis=(0, 2))).astype(np.int64)
+    centres = np.where(near_constant, (low + high) // 2, median)
+    centres = np.where(near_constant & (np.maximum(np.abs(low), np.abs(high)) <= limit), 0, centres)
+    planes = np.flatnonzero(~near_constant).tolist()
+    width, columns = choose_layout(codes.shape[2], len(planes)) if planes else (0, 0)
+    return Atlas(codes.shape[2], centres.tolist(), planes, width, columns)
+
+
+def _code_keys(plan: GroupPlan, settings: EncodeSettings, gain: float) -> None:
+    """Atlases, samples and escapes of every tier and key quality."""
+    steps = space.key_steps(plan.key_steps, len(plan.key_values) - space.KEY_FIXED)
+    for tier in range(len(settings.tiers)):
+        atlases, samples, bases = [], [], []
+        rows = plan.tier_rows(tier)
+        for factor in settings.key_factors:
+            codes = to_codes(plan.key_values[None, :, rows], steps * factor, gain)
+            atlas = _key_atlas(codes, gain / 2) if codes.shape[2] else Atlas(0, [0] * len(steps), [], 0, 0)
+            centred = (codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes]
+            luma, base = escapes.split(centred)
+            atlases.append(atlas)
+            samples.append(luma[0])
+            bases.append(base[0])
+        plan.key_atlases.append(atlases)
+        plan.key_samples.append(samples)
+        plan.key_bases.append(bases)
+
+
+def _key_atlas(codes: NDArray[np.int32], limit: float) -> Atlas:
+    """As `_atlas`, but a key always has a picture: if every channel is constant, the first has a plane all the same."""
+    atlas = _atlas(codes, limit)
+    if atlas.planes:
+        return atlas
+    return replace(atlas, planes=[0], plane_width=choose_layout(codes.shape[2], 1)[0], columns=1)
+
+
+def _number_keys(plans: list[GroupPlan]) -> None:
+    """Key units are numbered from 1 within their tier."""
+    counts = [0] * len(plans[0].key_atlases)
+    for plan in plans:
+        for tier, atlases in enumerate(plan.key_atlases):
+            counts[tier] += bool(atlases[0].rows)
+            plan.numbers.append(counts[tier] if atlases[0].rows else 0)
+
+
+def _encode_keys(
+    plans: list[GroupPlan], settings: EncodeSettings, fps: Fraction, timescale: int, ticks: int, progress: Progress
+) -> list[list[_Coded]]:
+    """Streams of tier x quality, with their picture sizes."""
+    codec = CodecSettings(KEY_QP, KEY_IP_RATIO, 1.0, settings.preset)
+
+    def encode(tier: int, quality: int) -> _Coded:
+        used = [plan for plan in plans if plan.key_atlases[tier][quality].rows]
+        size = _common_size([plan.key_atlases[tier][quality] for plan in used])
+        clips = [
+            Clip(
+                assemble(plan.key_samples[tier][quality][None], plan.key_atlases[tier][quality], *size),
+                plan.start * ticks,
+                (plan.stop - plan.start) * ticks,
+            )
+            for plan in used
+        ]
+        return _Coded(encode_stream(clips, size, fps, timescale, codec) if used else None, size)
+
+    pairs = [(t, q) for t in range(len(settings.tiers)) for q in range(len(settings.key_factors))]
+    streams = _parallel(settings.jobs, [functools.partial(encode, *pair) for pair in pairs], "key pictures", progress)
+    count = len(settings.key_factors)
+    return [streams[t * count : (t + 1) * count] for t in range(len(settings.tiers))]
+
+
+def _common_size(atlases: list[Atlas]) -> tuple[int, int]:
+    sizes = [picture_size(atlas) for atlas in atlases]
+    size = (max((w for w, _ in sizes), default=0), max((h for _, h in sizes), default=0))
+    if max(size) > tables.MAX_SIDE:
+        raise SceneError(f"pictures of {size[0]}x{size[1]} exceed {tables.MAX_SIDE}: too many Gaussians for one atlas")
+    return size
+
+
+def _parallel(jobs: int, tasks: Sequence[Callable[[], _Coded]], what: str, progress: Progress) -> list[_Coded]:
+    """Results in order; x264 releases the interpreter lock, so threads do."""
+    with ThreadPoolExecutor(jobs) as pool:
+        futures = [pool.submit(task) for task in tasks]
+        results = []
+        for done, future in enumerate(futures):
+            progress(what, done, len(tasks))
+            results.append(future.result())
+    return results
+
+
+def _decode_canonical(
+    plan: GroupPlan,
+    streams: list[list[_Coded]],
+    gain: float,
+    settings: EncodeSettings,
+) -> Canonical:
+    """The canonical space as a viewer of key quality 0 has it."""
+    channels = len(plan.key_values) - space.KEY_FIXED
+    steps = space.key_steps(plan.key_steps, channels) * settings.key_factors[0]
+    parts = []
+    for tier, row in enumerate(streams):
+        stream, atlas = row[0].stream, plan.key_atlases[tier][0]
+        if stream is None or not atlas.rows:
+            continue
+        media = stream.media[plan.numbers[tier] - 1]
+        picture = next(decode_clip(stream.init, media, f"key tier {tier} of frames {plan.start}-{plan.stop - 1}"))
+        parts.append(from_codes(read_codes(picture, atlas, plan.key_bases[tier][0]), steps, gain))
+    transform = tables.unpack_matrix(plan.transform, channels)
+    values = np.concatenate(parts, axis=1)
+    depths = np.full(len(plan.codes), STATIC, np.uint8)
+    return space.read_key(values, plan.codes, plan.classes, depths, transform, plan.grid, plan.key_steps)
+
+
+def _segment_spans(plan: GroupPlan, segment_s: float, fps: Fraction) -> list[tuple[int, int]]:
+    """Balanced spans of at most `segment_s` seconds (at least one frame) that cover the group."""
+    frames = plan.stop - plan.start
+    most = max(1, int(Fraction(segment_s).limit_denominator(1000) * fps))
+    count = -(-frames // most)
+    bounds = [plan.start + i * frames // count for i in range(count + 1)]
+    return list(itertools.pairwise(bounds))
+
+
+def _samples_path(scratch: Path, group: int, level: int) -> Path:
+    return scratch / f"samples-{group}-{level}.npy"
+
+
+def _escapes_path(scratch: Path, group: int, level: int, segment: int) -> Path:
+    return scratch / f"escapes-{group}-{level}-{segment}.bin"
+
+
+def _code_states(
+    plan: GroupPlan,
+    base: Canonical,
+    frames: list[Gaussians],
+    spans: list[tuple[int, int]],
+    settings: EncodeSettings,
+    gain: float,
+    scratch: Path,
+    group: int,
+) -> list[list[bool]]:
+    """Depths, and for every level its atlas, samples and escapes (left in `scratch`).
+
+    Gives segment x level: whether anything there leaves the canonical space by more than half a step.
+    """
+    values = space.state_channels([frame.take(plan.rows) for frame in frames], base, plan.state_steps)
+    steps = space.state_steps(plan.state_steps, base.colours.shape[1])
+    plan.depths = _depths(values, steps, plan.score, settings)
+    fetched = [[False] * len(settings.levels) for _ in spans]
+    for level, (_, factor) in enumerate(settings.levels):
+        rows = (plan.depths != STATIC) & (plan.depths >= level)
+        if not rows.any():
+            plan.levels.append(Atlas(0, [0] * len(steps), [], 0, 0))
+            continue
+        codes = to_codes(values[:, :, rows], steps * factor, gain)
+        atlas = _atlas(codes, gain / 2)
+        plan.levels.append(atlas)
+        if not atlas.planes:
+            continue
+        centred = (codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes]
+        samples = np.empty(centred.shape, np.uint8)
+        for s, (start, stop) in enumerate(spans):
+            part = slice(start - plan.start, stop - plan.start)
+            fetched[s][level] = bool((np.abs(codes[part]) > gain / 2).any())
+            samples[part], bases = escapes.split(centred[part])
+            _escapes_path(scratch, group, level, s).write_bytes(escapes.deflate([escapes.pack(bases)]))
+        np.save(_samples_path(scratch, group, level), samples)
+    return fetched
+
+
+def _depths(
+    values: NDArray[np.float64], steps: NDArray[np.float64], score: NDArray[np.float64], settings: EncodeSettings
+) -> NDArray[np.uint8]:
+    """Rows ranked by usage x size of the change, in steps (root mean square over the group's frames)."""
+    scaled = values / steps[:, None]
+    moving = np.abs(scaled).max(axis=(0, 1)) > 0.5
+    change = np.sqrt(np.einsum("tcn,tcn->n", scaled, scaled) / len(values))
+    return assign_depths(score * change, moving, [share for share, _ in settings.levels])
+
+
+def _encode_states(
+    plans: list[GroupPlan],
+    spans: list[list[tuple[int, int]]],
+    fetched: list[list[list[bool]]],
+    settings: EncodeSettings,
+    fps: Fraction,
+    timescale: int,
+    ticks: int,
+    scratch: Path,
+    progress: Progress,
+) -> list[_Coded]:
+    """One stream a level."""
+    codec = CodecSettings(STATE_QP, STATE_IP_RATIO, STATE_PB_RATIO, settings.preset)
+
+    def encode(level: int) -> _Coded:
+        size = _common_size([plan.levels[level] for plan in plans if plan.levels[level].planes])
+        clips = _state_clips(plans, spans, fetched, level, size, ticks, scratch)
+        wanted = any(row[level] for group in fetched for row in group)
+        return _Coded(encode_stream(clips, size, fps, timescale, codec), size) if wanted else _Coded(None, (0, 0))
+
+    tasks = [functools.partial(encode, level) for level in range(len(settings.levels))]
+    return _parallel(settings.jobs, tasks, "state pictures", progress)
+
+
+def _state_clips(
+    plans: list[GroupPlan],
+    spans: list[list[tuple[int, int]]],
+    fetched: list[list[list[bool]]],
+    level: int,
+    size: tuple[int, int],
+    ticks: int,
+    scratch: Path,
+) -> Iterator[Clip]:
+    for g, plan in enumerate(plans):
+        for s, (start, stop) in enumerate(spans[g]):
+            if fetched[g][s][level]:
+                samples = np.load(_samples_path(scratch, g, level), mmap_mode="r")
+                pictures = (
+                    assemble(samples[t : t + 1], plan.levels[level], *size)[0]
+                    for t in range(start - plan.start, stop - plan.start)
+                )
+                yield Clip(pictures, start * ticks, ticks)
+
+
+def _write_streams(folder: Path, keys: list[list[_Coded]], states: list[_Coded]) -> dict[str, FileEntry]:
+    """Init and media segments of every representation."""
+    files = {}
+    for t, row in enumerate(keys):
+        for q, coded in enumerate(row):
+            if coded.stream:
+                path = tables.key_init_path(t, q)
+                files[path] = write_file(folder, path, coded.stream.init)
+                for n, media in enumerate(coded.stream.media, 1):
+                    path = tables.key_media_path(t, q, n)
+                    files[path] = write_file(folder, path, media)
+    for j, coded in enumerate(states):
+        if coded.stream:
+            path = tables.state_init_path(j)
+            files[path] = write_file(folder, path, coded.stream.init)
+            for n, media in enumerate(coded.stream.media, 1):
+                path = tables.state_media_path(j, n)
+                files[path] = write_file(folder, path, media)
+    return files
+
+
+def _write_sidecars(
+    folder: Path,
+    plans: list[GroupPlan],
+    spans: list[list[tuple[int, int]]],
+    fetched: list[list[list[bool]]],
+    scratch: Path,
+    levels: int,
+) -> dict[str, FileEntry]:
+    files = {}
+    numbers = [0] * levels
+    for g, plan in enumerate(plans):
+        for tier, number in enumerate(plan.numbers):
+            if number:
+                rows = plan.tier_rows(tier)
+                sidecar = KeySidecar(plan.codes[rows], plan.classes[rows], plan.depths[rows], plan.key_bases[tier])
+                path = tables.key_sidecar_path(tier, number)
+                files[path] = write_file(folder, path, pack_key_sidecar(sidecar))
+        for s in range(len(spans[g])):
+            for level in range(levels):
+                if fetched[g][s][level]:
+                    numbers[level] += 1
+                    path = tables.state_sidecar_path(level, numbers[level])
+                    files[path] = write_file(folder, path, _escapes_path(scratch, g, level, s).read_bytes())
+    return files
+
+
+def _group_tables(plans: list[GroupPlan]) -> list[Group]:
+    return [
+        Group(
+            start=plan.start,
+            stop=plan.stop,
+            canonical=plan.canonical,
+            count=len(plan.rows),
+            static=int((plan.depths == STATIC).sum()),
+            unused=plan.count - len(plan.rows),
+            grid=plan.grid,
+            key_steps=plan.key_steps,
+            state_steps=plan.state_steps,
+            colour_transform=plan.transform,
+            tiers=[
+                GroupTier(atlases[0].rows, number, atlases)
+                for atlases, number in zip(plan.key_atlases, plan.numbers, strict=True)
+            ],
+            levels=plan.levels,
+        )
+        for plan in plans
+    ]
+
+
+def _segment_tables(
+    spans: list[list[tuple[int, int]]], fetched: list[list[list[bool]]], states: list[_Coded]
+) -> list[Segment]:
+    segments = []
+    numbers = [0] * len(states)
+    for g, group_spans in enumerate(spans):
+        for s, (start, stop) in enumerate(group_spans):
+            levels = []
+            for j, coded in enumerate(states):
+                wanted = fetched[g][s][j]
+                numbers[j] += wanted
+                sizes = coded.stream.picture_bytes[numbers[j] - 1] if wanted and coded.stream else []
+                levels.append(tables.SegmentLevel(numbers[j] if wanted else 0, sizes, [], []))
+            segments.append(Segment(g, start, stop, levels))
+    return segments

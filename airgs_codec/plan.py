@@ -1,0 +1,135 @@
+"""Plan of a group before anything is coded: rows, tiers, order, steps, grid, colour transform.
+
+N rows of a group, n rows of a tier or level, P planes, C colour channels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec import canonical as space
+from airgs_codec import manifest as tables
+from airgs_codec import transforms as tf
+from airgs_codec.errors import SceneError
+from airgs_codec.gaussians import Gaussians
+from airgs_codec.manifest import Atlas, Grid, KeySteps, StateSteps
+from airgs_codec.render import Camera
+from airgs_codec.sequence import Repaired, repair
+from airgs_codec.sequence import Sequence as GaussianSequence
+from airgs_codec.settings import EncodeSettings
+from airgs_codec.tiers import assign_tiers
+from airgs_codec.usage import measure_usage
+
+
+@dataclass(slots=True, eq=False)
+class GroupPlan:
+    """What is known of a group while it is coded; fields fill up from top to bottom."""
+
+    start: int
+    stop: int
+    canonical: int
+    rows: NDArray[np.intp]  # (N,) input rows in file order, unused ones left out
+    count: int  # input rows after repairs
+    notes: list[str]
+    tiers: NDArray[np.uint8]  # (N,) of the rows in file order, ascending
+    score: NDArray[np.float64]  # (N,) usage
+    codes: NDArray[np.uint64]  # (N,) Morton codes of the grid
+    classes: NDArray[np.int16]
+    grid: Grid
+    key_steps: KeySteps
+    state_steps: StateSteps
+    transform: str
+    key_values: NDArray[np.float64]  # (7 + C, N)
+    key_atlases: list[list[Atlas]] = field(default_factory=list)  # tier x quality
+    key_samples: list[list[NDArray[np.uint8]]] = field(default_factory=list)  # (P, n)
+    key_bases: list[list[NDArray[np.int32]]] = field(default_factory=list)
+    depths: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
+    numbers: list[int] = field(default_factory=list)  # of the key unit in each tier; 0: no rows
+    levels: list[Atlas] = field(default_factory=list)
+
+    def tier_rows(self, tier: int) -> slice:
+        """Rows of a tier, in file order."""
+        low, high = np.searchsorted(self.tiers, [tier, tier + 1])
+        return slice(int(low), int(high))
+
+
+def scene_unit(g: Gaussians) -> float:
+    """Opacity-weighted median size of a Gaussian: what lengths are measured in, in world units."""
+    size = g.log_scales.astype(np.float64).mean(axis=1)
+    order = np.argsort(size)
+    weight = np.cumsum(g.opacities().astype(np.float64)[order])
+    if weight[-1] <= 0:  # nothing is visible: every size counts alike
+        return float(np.exp(np.median(size)))
+    return float(np.exp(size[order][np.searchsorted(weight, weight[-1] / 2)]))
+
+
+def load_frames(sequence: GaussianSequence, start: int, stop: int) -> Repaired:
+    """Frames [start, stop) after repairs."""
+    where = f"{sequence.folder.name} frames {start}-{stop - 1}"
+    return repair([sequence.read(i) for i in range(start, stop)], where)
+
+
+def plan_group(
+    sequence: GaussianSequence, start: int, stop: int, cameras: Sequence[Camera], given: bool, settings: EncodeSettings
+) -> GroupPlan:
+    """Order, tiers, steps and transforms of a group, from its canonical (middle) frame."""
+    loaded = load_frames(sequence, start, stop)
+    canonical = start + (stop - start) // 2
+    key = loaded.frames[canonical - start]
+    ends = sorted({0, canonical - start, stop - start - 1})
+    usage = measure_usage([loaded.frames[i] for i in ends], cameras).measure(settings.usage)
+    rows = np.flatnonzero(usage > 0) if given and usage.any() else np.arange(len(key))
+    key, score = key.take(rows), usage[rows]
+    key_steps, state_steps, grid_step = _steps(settings, scene_unit(key))
+    grid = _grid(key.means, grid_step)
+    codes = space.grid_codes(key.means, grid)
+    tiers = assign_tiers(score, settings.tiers)
+    order = np.lexsort((codes, tiers))
+    key = key.take(order)
+    transform = _colour_transform(key, key_steps)
+    channels = 3 * (1 + key.sh_rest.shape[1])
+    values = space.key_channels(key, tables.unpack_matrix(transform, channels), key_steps)
+    return GroupPlan(
+        start,
+        stop,
+        canonical,
+        rows[order],
+        len(usage),
+        loaded.notes,
+        tiers[order],
+        score[order],
+        codes[order],
+        tf.size_classes(key.log_scales),
+        grid,
+        key_steps,
+        state_steps,
+        transform,
+        values,
+    )
+
+
+def _steps(settings: EncodeSettings, unit: float) -> tuple[KeySteps, StateSteps, float]:
+    q, steps = settings.quality, settings.steps
+    key = KeySteps(*(getattr(steps.key, name) * q for name in tables.KEY_ATTRIBUTES))
+    state = StateSteps(*(getattr(steps.state, name) * q for name in tables.STATE_ATTRIBUTES))
+    return key, replace(state, means=state.means * unit**0.5), steps.grid * q * unit
+
+
+def _grid(means: NDArray[np.float32], step: float) -> Grid:
+    """The finest cubic grid of at most 21 bits an axis whose step is at least `step`."""
+    low, high = means.min(axis=0).astype(np.float64), means.max(axis=0).astype(np.float64)
+    extent = float((high - low).max())
+    if not np.isfinite(extent) or extent > 1e30:
+        raise SceneError(f"means span {extent:g} world units: expected at most 1e30")
+    bits = min(21, max(1, int(extent / step + 1).bit_length()))
+    return Grid(low.tolist(), max(step, extent / (2**bits - 1)), bits)
+
+
+def _colour_transform(key: Gaussians, steps: KeySteps) -> str:
+    colour = tf.colours(key.sh_dc, key.sh_rest).astype(np.float64)
+    scaled = colour / tf.colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1])
+    return tables.pack_matrix(tf.fit_colour_transform(scaled))
