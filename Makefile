@@ -1,0 +1,31 @@
+# Two commands do all the set-up on a fresh machine: `make demo` and `make test`.
+PYTHON ?= python3
+BIN := .venv/bin
+SCENE := tests/data/fox
+OUT := build/demo
+
+.PHONY: demo test clean
+
+# torch is pinned here, in one place; --extra-index-url of your mirror's CPU builds goes into PIP_EXTRA_INDEX_URL.
+.venv/installed: pyproject.toml Makefile
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet torch==2.13.0
+	$(BIN)/pip install --quiet --editable '.[train,dev]'
+	touch $@
+
+demo: .venv/installed
+	mkdir -p $(OUT)
+	$(BIN)/airgs-encode $(SCENE) -o $(OUT)/fox.airgs
+	$(BIN)/airgs-manifest inspect $(OUT)/fox.airgs --plot $(OUT)/ladder.png
+	$(BIN)/airgs-manifest validate $(OUT)/fox.airgs
+	$(BIN)/airgs-play $(OUT)/fox.airgs --trace $(SCENE)/trace.csv --views $(SCENE)/transforms.json --report $(OUT)/report --video $(OUT)/screen.mp4
+	@echo "Pictures: $(OUT)/ladder.png, $(OUT)/report/index.html; what the viewer saw: $(OUT)/screen.mp4"
+
+test: .venv/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/pytest
+
+clean:
+	rm -rf build .venv
