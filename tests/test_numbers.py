@@ -1,0 +1,181 @@
+"""Orders, transforms, quantisation, escapes and sidecars: every round trip with its bound."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from airgs_codec import escapes, transforms
+from airgs_codec.canonical import grid_codes, grid_means
+from airgs_codec.errors import FormatError, SceneError
+from airgs_codec.manifest import Atlas, Grid, pack_matrix, unpack_matrix
+from airgs_codec.ordering import morton_decode, morton_encode
+from airgs_codec.quantize import from_codes, to_codes
+from airgs_codec.sidecar import KeySidecar, pack_key_sidecar, unpack_key_sidecar
+from airgs_codec.tiers import STATIC, assign_depths, assign_tiers
+
+finite = st.floats(-1e6, 1e6, width=32)
+
+
+@given(npst.arrays(np.int64, st.tuples(st.integers(1, 50), st.just(3)), elements=st.integers(0, 2**21 - 1)))
+def test_morton_codes_invert(index):
+    np.testing.assert_array_equal(morton_decode(morton_encode(index)), index)
+
+
+def test_morton_bits_interleave_x_first():
+    assert morton_encode(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [3, 3, 3]])).tolist() == [1, 2, 4, 8, 63]
+
+
+@given(npst.arrays(np.float64, st.tuples(st.integers(1, 30), st.just(3)), elements=finite), st.floats(1e-3, 1e3))
+def test_grid_error_is_at_most_half_a_step(means, step):
+    low = means.min(axis=0)
+    bits = min(21, max(1, int(np.ptp(means, axis=0).max() / step + 1).bit_length()))
+    grid = Grid(low.tolist(), max(step, float(np.ptp(means, axis=0).max()) / (2**bits - 1)), bits)
+    error = np.abs(grid_means(grid_codes(means, grid), grid) - means)
+    assert error.max() <= grid.step / 2 * (1 + 1e-9) + np.spacing(np.abs(means).max())
+
+
+unit = npst.arrays(np.float64, (20, 4), elements=st.floats(-1, 1)).filter(
+    lambda q: np.linalg.norm(q, axis=1).min() > 1e-3
+)
+
+
+@given(unit, unit)
+def test_rotation_vectors_invert_up_to_sign(a, b):
+    a = a / np.linalg.norm(a, axis=1, keepdims=True)
+    b = b / np.linalg.norm(b, axis=1, keepdims=True)
+    relative = transforms.to_rotation_vector(transforms.multiply(a, transforms.conjugate(b)))
+    back = transforms.multiply(transforms.from_rotation_vector(relative), b)
+    np.testing.assert_allclose(np.abs((back * a).sum(axis=1)), 1, atol=1e-7)
+    assert np.linalg.norm(relative, axis=1).max() <= np.pi + 1e-9
+
+
+def test_rotation_vectors_at_the_extremes():
+    q = np.array([[1, 0, 0, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [1, 1e-12, 0, 0]])
+    v = transforms.to_rotation_vector(q)
+    np.testing.assert_allclose(v, [[0, 0, 0], [0, 0, 0], [np.pi, 0, 0], [2e-12, 0, 0]], atol=1e-15)
+
+
+@given(npst.arrays(np.float32, 20, elements=st.floats(-0.5, 1.5, width=32)))
+def test_decoded_opacity_always_has_a_finite_logit_and_is_exact_inside(alpha):
+    logits = transforms.from_opacity(alpha)
+    assert np.isfinite(logits).all()
+    inside = np.clip(alpha, transforms.OPACITY_MARGIN, 1 - transforms.OPACITY_MARGIN)
+    np.testing.assert_allclose(transforms.to_opacity(logits), inside, atol=2e-7)
+
+
+def test_logit_extremes_have_finite_opacity():
+    assert transforms.to_opacity(np.array([-np.inf, -100.0, 0.0, 100.0, np.inf])).tolist()[::2] == [0.0, 0.5, 1.0]
+
+
+@pytest.mark.parametrize("channels", [3, 12, 27, 48])
+def test_the_stored_colour_transform_inverts_exactly(channels):
+    colour = np.random.default_rng(0).normal(size=(500, channels)) @ np.random.default_rng(1).normal(
+        size=(channels,) * 2
+    )
+    stored = unpack_matrix(pack_matrix(transforms.fit_colour_transform(colour)), channels)
+    np.testing.assert_allclose(stored @ stored.T, np.eye(channels), atol=1e-3)
+    back = transforms.from_klt(transforms.to_klt(colour, stored), stored)
+    np.testing.assert_allclose(back, colour, atol=1e-9 * np.abs(colour).max())
+
+
+def test_the_colour_transform_of_constant_colours_is_orthonormal():
+    t = transforms.fit_colour_transform(np.ones((5, 12)))
+    np.testing.assert_allclose(t @ t.T, np.eye(12), atol=1e-12)
+
+
+@given(
+    values=npst.arrays(np.float64, (3, 2, 5), elements=st.floats(-1e3, 1e3)),
+    step=st.floats(1e-3, 10),
+    gain=st.floats(1, 16),
+)
+def test_quantisation_error_is_at_most_half_a_code(values, step, gain):
+    steps = np.array([step, 2 * step])
+    for t in range(3):
+        back = from_codes(to_codes(values, steps, gain)[t], steps, gain)
+        error = np.abs(back - values[t])
+        bound = steps[:, None] / (2 * gain) + 1e-6 * np.abs(values[t]) + 1e-9
+        assert (error <= bound).all()
+
+
+@pytest.mark.parametrize("value", [1e30, np.inf, np.nan])
+def test_what_no_code_holds_is_refused_and_never_clipped(value):
+    with np.errstate(all="ignore"), pytest.raises(SceneError, match="channel 1"):
+        to_codes(np.array([[[0.0], [value]]]), np.array([1.0, 1.0]), 3.0)
+
+
+codes = npst.arrays(
+    np.int32,
+    st.tuples(st.integers(1, 6), st.integers(1, 3), st.integers(1, 8)),
+    elements=st.one_of(st.integers(-100, 100), st.integers(-(2**30) + 1, 2**30 - 1)),
+)
+
+
+@given(codes)
+@settings(max_examples=200)
+def test_escapes_are_lossless_and_stay_off_the_ends_of_luma(values):
+    luma, bases = escapes.split(values)
+    assert luma.min() >= 20 and luma.max() <= 236
+    np.testing.assert_array_equal(luma.astype(np.int64) - 128 + escapes.UNIT * bases.astype(np.int64), values)
+    payload = escapes.inflate(escapes.deflate([escapes.pack(bases)]), 1 << 20, "here")
+    index, jumps, used = escapes.unpack(payload, values.shape, "here")
+    assert used == len(payload)
+    for t in range(len(values)):
+        np.testing.assert_array_equal(escapes.bases_at(index, jumps, values.shape, t), bases[t])
+
+
+def test_a_quiet_channel_has_no_escapes():
+    assert len(escapes.pack(escapes.split(np.full((9, 2, 5), 100, np.int32))[1])) == 4
+
+
+@given(st.binary(max_size=200))
+def test_any_bytes_as_a_sidecar_are_refused_with_a_reason(data):
+    atlas = Atlas(7, [0] * 10, [0, 3], 16, 1)
+    with pytest.raises(FormatError) as caught:
+        unpack_key_sidecar(data, [atlas], "x.bin")
+    assert caught.value.reason == "bad_sidecar"
+
+
+def test_a_decompression_bomb_is_refused():
+    bomb = escapes.deflate([bytes(10_000_000)])
+    with pytest.raises(FormatError, match="at most 1000 bytes"):
+        escapes.inflate(bomb, 1000, "x.bin")
+
+
+@given(st.data())
+def test_key_sidecars_are_exact(data):
+    n = data.draw(st.integers(1, 40))
+    morton = np.sort(data.draw(npst.arrays(np.uint64, n, elements=st.integers(0, 2**63 - 1))))
+    classes = data.draw(npst.arrays(np.int16, n, elements=st.integers(-128, 127)))
+    depths = data.draw(npst.arrays(np.uint8, n))
+    bases = [data.draw(npst.arrays(np.int32, (p, n), elements=st.integers(-(2**22), 2**22))) for p in (1, 2)]
+    atlases = [Atlas(n, [0] * 10, list(range(p)), 16, 1) for p in (1, 2)]
+    packed = pack_key_sidecar(KeySidecar(morton, classes, depths, bases))
+    back = unpack_key_sidecar(packed, atlases, "x")
+    np.testing.assert_array_equal(back.codes, morton)
+    np.testing.assert_array_equal(back.classes, classes)
+    np.testing.assert_array_equal(back.depths, depths)
+    for a, b in zip(back.bases, bases, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_tiers_hold_the_most_used_first():
+    usage = np.array([0.1, 0.9, 0.5, 0.7, 0.3])
+    assert assign_tiers(usage, (0.4, 0.6)).tolist() == [1, 0, 1, 0, 1]
+    assert assign_tiers(np.ones(1), (0.8, 0.2)).tolist() == [0]
+
+
+@given(
+    npst.arrays(np.float64, 30, elements=st.floats(0, 10)),
+    npst.arrays(np.bool_, 30),
+    st.lists(st.floats(0, 0.99), min_size=1, max_size=6).map(sorted),
+)
+def test_levels_are_nested_and_withhold_their_share_of_the_lowest_scores(score, moving, shares):
+    depths = assign_depths(score, moving, shares)
+    assert (depths[~moving] == STATIC).all()
+    for level, share in enumerate(shares):
+        kept = (depths >= level) & (depths != STATIC)
+        assert kept.sum() == round((1 - share) * moving.sum())
+        if kept.any() and (moving & ~kept).any():
+            assert score[kept].min() >= score[moving & ~kept].max()
