@@ -1,0 +1,152 @@
+"""Rendering on the CPU without torch. N Gaussians, V visible, M (Gaussian, tile) pairs, H x W pixels."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.gaussians import Gaussians
+from airgs_codec.render import cpu_kernels as kernels
+from airgs_codec.render.camera import Camera
+
+NEAR, FAR = 0.01, 1e10  # world units along the view axis
+DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
+BANDS = 4  # bands of tile rows that are binned side by side
+
+_LOCK = threading.Lock()  # numba's thread layers abort when two threads run parallel kernels
+_announced = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Render:
+    """A picture; colours are not clipped."""
+
+    rgb: NDArray[np.float32]  # (H, W, 3)
+    transmittance: NDArray[np.float32]  # (H, W), 1 where nothing was drawn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contribution:
+    """What each Gaussian gave to one picture: its blending weights alpha T over the pixels."""
+
+    total: NDArray[np.float64]  # (N,) sum
+    peak: NDArray[np.float64]  # (N,) maximum, 0..1
+    hits: NDArray[np.int64]  # (N,) pixels
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Activated:
+    """Arguments of the kernels: float32, contiguous, activated."""
+
+    means: NDArray[np.float32]  # (N, 3)
+    quaternions: NDArray[np.float32]  # (N, 4)
+    scales: NDArray[np.float32]  # (N, 3) world units
+    opacities: NDArray[np.float32]  # (N,)
+    sh: NDArray[np.float32]  # (N, K + 1, 3)
+
+    @property
+    def sh_degree(self) -> int:
+        """0..3."""
+        return round(self.sh.shape[1] ** 0.5) - 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blended:
+    """A picture and everything its gradient and statistics need."""
+
+    picture: Render
+    flat: NDArray[np.float32]  # (N, 12)
+    order: NDArray[np.int32]  # (V,) front to back
+    first_pair: NDArray[np.int64]  # (V + 1,)
+    tile_start: NDArray[np.int64]
+    ids: NDArray[np.int32]  # (M,)
+    slots: NDArray[np.int32]  # (M,)
+    tile_order: NDArray[np.int32]
+    blended: NDArray[np.int32]  # pairs visited in each tile
+    tiles: tuple[int, int]  # across, down
+
+
+def activate(g: Gaussians) -> Activated:
+    """Stored domain -> what the kernels take."""
+    with np.errstate(over="ignore"):  # a scale past float32 is Inf, and Inf is culled
+        scales = np.exp(g.log_scales)
+    sh = np.concatenate([g.sh_dc[:, None], g.sh_rest], axis=1)
+    columns = (g.means, g.quaternions, scales, g.opacities(), sh)
+    return Activated(*(np.ascontiguousarray(c, np.float32) for c in columns))
+
+
+def render(gaussians: Gaussians, camera: Camera, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Render:
+    """The picture that `camera` sees."""
+    return blend(activate(gaussians), camera, background).picture
+
+
+def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:
+    """How much each Gaussian contributes to what `camera` sees."""
+    b = blend(activate(gaussians), camera, (0.0, 0.0, 0.0))
+    pairs = np.zeros((len(b.ids), 12), np.float32)
+    with _LOCK:
+        kernels.blend_statistics(
+            b.flat, b.tile_start, b.ids, b.tile_order, *b.tiles, b.blended, pairs, camera.width, camera.height
+        )
+    n = len(gaussians)
+    peak = np.zeros(n)
+    np.maximum.at(peak, b.ids, pairs[:, 1])
+    hits = np.bincount(b.ids, pairs[:, 2], n).astype(np.int64)
+    return Contribution(np.bincount(b.ids, pairs[:, 0], n), peak, hits)
+
+
+def blend(g: Activated, camera: Camera, background: tuple[float, float, float]) -> Blended:
+    """Project, sort, bin and blend."""
+    _announce()
+    n = len(g.means)
+    flat = np.zeros((n, 12), np.float32)
+    key = np.empty(n, np.uint64)
+    touched = np.empty(n, np.int32)
+    view, intrinsics = view_arguments(camera)
+    shape = (camera.width, camera.height)
+    geometry = (g.means, g.quaternions, g.scales, g.opacities, g.sh, g.sh_degree)
+    rgb = np.empty((camera.height, camera.width, 3), np.float32)
+    transmittance = np.empty((camera.height, camera.width), np.float32)
+    with _LOCK:
+        kernels.project(*geometry, view, intrinsics, *shape, NEAR, FAR, DILATION, flat, key, touched)
+        visible = np.sort(key[touched > 0])  # depth, then row: the same order every time
+        order = (visible & np.uint64(0xFFFFFFFF)).astype(np.int32)
+        first_pair = np.concatenate([[0], np.cumsum(touched[order], dtype=np.int64)])
+        tiles = (-(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE))
+        tile_start, ids, slots = kernels.bin_tiles(flat, order, first_pair, *tiles, BANDS)
+        tile_order = _balanced(np.diff(tile_start))
+        blended = np.empty(tiles[0] * tiles[1], np.int32)
+        colour = np.asarray(background, np.float32)
+        kernels.blend(flat, tile_start, ids, tile_order, *tiles, colour, rgb, transmittance, blended)
+    picture = Render(rgb, transmittance)
+    return Blended(picture, flat, order, first_pair, tile_start, ids, slots, tile_order, blended, tiles)
+
+
+def view_arguments(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """World-to-camera matrix and fx, fy, cx, cy as the kernels take them."""
+    view = np.ascontiguousarray(camera.world_to_camera, np.float64)
+    return view, np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+
+
+def _balanced(costs: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Tiles in an order whose equal static chunks cost alike: dealt out by descending cost, like cards."""
+    ranked = np.argsort(-costs, kind="stable").astype(np.int32)
+    threads = numba.get_num_threads()
+    return np.concatenate([ranked[i::threads] for i in range(threads)])
+
+
+def _announce() -> None:
+    """Say once that kernels are compiled, when numba's cache has none yet."""
+    global _announced
+    if _announced:
+        return
+    _announced = True
+    path = kernels.project.stats.cache_path  # type: ignore[attr-defined]
+    if path and not any(Path(path).glob("cpu_kernels.project-*.nbi")):
+        print("compiling the renderer's kernels (about 30 s, once)", file=sys.stderr)

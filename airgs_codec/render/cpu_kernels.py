@@ -1,0 +1,953 @@
+"""All numba kernels of the CPU renderer: projection, binning, blending, their gradients, usage statistics.
+
+One file on purpose, though it is long: numba's cache does not notice edits in imported files.
+
+N Gaussians, V visible ones front to back, M (Gaussian, tile) pairs, H x W pixels, tiles of 16 x 16.
+
+A projected Gaussian is kept in a form that needs no float32 determinant: with d = dx + shear * dy,
+power = -(peak * d^2 + fall * dy^2) / 2, where peak = Syy / det, shear = -Sxy / Syy, fall = 1 / Syy (the Cholesky form
+of the inverse covariance). With reach = ln(255 opacity), alpha = exp(reach + power) / 255, so the pixels of a row with
+alpha >= 1/255 are a closed interval: no pixel is visited in vain. Pixel semantics are gsplat's: centres at +0.5, alpha
+at most 0.999, blending stops before transmittance would fall to 1e-4, 0.3 px^2 is added to the covariance.
+
+Columns of `flat` (N, 12): 0-1 pixel position, 2 peak, 3 shear, 4 fall, 5 reach, 6-8 r g b, 9-10 half width and
+height of the ellipse alpha >= 1/255, 11 opacity. Columns of `pairs` (M, 12) and `grads` (N, 12) of the backward pass:
+0-2 r g b, 3 reach, 4-5 position, 6 peak, 7 shear, 8 fall, then 9-10 absolute position gradients.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from airgs_codec.gaussians import SH_C0
+
+TILE = 16
+TILE_PIXELS = TILE * TILE
+LANES = 8  # pixels of a row blended together: one AVX2 vector
+# Never nnan or ninf: they would delete the comparisons that keep NaN and Inf out.
+FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
+f4 = np.float32
+
+# Real spherical harmonics of bands 1 to 3, with the signs of the INRIA files.
+SH_C1 = 0.4886025119029199
+C20, C21, C22, C23, C24 = (
+    1.0925484305920792,
+    -1.0925484305920792,
+    0.31539156525252005,
+    -1.0925484305920792,
+    0.5462742152960396,
+)
+C30, C31, C32, C33, C34, C35, C36 = (
+    -0.5900435899266435,
+    2.890611442640554,
+    -0.4570457994644658,
+    0.3731763325901154,
+    -0.4570457994644658,
+    1.445305721320277,
+    -0.5900435899266435,
+)
+
+# exp(e) on [0, ln 255] as p(e / 8)^8 with p of degree 5 on [0, 0.7]: relative error below 1e-6.
+_x = np.cos(np.pi * (np.arange(64) + 0.5) / 64) * 0.35 + 0.35
+_c = (
+    np.polynomial.chebyshev.Chebyshev.interpolate(np.exp, 5, domain=[0, 0.7])
+    .convert(kind=np.polynomial.Polynomial)
+    .coef
+)
+E0, E1, E2, E3, E4, E5 = [f4(v) for v in _c]
+ALPHA_MAX = f4(0.999)
+T_MIN = f4(1e-4)
+I255 = f4(1.0 / 255.0)
+
+
+@njit(fastmath=FAST)
+def sh_basis(deg, x, y, z, b):
+    """Basis values in direction (x, y, z), unit length, into b (16,)."""
+    b[0] = SH_C0
+    if deg > 0:
+        b[1] = -SH_C1 * y
+        b[2] = SH_C1 * z
+        b[3] = -SH_C1 * x
+    if deg > 1:
+        xx = x * x
+        yy = y * y
+        zz = z * z
+        b[4] = C20 * x * y
+        b[5] = C21 * y * z
+        b[6] = C22 * (2.0 * zz - xx - yy)
+        b[7] = C23 * x * z
+        b[8] = C24 * (xx - yy)
+        if deg > 2:
+            b[9] = C30 * y * (3 * xx - yy)
+            b[10] = C31 * x * y * z
+            b[11] = C32 * y * (4 * zz - xx - yy)
+            b[12] = C33 * z * (2 * zz - 3 * xx - 3 * yy)
+            b[13] = C34 * x * (4 * zz - xx - yy)
+            b[14] = C35 * z * (xx - yy)
+            b[15] = C36 * x * (xx - 3 * yy)
+
+
+@njit(fastmath=FAST)
+def sh_basis_grad(deg, x, y, z, dx, dy, dz):
+    """Derivatives of the basis by x, y and z into dx, dy, dz (16,)."""
+    n = (deg + 1) * (deg + 1)
+    for k in range(n):
+        dx[k] = 0.0
+        dy[k] = 0.0
+        dz[k] = 0.0
+    if deg > 0:
+        dy[1] = -SH_C1
+        dz[2] = SH_C1
+        dx[3] = -SH_C1
+    if deg > 1:
+        dx[4] = C20 * y
+        dy[4] = C20 * x
+        dy[5] = C21 * z
+        dz[5] = C21 * y
+        dx[6] = -2 * C22 * x
+        dy[6] = -2 * C22 * y
+        dz[6] = 4 * C22 * z
+        dx[7] = C23 * z
+        dz[7] = C23 * x
+        dx[8] = 2 * C24 * x
+        dy[8] = -2 * C24 * y
+        if deg > 2:
+            xx = x * x
+            yy = y * y
+            zz = z * z
+            dx[9] = C30 * 6 * x * y
+            dy[9] = C30 * (3 * xx - 3 * yy)
+            dx[10] = C31 * y * z
+            dy[10] = C31 * x * z
+            dz[10] = C31 * x * y
+            dx[11] = -2 * C32 * x * y
+            dy[11] = C32 * (4 * zz - xx - 3 * yy)
+            dz[11] = 8 * C32 * y * z
+            dx[12] = -6 * C33 * x * z
+            dy[12] = -6 * C33 * y * z
+            dz[12] = C33 * (6 * zz - 3 * xx - 3 * yy)
+            dx[13] = C34 * (4 * zz - 3 * xx - yy)
+            dy[13] = -2 * C34 * x * y
+            dz[13] = 8 * C34 * x * z
+            dx[14] = 2 * C35 * x * z
+            dy[14] = -2 * C35 * y * z
+            dz[14] = C35 * (xx - yy)
+            dx[15] = C36 * (3 * xx - 3 * yy)
+            dy[15] = -6 * C36 * x * y
+
+
+@njit(inline="always", fastmath=FAST)
+def _rot(w, x, y, z):
+    """Rotation matrix of a unit quaternion, row by row."""
+    return (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    )
+
+
+@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+def project(means, quaternions, scales, opacities, sh, deg, view, intrinsics, W, H, near, far, eps2d, flat, key, tiles):
+    """Project every Gaussian; what is culled keeps tiles = 0 and the largest key.
+
+    means (N, 3), quaternions (N, 4), scales (N, 3), opacities (N,), sh (N, K + 1, 3) -> flat, key (depth bits, row),
+    tiles (touched a Gaussian). In float64: only N of them. Comparisons are written so that NaN and Inf are culled.
+    """
+    N = means.shape[0]
+    fx = intrinsics[0]
+    fy = intrinsics[1]
+    cx = intrinsics[2]
+    cy = intrinsics[3]
+    lxp = (W - cx) / fx + 0.3 * (0.5 * W / fx)
+    lxn = cx / fx + 0.3 * (0.5 * W / fx)
+    lyp = (H - cy) / fy + 0.3 * (0.5 * H / fy)
+    lyn = cy / fy + 0.3 * (0.5 * H / fy)
+    # camera centre = -R^T t
+    cpx = -(view[0, 0] * view[0, 3] + view[1, 0] * view[1, 3] + view[2, 0] * view[2, 3])
+    cpy = -(view[0, 1] * view[0, 3] + view[1, 1] * view[1, 3] + view[2, 1] * view[2, 3])
+    cpz = -(view[0, 2] * view[0, 3] + view[1, 2] * view[1, 3] + view[2, 2] * view[2, 3])
+    tiles_x = (W + TILE - 1) // TILE
+    tiles_y = (H + TILE - 1) // TILE
+    nk = (deg + 1) * (deg + 1)
+    NCH = 64
+    for ch in prange(NCH):
+        b = np.empty(16, np.float64)
+        for i in range(ch * N // NCH, (ch + 1) * N // NCH):
+            tiles[i] = 0
+            key[i] = np.uint64(0xFFFFFFFFFFFFFFFF)
+            px = float(means[i, 0])
+            py = float(means[i, 1])
+            pz = float(means[i, 2])
+            z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
+            if not (z > near and z < far):
+                continue
+            op = float(opacities[i])
+            if not (op * 255.0 > 1.0):
+                continue
+            x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
+            y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
+            w = float(quaternions[i, 0])
+            qx = float(quaternions[i, 1])
+            qy = float(quaternions[i, 2])
+            qz = float(quaternions[i, 3])
+            n2 = w * w + qx * qx + qy * qy + qz * qz
+            if not (n2 < math.inf):  # NaN and Inf have no direction
+                continue
+            if not (n2 > 1e-24):
+                w = 1.0
+                qx = 0.0
+                qy = 0.0
+                qz = 0.0
+            else:
+                inv = 1.0 / math.sqrt(n2)
+                w *= inv
+                qx *= inv
+                qy *= inv
+                qz *= inv
+            r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rot(w, qx, qy, qz)
+            iz = 1.0 / z
+            u = x * iz
+            v = y * iz
+            uc = min(max(u, -lxn), lxp)
+            vc = min(max(v, -lyn), lyp)
+            j00 = fx * iz
+            j02 = -fx * uc * iz
+            j11 = fy * iz
+            j12 = -fy * vc * iz
+            t00 = j00 * view[0, 0] + j02 * view[2, 0]
+            t01 = j00 * view[0, 1] + j02 * view[2, 1]
+            t02 = j00 * view[0, 2] + j02 * view[2, 2]
+            t10 = j11 * view[1, 0] + j12 * view[2, 0]
+            t11 = j11 * view[1, 1] + j12 * view[2, 1]
+            t12 = j11 * view[1, 2] + j12 * view[2, 2]
+            s0 = float(scales[i, 0])
+            s1 = float(scales[i, 1])
+            s2 = float(scales[i, 2])
+            m00 = (t00 * r00 + t01 * r10 + t02 * r20) * s0
+            m01 = (t00 * r01 + t01 * r11 + t02 * r21) * s1
+            m02 = (t00 * r02 + t01 * r12 + t02 * r22) * s2
+            m10 = (t10 * r00 + t11 * r10 + t12 * r20) * s0
+            m11 = (t10 * r01 + t11 * r11 + t12 * r21) * s1
+            m12 = (t10 * r02 + t11 * r12 + t12 * r22) * s2
+            sxx0 = m00 * m00 + m01 * m01 + m02 * m02
+            syy0 = m10 * m10 + m11 * m11 + m12 * m12
+            sxy = m00 * m10 + m01 * m11 + m02 * m12
+            k0 = m00 * m11 - m01 * m10
+            k1 = m00 * m12 - m02 * m10
+            k2 = m01 * m12 - m02 * m11
+            det = k0 * k0 + k1 * k1 + k2 * k2 + eps2d * (sxx0 + syy0) + eps2d * eps2d
+            sxx = sxx0 + eps2d
+            syy = syy0 + eps2d
+            if not (det > 0.0 and det < 1e30):
+                continue
+            A = syy / det
+            beta = -sxy / syy
+            kap = 1.0 / syy
+            t = math.log(255.0 * op)
+            hx = math.sqrt(2.0 * t * sxx)
+            hy = math.sqrt(2.0 * t * syy)
+            mx = fx * u + cx
+            my = fy * v + cy
+            if not (mx + hx > 0.0 and mx - hx < W and my + hy > 0.0 and my - hy < H):
+                continue
+            # colour
+            dx = px - cpx
+            dy = py - cpy
+            dz = pz - cpz
+            dn = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz + 1e-30)
+            sh_basis(deg, dx * dn, dy * dn, dz * dn, b)
+            c0 = 0.5
+            c1 = 0.5
+            c2 = 0.5
+            for k in range(nk):
+                c0 += b[k] * sh[i, k, 0]
+                c1 += b[k] * sh[i, k, 1]
+                c2 += b[k] * sh[i, k, 2]
+            if not (abs(c0) + abs(c1) + abs(c2) < 1e6):
+                continue
+            flat[i, 0] = mx
+            flat[i, 1] = my
+            flat[i, 2] = A
+            flat[i, 3] = beta
+            flat[i, 4] = kap
+            flat[i, 5] = t
+            flat[i, 6] = max(c0, 0.0)
+            flat[i, 7] = max(c1, 0.0)
+            flat[i, 8] = max(c2, 0.0)
+            flat[i, 9] = hx
+            flat[i, 10] = hy
+            flat[i, 11] = op
+            key[i] = (np.uint64(np.float32(z).view(np.uint32)) << np.uint64(32)) | np.uint64(i)
+            tiles[i] = _ntiles(flat, i, tiles_x, tiles_y)
+            if tiles[i] == 0:
+                key[i] = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+@njit(inline="always")
+def _rows(flat, i, tiles_y):
+    """Tile rows [a, b) that the ellipse touches."""
+    y0 = flat[i, 1] - flat[i, 10]
+    y1 = flat[i, 1] + flat[i, 10]
+    a = int(max(0.0, min(y0, 1e6)) // TILE)
+    b = int(max(-1.0, min(y1, 1e6)) // TILE) + 1
+    return a, min(b, tiles_y)
+
+
+@njit(inline="always")
+def _xrange(flat, i, ty, tiles_x):
+    """Tiles [x0, x1) of tile row ty that the ellipse alpha >= 1/255 touches, exact for that band of rows."""
+    mx = flat[i, 0]
+    my = flat[i, 1]
+    A = flat[i, 2]
+    be = flat[i, 3]
+    ka = flat[i, 4]
+    t = flat[i, 5]
+    hx = flat[i, 9]
+    hy = flat[i, 10]
+    # ellipse x(y) = mx - beta*dy +- sqrt(2(t-.5 k dy^2)/A)
+    lo = max(ty * TILE + 0.5 - my, -hy)
+    hi = min(ty * TILE + TILE - 0.5 - my, hy)
+    if lo > hi:
+        return 0, 0
+    # y offset of the right-most point: dy* = -sign: derivative zero -> dy = -beta*Syy.. (scaled)
+    ys = -be * (1.0 / ka) * 2.0 * t / hx if hx > 0 else 0.0
+    s1 = math.sqrt(max(0.0, 2.0 * (t - 0.5 * ka * lo * lo) / A))
+    s2 = math.sqrt(max(0.0, 2.0 * (t - 0.5 * ka * hi * hi) / A))
+    xr = max(-be * lo + s1, -be * hi + s2)
+    xl = min(-be * lo - s1, -be * hi - s2)
+    if lo < ys and ys < hi:
+        xr = hx
+    if lo < -ys and -ys < hi:
+        xl = -hx
+    x0 = mx + xl - 0.5
+    x1 = mx + xr - 0.5  # pixel index range
+    if x1 < 0 or x0 > tiles_x * TILE:
+        return 0, 0
+    a = int(max(0.0, math.ceil(x0 - 1e-3))) // TILE
+    b = int(min(float(tiles_x * TILE - 1), math.floor(x1 + 1e-3))) // TILE + 1
+    return a, b
+
+
+@njit
+def _ntiles(flat, i, tiles_x, tiles_y):
+    """Tiles that the ellipse touches."""
+    a, b = _rows(flat, i, tiles_y)
+    n = 0
+    for ty in range(a, b):
+        x0, x1 = _xrange(flat, i, ty, tiles_x)
+        n += max(0, x1 - x0)
+    return n
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def bin_tiles(flat, order, first_pair, tiles_x, tiles_y, bands):
+    """Pairs of (Gaussian, tile), tile by tile, front to back inside a tile.
+
+    order (V,): visible rows front to back; first_pair (V + 1,): slot of each one's first pair, Gaussian by Gaussian.
+    Returns tile_start (tiles + 1,), ids (M,) rows tile by tile, slots (M,) place in `ids` of a Gaussian's pairs.
+    """
+    M = order.shape[0]
+    count = tiles_x * tiles_y
+    cnt = np.zeros(count + 1, np.int64)
+    for bd in prange(bands):
+        ya = bd * tiles_y // bands
+        yb = (bd + 1) * tiles_y // bands
+        for k in range(M):
+            i = order[k]
+            a, b = _rows(flat, i, tiles_y)
+            for ty in range(max(a, ya), min(b, yb)):
+                x0, x1 = _xrange(flat, i, ty, tiles_x)
+                for tx in range(x0, x1):
+                    cnt[ty * tiles_x + tx + 1] += 1
+    for t in range(count):
+        cnt[t + 1] += cnt[t]
+    ids = np.empty(cnt[count], np.int32)
+    slots = np.empty(cnt[count], np.int32)
+    cur = cnt[:-1].copy()
+    for bd in prange(bands):
+        ya = bd * tiles_y // bands
+        yb = (bd + 1) * tiles_y // bands
+        for k in range(M):
+            i = order[k]
+            a, b = _rows(flat, i, tiles_y)
+            q = first_pair[k]
+            for ty in range(a, min(b, yb)):
+                x0, x1 = _xrange(flat, i, ty, tiles_x)
+                if ty >= ya:
+                    for tx in range(x0, x1):
+                        p = cur[ty * tiles_x + tx]
+                        ids[p] = i
+                        cur[ty * tiles_x + tx] = p + 1
+                        slots[q] = p
+                        q += 1
+                else:
+                    q += max(0, x1 - x0)
+    return cnt, ids, slots
+
+
+@njit(inline="always", fastmath=FAST)
+def _exp(e):
+    """exp(e) for e in [0, ln 255]."""
+    q = e * f4(0.125)
+    p = E0 + q * (E1 + q * (E2 + q * (E3 + q * (E4 + q * E5))))
+    p = p * p
+    p = p * p
+    return p * p
+
+
+@njit(inline="always", fastmath=FAST)
+def _blend_tile(flat, ids, a, b, X0, Y0, buf):
+    """Blend pairs a..b of one tile; buf holds planes of transmittance, r, g, b. Returns how many pairs were visited.
+
+    A finished pixel keeps its transmittance with a minus sign, so that it stays finished without a branch.
+    """
+    for k in range(TILE_PIXELS):
+        buf[k] = f4(1.0)
+    for k in range(TILE_PIXELS, 4 * TILE_PIXELS):
+        buf[k] = f4(0.0)
+    n = b - a
+    for j in range(a, b):
+        i = ids[j]
+        mx = flat[i, 0]
+        my = flat[i, 1]
+        hA = f4(0.5) * flat[i, 2]
+        be = flat[i, 3]
+        hk = f4(0.5) * flat[i, 4]
+        t = flat[i, 5]
+        r = flat[i, 6]
+        g = flat[i, 7]
+        bl = flat[i, 8]
+        hy = flat[i, 10]
+        ya = max(0, math.ceil(max(my - hy - Y0, f4(-1.0)) - f4(0.5)))
+        yb = min(TILE, math.floor(min(my + hy - Y0, f4(TILE + 1.0)) - f4(0.5)) + 1)
+        ihA = f4(1.0) / hA
+        for yy in range(ya, yb):
+            dy = Y0 + yy + f4(0.5) - my
+            s = t - hk * dy * dy
+            if s <= f4(0.0):
+                continue
+            xr = mx - be * dy - X0 - f4(0.5)  # row centre in tile pixel index
+            hw = math.sqrt(s * ihA)
+            xa = max(xr - hw, f4(0.0))
+            xb = min(xr + hw, f4(TILE - 1.0))
+            if xa > xb:
+                continue
+            ka = int(xa) // LANES
+            kb = int(xb) // LANES + 1
+            for kk in range(ka, kb):
+                o = yy * TILE + kk * LANES
+                row = buf[o:]
+                fx0 = f4(kk * LANES) - xr
+                for q in range(LANES):
+                    d = fx0 + f4(q)
+                    e = s - hA * d * d
+                    al = min(_exp(max(e, f4(0.0))) * I255, ALPHA_MAX)
+                    T = row[q]
+                    te = max(T, f4(0.0))
+                    nT = te * (f4(1.0) - al)
+                    inside = e >= f4(0.0)
+                    ok = inside and nT > T_MIN
+                    w = al * te if ok else f4(0.0)
+                    row[q] = nT if ok else (-abs(T) if inside else T)
+                    row[TILE_PIXELS + q] += w * r
+                    row[2 * TILE_PIXELS + q] += w * g
+                    row[3 * TILE_PIXELS + q] += w * bl
+        if (j - a) % 8 == 7:
+            m = f4(0.0)
+            for k in range(TILE_PIXELS):
+                m = max(m, buf[k])
+            if m <= f4(0.0):
+                n = j - a + 1
+                break
+    return n
+
+
+@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
+def blend(flat, tile_start, ids, tile_order, tiles_x, tiles_y, background, rgb, transmittance, blended):
+    """Blend all tiles: rgb (H, W, 3), transmittance (H, W), blended (tiles,) pairs visited."""
+    H = rgb.shape[0]
+    W = rgb.shape[1]
+    for tt in prange(tiles_x * tiles_y):
+        tile = tile_order[tt]
+        ty = tile // tiles_x
+        tx = tile - ty * tiles_x
+        buf = np.empty(4 * TILE_PIXELS + LANES, np.float32)
+        X0 = f4(tx * TILE)
+        Y0 = f4(ty * TILE)
+        blended[tile] = _blend_tile(flat, ids, tile_start[tile], tile_start[tile + 1], X0, Y0, buf)
+        hh = min(TILE, H - ty * TILE)
+        ww = min(TILE, W - tx * TILE)
+        for yy in range(hh):
+            for xx in range(ww):
+                o = yy * TILE + xx
+                T = abs(buf[o])
+                transmittance[ty * TILE + yy, tx * TILE + xx] = T
+                rgb[ty * TILE + yy, tx * TILE + xx, 0] = buf[TILE_PIXELS + o] + T * background[0]
+                rgb[ty * TILE + yy, tx * TILE + xx, 1] = buf[2 * TILE_PIXELS + o] + T * background[1]
+                rgb[ty * TILE + yy, tx * TILE + xx, 2] = buf[3 * TILE_PIXELS + o] + T * background[2]
+
+
+@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
+def blend_gradient(
+    flat,
+    tile_start,
+    ids,
+    tile_order,
+    tiles_x,
+    tiles_y,
+    rgb,
+    transmittance,
+    blended,
+    grad_rgb,
+    grad_transmittance,
+    pairs,
+):
+    """Gradients of every pair, front to back with the arithmetic of the forward pass.
+
+    S, what lies behind a pixel, starts as the finished sum and loses each pair's part: no division chain by
+    1 - alpha. grad_transmittance: dL / d(final transmittance), background excluded.
+    """
+    H = rgb.shape[0]
+    W = rgb.shape[1]
+    for tt in prange(tiles_x * tiles_y):
+        tile = tile_order[tt]
+        ty = tile // tiles_x
+        tx = tile - ty * tiles_x
+        a = tile_start[tile]
+        n = blended[tile]
+        bnd = tile_start[tile + 1]
+        for j in range(a + n, bnd):
+            for c in range(12):
+                pairs[j, c] = f4(0.0)
+        if n == 0:
+            continue
+        X0 = f4(tx * TILE)
+        Y0 = f4(ty * TILE)
+        buf = np.zeros(5 * TILE_PIXELS + LANES, np.float32)  # T, S, gR, gG, gB
+        hh = min(TILE, H - ty * TILE)
+        ww = min(TILE, W - tx * TILE)
+        for yy in range(hh):
+            for xx in range(ww):
+                o = yy * TILE + xx
+                Y = ty * TILE + yy
+                X = tx * TILE + xx
+                g0 = grad_rgb[Y, X, 0]
+                g1 = grad_rgb[Y, X, 1]
+                g2 = grad_rgb[Y, X, 2]
+                buf[o] = f4(1.0)
+                buf[TILE_PIXELS + o] = (
+                    g0 * rgb[Y, X, 0]
+                    + g1 * rgb[Y, X, 1]
+                    + g2 * rgb[Y, X, 2]
+                    + grad_transmittance[Y, X] * transmittance[Y, X]
+                )
+                buf[2 * TILE_PIXELS + o] = g0
+                buf[3 * TILE_PIXELS + o] = g1
+                buf[4 * TILE_PIXELS + o] = g2
+        for j in range(a, a + n):
+            i = ids[j]
+            mx = flat[i, 0]
+            my = flat[i, 1]
+            A = flat[i, 2]
+            be = flat[i, 3]
+            ka_ = flat[i, 4]
+            t = flat[i, 5]
+            hA = f4(0.5) * A
+            hk = f4(0.5) * ka_
+            r = flat[i, 6]
+            g = flat[i, 7]
+            bl = flat[i, 8]
+            hy = flat[i, 10]
+            ya = max(0, math.ceil(max(my - hy - Y0, f4(-1.0)) - f4(0.5)))
+            yb = min(TILE, math.floor(min(my + hy - Y0, f4(TILE + 1.0)) - f4(0.5)) + 1)
+            ihA = f4(1.0) / hA
+            sr = f4(0.0)
+            sg = f4(0.0)
+            sb = f4(0.0)
+            m0 = f4(0.0)
+            m1 = f4(0.0)
+            m2 = f4(0.0)
+            m0y = f4(0.0)
+            m0yy = f4(0.0)
+            m1y = f4(0.0)
+            ax = f4(0.0)
+            ay = f4(0.0)
+            for yy in range(ya, yb):
+                dy = Y0 + yy + f4(0.5) - my
+                s = t - hk * dy * dy
+                if s <= f4(0.0):
+                    continue
+                xr = mx - be * dy - X0 - f4(0.5)
+                hw = math.sqrt(s * ihA)
+                xa = max(xr - hw, f4(0.0))
+                xb = min(xr + hw, f4(TILE - 1.0))
+                if xa > xb:
+                    continue
+                k0 = int(xa) // LANES
+                k1 = int(xb) // LANES + 1
+                v0 = f4(0.0)
+                v1 = f4(0.0)
+                v2 = f4(0.0)
+                kdy = ka_ * dy
+                for kk in range(k0, k1):
+                    o = yy * TILE + kk * LANES
+                    row = buf[o:]
+                    fx0 = f4(kk * LANES) - xr
+                    for q in range(LANES):
+                        d = fx0 + f4(q)
+                        e = s - hA * d * d
+                        ar = _exp(max(e, f4(0.0))) * I255
+                        al = min(ar, ALPHA_MAX)
+                        T = row[q]
+                        te = max(T, f4(0.0))
+                        om = f4(1.0) - al
+                        nT = te * om
+                        inside = e >= f4(0.0)
+                        ok = inside and nT > T_MIN
+                        w = al * te if ok else f4(0.0)
+                        row[q] = nT if ok else (-abs(T) if inside else T)
+                        gr = row[2 * TILE_PIXELS + q]
+                        gg = row[3 * TILE_PIXELS + q]
+                        gb = row[4 * TILE_PIXELS + q]
+                        gc = gr * r + gg * g + gb * bl
+                        S = row[TILE_PIXELS + q] - w * gc
+                        row[TILE_PIXELS + q] = S
+                        da = te * gc - S / om
+                        v = al * da if (ok and ar <= ALPHA_MAX) else f4(0.0)
+                        sr += w * gr
+                        sg += w * gg
+                        sb += w * gb
+                        v0 += v
+                        vd = v * d
+                        v1 += vd
+                        v2 += vd * d
+                        gx = vd * A
+                        ax += abs(gx)
+                        ay += abs(gx * be + v * kdy)
+                m0 += v0
+                m1 += v1
+                m2 += v2
+                m0y += v0 * dy
+                m0yy += v0 * dy * dy
+                m1y += v1 * dy
+            pairs[j, 0] = sr
+            pairs[j, 1] = sg
+            pairs[j, 2] = sb
+            pairs[j, 3] = m0  # dL/dt = dL/d ln(op)
+            pairs[j, 4] = A * m1  # mx
+            pairs[j, 5] = A * be * m1 + ka_ * m0y  # my
+            pairs[j, 6] = f4(-0.5) * m2  # A
+            pairs[j, 7] = -A * m1y  # beta
+            pairs[j, 8] = f4(-0.5) * m0yy  # kappa
+            pairs[j, 9] = ax
+            pairs[j, 10] = ay
+            pairs[j, 11] = f4(0.0)
+
+
+@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+def sum_pairs(order, first_pair, slots, pairs, grads):
+    """Sum a Gaussian's pairs in fixed order: the same result with any number of threads. `grads` is zeroed before."""
+    M = order.shape[0]
+    NCH = 64
+    for ch in prange(NCH):
+        for k in range(ch * M // NCH, (ch + 1) * M // NCH):
+            i = order[k]
+            for q in range(first_pair[k], first_pair[k + 1]):
+                p = slots[q]
+                for c in range(12):
+                    grads[i, c] += pairs[p, c]
+
+
+@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+def project_gradient(
+    means,
+    quaternions,
+    scales,
+    opacities,
+    sh,
+    deg,
+    view,
+    intrinsics,
+    W,
+    H,
+    eps2d,
+    flat,
+    vis,
+    grads,
+    grad_means,
+    grad_quaternions,
+    grad_scales,
+    grad_opacities,
+    grad_sh,
+):
+    """Gradients of the attributes of visible rows from those of the projection; buffers are zeroed before.
+
+    A zero quaternion has zero gradient, as it was read as identity.
+    """
+    M = vis.shape[0]
+    fx = intrinsics[0]
+    fy = intrinsics[1]
+    cx = intrinsics[2]
+    cy = intrinsics[3]
+    lxp = (W - cx) / fx + 0.3 * (0.5 * W / fx)
+    lxn = cx / fx + 0.3 * (0.5 * W / fx)
+    lyp = (H - cy) / fy + 0.3 * (0.5 * H / fy)
+    lyn = cy / fy + 0.3 * (0.5 * H / fy)
+    cpx = -(view[0, 0] * view[0, 3] + view[1, 0] * view[1, 3] + view[2, 0] * view[2, 3])
+    cpy = -(view[0, 1] * view[0, 3] + view[1, 1] * view[1, 3] + view[2, 1] * view[2, 3])
+    cpz = -(view[0, 2] * view[0, 3] + view[1, 2] * view[1, 3] + view[2, 2] * view[2, 3])
+    nk = (deg + 1) * (deg + 1)
+    NCH = 64
+    for ch in prange(NCH):
+        b = np.empty(16, np.float64)
+        bx = np.empty(16, np.float64)
+        by = np.empty(16, np.float64)
+        bz = np.empty(16, np.float64)
+        for kk in range(ch * M // NCH, (ch + 1) * M // NCH):
+            i = vis[kk]
+            px = float(means[i, 0])
+            py = float(means[i, 1])
+            pz = float(means[i, 2])
+            # ---- colour
+            dx = px - cpx
+            dy = py - cpy
+            dz = pz - cpz
+            dn = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz + 1e-30)
+            ux = dx * dn
+            uy = dy * dn
+            uz = dz * dn
+            sh_basis(deg, ux, uy, uz, b)
+            g0 = float(grads[i, 0]) if flat[i, 6] > 0 else 0.0
+            g1 = float(grads[i, 1]) if flat[i, 7] > 0 else 0.0
+            g2 = float(grads[i, 2]) if flat[i, 8] > 0 else 0.0
+            for k in range(nk):
+                grad_sh[i, k, 0] = b[k] * g0
+                grad_sh[i, k, 1] = b[k] * g1
+                grad_sh[i, k, 2] = b[k] * g2
+            gx = 0.0
+            gy = 0.0
+            gz = 0.0
+            if deg > 0:
+                sh_basis_grad(deg, ux, uy, uz, bx, by, bz)
+                hx = 0.0
+                hy = 0.0
+                hz = 0.0
+                for k in range(1, nk):
+                    c = g0 * sh[i, k, 0] + g1 * sh[i, k, 1] + g2 * sh[i, k, 2]
+                    hx += c * bx[k]
+                    hy += c * by[k]
+                    hz += c * bz[k]
+                dot = hx * ux + hy * uy + hz * uz
+                gx = (hx - dot * ux) * dn
+                gy = (hy - dot * uy) * dn
+                gz = (hz - dot * uz) * dn
+            # ---- opacity: t = ln(255 op)
+            op = float(opacities[i])
+            grad_opacities[i] = grads[i, 3] / op
+            # ---- geometry (recompute)
+            x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
+            y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
+            z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
+            w0 = float(quaternions[i, 0])
+            x0 = float(quaternions[i, 1])
+            y0 = float(quaternions[i, 2])
+            z0 = float(quaternions[i, 3])
+            n2 = w0 * w0 + x0 * x0 + y0 * y0 + z0 * z0
+            zeroq = not (n2 > 1e-24)
+            if zeroq:
+                w = 1.0
+                qx = 0.0
+                qy = 0.0
+                qz = 0.0
+                inv = 0.0
+            else:
+                inv = 1.0 / math.sqrt(n2)
+                w = w0 * inv
+                qx = x0 * inv
+                qy = y0 * inv
+                qz = z0 * inv
+            r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rot(w, qx, qy, qz)
+            iz = 1.0 / z
+            u = x * iz
+            v = y * iz
+            uc = min(max(u, -lxn), lxp)
+            vc = min(max(v, -lyn), lyp)
+            j00 = fx * iz
+            j02 = -fx * uc * iz
+            j11 = fy * iz
+            j12 = -fy * vc * iz
+            t00 = j00 * view[0, 0] + j02 * view[2, 0]
+            t01 = j00 * view[0, 1] + j02 * view[2, 1]
+            t02 = j00 * view[0, 2] + j02 * view[2, 2]
+            t10 = j11 * view[1, 0] + j12 * view[2, 0]
+            t11 = j11 * view[1, 1] + j12 * view[2, 1]
+            t12 = j11 * view[1, 2] + j12 * view[2, 2]
+            s0 = float(scales[i, 0])
+            s1 = float(scales[i, 1])
+            s2 = float(scales[i, 2])
+            l00 = r00 * s0
+            l01 = r01 * s1
+            l02 = r02 * s2
+            l10 = r10 * s0
+            l11 = r11 * s1
+            l12 = r12 * s2
+            l20 = r20 * s0
+            l21 = r21 * s1
+            l22 = r22 * s2
+            m00 = t00 * l00 + t01 * l10 + t02 * l20
+            m01 = t00 * l01 + t01 * l11 + t02 * l21
+            m02 = t00 * l02 + t01 * l12 + t02 * l22
+            m10 = t10 * l00 + t11 * l10 + t12 * l20
+            m11 = t10 * l01 + t11 * l11 + t12 * l21
+            m12 = t10 * l02 + t11 * l12 + t12 * l22
+            A = float(flat[i, 2])
+            be = float(flat[i, 3])
+            ka = float(flat[i, 4])
+            gA = float(grads[i, 6])
+            gB = float(grads[i, 7])
+            gK = float(grads[i, 8])
+            gsxx = -gA * A * A
+            gsxy = -2.0 * be * A * A * gA - ka * gB
+            gsyy = -be * be * A * A * gA - be * ka * gB - ka * ka * gK
+            # dM = (dS + dS^T) M
+            a00 = 2 * gsxx * m00 + gsxy * m10
+            a01 = 2 * gsxx * m01 + gsxy * m11
+            a02 = 2 * gsxx * m02 + gsxy * m12
+            a10 = 2 * gsyy * m10 + gsxy * m00
+            a11 = 2 * gsyy * m11 + gsxy * m01
+            a12 = 2 * gsyy * m12 + gsxy * m02
+            # dL = T^T dM
+            d00 = t00 * a00 + t10 * a10
+            d01 = t00 * a01 + t10 * a11
+            d02 = t00 * a02 + t10 * a12
+            d10 = t01 * a00 + t11 * a10
+            d11 = t01 * a01 + t11 * a11
+            d12 = t01 * a02 + t11 * a12
+            d20 = t02 * a00 + t12 * a10
+            d21 = t02 * a01 + t12 * a11
+            d22 = t02 * a02 + t12 * a12
+            grad_scales[i, 0] = d00 * r00 + d10 * r10 + d20 * r20
+            grad_scales[i, 1] = d01 * r01 + d11 * r11 + d21 * r21
+            grad_scales[i, 2] = d02 * r02 + d12 * r12 + d22 * r22
+            d00 *= s0
+            d10 *= s0
+            d20 *= s0
+            d01 *= s1
+            d11 *= s1
+            d21 *= s1
+            d02 *= s2
+            d12 *= s2
+            d22 *= s2
+            gw = 2 * (-qz * d01 + qy * d02 + qz * d10 - qx * d12 - qy * d20 + qx * d21)
+            gqx = 2 * (qy * d01 + qz * d02 + qy * d10 - 2 * qx * d11 - w * d12 + qz * d20 + w * d21 - 2 * qx * d22)
+            gqy = 2 * (-2 * qy * d00 + qx * d01 + w * d02 + qx * d10 + qz * d12 - w * d20 + qz * d21 - 2 * qy * d22)
+            gqz = 2 * (-2 * qz * d00 - w * d01 + qx * d02 + w * d10 - 2 * qz * d11 + qy * d12 + qx * d20 + qy * d21)
+            dot = gw * w + gqx * qx + gqy * qy + gqz * qz
+            grad_quaternions[i, 0] = (gw - dot * w) * inv
+            grad_quaternions[i, 1] = (gqx - dot * qx) * inv
+            grad_quaternions[i, 2] = (gqy - dot * qy) * inv
+            grad_quaternions[i, 3] = (gqz - dot * qz) * inv
+            # dT = dM L^T
+            e00 = a00 * l00 + a01 * l01 + a02 * l02
+            e01 = a00 * l10 + a01 * l11 + a02 * l12
+            e02 = a00 * l20 + a01 * l21 + a02 * l22
+            e10 = a10 * l00 + a11 * l01 + a12 * l02
+            e11 = a10 * l10 + a11 * l11 + a12 * l12
+            e12 = a10 * l20 + a11 * l21 + a12 * l22
+            gj00 = e00 * view[0, 0] + e01 * view[0, 1] + e02 * view[0, 2]
+            gj02 = e00 * view[2, 0] + e01 * view[2, 1] + e02 * view[2, 2]
+            gj11 = e10 * view[1, 0] + e11 * view[1, 1] + e12 * view[1, 2]
+            gj12 = e10 * view[2, 0] + e11 * view[2, 1] + e12 * view[2, 2]
+            gmx = float(grads[i, 4])
+            gmy = float(grads[i, 5])
+            giz = gj00 * fx + gj11 * fy - gj02 * fx * uc - gj12 * fy * vc
+            gu = gmx * fx
+            gv = gmy * fy
+            if u == uc:
+                gu += -gj02 * fx * iz
+            if v == vc:
+                gv += -gj12 * fy * iz
+            gcx = gu * iz
+            gcy = gv * iz
+            giz += gu * x + gv * y
+            gcz = -giz * iz * iz
+            grad_means[i, 0] = gx + view[0, 0] * gcx + view[1, 0] * gcy + view[2, 0] * gcz
+            grad_means[i, 1] = gy + view[0, 1] * gcx + view[1, 1] * gcy + view[2, 1] * gcz
+            grad_means[i, 2] = gz + view[0, 2] * gcx + view[1, 2] * gcy + view[2, 2] * gcz
+
+
+@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
+def blend_statistics(flat, tile_start, ids, tile_order, tiles_x, tiles_y, blended, pairs, W, H):
+    """Per pair: sum and maximum of the blending weight alpha T, and pixels blended, into pairs[:, 0:3]."""
+    for tt in prange(tiles_x * tiles_y):
+        tile = tile_order[tt]
+        ty = tile // tiles_x
+        tx = tile - ty * tiles_x
+        a = tile_start[tile]
+        n = blended[tile]
+        X0 = f4(tx * TILE)
+        Y0 = f4(ty * TILE)
+        buf = np.zeros(TILE_PIXELS + LANES, np.float32)
+        hh = min(TILE, H - ty * TILE)
+        ww = min(TILE, W - tx * TILE)
+        for yy in range(hh):
+            for xx in range(ww):
+                buf[yy * TILE + xx] = f4(1.0)
+        for j in range(a + n, tile_start[tile + 1]):
+            pairs[j, 0] = 0
+            pairs[j, 1] = 0
+            pairs[j, 2] = 0
+        for j in range(a, a + n):
+            i = ids[j]
+            mx = flat[i, 0]
+            my = flat[i, 1]
+            hA = f4(0.5) * flat[i, 2]
+            be = flat[i, 3]
+            hk = f4(0.5) * flat[i, 4]
+            t = flat[i, 5]
+            hy = flat[i, 10]
+            ya = max(0, math.ceil(max(my - hy - Y0, f4(-1.0)) - f4(0.5)))
+            yb = min(TILE, math.floor(min(my + hy - Y0, f4(TILE + 1.0)) - f4(0.5)) + 1)
+            sw = f4(0.0)
+            mw = f4(0.0)
+            ch = f4(0.0)
+            for yy in range(ya, yb):
+                dy = Y0 + yy + f4(0.5) - my
+                s = t - hk * dy * dy
+                if s <= f4(0.0):
+                    continue
+                xr = mx - be * dy - X0 - f4(0.5)
+                hw = math.sqrt(s / hA)
+                xa = max(xr - hw, f4(0.0))
+                xb = min(xr + hw, f4(TILE - 1.0))
+                if xa > xb:
+                    continue
+                for kk in range(int(xa) // LANES, int(xb) // LANES + 1):
+                    row = buf[yy * TILE + kk * LANES :]
+                    fx0 = f4(kk * LANES) - xr
+                    for q in range(LANES):
+                        d = fx0 + f4(q)
+                        e = s - hA * d * d
+                        al = min(_exp(max(e, f4(0.0))) * I255, ALPHA_MAX)
+                        T = row[q]
+                        te = max(T, f4(0.0))
+                        nT = te * (f4(1.0) - al)
+                        inside = e >= f4(0.0)
+                        ok = inside and nT > T_MIN
+                        w = al * te if ok else f4(0.0)
+                        row[q] = nT if ok else (-abs(T) if inside else T)
+                        sw += w
+                        mw = max(mw, w)
+                        ch += f4(1.0) if ok else f4(0.0)
+            pairs[j, 0] = sw
+            pairs[j, 1] = mw
+            pairs[j, 2] = ch
