@@ -1,0 +1,298 @@
+"""What is in a package: tables a person wants to read, the same as JSON, and a picture of the ladder."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.atlas import extract
+from airgs_codec.errors import ConfigError
+from airgs_codec.manifest import Atlas, Manifest, key_init_path, state_init_path
+from airgs_codec.metrics import psnr
+from airgs_codec.package import Package
+from airgs_codec.video import decode_clip
+
+
+def channel_attribute(channel: int, state: bool) -> str:
+    """The attribute that a channel of an atlas belongs to."""
+    names = (["means"] * 3 if state else []) + ["log_scales"] * 3 + ["quaternions"] * 3 + ["opacity"]
+    return names[channel] if channel < len(names) else "colour"
+
+
+def pooled_quality(m: Manifest, level: int, quality: int) -> tuple[float, float] | None:
+    """PSNR (dB, of the mean squared error over frames) and mean SSIM of a rung; None when not measured."""
+    squared, similarity = 0.0, 0.0
+    for segment in m.segments:
+        measured = segment.levels[level]
+        if not measured.psnr:
+            return None
+        weight = (segment.stop - segment.start) / m.frames
+        squared += weight * 10 ** (-measured.psnr[quality] / 10)
+        similarity += weight * measured.ssim[quality]
+    return psnr(squared), similarity
+
+
+def segment_bits(m: Manifest, level: int) -> NDArray[np.float64]:
+    """(S,) bit/s of each segment of a level: media and sidecar over its duration."""
+    return np.array(
+        [8 * m.bytes_of(m.state_files(i, level)) / float((s.stop - s.start) / m.fps) for i, s in enumerate(m.segments)]
+    )
+
+
+def summarise(m: Manifest, manifest_bytes: int) -> dict[str, Any]:
+    """The figures of `format_summary`, as plain JSON values. Lengths in bytes, rates in bit/s."""
+    duration = float(m.frames / m.fps)
+    levels = []
+    for j, level in enumerate(m.levels):
+        rates = segment_bits(m, j)
+        rows = [group.levels[j].rows for group in m.groups]
+        total = sum(m.bytes_of(m.state_files(i, j)) for i in range(len(m.segments)))
+        levels.append(
+            {
+                "id": level.id,
+                "pruned": level.pruned,
+                "factor": level.factor,
+                "gaussians": [min(rows), max(rows)],
+                "bytes_per_frame": total / m.frames,
+                "mean_bps": 8 * total / duration,
+                "peak_bps": float(rates.max()),
+            }
+        )
+    keys = []
+    for t in range(m.tier_count):
+        counts = [group.tiers[t].count for group in m.groups]
+        for q, quality in enumerate(m.qualities):
+            total = sum(m.bytes_of(m.key_files(g, t, q)) for g in range(len(m.groups)))
+            entry = {"tier": f"T{t}", "quality": quality.id, "factor": quality.factor}
+            keys.append(entry | {"gaussians": [min(counts), max(counts)], "bytes_per_frame": total / m.frames})
+    return {
+        "frames": m.frames,
+        "fps": float(m.fps),
+        "duration_s": duration,
+        "sh_degree": m.sh_degree,
+        "package_bytes": manifest_bytes + sum(f.bytes for f in m.files.values()),
+        "views": {"source": m.views.source, "usage": m.views.usage, "measured": m.views.measured},
+        "groups": [_group_entry(m, g) for g in range(len(m.groups))],
+        "keys": keys,
+        "levels": levels,
+        "rungs": [_rung(m, q, j, manifest_bytes) for q in range(len(m.qualities)) for j in range(len(m.levels))],
+        "top_rung_bytes": bytes_by_kind(m, 0, 0, manifest_bytes),
+        "left_out": left_out(m),
+        "repairs": m.repairs,
+        "attribution": m.attribution,
+    }
+
+
+def _group_entry(m: Manifest, index: int) -> dict[str, Any]:
+    g = m.groups[index]
+    segments = sum(s.group == index for s in m.segments)
+    entry = {"frames": [g.start, g.stop], "canonical": g.canonical, "gaussians": g.count, "static": g.static}
+    return entry | {"unused": g.unused, "segments": segments, "grid_bits": g.grid.bits}
+
+
+def _rung(m: Manifest, quality: int, level: int, manifest_bytes: int) -> dict[str, Any]:
+    total = manifest_bytes + m.bytes_of(m.rung_files(quality, level))
+    measured = pooled_quality(m, level, quality)
+    entry: dict[str, Any] = {"key": m.qualities[quality].id, "state": m.levels[level].id}
+    entry |= {"bytes_per_frame": total / m.frames, "mean_bps": 8 * total * float(m.fps) / m.frames}
+    return entry | {"psnr": measured[0] if measured else None, "ssim": measured[1] if measured else None}
+
+
+def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) -> dict[str, int]:
+    """Bytes that a viewer of one rung fetches: pictures, sidecars, MP4 boxes and manifests.
+
+    State pictures are H.264 alone and their MP4 boxes count as container; key pictures count with their boxes (about
+    0.1 kB each), init segments as container.
+    """
+    out = Counter({"key pictures": 0, "key sidecars": 0, "state pictures": 0, "state sidecars": 0, "container": 0})
+    for path in m.rung_files(quality, level):
+        kind, size = path.split("/")[0], m.files[path].bytes
+        if path.endswith("init.mp4"):
+            out["container"] += size
+        else:
+            out[f"{kind} sidecars" if path.endswith(".bin") else f"{kind} pictures"] += size
+    pure = sum(sum(s.levels[level].frame_bytes) for s in m.segments)
+    out["container"] += out["state pictures"] - pure
+    out["state pictures"] = pure
+    out["manifests"] = manifest_bytes
+    return dict(out)
+
+
+def left_out(m: Manifest) -> list[str]:
+    """What was not written and why, one line each."""
+    lines = []
+    for i, group in enumerate(m.groups):
+        where = f"group {i}"
+        if group.unused:
+            lines.append(f"{where}: {group.unused} Gaussians, in no picture of the {m.views.usage} views")
+        if group.static:
+            lines.append(f"{where}: updates of {group.static} rows, all within half a step (static)")
+        for name, atlas, state in _top_atlases(m, i):
+            missing = Counter(
+                channel_attribute(c, state) for c in range(len(atlas.centres)) if c not in set(atlas.planes)
+            )
+            if atlas.rows and missing:
+                what = ", ".join(f"{count} {attribute}" for attribute, count in missing.items())
+                lines.append(f"{where}: planes of {name}: {what} (constant within half a step)")
+    quiet = sum(not s.levels[0].number for s in m.segments)
+    if quiet:
+        lines.append(f"{quiet} state segments: nothing moves in them by more than half a step")
+    if m.sh_degree == 0:
+        lines.append("SH rest: the scene has none")
+    return lines
+
+
+def _top_atlases(m: Manifest, group: int) -> list[tuple[str, Atlas, bool]]:
+    g = m.groups[group]
+    keys = [(f"key T{t} Q0", tier.qualities[0], False) for t, tier in enumerate(g.tiers)]
+    return [*keys, ("state L0", g.levels[0], True)]
+
+
+def bytes_by_attribute(package: Package) -> dict[str, float]:
+    """Bytes of the top rung (T* Q0 + L0) by attribute.
+
+    H.264 codes an atlas as a whole, so its bytes are shared out by zero-order entropy: of the samples in key pictures,
+    of their change from picture to picture in state segments. Key sidecars are canonical means. An estimate.
+    """
+    m = package.manifest
+    out: Counter[str] = Counter()
+    for g, group in enumerate(m.groups):
+        for t, tier in enumerate(group.tiers):
+            if tier.number:
+                media, sidecar = m.key_files(g, t, 0)
+                out["means"] += m.files[sidecar].bytes
+                pictures = list(decode_clip(package.read(key_init_path(t, 0)), package.read(media), media))
+                _share(out, m.files[media].bytes, tier.qualities[0], [p.copy() for p in pictures], False)
+    for s, segment in enumerate(m.segments):
+        files = m.state_files(s, 0)
+        if files:
+            clip = decode_clip(package.read(state_init_path(0)), package.read(files[0]), files[0])
+            size = sum(segment.levels[0].frame_bytes)
+            _share(out, size, m.groups[segment.group].levels[0], [p.copy() for p in clip], True)
+    return dict(out.most_common())
+
+
+def _share(out: Counter[str], size: int, atlas: Atlas, pictures: list[NDArray[np.uint8]], state: bool) -> None:
+    entropy = np.zeros(len(atlas.planes))
+    previous = np.zeros((len(atlas.planes), atlas.rows), np.int16)
+    for picture in pictures:
+        samples = extract(picture, atlas).astype(np.int16)
+        for p, change in enumerate(samples - previous):
+            counts = np.unique(change, return_counts=True)[1] / atlas.rows
+            entropy[p] -= float((counts * np.log2(counts)).sum())
+        previous = samples
+    entropy = entropy / entropy.sum() if entropy.sum() > 0 else np.full(len(entropy), 1 / len(entropy))
+    for plane, share in zip(atlas.planes, entropy, strict=True):
+        out[channel_attribute(plane, state)] += size * float(share)
+
+
+def format_summary(m: Manifest, manifest_bytes: int) -> str:
+    """The tables as text."""
+    s = summarise(m, manifest_bytes)
+    frames = m.frames
+    lines = [
+        f"{frames} frames at {float(m.fps):g} fps ({s['duration_s']:.2f} s), SH degree {m.sh_degree}, "
+        f"{s['package_bytes'] / 1e6:.3f} MB in all ({s['package_bytes'] / frames / 1e3:.2f} kB/frame)",
+        f"usage over {m.views.usage} {m.views.source} views; quality against the {m.views.reference} "
+        f"over {m.views.measured} views of {m.views.width}x{m.views.height}"
+        if m.views.reference != "none"
+        else f"usage over {m.views.usage} {m.views.source} views; quality was not measured",
+        "",
+    ]
+    rows = [
+        [str(i), f"{g['frames'][0]}-{g['frames'][1] - 1}", str(g["gaussians"]), str(g["static"]), str(g["segments"])]
+        for i, g in enumerate(s["groups"])
+    ]
+    lines += _table(["group", "frames", "Gaussians", "static", "segments"], rows)
+    rows = [
+        [k["tier"], k["quality"], _span(k["gaussians"]), f"x{k['factor']:g}", f"{k['bytes_per_frame'] / 1e3:.2f}"]
+        for k in s["keys"]
+    ]
+    lines += ["", *_table(["key tier", "quality", "Gaussians", "steps", "kB/frame"], rows)]
+    rows = [
+        [
+            v["id"],
+            _span(v["gaussians"]),
+            f"{100 * v['pruned']:g} %",
+            f"x{v['factor']:g}",
+            f"{v['bytes_per_frame'] / 1e3:.2f}",
+            f"{v['mean_bps'] / 1e6:.2f}",
+            f"{v['peak_bps'] / 1e6:.2f}",
+        ]
+        for v in s["levels"]
+    ]
+    lines += ["", *_table(["level", "Gaussians", "pruned", "steps", "kB/frame", "Mbit/s", "peak"], rows)]
+    rows = [
+        [
+            f"{r['key']} + {r['state']}",
+            f"{r['bytes_per_frame'] / 1e3:.2f}",
+            f"{r['mean_bps'] / 1e6:.2f}",
+            "-" if r["psnr"] is None else f"{r['psnr']:.2f}",
+            "-" if r["ssim"] is None else f"{r['ssim']:.4f}",
+        ]
+        for r in s["rungs"]
+    ]
+    lines += ["", "everything a viewer fetches:"]
+    lines += _table(["rung", "kB/frame", "Mbit/s", "PSNR dB", "SSIM"], rows)
+    kinds = [f"{kind} {size / frames / 1e3:.2f}" for kind, size in s["top_rung_bytes"].items()]
+    lines += ["", f"top rung, kB/frame: {', '.join(kinds)}"]
+    lines += [f"left out: {line}" for line in s["left_out"]] + [f"repaired: {line}" for line in m.repairs]
+    return "\n".join(lines + ([f"attribution: {m.attribution}"] if m.attribution else []))
+
+
+def format_attributes(package: Package) -> str:
+    """The line of `bytes_by_attribute`."""
+    frames = package.manifest.frames
+    parts = [f"{name} {size / frames / 1e3:.2f}" for name, size in bytes_by_attribute(package).items()]
+    return f"top rung by attribute, kB/frame, shared out by entropy: {', '.join(parts)}"
+
+
+def _span(bounds: list[int]) -> str:
+    return str(bounds[0]) if bounds[0] == bounds[1] else f"{bounds[0]}-{bounds[1]}"
+
+
+def _table(head: list[str], rows: list[list[str]]) -> list[str]:
+    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
+    return ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)) for row in [head, *rows]]
+
+
+def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
+    """A picture: quality of every rung against its bytes, and bytes over time. Raises ConfigError."""
+    from matplotlib.figure import Figure  # half a second of imports, paid only for pictures
+
+    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    ladder, time = figure.subplots(1, 2)
+    for q, quality in enumerate(m.qualities):
+        rungs = [_rung(m, q, j, manifest_bytes) for j in range(len(m.levels))]
+        measured = [r for r in rungs if r["psnr"] is not None]
+        x, y = [r["bytes_per_frame"] / 1e3 for r in measured], [r["psnr"] for r in measured]
+        ladder.plot(x, y, "o-", label=f"key {quality.id} (steps x{quality.factor:g})")
+        for r, a, b in zip(measured, x, y, strict=True):
+            ladder.annotate(r["state"], (a, b), textcoords="offset points", xytext=(5, -11), fontsize=8)
+    ladder.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB", title="Rungs")
+    if m.views.reference == "none":
+        ladder.text(0.5, 0.5, "quality was not measured", ha="center", transform=ladder.transAxes)
+    else:
+        ladder.legend()
+    ladder.grid(alpha=0.3)
+    for j, level in enumerate(m.levels):
+        sizes = np.zeros(m.frames)
+        for segment in m.segments:
+            if segment.levels[j].frame_bytes:
+                sizes[segment.start : segment.stop] = segment.levels[j].frame_bytes
+        name = f"{level.id} ({100 * level.pruned:g} % pruned, x{level.factor:g})"
+        time.step(np.arange(m.frames), sizes / 1e3, where="mid", label=name)
+    for group in m.groups[1:]:
+        time.axvline(group.start - 0.5, color="0.6", linestyle=":", linewidth=1)
+    time.set(xlabel="frame (dotted: a new group)", ylabel="kB", title="State pictures over time")
+    time.set_ylim(bottom=0)
+    time.legend(fontsize=8)
+    time.grid(alpha=0.3)
+    try:
+        figure.savefig(path, dpi=110)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: cannot write the picture: {error}") from error
