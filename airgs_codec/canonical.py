@@ -125,9 +125,9 @@ def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSte
 def _fill_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> None:
     """Hold the last drawn value of every channel but opacity, in place; `drawn` is (T, N)."""
     rows = np.flatnonzero(~drawn.all(axis=0))
-    others = [c for c in range(channels.shape[1]) if c != 9]
+    others = np.array([c for c in range(channels.shape[1]) if c != 9])
     first = np.argmax(drawn[:, rows], axis=0)
-    last = np.where(drawn[:, rows].any(axis=0), channels[first[None], np.array(others)[:, None], rows], 0.0)
+    last = np.where(drawn[:, rows].any(axis=0), channels[first[None], others[:, None], rows], 0.0)
     for t in range(len(channels)):
         last = np.where(drawn[t, rows], channels[t][np.ix_(others, rows)], last)
         channels[t][np.ix_(others, rows)] = last

@@ -11,4 +11,4 @@ def delta_e(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
     import colour  # a second of imports, paid only by those who ask
 
     lab = [colour.XYZ_to_Lab(colour.sRGB_to_XYZ(np.clip(p, 0, 1).astype(np.float64))) for p in (a, b)]
-    return float(np.mean(colour.delta_E(*lab, method="CIE 2000")))
+    return float(np.mean(colour.delta_E(lab[0], lab[1], method="CIE 2000")))

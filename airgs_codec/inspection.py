@@ -108,7 +108,9 @@ def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) ->
     State pictures are H.264 alone and their MP4 boxes count as container; key pictures count with their boxes (about
     0.1 kB each), init segments as container.
     """
-    out = Counter({"key pictures": 0, "key sidecars": 0, "state pictures": 0, "state sidecars": 0, "container": 0})
+    out: Counter[str] = Counter(
+        {"key pictures": 0, "key sidecars": 0, "state pictures": 0, "state sidecars": 0, "container": 0}
+    )
     for path in m.rung_files(quality, level):
         kind, size = path.split("/")[0], m.files[path].bytes
         if path.endswith("init.mp4"):

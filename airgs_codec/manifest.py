@@ -399,10 +399,11 @@ def _ranges(m: Manifest) -> Iterator[tuple[str, float, float, float]]:
         yield name, getattr(m, name), 1e-3, 128
     for name in ("qualities", "levels", "key_pictures"):
         yield f"len({name})", len(getattr(m, name)), 1, MAX_CHOICES
-    for choice in (*m.qualities, *m.levels):
-        yield f"{choice.id}.factor", choice.factor, 1e-6, 1e6
+    for quality in m.qualities:
+        yield f"{quality.id}.factor", quality.factor, 1e-6, 1e6
     for level in m.levels:
         yield f"{level.id}.pruned", level.pruned, 0, 1
+        yield f"{level.id}.factor", level.factor, 1e-6, 1e6
     for picture in (*(p for row in m.key_pictures for p in row), *m.state_pictures):
         yield "picture.width", picture.width, 0, MAX_SIDE
         yield "picture.height", picture.height, 0, MAX_SIDE

@@ -194,5 +194,5 @@ def _read_representations(root: ET.Element, m: Manifest) -> list[Representation]
         except (ValueError, KeyError) as error:
             raise FormatError("bad_mpd", where, f"expected whole numbers: {error}") from error
         name, codecs = element.get("id", ""), element.get("codecs", "")
-        out.append(Representation(name, codecs, *size, *addresses, times))
+        out.append(Representation(name, codecs, size[0], size[1], addresses[0], addresses[1], times))
     return out

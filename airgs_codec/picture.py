@@ -16,11 +16,9 @@ def to_bytes(rgb: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
 
 
-def write_png(path: Path, rgb: NDArray[np.floating]) -> None:
-    """Write an (H, W, 3) RGB picture of [0, 1]. Raises SceneError when the file cannot be written."""
-    done, data = cv2.imencode(".png", cv2.cvtColor(to_bytes(rgb), cv2.COLOR_RGB2BGR))
-    if not done:
-        raise SceneError(f"{path}: cannot encode a {rgb.shape} picture")
+def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
+    """Write an (H, W, 3) RGB picture."""
+    _, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
     path.write_bytes(data.tobytes())
 
 
@@ -30,15 +28,15 @@ def read_png(path: Path) -> NDArray[np.float32]:
     picture = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
     if picture is None:
         raise SceneError(f"{path}: expected a picture")
-    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB).astype(np.float32) / 255
+    return np.float32(1 / 255) * cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
 
 
-def label(rgb: NDArray[np.floating], text: str, line: int = 0) -> NDArray[np.float32]:
-    """A copy of the picture with a line of white text on a dark band at the top."""
-    out = np.ascontiguousarray(rgb, np.float32).copy()
+def label(rgb: NDArray[np.uint8], text: str, line: int = 0) -> NDArray[np.uint8]:
+    """A copy of the (H, W, 3) picture with a line of white text on a dark band at the top."""
+    out = rgb.copy()
     top = 18 * line
-    out[top : top + 18] *= 0.35
-    cv2.putText(out, text, (5, top + 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (1.0, 1.0, 1.0), 1, cv2.LINE_AA)
+    out[top : top + 18] //= 3
+    cv2.putText(out, text, (5, top + 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
     return out
 
 

@@ -135,10 +135,10 @@ def _ticks(pts: int | None) -> int:
 def _frame(picture: NDArray[np.uint8], pts: int, timescale: int) -> av.VideoFrame:
     height, width = picture.shape
     frame = av.VideoFrame(width, height, "yuv420p")
-    luma = np.frombuffer(frame.planes[0], np.uint8).reshape(-1, frame.planes[0].line_size)
+    luma = np.frombuffer(memoryview(frame.planes[0]), np.uint8).reshape(-1, frame.planes[0].line_size)
     luma[:height, :width] = picture
     for plane in frame.planes[1:]:
-        np.frombuffer(plane, np.uint8)[:] = 128
+        np.frombuffer(memoryview(plane), np.uint8)[:] = 128
     frame.pts = pts
     frame.time_base = Fraction(1, timescale)
     return frame
@@ -181,7 +181,7 @@ def decode_clip(init: bytes, media: bytes, where: str) -> Iterator[NDArray[np.ui
     offsets are negative, so times are not used. Raises FormatError(bad_picture) when the bytes do not decode.
     """
     try:
-        with av.open(io.BytesIO(init + media), format="mp4") as container:
+        with av.open(io.BytesIO(init + media), "r", format="mp4") as container:
             if not container.streams.video:
                 raise FormatError("bad_picture", where, "expected a video track, got none")
             stream = container.streams.video[0]
@@ -190,7 +190,9 @@ def decode_clip(init: bytes, media: bytes, where: str) -> Iterator[NDArray[np.ui
                 if frame.format.name not in ("yuv420p", "yuvj420p"):
                     raise FormatError("bad_picture", where, f"expected 8-bit 4:2:0, got {frame.format.name}")
                 plane = frame.planes[0]
-                yield np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
+                yield np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)[
+                    : frame.height, : frame.width
+                ]
     except (av.FFmpegError, OSError) as error:
         raise FormatError("bad_picture", where, f"expected H.264 in MP4, the decoder said: {error}") from error
 

@@ -1,0 +1,1 @@
+"""Playing a package over a bandwidth trace: a deterministic simulation, and what the viewer saw."""

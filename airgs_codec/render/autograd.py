@@ -78,4 +78,4 @@ def rasterize(
 
     means (N, 3), quaternions (N, 4) of any length, scales (N, 3) and opacities (N,) activated, sh (N, K + 1, 3).
     """
-    return _Rasterize.apply(means, quaternions, scales, opacities, sh, camera, background)  # type: ignore[no-any-return]
+    return _Rasterize.apply(means, quaternions, scales, opacities, sh, camera, background)

@@ -87,10 +87,10 @@ def read_cameras(path: Path) -> list[Camera]:
 
 def _camera(name: str, shared: dict[str, Any], frame: dict[str, Any]) -> Camera:
     def value(key: str) -> float:
-        return float(frame.get(key, shared.get(key)))
+        return float(frame[key] if key in frame else shared[key])
 
     camera_to_world = np.asarray(frame["transform_matrix"], np.float64).reshape(4, 4)
-    matrix = np.linalg.inv(camera_to_world @ OPENGL_TO_OPENCV)
+    matrix: NDArray[np.float64] = np.linalg.inv(camera_to_world @ OPENGL_TO_OPENCV).astype(np.float64)
     if not np.isfinite(matrix).all():
         raise ValueError(f"camera {name} has a matrix that is not finite")
     width, height = int(value("w")), int(value("h"))

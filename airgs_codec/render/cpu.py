@@ -98,7 +98,8 @@ def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:
     peak = np.zeros(n)
     np.maximum.at(peak, b.ids, pairs[:, 1])
     hits = np.bincount(b.ids, pairs[:, 2], n).astype(np.int64)
-    return Contribution(np.bincount(b.ids, pairs[:, 0], n), peak, hits)
+    total = np.bincount(b.ids, pairs[:, 0], n).astype(np.float64)
+    return Contribution(total, peak, hits)
 
 
 def blend(g: Activated, camera: Camera, background: tuple[float, float, float]) -> Blended:
@@ -147,6 +148,6 @@ def _announce() -> None:
     if _announced:
         return
     _announced = True
-    path = kernels.project.stats.cache_path  # type: ignore[attr-defined]
+    path = kernels.project.stats.cache_path
     if path and not any(Path(path).glob("cpu_kernels.project-*.nbi")):
         print("compiling the renderer's kernels (about 30 s, once)", file=sys.stderr)

@@ -51,7 +51,7 @@ def camera_path(cameras: Sequence[Camera], count: int) -> list[Camera]:
     keys = np.arange(len(cameras))
     rotations = Slerp(keys, Rotation.from_matrix(np.stack([c.world_to_camera[:3, :3] for c in cameras])))
     positions = np.stack([c.position for c in cameras])
-    path = []
+    path: list[Camera] = []
     for time in np.linspace(0, len(cameras) - 1, count):
         before = min(int(time), len(cameras) - 2)
         share = time - before

@@ -1,0 +1,161 @@
+"""Pictures and a page of what happened in a session."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.play.session import SessionLog, metrics, screen_ticks
+
+_BLUE, _ORANGE, _GREEN, _RED, _GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
+
+
+def write_report(log: SessionLog, directory: Path) -> Path:
+    """Write session.json, session.png and index.html into `directory`; gives the page. Raises ConfigError."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        record = {
+            "metrics": metrics(log),
+            "fetches": [dataclasses.asdict(f) for f in log.fetches],
+            "shown": [dataclasses.asdict(s) for s in log.shown],
+        }
+        (directory / "session.json").write_text(json.dumps(record, indent=1) + "\n")
+        plot_session(log, directory / "session.png")
+        page = directory / "index.html"
+        page.write_text(_page(log, directory), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{directory}: cannot write the report: {error}") from error
+    return page
+
+
+def plot_session(log: SessionLog, path: Path) -> None:
+    """Five panels over time: throughput, rungs, buffer, PSNR on the screen, arrival of every frame."""
+    from matplotlib.figure import Figure  # half a second of imports, paid only for pictures
+
+    figure = Figure(figsize=(11, 14), layout="constrained")
+    axes = figure.subplots(5, 1, sharex=True)
+    for draw, axis in zip((_throughput, _rungs, _buffer, _psnr, _arrivals), axes, strict=True):
+        draw(axis, log)
+        axis.grid(alpha=0.25)
+        for s in log.shown:
+            if s.stall_s > 1e-9:
+                axis.axvspan(s.start_s - s.stall_s, s.start_s, color=_RED, alpha=0.12, linewidth=0)
+    axes[-1].set_xlabel("seconds since the first request (red: waiting for data)")
+    axes[0].set_xlim(0, _end(log))
+    figure.savefig(path, dpi=100)
+
+
+def _end(log: SessionLog) -> float:
+    last = log.shown[-1]
+    return last.start_s + last.frames / float(log.manifest.fps)
+
+
+def _throughput(axis: Any, log: SessionLog) -> None:
+    trace = log.link.trace
+    grid = np.linspace(0, _end(log), 1500)
+    at = np.searchsorted(trace.starts_s, grid % trace.duration_s, side="right") - 1
+    axis.fill_between(grid, trace.rates_bps[at] / 1e6, color=_BLUE, alpha=0.25, linewidth=0, label="trace")
+    times = [f.request_s for f in log.fetches]
+    axis.step(times, [f.throughput_bps / 1e6 for f in log.fetches], where="post", color=_BLUE, label="estimate")
+    axis.set(ylabel="Mbit/s", title=f"Throughput: {trace.name}, mean {trace.mean_bps / 1e6:.1f} Mbit/s", ylim=(0, None))
+    sizes = axis.twinx()
+    for kind, marker, color in (("key", "s", _ORANGE), ("state", "o", _GREEN)):
+        batch = [f for f in log.fetches if f.kind == kind]
+        sizes.plot([f.request_s for f in batch], [f.bytes / 1e3 for f in batch], marker, color=color, ms=4, label=kind)
+    budgets = [(f.request_s, f.budget_bytes / 1e3) for f in log.fetches if f.budget_bytes > 0]
+    if budgets:
+        sizes.plot(*zip(*budgets, strict=True), "_", color=_GREY, ms=8, label="budget")
+    sizes.set(ylabel="kB a batch", yscale="log")
+    lines = [*axis.get_legend_handles_labels()[0], *sizes.get_legend_handles_labels()[0]]
+    axis.legend(lines, [line.get_label() for line in lines], loc="upper right", ncols=5, fontsize=8)
+
+
+def _rungs(axis: Any, log: SessionLog) -> None:
+    m = log.manifest
+    names = [f"{q.id} + {v.id}" for q in m.qualities for v in m.levels]
+    for s in log.shown:
+        y = s.quality * len(m.levels) + s.level
+        axis.plot([s.start_s, s.start_s + s.frames / float(m.fps)], [y, y], color=_GREEN, linewidth=5)
+    axis.set_yticks(range(len(names)), names, fontsize=8)
+    axis.set(title="Chosen key quality and level", ylim=(len(names) - 0.5, -0.5))
+
+
+def _buffer(axis: Any, log: SessionLog) -> None:
+    fps = float(log.manifest.fps)
+    ready = [0.0, *np.cumsum([s.frames / fps for s in log.shown])]
+    grid = np.linspace(0, _end(log), 1500)
+    starts, arrivals = np.array([s.start_s for s in log.shown]), np.array([s.ready_s for s in log.shown])
+    lengths = np.array([s.frames / fps for s in log.shown])
+    played = np.array([np.clip(t - starts, 0, lengths).sum() for t in grid])
+    at_hand = np.array(ready)[np.searchsorted(arrivals, grid, side="right")]
+    axis.fill_between(grid, at_hand - played, color=_ORANGE, alpha=0.5, linewidth=0)
+    result = metrics(log)
+    title = f"Buffer: {result['stalls']} stalls, {result['stall_s']:.2f} s of waiting after the start"
+    axis.set(ylabel="s of media", title=title, ylim=(0, None))
+
+
+def _psnr(axis: Any, log: SessionLog) -> None:
+    values = [log.shown[i].psnr for i, _ in screen_ticks(log)]
+    if any(v is None for v in values):
+        axis.text(0.5, 0.5, "quality was not measured", ha="center", transform=axis.transAxes)
+    else:
+        fps = float(log.manifest.fps)
+        times = log.shown[0].start_s + np.arange(len(values)) / fps
+        axis.step(times, np.array(values, np.float64), where="post", color=_BLUE)
+    axis.set(ylabel="dB", title="PSNR of what was on the screen (measured a segment; a frozen picture keeps its own)")
+
+
+def _arrivals(axis: Any, log: SessionLog) -> None:
+    fps = float(log.manifest.fps)
+    displays = np.concatenate([s.start_s + np.arange(s.frames) / fps for s in log.shown])
+    arrivals = np.concatenate([np.full(s.frames, s.ready_s) for s in log.shown])
+    frames = np.arange(len(displays))
+    axis.step(displays, frames, where="post", color=_GREY, label="shown")
+    axis.plot(arrivals, frames, ".", ms=3, color=_GREEN, label="arrived and decoded")
+    axis.set(ylabel="frame", title="Every frame: when it arrived, when it was shown")
+    axis.legend(loc="upper left", fontsize=8)
+
+
+def format_metrics(log: SessionLog) -> str:
+    """The figures as lines of text."""
+    return "\n".join(f"{name:<22}{value}" for name, value in _readable(log))
+
+
+def _readable(log: SessionLog) -> list[tuple[str, str]]:
+    r: dict[str, Any] = metrics(log)
+    repeated = ", repeated" if r["trace_looped"] else ""
+    quality = "not measured"
+    if r["psnr_mean"] is not None:
+        quality = f"mean {r['psnr_mean']:.2f} dB, 5th percentile {r['psnr_p5']:.2f} dB"
+    wire = ", ".join(f"{kind} {size / 1e3:.1f}" for kind, size in r["bytes"].items())
+    return [
+        ("policy", log.settings.policy if log.settings.policy == "paper" else f"fixed:{log.settings.fixed_level}"),
+        ("trace", f"{r['trace']}, mean {r['trace_mean_bps'] / 1e6:.2f} Mbit/s{repeated}"),
+        ("played", f"{r['frames']} frames, {r['played_s']:.2f} s"),
+        ("start-up", f"{r['startup_s']:.3f} s"),
+        ("stalls", f"{r['stalls']}, {r['stall_s']:.3f} s, {100 * r['stall_ratio']:.2f} %"),
+        ("PSNR on screen", quality),
+        ("rungs", ", ".join(f"{name} x{count}" for name, count in r["rungs"].items())),
+        ("switches", str(r["switches"])),
+        ("fetched, kB", f"{wire}; {r['bytes_per_frame'] / 1e3:.2f} a frame"),
+    ]  # fmt: skip
+
+
+def _page(log: SessionLog, directory: Path) -> str:
+    rows = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(b)}</td></tr>" for a, b in _readable(log))
+    extra = '<img src="screen.png" alt="best and worst segment shown">' if (directory / "screen.png").exists() else ""
+    style = (
+        "body{font:15px/1.5 system-ui,sans-serif;max-width:1120px;margin:2rem auto;padding:0 1rem;color:#222}"
+        "th{text-align:left;padding-right:2rem;font-weight:600}img{max-width:100%;margin-top:1rem}"
+    )
+    return (
+        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>airgs-play</title><style>{style}</style>'
+        f"<h1>airgs-play</h1><table>{rows}</table>{extra}"
+        f'<img src="session.png" alt="throughput, rungs, buffer, quality and arrivals over time"></html>\n'
+    )
