@@ -17,7 +17,7 @@ from airgs_codec.gaussians import Gaussians
 from airgs_codec.manifest import Atlas, Picture, key_init_path, state_init_path, unpack_matrix
 from airgs_codec.package import Package
 from airgs_codec.quantize import from_codes
-from airgs_codec.sidecar import unpack_key_sidecar
+from airgs_codec.sidecar import KeySidecar, unpack_key_sidecar
 from airgs_codec.tiers import STATIC
 from airgs_codec.video import decode_clip
 
@@ -69,33 +69,57 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
     """The canonical space of a group from its first `tiers` key tiers (default: all)."""
     m = package.manifest
     g = m.groups[group]
-    transform = unpack_matrix(g.colour_transform, m.colour_channels)
     steps = space.key_steps(g.key_steps, m.colour_channels) * m.qualities[quality].factor
-    parts = []
-    for t, tier in enumerate(g.tiers[:tiers]):
-        if not tier.number:
-            continue
-        media, sidecar_path = m.key_files(group, t, quality)
-        sidecar = unpack_key_sidecar(package.read(sidecar_path), tier.qualities, sidecar_path)
-        pictures = decode_clip(package.read(key_init_path(t, quality)), package.read(media), media)
-        picture = next(pictures, None)
-        if picture is None:
-            raise FormatError("bad_picture", media, "expected one picture, got none")
-        _expect_size(picture, m.key_pictures[t][quality], media)
-        atlas = tier.qualities[quality]
-        codes = read_codes(picture, atlas, sidecar.bases[quality])
-        parts.append((from_codes(codes, steps, m.key_gain), sidecar))
+    parts = [decode_key(package, group, t, quality) for t, tier in enumerate(g.tiers[:tiers]) if tier.number]
     if not parts:
         raise ConfigError(f"group {group}: expected at least one key tier with rows, got tiers={tiers}")
     return space.read_key(
-        np.concatenate([channels for channels, _ in parts], axis=1),
-        np.concatenate([s.codes for _, s in parts]),
-        np.concatenate([s.classes for _, s in parts]),
-        np.concatenate([s.depths for _, s in parts]),
-        transform,
+        np.concatenate([from_codes(codes, steps, m.key_gain) for codes, _ in parts], axis=1),
+        np.concatenate([sidecar.codes for _, sidecar in parts]),
+        np.concatenate([sidecar.classes for _, sidecar in parts]),
+        np.concatenate([sidecar.depths for _, sidecar in parts]),
+        unpack_matrix(g.colour_transform, m.colour_channels),
         g.grid,
         g.key_steps,
     )
+
+
+def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
+    """(7 + C, n) codes of one key unit, and its sidecar."""
+    m = package.manifest
+    unit = m.groups[group].tiers[tier]
+    media, sidecar_path = m.key_files(group, tier, quality)
+    sidecar = unpack_key_sidecar(package.read(sidecar_path), unit.qualities, sidecar_path)
+    pictures = decode_clip(package.read(key_init_path(tier, quality)), package.read(media), media)
+    picture = next(pictures, None)
+    if picture is None:
+        raise FormatError("bad_picture", media, "expected one picture, got none")
+    _expect_size(picture, m.key_pictures[tier][quality], media)
+    return read_codes(picture, unit.qualities[quality], sidecar.bases[quality]), sidecar
+
+
+def decode_state(package: Package, index: int, level: int, first: int, last: int) -> Iterator[NDArray[np.int32]]:
+    """(10 + C, n) codes of frames [first, last) of a segment that has files, counted from its start."""
+    m = package.manifest
+    segment = m.segments[index]
+    media, sidecar_path = m.state_files(index, level)
+    atlas = m.groups[segment.group].levels[level]
+    shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
+    most = 4 + 12 * shape[0] * shape[1] * shape[2]
+    payload = escapes.inflate(package.read(sidecar_path), most, sidecar_path)
+    escape_index, jumps, used = escapes.unpack(payload, shape, sidecar_path)
+    if used != len(payload):
+        raise FormatError("bad_sidecar", sidecar_path, f"expected the end at {used}, got {len(payload)} bytes")
+    shown = 0
+    pictures = decode_clip(package.read(state_init_path(level)), package.read(media), media)
+    for shown, picture in enumerate(pictures, 1):
+        if shown > first:
+            _expect_size(picture, m.state_pictures[level], media)
+            yield read_codes(picture, atlas, escapes.bases_at(escape_index, jumps, shape, shown - 1))
+        if shown == last:
+            break
+    if shown < last:
+        raise FormatError("bad_picture", media, f"expected {shape[0]} pictures, got {shown}")
 
 
 def decode_segment(
@@ -106,14 +130,13 @@ def decode_segment(
     With fewer tiers than the group has, the rows at hand are the first of every level (rows are in tier order).
     """
     m = package.manifest
-    segment = m.segments[index]
     files = m.state_files(index, level)
     if not files:
         frame = space.show(base)
         for _ in range(first, last):
             yield frame
         return
-    group = m.groups[segment.group]
+    group = m.groups[m.segments[index].group]
     atlas = group.levels[level]
     rows = np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
     complete = len(base.means) == group.count
@@ -121,26 +144,11 @@ def decode_segment(
         detail = f"the sidecars give {len(rows)} rows, airgs.json {atlas.rows}"
         raise FormatError("count_mismatch", files[0], detail)
     steps = space.state_steps(group.state_steps, m.colour_channels) * m.levels[level].factor
-    shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
-    most = 4 + 12 * shape[0] * shape[1] * shape[2]
-    payload = escapes.inflate(package.read(files[1]), most, files[1])
-    escape_index, jumps, used = escapes.unpack(payload, shape, files[1])
-    if used != len(payload):
-        raise FormatError("bad_sidecar", files[1], f"expected the end at {used}, got {len(payload)} bytes")
     turns = _varies(atlas, 6, 9)
     coloured = _varies(atlas, space.STATE_FIXED, len(atlas.centres))
-    shown = 0
-    pictures = decode_clip(package.read(state_init_path(level)), package.read(files[0]), files[0])
-    for shown, picture in enumerate(pictures, 1):
-        if shown > first:
-            _expect_size(picture, m.state_pictures[level], files[0])
-            bases = escapes.bases_at(escape_index, jumps, shape, shown - 1)
-            channels = from_codes(read_codes(picture, atlas, bases)[:, : len(rows)], steps, m.state_gain)
-            yield space.apply_state(base, rows, channels, group.state_steps, turns, coloured)
-        if shown == last:
-            break
-    if shown < last:
-        raise FormatError("bad_picture", files[0], f"expected {shape[0]} pictures, got {shown}")
+    for codes in decode_state(package, index, level, first, last):
+        channels = from_codes(codes[:, : len(rows)], steps, m.state_gain)
+        yield space.apply_state(base, rows, channels, group.state_steps, turns, coloured)
 
 
 def _varies(atlas: Atlas, start: int, stop: int) -> bool:

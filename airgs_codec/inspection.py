@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.atlas import extract
 from airgs_codec.errors import ConfigError
-from airgs_codec.manifest import Atlas, Manifest, key_init_path, state_init_path
+from airgs_codec.manifest import STATE_ATTRIBUTES, Atlas, Manifest, key_init_path, state_init_path
 from airgs_codec.metrics import psnr
 from airgs_codec.package import Package
 from airgs_codec.video import decode_clip
@@ -108,9 +108,8 @@ def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) ->
     State pictures are H.264 alone and their MP4 boxes count as container; key pictures count with their boxes (about
     0.1 kB each), init segments as container.
     """
-    out: Counter[str] = Counter(
-        {"key pictures": 0, "key sidecars": 0, "state pictures": 0, "state sidecars": 0, "container": 0}
-    )
+    kinds = ("key pictures", "key sidecars", "state pictures", "state sidecars", "container")
+    out = dict.fromkeys(kinds, 0)
     for path in m.rung_files(quality, level):
         kind, size = path.split("/")[0], m.files[path].bytes
         if path.endswith("init.mp4"):
@@ -121,7 +120,7 @@ def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) ->
     out["container"] += out["state pictures"] - pure
     out["state pictures"] = pure
     out["manifests"] = manifest_bytes
-    return dict(out)
+    return out
 
 
 def left_out(m: Manifest) -> list[str]:
@@ -161,7 +160,7 @@ def bytes_by_attribute(package: Package) -> dict[str, float]:
     of their change from picture to picture in state segments. Key sidecars are canonical means. An estimate.
     """
     m = package.manifest
-    out: Counter[str] = Counter()
+    out = dict.fromkeys(STATE_ATTRIBUTES[:4], 0.0) | {"colour": 0.0}
     for g, group in enumerate(m.groups):
         for t, tier in enumerate(group.tiers):
             if tier.number:
@@ -175,10 +174,10 @@ def bytes_by_attribute(package: Package) -> dict[str, float]:
             clip = decode_clip(package.read(state_init_path(0)), package.read(files[0]), files[0])
             size = sum(segment.levels[0].frame_bytes)
             _share(out, size, m.groups[segment.group].levels[0], [p.copy() for p in clip], True)
-    return dict(out.most_common())
+    return dict(sorted(out.items(), key=lambda item: -item[1]))
 
 
-def _share(out: Counter[str], size: int, atlas: Atlas, pictures: list[NDArray[np.uint8]], state: bool) -> None:
+def _share(out: dict[str, float], size: int, atlas: Atlas, pictures: list[NDArray[np.uint8]], state: bool) -> None:
     entropy = np.zeros(len(atlas.planes))
     previous = np.zeros((len(atlas.planes), atlas.rows), np.int16)
     for picture in pictures:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from airgs_codec.errors import ConfigError
@@ -35,9 +36,6 @@ class PlayerState:
     options: tuple[Point, ...]  # level counts from 0, best first as the package lists them
 
 
-Policy = Callable[[PlayerState], Decision]
-
-
 def estimate_throughput(history: Sequence[Download]) -> float:
     """bit/s: the smaller of two exponential averages weighted by download time; 0 before the first download."""
     estimates = []
@@ -61,8 +59,12 @@ def budget_bytes(state: PlayerState) -> float:
 
 
 def choose_paper(state: PlayerState) -> Decision:
-    """Algorithm 1 over the measured sizes and qualities of this very segment."""
-    return select(Ladder.build(state.options), budget_bytes(state))
+    """Algorithm 1 over the measured sizes and qualities of this very segment.
+
+    Without the cliff test: it belongs to the dense level space that a package's few levels were taken from, and a rung
+    it removed here could only be replaced by a stall.
+    """
+    return select(Ladder.build(state.options, beta=math.inf, cliff_db=math.inf), budget_bytes(state))
 
 
 def choose_fixed(state: PlayerState, level: int) -> Decision:

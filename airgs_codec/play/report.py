@@ -65,15 +65,22 @@ def _throughput(axis: Any, log: SessionLog) -> None:
     axis.step(times, [f.throughput_bps / 1e6 for f in log.fetches], where="post", color=_BLUE, label="estimate")
     axis.set(ylabel="Mbit/s", title=f"Throughput: {trace.name}, mean {trace.mean_bps / 1e6:.1f} Mbit/s", ylim=(0, None))
     sizes = axis.twinx()
-    for kind, marker, color in (("key", "s", _ORANGE), ("state", "o", _GREEN)):
+    for kind, marker, color in (("group", "s", _ORANGE), ("state", "o", _GREEN)):
         batch = [f for f in log.fetches if f.kind == kind]
-        sizes.plot([f.request_s for f in batch], [f.bytes / 1e3 for f in batch], marker, color=color, ms=4, label=kind)
+        sizes.plot(
+            [f.request_s for f in batch],
+            [f.bytes / 1e3 for f in batch],
+            marker,
+            color=color,
+            ms=4,
+            label="key + state" if kind == "group" else kind,
+        )
     budgets = [(f.request_s, f.budget_bytes / 1e3) for f in log.fetches if f.budget_bytes > 0]
     if budgets:
         sizes.plot(*zip(*budgets, strict=True), "_", color=_GREY, ms=8, label="budget")
     sizes.set(ylabel="kB a batch", yscale="log")
     lines = [*axis.get_legend_handles_labels()[0], *sizes.get_legend_handles_labels()[0]]
-    axis.legend(lines, [line.get_label() for line in lines], loc="upper right", ncols=5, fontsize=8)
+    axis.legend(lines, [line.get_label() for line in lines], loc="lower right", ncols=5, fontsize=8)
 
 
 def _rungs(axis: Any, log: SessionLog) -> None:
@@ -149,7 +156,11 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
 
 def _page(log: SessionLog, directory: Path) -> str:
     rows = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(b)}</td></tr>" for a, b in _readable(log))
-    extra = '<img src="screen.png" alt="best and worst segment shown">' if (directory / "screen.png").exists() else ""
+    extra = (
+        '<img src="screen.png" alt="the worst segment shown, beside the best rung">'
+        if (directory / "screen.png").exists()
+        else ""
+    )
     style = (
         "body{font:15px/1.5 system-ui,sans-serif;max-width:1120px;margin:2rem auto;padding:0 1rem;color:#222}"
         "th{text-align:left;padding-right:2rem;font-weight:600}img{max-width:100%;margin-top:1rem}"

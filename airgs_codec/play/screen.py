@@ -73,14 +73,16 @@ def _pictures(
 
 
 def still(package: Package, log: SessionLog, camera: Camera) -> NDArray[np.uint8]:
-    """(H, W, 3) the first frame of the best and of the worst segment shown, side by side, from one camera."""
-    measured = [s for s in log.shown if s.psnr is not None] or list(log.shown)
-    ranked = sorted(measured, key=lambda s: -(s.psnr or 0.0))
+    """(H, W, 3) the first frame of the worst segment shown: at the package's best rung, and as it was shown."""
+    m = log.manifest
+    worst = min(log.shown, key=lambda s: s.psnr if s.psnr is not None else -s.level)
     pictures = []
-    for s in (ranked[0], ranked[-1]):
-        base = decode_canonical(package, package.manifest.segments[s.segment].group, s.quality)
-        gaussians = next(decode_segment(package, s.segment, base, s.level, 0, 1))
-        name = f"{log.manifest.qualities[s.quality].id} + {log.manifest.levels[s.level].id}"
-        text = name if s.psnr is None else f"{name}  {s.psnr:.1f} dB"
+    for what, quality, level in (("best", 0, 0), ("worst shown", worst.quality, worst.level)):
+        segment = m.segments[worst.segment]
+        base = decode_canonical(package, segment.group, quality)
+        gaussians = next(decode_segment(package, worst.segment, base, level, 0, 1))
+        text = f"{what}: {m.qualities[quality].id} + {m.levels[level].id}"
+        if segment.levels[level].psnr:
+            text += f"  {segment.levels[level].psnr[quality]:.1f} dB"
         pictures.append(label(to_bytes(render(gaussians, camera).rgb), text))
     return np.concatenate(pictures, axis=1)

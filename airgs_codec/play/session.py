@@ -1,8 +1,9 @@
 """A viewer over a link: requests, arrivals, choices, stalls. Event-driven, deterministic, no clock.
 
-One batch is on the way at a time. Per segment in display order: the key units of its group if the group is new (all
-tiers, in tier order), then the state segment. The sequence may be played `loops` times, as if it were longer: keys and
-states are fetched again, init segments and manifests are not. Times are seconds from the first request.
+One batch is on the way at a time: a state segment, and before it in the same batch the key units of its group (all
+tiers, in tier order) where the group begins. Key quality and level of such a batch are chosen together. The sequence
+may be played `loops` times, as if it were longer: keys and states are fetched again, init segments and manifests are
+not. Times are seconds from the first request.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,7 +40,7 @@ class SessionSettings:
 class Fetch:
     """One batch on the wire."""
 
-    kind: str  # manifests, key, state
+    kind: str  # manifests, group (key units and state), state
     segment: int  # position in the session, counted over loops
     bytes: int
     request_s: float
@@ -127,10 +128,11 @@ def simulate(manifest: Manifest, manifest_bytes: int, link: Link, settings: Sess
     for position, (loop, index) in enumerate(_positions(m, loops)):
         segment = m.segments[index]
         _wait_for_room(player, float((segment.stop - segment.start) / m.fps))
-        if (loop, segment.group) != group:
-            group = (loop, segment.group)
-            quality = _fetch_key(player, position, index)
-        level = _fetch_state(player, position, index, quality)
+        begins = (loop, segment.group) != group
+        group = (loop, segment.group)
+        quality, level = _fetch_segment(
+            player, position, index, range(len(m.qualities)) if begins else [quality], begins
+        )
         _show(player, loop, index, quality, level)
     return SessionLog(m, link, settings, tuple(player.fetches), tuple(player.shown), dict(player.bytes_by_kind))
 
@@ -154,63 +156,56 @@ def _wait_for_room(player: _Player, segment_s: float) -> None:
         ahead += length
 
 
-def _state(player: _Player, index: int, files: int, options: list[Point]) -> PlayerState:
-    segment = player.manifest.segments[index]
-    length = float((segment.stop - segment.start) / player.manifest.fps)
-    deadline = player.end_s() - player.settings.decode_frame_s
-    return PlayerState(player.now_s, deadline, length, player.link.rtt_s, tuple(player.history), files, tuple(options))
+def _fetch_segment(
+    player: _Player, position: int, index: int, qualities: Iterable[int], begins: bool
+) -> tuple[int, int]:
+    """Choose among the rungs with those key qualities and fetch; gives key quality and level.
 
-
-def _choose(player: _Player, state: PlayerState, fixed: int) -> Decision:
-    return choose_paper(state) if player.settings.policy == "paper" else choose_fixed(state, fixed)
-
-
-def _fetch_key(player: _Player, position: int, index: int) -> int:
-    """Choose a rung for the group by its first segment, fetch its key units; gives the key quality."""
+    `begins`: the segment is the first of its group, so that the batch has the group's key units.
+    """
     m, s = player.manifest, player.manifest.segments[index]
-    options: list[Point] = []
-    pairs: list[tuple[int, list[str]]] = []
-    for q in range(len(m.qualities)):
-        files = [path for t in range(m.tier_count) for path in m.key_files(s.group, t, q)]
-        for j, level in enumerate(m.levels):
-            size = m.bytes_of(files) + m.bytes_of(m.state_files(index, j))
-            measured = s.levels[j].psnr
-            options.append(Point(len(options), size, measured[q] if measured else 0.0, level.pruned))
-            pairs.append((q, files))
-    state = _state(player, index, len(pairs[0][1]) + 2, options)
-    decision = _choose(player, state, player.settings.fixed_level)
-    quality, files = pairs[decision.level]
-    inits = [path for path in m.init_files(quality, 0) if path.startswith("key/")]
-    _fetch_files(player, "key", position, inits, files, decision, budget_bytes(state))
-    return quality
-
-
-def _fetch_state(player: _Player, position: int, index: int, quality: int) -> int:
-    """Choose a level for the segment and fetch it; gives the level."""
-    m, s = player.manifest, player.manifest.segments[index]
-    options = []
-    for j, level in enumerate(m.levels):
-        measured = s.levels[j].psnr
-        size = m.bytes_of(m.state_files(index, j))
-        options.append(Point(j, size, measured[quality] if measured else 0.0, level.pruned))
-    state = _state(player, index, 2, options)
-    decision = _choose(player, state, player.settings.fixed_level)
-    files = m.state_files(index, decision.level)
-    if files:  # nothing moves in this segment: the canonical space is at hand
-        inits = [path for path in m.init_files(0, decision.level) if path.startswith("state/")]
-        _fetch_files(player, "state", position, inits, files, decision, budget_bytes(state))
-    return decision.level
+    rungs = [(q, j) for q in qualities for j in range(len(m.levels))]
+    batches = []
+    for q, j in rungs:
+        keys = [path for t in range(m.tier_count) for path in m.key_files(s.group, t, q)] if begins else []
+        batches.append(keys + m.state_files(index, j))
+    measured = [s.levels[j].psnr[q] if s.levels[j].psnr else 0.0 for q, j in rungs]
+    options = tuple(Point(i, m.bytes_of(batches[i]), measured[i], m.levels[j].pruned) for i, (_, j) in enumerate(rungs))
+    state = PlayerState(
+        now_s=player.now_s,
+        deadline_s=player.end_s() - player.settings.decode_frame_s,
+        segment_s=float((s.stop - s.start) / m.fps),
+        rtt_s=player.link.rtt_s,
+        history=tuple(player.history),
+        files=max(len(batch) for batch in batches),
+        options=options,
+    )
+    fixed = rungs.index((rungs[0][0], player.settings.fixed_level))
+    decision = choose_paper(state) if player.settings.policy == "paper" else choose_fixed(state, fixed)
+    quality, level = rungs[decision.level]
+    if batches[decision.level]:  # else nothing moves in this segment: the canonical space is at hand
+        kind = "group" if begins else "state"
+        _fetch_files(player, kind, position, (quality, level), batches[decision.level], decision, budget_bytes(state))
+    return quality, level
 
 
 def _fetch_files(
-    player: _Player, kind: str, position: int, inits: list[str], files: list[str], decision: Decision, budget: float
+    player: _Player,
+    kind: str,
+    position: int,
+    rung: tuple[int, int],
+    files: list[str],
+    decision: Decision,
+    budget: float,
 ) -> None:
+    folders = {path.rpartition("/")[0] for path in files}
+    inits = [path for path in player.manifest.init_files(*rung) if path.rpartition("/")[0] in folders]
     new = [path for path in inits if path not in player.fetched_once]
     player.fetched_once.update(new)
     sizes = player.manifest.files
     player.count("init", sum(sizes[path].bytes for path in new))
     for path in files:
-        player.count("sidecars" if path.endswith(".bin") else kind, sizes[path].bytes)
+        player.count("sidecars" if path.endswith(".bin") else path.split("/")[0], sizes[path].bytes)
     player.fetch(kind, position, [sizes[path].bytes for path in new + files], decision, budget)
 
 
