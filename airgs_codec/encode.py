@@ -280,7 +280,7 @@ def _code_states(
     """
     values = space.state_channels([frame.take(plan.rows) for frame in frames], base, plan.state_steps)
     steps = space.state_steps(plan.state_steps, base.colours.shape[1])
-    plan.depths = _depths(values, steps, plan.score, settings)
+    plan.depths = _depths(values - values[plan.canonical - plan.start], steps, plan.score, settings)
     fetched = [[False] * len(settings.levels) for _ in spans]
     for level, (_, factor) in enumerate(settings.levels):
         rows = (plan.depths != STATIC) & (plan.depths >= level)
@@ -304,13 +304,16 @@ def _code_states(
 
 
 def _depths(
-    values: NDArray[np.float64], steps: NDArray[np.float64], score: NDArray[np.float64], settings: EncodeSettings
+    changes: NDArray[np.float64], steps: NDArray[np.float64], score: NDArray[np.float64], settings: EncodeSettings
 ) -> NDArray[np.uint8]:
-    """Rows ranked by usage x size of the change, in steps (root mean square over the group's frames)."""
-    scaled = values / steps[:, None]
+    """Rows ranked by usage x size of their change since the canonical frame (root mean square over frames, in steps).
+
+    A row that never changes by more than half a step is static: its state would only add coding noise to the key.
+    """
+    scaled = changes / steps[:, None]
     moving = np.abs(scaled).max(axis=(0, 1)) > 0.5
-    change = np.sqrt(np.einsum("tcn,tcn->n", scaled, scaled) / len(values))
-    return assign_depths(score * change, moving, [share for share, _ in settings.levels])
+    size = np.sqrt(np.einsum("tcn,tcn->n", scaled, scaled) / len(changes))
+    return assign_depths(score * size, moving, [share for share, _ in settings.levels])
 
 
 def _encode_states(

@@ -1,0 +1,30 @@
+"""Old bytes decode to what they always did: decoding is pinned at the integer codes, encoder bytes are not."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from airgs_codec import escapes
+from airgs_codec.package import open_package
+from tools.make_golden import digests
+
+GOLDEN = Path(__file__).parent / "golden"
+CASES = sorted(path.stem for path in GOLDEN.glob("*.json"))
+
+
+def test_the_corpus_is_not_empty():
+    assert len(CASES) >= 2
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_decodes_to_the_recorded_codes(case):
+    recorded = json.loads((GOLDEN / f"{case}.json").read_text())
+    assert len(recorded) > 10
+    assert digests(open_package(GOLDEN / case)) == recorded
+
+
+def test_the_corpus_has_escapes():
+    package = open_package(GOLDEN / "fox-fine")
+    payload = escapes.inflate(package.read("state/L0/1.bin"), 1 << 24, "x")
+    assert int.from_bytes(payload[:4], "little") > 0

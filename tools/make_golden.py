@@ -1,0 +1,77 @@
+"""Write tests/golden: small packages, and the digests of the codes they decode to.
+
+    python tools/make_golden.py
+
+Run it only when the byte format changes: the digests say what every later decoder must read from these bytes.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+
+from airgs_codec.author import author_package
+from airgs_codec.decode import decode_key, decode_state
+from airgs_codec.package import Package, open_package
+from airgs_codec.ply import write_ply
+from airgs_codec.sequence import open_sequence
+from airgs_codec.settings import EncodeSettings, StepSettings
+
+GOLDEN = Path(__file__).parent.parent / "tests" / "golden"
+FOX = Path(__file__).parent.parent / "tests" / "data" / "fox"
+ROWS = 700  # Gaussians kept of the embedded scene
+
+
+def digest(codes: np.ndarray) -> str:
+    """SHA-256 of codes as little-endian int32, row by row."""
+    return sha256(np.ascontiguousarray(codes, "<i4").tobytes()).hexdigest()
+
+
+def digests(package: Package) -> dict[str, str]:
+    """Digest of the codes of every key unit and every frame of every state segment."""
+    m = package.manifest
+    out = {}
+    for g, group in enumerate(m.groups):
+        for t, tier in enumerate(group.tiers):
+            for q in range(len(m.qualities) if tier.number else 0):
+                codes, sidecar = decode_key(package, g, t, q)
+                out[f"group {g} T{t} Q{q}"] = digest(codes)
+                out[f"group {g} T{t} means"] = sha256(sidecar.codes.astype("<u8").tobytes()).hexdigest()
+                out[f"group {g} T{t} depths"] = sha256(sidecar.depths.tobytes()).hexdigest()
+    for s, segment in enumerate(m.segments):
+        for j, level in enumerate(segment.levels):
+            for f, codes in enumerate(
+                decode_state(package, s, j, 0, segment.stop - segment.start) if level.number else []
+            ):
+                out[f"segment {s} L{j} frame {f}"] = digest(codes)
+    return out
+
+
+def main() -> None:
+    """Write the corpus anew."""
+    shutil.rmtree(GOLDEN, ignore_errors=True)
+    GOLDEN.mkdir()
+    source = open_sequence(FOX)
+    fine = StepSettings(grid=0.05)
+    cases = {
+        "fox": (range(3, 7), EncodeSettings(levels=((0.0, 1.0), (0.5, 2.0)))),
+        "fox-fine": (range(5, 8), EncodeSettings(levels=((0.0, 1.0),), key_factors=(1.0,), quality=0.1, steps=fine)),
+    }
+    for name, (frames, settings) in cases.items():
+        with tempfile.TemporaryDirectory() as folder:
+            rows = np.linspace(0, 4999, ROWS).astype(int)
+            for number, frame in enumerate(frames):
+                write_ply(Path(folder) / f"{number:06d}.ply", source.read(frame).take(rows))
+            (Path(folder) / "sequence.json").write_text(json.dumps({"fps": 24, "keyframes": [0, 2]}))
+            author_package(open_sequence(Path(folder)), GOLDEN / name, settings)
+        table = json.dumps(digests(open_package(GOLDEN / name)), indent=1)
+        (GOLDEN / f"{name}.json").write_text(table + "\n")
+
+
+if __name__ == "__main__":
+    main()
