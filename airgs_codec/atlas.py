@@ -71,7 +71,7 @@ def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) 
 def extract(picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
     """(height, width) picture -> (P, N) samples."""
     index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), picture.shape[1])
-    return np.ascontiguousarray(picture).reshape(-1).take(index)
+    return np.ascontiguousarray(picture).ravel().take(index)
 
 
 def read_codes(picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32]) -> NDArray[np.int32]:

@@ -26,7 +26,7 @@ class Canonical:
     """Decoded canonical space; rows in file order."""
 
     means: NDArray[np.float64]  # (N, 3) world units, on the grid
-    size_roots: NDArray[np.float64]  # (N,) sqrt(world units)
+    size_roots: NDArray[np.float32]  # (N,) sqrt(world units)
     quaternions: NDArray[np.float32]  # (N, 4) unit
     log_scales: NDArray[np.float32]  # (N, 3)
     opacity: NDArray[np.float32]  # (N,) may leave [0, 1] by coding error
@@ -133,26 +133,47 @@ def _fill_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> No
         channels[t][np.ix_(others, rows)] = last
 
 
-def apply_state(
-    base: Canonical, rows: NDArray[np.intp], channels: NDArray[np.float32], steps: StateSteps, moves: bool, colour: bool
-) -> Gaussians:
-    """The frame that (10 + C, n) decoded state channels of `rows` make of the canonical space.
+@dataclass(frozen=True, slots=True, eq=False)
+class LevelRows:
+    """The rows of a level, with what their states are applied to; made once a segment."""
 
-    `moves`: some rotation channel is not zero; `colour`: some colour channel is not zero (both only save work).
+    base: Canonical
+    rows: NDArray[np.intp]  # (n,)
+    size_roots: NDArray[np.float32]  # (n,)
+    quaternions: NDArray[np.float32]  # (n, 4)
+    colour_steps: NDArray[np.float32]  # (C,)
+    transform: NDArray[np.float32]  # (C, C)
+    turns: bool  # some rotation channel is not zero; these two only save work
+    coloured: bool  # some colour channel is not zero
+
+    @staticmethod
+    def of(base: Canonical, rows: NDArray[np.intp], steps: StateSteps, turns: bool, coloured: bool) -> LevelRows:
+        """Gather the rows."""
+        scale = tf.colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1]).astype(np.float32)
+        transform = base.transform.astype(np.float32)
+        return LevelRows(base, rows, base.size_roots[rows], base.quaternions[rows], scale, transform, turns, coloured)
+
+
+def apply_state(level: LevelRows, channels: NDArray[np.float32]) -> Gaussians:
+    """The frame that decoded state channels (10 + C, n) make of the canonical space.
+
+    Columns are scattered one by one: twice as fast in numpy as rows.
     """
+    base, rows = level.base, level.rows
     means, log_scales, opacity = base.means.copy(), base.log_scales.copy(), base.opacity.copy()
     quaternions, colours = base.quaternions, base.colours
-    means[rows] += channels[0:3].T * base.size_roots[rows, None]
-    log_scales[rows] += channels[3:6].T
+    shifts = channels[0:3] * level.size_roots
+    for axis in range(3):
+        means[rows, axis] += shifts[axis]
+        log_scales[rows, axis] += channels[3 + axis]
     opacity[rows] += channels[9]
-    if moves:
+    if level.turns:
         quaternions = quaternions.copy()
         turn = tf.from_rotation_vector(np.ascontiguousarray(channels[6:9].T))
-        quaternions[rows] = tf.multiply(turn, base.quaternions[rows])
-    if colour:
+        quaternions[rows] = tf.multiply(turn, level.quaternions)
+    if level.coloured:
         colours = colours.copy()
-        scale = tf.colour_steps(steps.sh_dc, steps.sh_rest, colours.shape[1]).astype(np.float32)
-        colours[rows] += tf.from_klt(channels[STATE_FIXED:].T, base.transform.astype(np.float32)) * scale
+        colours[rows] += tf.from_klt(channels[STATE_FIXED:].T, level.transform) * level.colour_steps
     return finish(means, quaternions, log_scales, opacity, colours)
 
 

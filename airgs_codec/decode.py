@@ -144,11 +144,11 @@ def decode_segment(
         detail = f"the sidecars give {len(rows)} rows, airgs.json {atlas.rows}"
         raise FormatError("count_mismatch", files[0], detail)
     steps = space.state_steps(group.state_steps, m.colour_channels) * m.levels[level].factor
-    turns = _varies(atlas, 6, 9)
-    coloured = _varies(atlas, space.STATE_FIXED, len(atlas.centres))
+    turns, coloured = _varies(atlas, 6, 9), _varies(atlas, space.STATE_FIXED, len(atlas.centres))
+    carried = space.LevelRows.of(base, rows, group.state_steps, turns, coloured)
     for codes in decode_state(package, index, level, first, last):
         channels = from_codes(codes[:, : len(rows)], steps, m.state_gain)
-        yield space.apply_state(base, rows, channels, group.state_steps, turns, coloured)
+        yield space.apply_state(carried, channels)
 
 
 def _varies(atlas: Atlas, start: int, stop: int) -> bool:

@@ -70,9 +70,9 @@ def size_classes(log_scales: Floats) -> NDArray[np.int16]:
     return np.clip(np.rint(2 * log_scales.astype(np.float64).mean(axis=1) / np.log(2)), -128, 127).astype(np.int16)
 
 
-def size_roots(classes: NDArray[np.int16]) -> NDArray[np.float64]:
+def size_roots(classes: NDArray[np.int16]) -> NDArray[np.float32]:
     """(N,) class -> sqrt(2^(c/2)), the unit of a row's displacement in sqrt(world units)."""
-    return np.exp2(classes.astype(np.float64) / 4)
+    return np.exp2(classes.astype(np.float32) / 4)
 
 
 def colours(sh_dc: Floats, sh_rest: Floats) -> Floats:

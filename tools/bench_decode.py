@@ -1,0 +1,77 @@
+"""Time to decode a package against PyAV decoding the same H.264 bytes alone, side by side in one run.
+
+    python tools/bench_decode.py PACKAGE [--repeat 15]
+
+`sequence`: all frames in order, a frame; `random`: one frame of a freshly opened package, all key tiers. Medians, ms.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from airgs_codec.decode import decode_frame, decode_frames
+from airgs_codec.manifest import key_init_path, state_init_path
+from airgs_codec.package import Package, open_package
+from airgs_codec.video import decode_clip, library_versions
+
+
+def video_alone(package: Package, groups: list[int], segments: list[int], stop: int | None = None) -> None:
+    """Decode the pictures of the top rung and nothing else; `stop` pictures of a segment."""
+    m = package.manifest
+    for g in groups:
+        for t, tier in enumerate(m.groups[g].tiers):
+            if tier.number:
+                path = m.key_files(g, t, 0)[0]
+                for _ in decode_clip(package.read(key_init_path(t, 0)), package.read(path), path):
+                    pass
+    for s in segments:
+        path = m.state_files(s, 0)[0]
+        for i, _ in enumerate(decode_clip(package.read(state_init_path(0)), package.read(path), path), 1):
+            if i == stop:
+                break
+
+
+def median_ms(work: Callable[[], object], repeat: int) -> float:
+    """Median of `repeat` runs after one to warm up."""
+    work()
+    times = []
+    for _ in range(repeat):
+        began = time.perf_counter()
+        work()
+        times.append(1e3 * (time.perf_counter() - began))
+    return statistics.median(times)
+
+
+def main() -> None:
+    """Print the figures as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("package", type=Path)
+    parser.add_argument("--repeat", type=int, default=15)
+    args = parser.parse_args()
+    package = open_package(args.package)
+    m = package.manifest
+    frame = m.frames // 2 + (m.segments[0].stop - m.segments[0].start) // 2
+    index = m.segment_at(frame)
+    segment = m.segments[index]
+    inside = frame - segment.start + 1
+    everything = list(range(len(m.groups))), list(range(len(m.segments)))
+    figures = {
+        "sequence": median_ms(lambda: list(decode_frames(package, 0, m.frames)), args.repeat) / m.frames,
+        "sequence_video_alone": median_ms(lambda: video_alone(package, *everything), args.repeat) / m.frames,
+        "random": median_ms(lambda: decode_frame(package, frame), args.repeat),
+        "random_video_alone": median_ms(lambda: video_alone(package, [segment.group], [index], inside), args.repeat),
+    }
+    figures["sequence_ratio"] = figures["sequence"] / figures["sequence_video_alone"]
+    figures["random_ratio"] = figures["random"] / figures["random_video_alone"]
+    machine = {"machine": platform.processor() or platform.machine(), "python": platform.python_version()}
+    print(json.dumps({"random_frame": frame, **figures, **machine, **library_versions()}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
