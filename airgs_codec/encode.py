@@ -276,11 +276,12 @@ def _code_states(
 ) -> list[list[bool]]:
     """Depths, and for every level its atlas, samples and escapes (left in `scratch`).
 
-    Gives segment x level: whether anything there leaves the canonical space by more than half a step.
+    Gives segment x level: whether anything there differs from the canonical frame by more than half a step.
     """
     values = space.state_channels([frame.take(plan.rows) for frame in frames], base, plan.state_steps)
     steps = space.state_steps(plan.state_steps, base.colours.shape[1])
-    plan.depths = _depths(values - values[plan.canonical - plan.start], steps, plan.score, settings)
+    changes = (values - values[plan.canonical - plan.start]) / steps[:, None]
+    plan.depths = _depths(changes, plan.score, settings)
     fetched = [[False] * len(settings.levels) for _ in spans]
     for level, (_, factor) in enumerate(settings.levels):
         rows = (plan.depths != STATIC) & (plan.depths >= level)
@@ -296,23 +297,22 @@ def _code_states(
         samples = np.empty(centred.shape, np.uint8)
         for s, (start, stop) in enumerate(spans):
             part = slice(start - plan.start, stop - plan.start)
-            fetched[s][level] = bool((np.abs(codes[part]) > gain / 2).any())
+            fetched[s][level] = bool((np.abs(changes[part][:, :, rows]) > factor / 2).any())
             samples[part], bases = escapes.split(centred[part])
             _escapes_path(scratch, group, level, s).write_bytes(escapes.deflate([escapes.pack(bases)]))
         np.save(_samples_path(scratch, group, level), samples)
     return fetched
 
 
-def _depths(
-    changes: NDArray[np.float64], steps: NDArray[np.float64], score: NDArray[np.float64], settings: EncodeSettings
-) -> NDArray[np.uint8]:
-    """Rows ranked by usage x size of their change since the canonical frame (root mean square over frames, in steps).
+def _depths(changes: NDArray[np.float64], score: NDArray[np.float64], settings: EncodeSettings) -> NDArray[np.uint8]:
+    """Rows ranked by usage x size of their change since the canonical frame (root mean square over frames).
+
+    changes (T, 10 + C, N) in steps.
 
     A row that never changes by more than half a step is static: its state would only add coding noise to the key.
     """
-    scaled = changes / steps[:, None]
-    moving = np.abs(scaled).max(axis=(0, 1)) > 0.5
-    size = np.sqrt(np.einsum("tcn,tcn->n", scaled, scaled) / len(changes))
+    moving = np.abs(changes).max(axis=(0, 1)) > 0.5
+    size = np.sqrt(np.einsum("tcn,tcn->n", changes, changes) / len(changes))
     return assign_depths(score * size, moving, [share for share, _ in settings.levels])
 
 
