@@ -15,15 +15,21 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
 def run_command(name: str, work: Callable[[], int]) -> int:
-    """Exit status of a command: an AirgsError is one line on stderr and 2, a bug keeps its traceback."""
+    """Exit status of a command: bad input or a failing disk is one line on stderr and 2, a bug keeps its traceback."""
     try:
         return work()
     except AirgsError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print(f"{name}: stopped", file=sys.stderr)
+        return 130
     except BrokenPipeError:  # the reader of our output has gone, `| head` for one
         sys.stderr.close()
         return 0
+    except OSError as error:
+        print(f"{name}: {error.filename or 'file system'}: {error.strerror or error}", file=sys.stderr)
+        return 2
 
 
 class Bar:
