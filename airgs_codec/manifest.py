@@ -372,11 +372,11 @@ def _expect(data: Any, kind: type | tuple[type, ...], where: str) -> Any:
 
 
 def _check(m: Manifest) -> None:
-    """Counts, ranges and cross references of a parsed manifest."""
+    """Counts, ranges and cross references of a parsed manifest, each relying on those before."""
+    _check_shapes(m)
     for where, value, low, high in _ranges(m):
         if not low <= value <= high:
             raise FormatError("bad_value", f"{JSON_NAME}.{where}", f"expected {low} to {high}, got {value}")
-    _check_ids(m)
     _check_cover(m)
     for path, entry in m.files.items():
         if not _PATH.fullmatch(path):
@@ -394,7 +394,6 @@ def _ranges(m: Manifest) -> Iterator[tuple[str, float, float, float]]:
     yield "timescale", m.timescale, 1, 1 << 31
     for i, v in enumerate(m.frame_rate):
         yield f"frame_rate[{i}]", v, 1, 1 << 31
-    yield "frame_rate", len(m.frame_rate), 2, 2
     for name in ("key_gain", "state_gain"):
         yield name, getattr(m, name), 1e-3, 128
     for name in ("qualities", "levels", "key_pictures"):
@@ -452,10 +451,12 @@ def _atlas_ranges(
         yield f"{where} height", height, 16, picture.height
 
 
-def _check_ids(m: Manifest) -> None:
+def _check_shapes(m: Manifest) -> None:
+    """Ids, and lists that must be of the same length."""
     shapes = [
         ("qualities", [q.id for q in m.qualities], [f"Q{i}" for i in range(len(m.qualities))]),
         ("levels", [v.id for v in m.levels], [f"L{i}" for i in range(len(m.levels))]),
+        ("frame_rate", [len(m.frame_rate)], [2]),
         ("key_pictures", [len(row) for row in m.key_pictures], [len(m.qualities)] * m.tier_count),
         ("state_pictures", [len(m.state_pictures)], [len(m.levels)]),
         *((f"groups[{g}].tiers", [len(group.tiers)], [m.tier_count]) for g, group in enumerate(m.groups)),
@@ -472,12 +473,12 @@ def _check_ids(m: Manifest) -> None:
             raise FormatError("bad_value", f"{JSON_NAME}.{where}", f"expected {expected}, got {got}")
     if m.views.source not in ("given", "generated") or m.views.reference not in ("original", "none"):
         raise FormatError("bad_value", f"{JSON_NAME}.views", f"unknown source or reference: {m.views}")
-    if m.timescale * m.frame_rate[1] % m.frame_rate[0]:
-        raise FormatError("bad_value", f"{JSON_NAME}.timescale", "a frame is not a whole number of ticks")
 
 
 def _check_cover(m: Manifest) -> None:
-    """Groups cover 0..frames without gap or overlap, and segments cover each group."""
+    """Groups cover 0..frames without gap or overlap, segments cover each group, a frame is a whole number of ticks."""
+    if m.timescale * m.frame_rate[1] % m.frame_rate[0]:
+        raise FormatError("bad_value", f"{JSON_NAME}.timescale", "a frame is not a whole number of ticks")
     for name, spans in (("groups", m.groups), ("segments", m.segments)):
         stop = 0
         for i, span in enumerate(typing.cast("list[Group | Segment]", spans)):

@@ -53,8 +53,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(args: argparse.Namespace) -> int:
     package = open_package(args.package)
     policy, level = parse_policy(args.policy, len(package.manifest.levels))
-    if args.rtt < 0:
-        raise ConfigError(f"--rtt: expected 0 or more ms, got {args.rtt:g}")
     link = Link(read_trace(args.trace).cut(args.offset, args.scale), args.rtt / 1e3)
     settings = SessionSettings(policy, level, args.buffer, loops=args.loops)
     log = simulate(package.manifest, package.manifest_bytes, link, settings)

@@ -22,6 +22,7 @@ from airgs_codec.play.link import Link
 from airgs_codec.play.policy import Download, PlayerState, budget_bytes, choose_fixed, choose_paper, estimate_throughput
 from airgs_codec.play.select import Decision, Point
 
+SHORTEST_S = 1e-9  # a download that rounds to no time still has a rate
 SESSION_S = 30.0  # what `loops` aims at when it is not given
 
 
@@ -102,9 +103,8 @@ class _Player:
         arrival = self.link.arrival_s(sizes, self.now_s)
         estimate = estimate_throughput(self.history)
         self.fetches.append(Fetch(kind, position, wire, self.now_s, arrival, budget, estimate, decision.reason))
-        seconds = arrival - self.now_s - self.link.rtt_s
-        if seconds > 0:
-            self.history.append(Download(wire, seconds))
+        seconds = max(arrival - self.now_s - self.link.rtt_s, SHORTEST_S)
+        self.history.append(Download(wire, seconds))
         self.now_s = arrival
 
     def count(self, kind: str, size: int) -> None:
@@ -115,10 +115,7 @@ class _Player:
 def simulate(manifest: Manifest, manifest_bytes: int, link: Link, settings: SessionSettings) -> SessionLog:
     """Play the package once over the link. Raises ConfigError for settings that cannot work."""
     m = manifest
-    if settings.policy == "paper" and m.views.reference == "none":
-        raise ConfigError("policy paper: the package has no measured quality, encode it without --measure-frames 0")
-    if settings.buffer_s <= 0 or settings.decode_frame_s < 0 or (settings.loops or 1) < 1:
-        raise ConfigError(f"expected a positive buffer and at least one loop, got {settings}")
+    _check(m, link, settings)
     player = _Player(m, link, settings)
     player.fetch("manifests", 0, [manifest_bytes], Decision(0, True, "start", manifest_bytes), 0.0)
     player.count("manifests", manifest_bytes)
@@ -135,6 +132,22 @@ def simulate(manifest: Manifest, manifest_bytes: int, link: Link, settings: Sess
         )
         _show(player, loop, index, quality, level)
     return SessionLog(m, link, settings, tuple(player.fetches), tuple(player.shown), dict(player.bytes_by_kind))
+
+
+def _check(m: Manifest, link: Link, settings: SessionSettings) -> None:
+    measured = all(level.psnr for segment in m.segments for level in segment.levels)
+    if settings.policy == "paper" and not measured:
+        raise ConfigError("policy paper: the package has no measured quality, encode it without --measure-frames 0")
+    if not 0 <= settings.fixed_level < len(m.levels):
+        raise ConfigError(f"level: expected 0 to {len(m.levels) - 1}, got {settings.fixed_level}")
+    if not 0 < settings.buffer_s < math.inf:
+        raise ConfigError(f"buffer: expected more than 0 s, got {settings.buffer_s:g}")
+    if not 0 <= settings.decode_frame_s <= 1 / m.fps:
+        raise ConfigError(f"decoding: expected 0 s to the {float(1 / m.fps):g} s a frame is shown, got {settings}")
+    if settings.loops is not None and settings.loops < 1:
+        raise ConfigError(f"loops: expected at least 1, got {settings.loops}")
+    if not 0 <= link.rtt_s < math.inf:
+        raise ConfigError(f"round trip: expected 0 s or more, got {link.rtt_s:g}")
 
 
 def _positions(m: Manifest, loops: int) -> Iterator[tuple[int, int]]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import TransportError
 
 MAHIMAHI_PACKET_BYTES = 1500  # one delivery opportunity
+MAHIMAHI_MAX_MS = 86_400_000  # a day; a file with larger numbers is something else
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +87,7 @@ def read_trace(path: Path) -> Trace:
     Raises TransportError for a file that is none of these, is empty, or carries nothing.
     """
     try:
-        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.strip()]
+        lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise TransportError(f"{path}: cannot read the trace: {error}") from error
     if not lines:
@@ -107,15 +108,16 @@ def _read_raca(name: str, lines: Sequence[str]) -> Trace:
 
     Rows of one second are averaged, '-' is no reading, a skipped second keeps the last rate.
     """
-    seconds: dict[float, list[float]] = {}
+    seconds: dict[datetime, list[float]] = {}
     for row in csv.DictReader(lines):
         if row["DL_bitrate"] not in ("-", "", None):
-            stamp = datetime.strptime(row["Timestamp"], "%Y.%m.%d_%H.%M.%S").timestamp()
+            stamp = datetime.strptime(row["Timestamp"], "%Y.%m.%d_%H.%M.%S")
             seconds.setdefault(stamp, []).append(1e3 * float(row["DL_bitrate"]))
     if not seconds:
         raise ValueError("no DL_bitrate readings")
     stamps = sorted(seconds)
-    return _trace(name, [s - stamps[0] for s in stamps], [float(np.mean(seconds[s])) for s in stamps], 1.0)
+    times = [(s - stamps[0]).total_seconds() for s in stamps]  # naive: a time zone's summer time must not matter
+    return _trace(name, times, [float(np.mean(seconds[s])) for s in stamps], 1.0)
 
 
 def _read_plain(name: str, lines: Sequence[str]) -> Trace:
@@ -124,6 +126,8 @@ def _read_plain(name: str, lines: Sequence[str]) -> Trace:
         rows = rows[1:]
     if not rows:
         raise ValueError("no rows after the header")
+    if short := next((line for line, row in zip(lines[-len(rows) :], rows, strict=True) if len(row) < 2), None):
+        raise ValueError(f"no rate in {short[:40]!r}")
     times = [float(row[0]) for row in rows]
     last = times[-1] - times[-2] if len(times) > 1 else 1.0
     return _trace(name, [t - times[0] for t in times], [1e6 * float(row[1]) for row in rows], last)
@@ -141,9 +145,13 @@ def _read_mahimahi(name: str, times_ms: Sequence[int]) -> Trace:
     """Each line is a chance to deliver one packet in the millisecond that ends there."""
     if any(b < a for a, b in pairwise(times_ms)):
         raise ValueError("times do not ascend")
-    counts = np.bincount(np.maximum(np.array(times_ms), 1) - 1)
-    rates = counts * MAHIMAHI_PACKET_BYTES * 8 * 1e3
-    return _trace(name, np.arange(len(rates)) / 1e3, rates, 1e-3)
+    if times_ms[-1] > MAHIMAHI_MAX_MS:
+        raise ValueError(f"a delivery after {times_ms[-1]} ms, more than a day")
+    busy, packets = np.unique(np.maximum(np.array(times_ms), 1) - 1, return_counts=True)
+    rates = dict.fromkeys([0, *(busy + 1).tolist()], 0.0)  # idle, but where the next line says otherwise
+    rates |= dict(zip(busy.tolist(), (packets * MAHIMAHI_PACKET_BYTES * 8 * 1e3).tolist(), strict=True))
+    starts = [ms for ms in sorted(rates) if ms <= busy[-1]]
+    return _trace(name, [ms / 1e3 for ms in starts], [rates[ms] for ms in starts], 1e-3)
 
 
 def _trace(name: str, starts: Iterable[float], rates: Iterable[float], last_s: float) -> Trace:

@@ -1,0 +1,169 @@
+"""Algorithm 1 of the paper: the cases it leaves undefined, and what must hold whatever the numbers."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.play.policy import Download, PlayerState, budget_bytes, choose_paper, estimate_throughput, parse_policy
+from airgs_codec.play.select import Decision, Ladder, Point, select
+
+
+def dense(*qualities: float, sizes: list[int] | None = None) -> list[Point]:
+    """Levels 10 % apart, 100 bytes apart unless sizes are given."""
+    sizes = sizes or [100 * (len(qualities) - i) for i in range(len(qualities))]
+    return [Point(i, sizes[i], q, 0.1 * i) for i, q in enumerate(qualities)]
+
+
+def kept(*qualities: float, **options: float) -> list[int]:
+    return [p.level for p in Ladder.build(dense(*qualities), **options).points]
+
+
+@pytest.mark.parametrize(
+    ("case", "levels", "expected"),
+    [
+        # a level that costs less and is no worse replaces the one above it, so a drop of 0 cannot come up
+        ("1: the first drop is 0", kept(40, 40, 39.9, 36), [1, 2]),
+        ("2: a plateau, then a drop", kept(40, 39, 39, 38, 30), [0, 2, 3]),
+        ("3: a first drop of 0.001 dB is no yardstick", kept(40, 39.999, 39.9, 39.8), [0, 1, 2, 3]),
+        ("4: quality rises when pruning", kept(38, 40, 39, 38), [1, 2, 3]),
+        ("5: the mean of the earlier drops, not the last one", kept(40, 39, 37.2, 34, 28), [0, 1, 2]),
+        ("5: a slow slide ends at the floor", kept(34, 32, 30, 28, 26, min_quality=29.0), [0, 1, 2]),
+        ("6: a cliff at the first level", kept(40, 36, 35), [0]),
+        ("6: no cliff there", kept(40, 38, 36), [0, 1, 2]),
+        ("10: one level", kept(40), [0]),
+        ("11: infinite quality counts as the cap", kept(math.inf, 99, 98), [0, 1, 2]),
+        ("16: level 0 has no privilege", kept(30, 35), [1]),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_undefined_cases_of_the_ladder(case, levels, expected):
+    assert levels == expected
+
+
+def test_sizes_that_do_not_fall_9():
+    points = dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300])
+    ladder = Ladder.build(points)
+    assert [p.level for p in ladder.points] == [0, 1, 3]
+    assert select(ladder, 500).level == 1
+
+
+@pytest.mark.parametrize("beta", [1.0, 0.5, 0.0, math.nan])
+def test_beta_must_exceed_one_6(beta):
+    with pytest.raises(ConfigError, match="more than 1"):
+        Ladder.build(dense(40, 39), beta=beta)
+
+
+def test_no_levels_10_and_nan_11():
+    with pytest.raises(ConfigError, match="at least one level"):
+        Ladder.build([])
+    with pytest.raises(ConfigError, match="level 1"):
+        Ladder.build(dense(40, math.nan))
+
+
+def test_nothing_fits_7_8():
+    for qualities in ((40, 39, 38, 20), (40, 39, 38)):  # with a cliff, without one
+        decision = select(Ladder.build(dense(*qualities)), 10)
+        assert decision.level == 2 and not decision.fits and "nothing fits" in decision.reason
+
+
+@pytest.mark.parametrize("budget", [math.nan, -1.0, -math.inf, 0.0])
+def test_budgets_that_are_none_12(budget):
+    decision = select(Ladder.build(dense(40, 39)), budget)
+    assert (decision.level, decision.fits) == (1, False)
+    assert "0 B" in decision.reason
+
+
+def test_a_level_that_sends_nothing_always_fits_14():
+    points = dense(40, 39, sizes=[100, 0])
+    assert select(Ladder.build(points), -5) == Decision(1, True, "0 B fit 0 B", 0)
+
+
+def test_units_13_and_keys_over_the_buffer_15():
+    """8 Mbit/s for half of the 10 s that are buffered, less one round trip, 90 % spent, less headers, in bytes."""
+    state = PlayerState(0.0, 10.0, 1.0, 0.1, (Download(1_000_000, 1.0),), files=2, options=tuple(dense(40, 39)))
+    assert budget_bytes(state) == pytest.approx(0.9 * 1_000_000 * 4.9 - 700)
+    assert budget_bytes(state) > 0.9 * 1_000_000 * 1.0  # what the paper's B / R over one segment would allow
+
+
+def test_the_package_ladder_has_no_second_cliff():
+    state = PlayerState(0.0, 0.0, 1.0, 0.0, (Download(320, 1.0),), files=0, options=tuple(dense(40, 39, 25, 24)))
+    assert choose_paper(state).level == 2  # 288 B: level 2 has 200
+
+
+def points_of(draw_sizes, draw_qualities):
+    return [Point(i, s, q, 0.1 * i) for i, (s, q) in enumerate(zip(draw_sizes, draw_qualities, strict=False))]
+
+
+points = st.builds(
+    points_of,
+    st.lists(st.integers(0, 10_000), min_size=1, max_size=12),
+    st.lists(st.floats(0, 120) | st.just(math.inf), min_size=12, max_size=12),
+)
+budgets = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(points=points, budget=budgets, beta=st.floats(1.01, 100))
+def test_selection_is_total_and_keeps_its_word(points, budget, beta):
+    ladder = Ladder.build(points, beta=beta)
+    decision = select(ladder, budget)
+    assert decision.level in [p.level for p in ladder.points]
+    usable = budget if budget > 0 else 0.0
+    assert decision.fits == any(p.size_bytes <= usable for p in ladder.points)
+    assert not decision.fits or decision.size_bytes <= usable
+    assert decision.size_bytes == points[decision.level].size_bytes
+
+
+@given(points=points)
+def test_ladders_fall_strictly(points):
+    rungs = Ladder.build(points, beta=math.inf, cliff_db=math.inf).points
+    for better, worse in zip(rungs, rungs[1:], strict=False):
+        assert better.size_bytes > worse.size_bytes and better.quality > worse.quality
+    for p in points:  # whatever was left out is beaten or equalled by something kept
+        assert any(r.size_bytes <= p.size_bytes and r.quality >= min(p.quality, 100) for r in rungs)
+
+
+@given(points=points, a=st.floats(0, 2e4), b=st.floats(0, 2e4))
+def test_more_budget_is_never_worse(points, a, b):
+    ladder = Ladder.build(points)
+    low, high = (select(ladder, x) for x in sorted((a, b)))
+    assert points[low.level].quality <= points[high.level].quality
+
+
+@given(points=points, budget=st.integers(0, 12_000))
+def test_without_a_cliff_it_is_the_best_that_fits(points, budget):
+    """The paper's ILP separates by frame: the optimum is the best quality among what fits."""
+    decision = select(Ladder.build(points, beta=math.inf, cliff_db=math.inf), budget)
+    fitting = [min(p.quality, 100.0) for p in points if p.size_bytes <= budget]
+    if fitting:
+        assert min(points[decision.level].quality, 100.0) == max(fitting)
+
+
+@given(points=points, budget=st.integers(0, 12_000), factor=st.sampled_from([2, 10, 1000]))
+def test_units_of_size_do_not_matter(points, budget, factor):
+    scaled = [Point(p.level, p.size_bytes * factor, p.quality, p.pruned) for p in points]
+    small, large = select(Ladder.build(points), budget), select(Ladder.build(scaled), budget * factor)
+    assert (small.level, small.fits) == (large.level, large.fits)
+
+
+def test_the_estimate_is_the_smaller_average():
+    assert estimate_throughput([]) == 0
+    assert estimate_throughput([Download(1000, 1.0)]) == pytest.approx(8000)
+    rising = [Download(1000, 5.0), Download(10_000, 5.0)]
+    falling = rising[::-1]
+    assert estimate_throughput(falling) < estimate_throughput(rising)
+    assert 1600 < estimate_throughput(falling) < 16_000
+    assert estimate_throughput([Download(1000, 1e-9)]) == pytest.approx(8e12)
+
+
+@pytest.mark.parametrize("text", ["", "paper:1", "fixed", "fixed:", "fixed:4", "fixed:-1", "fixed:1.5", "best"])
+def test_unknown_policies(text):
+    with pytest.raises(ConfigError, match="expected paper or fixed:0"):
+        parse_policy(text, 4)
+
+
+def test_known_policies():
+    assert parse_policy("paper", 4) == ("paper", 0)
+    assert parse_policy("fixed:3", 4) == ("fixed", 3)
