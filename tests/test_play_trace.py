@@ -93,7 +93,9 @@ def test_the_embedded_trace_is_read():
     assert t.duration_s > 300 and 1e6 < t.mean_bps < 50e6
 
 
-@pytest.mark.parametrize("text", ["time_s,mbps\n10,2\n12,4\n", "10,2\n12,4", "10 2\r\n12 4\r\n", "\ufefft,r\n10, 2\n12, 4\n\n"])
+@pytest.mark.parametrize(
+    "text", ["time_s,mbps\n10,2\n12,4\n", "10,2\n12,4", "10 2\r\n12 4\r\n", "\ufefft,r\n10, 2\n12, 4\n\n"]
+)
 def test_plain_csv(tmp_path, text):
     t = read_trace(written(tmp_path, text))
     assert (t.starts_s.tolist(), t.rates_bps.tolist(), t.duration_s) == ([0, 2], [2e6, 4e6], 4)
