@@ -1,5 +1,6 @@
 """Algorithm 1 of the paper: the cases it leaves undefined, and what must hold whatever the numbers."""
 
+import itertools
 import math
 
 import pytest
@@ -119,7 +120,7 @@ def test_selection_is_total_and_keeps_its_word(points, budget, beta):
 @given(points=points)
 def test_ladders_fall_strictly(points):
     rungs = Ladder.build(points, beta=math.inf, cliff_db=math.inf).points
-    for better, worse in zip(rungs, rungs[1:], strict=False):
+    for better, worse in itertools.pairwise(rungs):
         assert better.size_bytes > worse.size_bytes and better.quality > worse.quality
     for p in points:  # whatever was left out is beaten or equalled by something kept
         assert any(r.size_bytes <= p.size_bytes and r.quality >= min(p.quality, 100) for r in rungs)

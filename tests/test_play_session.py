@@ -36,7 +36,7 @@ def test_the_test_manifest_is_a_manifest(options):
 
 
 def test_a_session_by_hand():
-    """10,000 B/s: 1000 B of manifests, then 150 init + 4000 key + 2000 state + 300 sidecars, then the same less init."""
+    """10,000 B/s: 1000 B of manifests, then 150 init + 4000 key + 2000 state + 300 sidecars, and less init."""
     log = simulate(tiny_manifest(), 1000, link([8e4]), fixed(0))
     assert [(f.kind, f.bytes) for f in log.fetches] == [("manifests", 1000), ("group", 6450), ("group", 6300)]
     assert [f.arrival_s for f in log.fetches] == pytest.approx([0.1, 0.745, 1.375])
