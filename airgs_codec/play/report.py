@@ -35,12 +35,12 @@ def write_report(log: SessionLog, directory: Path) -> Path:
 
 
 def plot_session(log: SessionLog, path: Path) -> None:
-    """Five panels over time: throughput, rungs, buffer, PSNR on the screen, arrival of every frame."""
+    """Six panels over time: throughput, rungs, buffer, PSNR on the screen, arrival of every frame, time it took."""
     from matplotlib.figure import Figure  # half a second of imports, paid only for pictures
 
-    figure = Figure(figsize=(11, 14), layout="constrained")
-    axes = figure.subplots(5, 1, sharex=True)
-    for draw, axis in zip((_throughput, _rungs, _buffer, _psnr, _arrivals), axes, strict=True):
+    figure = Figure(figsize=(11, 16.5), layout="constrained")
+    axes = figure.subplots(6, 1, sharex=True)
+    for draw, axis in zip((_throughput, _rungs, _buffer, _psnr, _arrivals, _transfers), axes, strict=True):
         draw(axis, log)
         axis.grid(alpha=0.25)
         for s in log.shown:
@@ -67,6 +67,8 @@ def _throughput(axis: Any, log: SessionLog) -> None:
     sizes = axis.twinx()
     for kind, marker, color in (("group", "s", _ORANGE), ("state", "o", _GREEN)):
         batch = [f for f in log.fetches if f.kind == kind]
+        if not batch:
+            continue
         sizes.plot(
             [f.request_s for f in batch],
             [f.bytes / 1e3 for f in batch],
@@ -79,8 +81,13 @@ def _throughput(axis: Any, log: SessionLog) -> None:
     if budgets:
         sizes.plot(*zip(*budgets, strict=True), "_", color=_GREY, ms=8, label="budget")
     sizes.set(ylabel="kB a batch", yscale="log")
+    for ticks in (sizes.yaxis.set_major_formatter, sizes.yaxis.set_minor_formatter):
+        ticks("{x:g}")
+    sizes.tick_params(which="both", labelsize=8)
+    axis.set_ylim(0, 1.2 * axis.get_ylim()[1])  # room for the legend
+    sizes.set_ylim(top=2 * sizes.get_ylim()[1])
     lines = [*axis.get_legend_handles_labels()[0], *sizes.get_legend_handles_labels()[0]]
-    axis.legend(lines, [line.get_label() for line in lines], loc="lower right", ncols=5, fontsize=8)
+    axis.legend(lines, [line.get_label() for line in lines], loc="upper right", ncols=5, fontsize=8)
 
 
 def _rungs(axis: Any, log: SessionLog) -> None:
@@ -126,6 +133,21 @@ def _arrivals(axis: Any, log: SessionLog) -> None:
     axis.step(displays, frames, where="post", color=_GREY, label="shown")
     axis.plot(arrivals, frames, ".", ms=3, color=_GREEN, label="arrived and decoded")
     axis.set(ylabel="frame", title="Every frame: when it arrived, when it was shown")
+    axis.legend(loc="upper left", fontsize=8)
+
+
+def _transfers(axis: Any, log: SessionLog) -> None:
+    """The paper's transmission time: request to arrival of a batch, shared by the frames it shows."""
+    batches = [f for f in log.fetches if f.kind != "manifests"]
+    frames = np.array([log.shown[f.segment].frames for f in batches])
+    took = 1e3 * np.array([f.arrival_s - f.request_s for f in batches]) / np.maximum(frames, 1)
+    axis.axhline(1e3 / float(log.manifest.fps), color=_GREY, linestyle="--", label="a frame on the screen")
+    axis.plot([f.arrival_s for f in batches], took, ".", color=_GREEN, label="a frame on its way")
+    every = np.repeat(took, frames)
+    title = "Time a frame was on its way, its share of round trip and key included"
+    if len(every):
+        title += f": mean {every.mean():.0f} ms, 95 % under {np.percentile(every, 95):.0f} ms"
+    axis.set(ylabel="ms", title=title, ylim=(0, None))
     axis.legend(loc="upper left", fontsize=8)
 
 
