@@ -6,6 +6,7 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import Bounds, LinearConstraint, milp
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.policy import Download, PlayerState, budget_bytes, choose_paper, estimate_throughput, parse_policy
@@ -168,3 +169,23 @@ def test_unknown_policies(text):
 def test_known_policies():
     assert parse_policy("paper", 4) == ("paper", 0)
     assert parse_policy("fixed:3", 4) == ("fixed", 3)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 10**6), st.floats(0, 60)), min_size=1, max_size=12),
+    st.floats(0, 2e6),
+)
+def test_without_a_cliff_it_is_the_papers_integer_programme(pairs, budget):
+    """Maximise the quality of one frame, exactly one level, within the budget (the paper's problem for one t)."""
+    points = [Point(i, size, quality, 0.1 * i) for i, (size, quality) in enumerate(pairs)]
+    decision = select(Ladder.build(points, beta=math.inf, cliff_db=math.inf), budget)
+    constraints = [
+        LinearConstraint([[p.size_bytes for p in points]], ub=budget),
+        LinearConstraint([[1] * len(points)], 1, 1),
+    ]
+    best = milp(
+        [-p.quality for p in points], constraints=constraints, bounds=Bounds(0, 1), integrality=[1] * len(points)
+    )
+    assert decision.fits == best.success
+    if best.success:
+        assert points[decision.level].quality == pytest.approx(-best.fun, abs=1e-6)
