@@ -10,7 +10,7 @@ import functools
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -25,14 +25,12 @@ from airgs_codec.canonical import Canonical
 from airgs_codec.errors import SceneError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.grouping import plan_groups
-from airgs_codec.manifest import Atlas, FileEntry, Group, GroupTier, Picture, Segment
-from airgs_codec.package import write_file
+from airgs_codec.manifest import Atlas
 from airgs_codec.plan import GroupPlan, load_frames, plan_group
 from airgs_codec.quantize import from_codes, to_codes
 from airgs_codec.render import Camera
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.settings import EncodeSettings
-from airgs_codec.sidecar import KeySidecar, pack_key_sidecar
 from airgs_codec.tiers import STATIC, assign_depths
 from airgs_codec.video import (
     KEY_IP_RATIO,
@@ -42,26 +40,14 @@ from airgs_codec.video import (
     STATE_QP,
     Clip,
     CodecSettings,
-    Stream,
     decode_clip,
     encode_stream,
     library_versions,
     quantiser,
 )
+from airgs_codec.write import Coded, escapes_path, group_tables, segment_tables, write_sidecars, write_streams
 
 Progress = Callable[[str, int, int], None]  # what, done, total
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Coded:
-    """A representation, if it has anything to show, and its picture size."""
-
-    stream: Stream | None
-    size: tuple[int, int]
-
-    def picture(self) -> Picture:
-        """Its entry in the tables."""
-        return Picture(*self.size, self.stream.codecs) if self.stream else Picture(0, 0, "")
 
 
 def encode_sequence(
@@ -98,8 +84,8 @@ def encode_sequence(
         frames = load_frames(sequence, plan.start, plan.stop).frames
         moving.append(_code_states(plan, base, frames, spans[g], settings, gains[1], scratch, g))
     state_streams = _encode_states(plans, spans, moving, settings, sequence.fps, timescale, ticks, scratch, progress)
-    files = _write_streams(folder, key_streams, state_streams)
-    files |= _write_sidecars(folder, plans, spans, moving, scratch, len(settings.levels))
+    files = write_streams(folder, key_streams, state_streams)
+    files |= write_sidecars(folder, plans, spans, moving, scratch, len(settings.levels))
     for path in scratch.iterdir():
         path.unlink()
     scratch.rmdir()
@@ -120,8 +106,8 @@ def encode_sequence(
         levels=[tables.Level(f"L{j}", share, factor) for j, (share, factor) in enumerate(settings.levels)],
         key_pictures=[[coded.picture() for coded in row] for row in key_streams],
         state_pictures=[coded.picture() for coded in state_streams],
-        groups=_group_tables(plans),
-        segments=_segment_tables(spans, moving, state_streams),
+        groups=group_tables(plans),
+        segments=segment_tables(spans, moving, state_streams),
         files=dict(sorted(files.items())),
     )
 
@@ -182,11 +168,11 @@ def _number_keys(plans: list[GroupPlan]) -> None:
 
 def _encode_keys(
     plans: list[GroupPlan], settings: EncodeSettings, fps: Fraction, timescale: int, ticks: int, progress: Progress
-) -> list[list[_Coded]]:
+) -> list[list[Coded]]:
     """Streams of tier x quality, with their picture sizes."""
     codec = CodecSettings(KEY_QP, KEY_IP_RATIO, 1.0, settings.preset)
 
-    def encode(tier: int, quality: int) -> _Coded:
+    def encode(tier: int, quality: int) -> Coded:
         used = [plan for plan in plans if plan.key_atlases[tier][quality].rows]
         size = _common_size([plan.key_atlases[tier][quality] for plan in used])
         clips = [
@@ -197,7 +183,7 @@ def _encode_keys(
             )
             for plan in used
         ]
-        return _Coded(encode_stream(clips, size, fps, timescale, codec) if used else None, size)
+        return Coded(encode_stream(clips, size, fps, timescale, codec) if used else None, size)
 
     pairs = [(t, q) for t in range(len(settings.tiers)) for q in range(len(settings.key_factors))]
     streams = _parallel(settings.jobs, [functools.partial(encode, *pair) for pair in pairs], "key pictures", progress)
@@ -213,7 +199,7 @@ def _common_size(atlases: list[Atlas]) -> tuple[int, int]:
     return size
 
 
-def _parallel(jobs: int, tasks: Sequence[Callable[[], _Coded]], what: str, progress: Progress) -> list[_Coded]:
+def _parallel(jobs: int, tasks: Sequence[Callable[[], Coded]], what: str, progress: Progress) -> list[Coded]:
     """Results in order; x264 releases the interpreter lock, so threads do."""
     with ThreadPoolExecutor(jobs) as pool:
         futures = [pool.submit(task) for task in tasks]
@@ -226,7 +212,7 @@ def _parallel(jobs: int, tasks: Sequence[Callable[[], _Coded]], what: str, progr
 
 def _decode_canonical(
     plan: GroupPlan,
-    streams: list[list[_Coded]],
+    streams: list[list[Coded]],
     gain: float,
     settings: EncodeSettings,
 ) -> Canonical:
@@ -258,10 +244,6 @@ def _segment_spans(plan: GroupPlan, segment_s: float, fps: Fraction) -> list[tup
 
 def _samples_path(scratch: Path, group: int, level: int) -> Path:
     return scratch / f"samples-{group}-{level}.npy"
-
-
-def _escapes_path(scratch: Path, group: int, level: int, segment: int) -> Path:
-    return scratch / f"escapes-{group}-{level}-{segment}.bin"
 
 
 def _code_states(
@@ -299,7 +281,7 @@ def _code_states(
             part = slice(start - plan.start, stop - plan.start)
             fetched[s][level] = bool((np.abs(changes[part][:, :, rows]) > factor / 2).any())
             samples[part], bases = escapes.split(centred[part])
-            _escapes_path(scratch, group, level, s).write_bytes(escapes.deflate([escapes.pack(bases)]))
+            escapes_path(scratch, group, level, s).write_bytes(escapes.deflate([escapes.pack(bases)]))
         np.save(_samples_path(scratch, group, level), samples)
     return fetched
 
@@ -326,15 +308,15 @@ def _encode_states(
     ticks: int,
     scratch: Path,
     progress: Progress,
-) -> list[_Coded]:
+) -> list[Coded]:
     """One stream a level."""
     codec = CodecSettings(STATE_QP, STATE_IP_RATIO, STATE_PB_RATIO, settings.preset)
 
-    def encode(level: int) -> _Coded:
+    def encode(level: int) -> Coded:
         size = _common_size([plan.levels[level] for plan in plans if plan.levels[level].planes])
         clips = _state_clips(plans, spans, fetched, level, size, ticks, scratch)
         wanted = any(row[level] for group in fetched for row in group)
-        return _Coded(encode_stream(clips, size, fps, timescale, codec), size) if wanted else _Coded(None, (0, 0))
+        return Coded(encode_stream(clips, size, fps, timescale, codec), size) if wanted else Coded(None, (0, 0))
 
     tasks = [functools.partial(encode, level) for level in range(len(settings.levels))]
     return _parallel(settings.jobs, tasks, "state pictures", progress)
@@ -358,90 +340,3 @@ def _state_clips(
                     for t in range(start - plan.start, stop - plan.start)
                 )
                 yield Clip(pictures, start * ticks, ticks)
-
-
-def _write_streams(folder: Path, keys: list[list[_Coded]], states: list[_Coded]) -> dict[str, FileEntry]:
-    """Init and media segments of every representation."""
-    files = {}
-    for t, row in enumerate(keys):
-        for q, coded in enumerate(row):
-            if coded.stream:
-                path = tables.key_init_path(t, q)
-                files[path] = write_file(folder, path, coded.stream.init)
-                for n, media in enumerate(coded.stream.media, 1):
-                    path = tables.key_media_path(t, q, n)
-                    files[path] = write_file(folder, path, media)
-    for j, coded in enumerate(states):
-        if coded.stream:
-            path = tables.state_init_path(j)
-            files[path] = write_file(folder, path, coded.stream.init)
-            for n, media in enumerate(coded.stream.media, 1):
-                path = tables.state_media_path(j, n)
-                files[path] = write_file(folder, path, media)
-    return files
-
-
-def _write_sidecars(
-    folder: Path,
-    plans: list[GroupPlan],
-    spans: list[list[tuple[int, int]]],
-    fetched: list[list[list[bool]]],
-    scratch: Path,
-    levels: int,
-) -> dict[str, FileEntry]:
-    files = {}
-    numbers = [0] * levels
-    for g, plan in enumerate(plans):
-        for tier, number in enumerate(plan.numbers):
-            if number:
-                rows = plan.tier_rows(tier)
-                sidecar = KeySidecar(plan.codes[rows], plan.classes[rows], plan.depths[rows], plan.key_bases[tier])
-                path = tables.key_sidecar_path(tier, number)
-                files[path] = write_file(folder, path, pack_key_sidecar(sidecar))
-        for s in range(len(spans[g])):
-            for level in range(levels):
-                if fetched[g][s][level]:
-                    numbers[level] += 1
-                    path = tables.state_sidecar_path(level, numbers[level])
-                    files[path] = write_file(folder, path, _escapes_path(scratch, g, level, s).read_bytes())
-    return files
-
-
-def _group_tables(plans: list[GroupPlan]) -> list[Group]:
-    return [
-        Group(
-            start=plan.start,
-            stop=plan.stop,
-            canonical=plan.canonical,
-            count=len(plan.rows),
-            static=int((plan.depths == STATIC).sum()),
-            unused=plan.count - len(plan.rows),
-            grid=plan.grid,
-            key_steps=plan.key_steps,
-            state_steps=plan.state_steps,
-            colour_transform=plan.transform,
-            tiers=[
-                GroupTier(atlases[0].rows, number, atlases)
-                for atlases, number in zip(plan.key_atlases, plan.numbers, strict=True)
-            ],
-            levels=plan.levels,
-        )
-        for plan in plans
-    ]
-
-
-def _segment_tables(
-    spans: list[list[tuple[int, int]]], fetched: list[list[list[bool]]], states: list[_Coded]
-) -> list[Segment]:
-    segments = []
-    numbers = [0] * len(states)
-    for g, group_spans in enumerate(spans):
-        for s, (start, stop) in enumerate(group_spans):
-            levels = []
-            for j, coded in enumerate(states):
-                wanted = fetched[g][s][j]
-                numbers[j] += wanted
-                sizes = coded.stream.picture_bytes[numbers[j] - 1] if wanted and coded.stream else []
-                levels.append(tables.SegmentLevel(numbers[j] if wanted else 0, sizes, [], []))
-            segments.append(Segment(g, start, stop, levels))
-    return segments

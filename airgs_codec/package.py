@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.manifest import JSON_NAME, MPD_NAME, FileEntry, Manifest, parse_manifest
+from airgs_codec.manifest import JSON_NAME, MPD_NAME, FileEntry, Manifest
+from airgs_codec.parse import parse_manifest
 
 MAX_JSON_BYTES = 1 << 28
 

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import FormatError
-from airgs_codec.manifest import parse_manifest
 from airgs_codec.mpd import check_mpd, representations, write_mpd
 from airgs_codec.package import open_package
+from airgs_codec.parse import parse_manifest
 from airgs_codec.validate import validate
 from tools.make_schema import SCHEMA, manifest_schema
 

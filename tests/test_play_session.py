@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.manifest import parse_manifest
+from airgs_codec.parse import parse_manifest
 from airgs_codec.play.link import Link
 from airgs_codec.play.report import format_metrics, write_report
 from airgs_codec.play.session import SessionSettings, metrics, screen_ticks, simulate

@@ -54,6 +54,20 @@ def _parser() -> argparse.ArgumentParser:
         default="medium",
         help="a factor on every quantiser step: low 1.6, medium 1, high 0.6",
     )
+    parser.add_argument("--fps", type=Fraction, help="frames a second (default: sequence.json, else 30)")
+    _add_measuring(parser)
+    parser.add_argument(
+        "--preset", choices=PRESETS, default=DEFAULT_PRESET, help=f"x264 preset (default: {DEFAULT_PRESET})"
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=defaults.jobs, help="representations encoded at a time (default: cores)"
+    )
+    parser.add_argument("--attribution", metavar="TEXT", help="who made the scene (default: SCENE/ATTRIBUTION.txt)")
+    parser.add_argument("--json", action="store_true", help="print a JSON report instead of a table")
+    return parser
+
+
+def _add_measuring(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--views",
         type=Path,
@@ -63,15 +77,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--usage",
         choices=MEASURES,
-        default=defaults.usage,
+        default=EncodeSettings().usage,
         help="what ranks Gaussians: max or sum of alpha T, or pixel hits (the paper, literally) (default: max)",
-    )
-    parser.add_argument("--fps", type=Fraction, help="frames a second (default: sequence.json, else 30)")
-    parser.add_argument(
-        "--preset", choices=PRESETS, default=DEFAULT_PRESET, help=f"x264 preset (default: {DEFAULT_PRESET})"
-    )
-    parser.add_argument(
-        "--jobs", type=int, default=defaults.jobs, help="representations encoded at a time (default: cores)"
     )
     parser.add_argument(
         "--measure-frames",
@@ -80,9 +87,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="N",
         help=f"frames a segment on which every rung is rendered (default: {DEFAULT_FRAMES}; 0: do not measure)",
     )
-    parser.add_argument("--attribution", metavar="TEXT", help="who made the scene (default: SCENE/ATTRIBUTION.txt)")
-    parser.add_argument("--json", action="store_true", help="print a JSON report instead of a table")
-    return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:

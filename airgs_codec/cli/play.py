@@ -63,7 +63,7 @@ def _run(args: argparse.Namespace) -> int:
         bar = Bar(args.json)
         film(package, log, cameras, args.video, bar)
         bar.close()
-    result = metrics(log) | {"policy": args.policy, "scale": args.scale, "offset_s": args.offset}
+    result = metrics(log) | {"policy": args.policy}
     print(json.dumps(result) if args.json else _as_words(log, args))
     return 0
 
@@ -83,7 +83,6 @@ def _report(package: Package, log: SessionLog, cameras: Sequence[Camera], direct
 
 
 def _as_words(log: SessionLog, args: argparse.Namespace) -> str:
-    scaled = "" if args.scale == 1 else f"\n{'scale':<22}rates of the trace x{args.scale:g}"
     report = f"\n{'report':<22}{args.report / 'index.html'}" if args.report else ""
     film_line = f"\n{'film':<22}{args.video}" if args.video else ""
-    return format_metrics(log) + scaled + report + film_line
+    return format_metrics(log) + report + film_line

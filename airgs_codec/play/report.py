@@ -158,14 +158,15 @@ def format_metrics(log: SessionLog) -> str:
 
 def _readable(log: SessionLog) -> list[tuple[str, str]]:
     r: dict[str, Any] = metrics(log)
-    repeated = ", repeated" if r["trace_looped"] else ""
+    notes = [f"from {r['trace_offset_s']:g} s"] * (r["trace_offset_s"] > 0)
+    notes += [f"rates x{r['trace_scale']:g}"] * (r["trace_scale"] != 1) + ["repeated"] * r["trace_looped"]
     quality = "not measured"
     if r["psnr_mean"] is not None:
         quality = f"mean {r['psnr_mean']:.2f} dB, 5th percentile {r['psnr_p5']:.2f} dB"
     wire = ", ".join(f"{kind} {size / 1e3:.1f}" for kind, size in r["bytes"].items())
     return [
         ("policy", log.settings.policy if log.settings.policy == "paper" else f"fixed:{log.settings.fixed_level}"),
-        ("trace", f"{r['trace']}, mean {r['trace_mean_bps'] / 1e6:.2f} Mbit/s{repeated}"),
+        ("trace", f"{r['trace']}, mean {r['trace_mean_bps'] / 1e6:.2f} Mbit/s" + "".join(f", {n}" for n in notes)),
         ("played", f"{r['frames']} frames, {r['played_s']:.2f} s"),
         ("start-up", f"{r['startup_s']:.3f} s"),
         ("stalls", f"{r['stalls']}, {r['stall_s']:.3f} s, {100 * r['stall_ratio']:.2f} %"),

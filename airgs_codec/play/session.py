@@ -272,6 +272,8 @@ def metrics(log: SessionLog) -> dict[str, object]:
         "rungs": dict(names.most_common()),
         "trace": log.link.trace.name,
         "trace_mean_bps": log.link.trace.mean_bps,
+        "trace_scale": log.link.trace.scale,
+        "trace_offset_s": log.link.trace.offset_s,
         "trace_looped": log.fetches[-1].arrival_s > log.link.trace.duration_s,
         "rtt_s": log.link.rtt_s,
     }

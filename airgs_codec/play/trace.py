@@ -27,6 +27,8 @@ class Trace:
     starts_s: NDArray[np.float64]  # (K,) ascending from 0
     rates_bps: NDArray[np.float64]  # (K,) bit/s
     duration_s: float
+    scale: float = 1.0  # what the measured rates were multiplied by
+    offset_s: float = 0.0  # where in the measurement it begins
 
     def __post_init__(self) -> None:
         steps = np.diff(self.starts_s, append=self.duration_s)
@@ -78,7 +80,8 @@ class Trace:
         starts = np.concatenate([np.maximum(later, 0), earlier])
         rates = np.concatenate([self.rates_bps[first:], self.rates_bps[: first + 1]]) * scale
         kept = starts < self.duration_s
-        return Trace(self.name, starts[kept], rates[kept], self.duration_s)
+        begins = (self.offset_s + offset_s) % self.duration_s
+        return Trace(self.name, starts[kept], rates[kept], self.duration_s, self.scale * scale, begins)
 
 
 def read_trace(path: Path) -> Trace:

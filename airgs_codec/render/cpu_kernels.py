@@ -155,6 +155,104 @@ def _rot(w, x, y, z):
     )
 
 
+@njit
+def _lens(view, intrinsics, W, H):
+    """What every projection of a camera needs: focal lengths, bounds of u and v in which the Jacobian is taken, centre.
+
+    The bounds lie 15 % of the picture outside it, as in gsplat: the linearisation blows up at grazing angles.
+    """
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    lens = np.empty(9, np.float64)
+    lens[0], lens[1] = fx, fy
+    lens[2], lens[3] = -cx / fx - 0.15 * W / fx, (W - cx) / fx + 0.15 * W / fx
+    lens[4], lens[5] = -cy / fy - 0.15 * H / fy, (H - cy) / fy + 0.15 * H / fy
+    for a in range(3):  # camera centre: -R^T t
+        lens[6 + a] = -(view[0, a] * view[0, 3] + view[1, a] * view[1, 3] + view[2, a] * view[2, 3])
+    return lens
+
+
+@njit(fastmath=FAST)
+def _see(view, row, px, py, pz):
+    """One coordinate of a point in camera space."""
+    return view[row, 0] * px + view[row, 1] * py + view[row, 2] * pz + view[row, 3]
+
+
+@njit(fastmath=FAST)
+def _unit(quaternions, i):
+    """Unit quaternion of a row and 1 / its length; a zero one (or one too short to tell) is identity with 0.
+
+    With NaN or Inf in it the reciprocal is NaN, which the caller's comparison culls.
+    """
+    w, x = float(quaternions[i, 0]), float(quaternions[i, 1])
+    y, z = float(quaternions[i, 2]), float(quaternions[i, 3])
+    square = w * w + x * x + y * y + z * z
+    if not (square < math.inf):
+        return 1.0, 0.0, 0.0, 0.0, math.nan
+    if not (square > 1e-24):
+        return 1.0, 0.0, 0.0, 0.0, 0.0
+    inv = 1.0 / math.sqrt(square)
+    return w * inv, x * inv, y * inv, z * inv, inv
+
+
+@njit(fastmath=FAST)
+def _jacobian(lens, view, u, v, iz):
+    """Rows of J R, the derivative of the pixel position by the world position (EWA splatting), u and v bounded."""
+    uc = min(max(u, lens[2]), lens[3])
+    vc = min(max(v, lens[4]), lens[5])
+    j00, j02 = lens[0] * iz, -lens[0] * uc * iz
+    j11, j12 = lens[1] * iz, -lens[1] * vc * iz
+    t00 = j00 * view[0, 0] + j02 * view[2, 0]
+    t01 = j00 * view[0, 1] + j02 * view[2, 1]
+    t02 = j00 * view[0, 2] + j02 * view[2, 2]
+    t10 = j11 * view[1, 0] + j12 * view[2, 0]
+    t11 = j11 * view[1, 1] + j12 * view[2, 1]
+    t12 = j11 * view[1, 2] + j12 * view[2, 2]
+    return uc, vc, t00, t01, t02, t10, t11, t12
+
+
+@njit(fastmath=FAST)
+def _colour(deg, lens, px, py, pz, sh, i, b):
+    """Unclamped colour of a row seen from the camera; b (16,) is scratch."""
+    dx, dy, dz = px - lens[6], py - lens[7], pz - lens[8]
+    dn = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz + 1e-30)  # a mean on the camera centre: 0, not NaN
+    sh_basis(deg, dx * dn, dy * dn, dz * dn, b)
+    c0 = 0.5
+    c1 = 0.5
+    c2 = 0.5
+    for k in range((deg + 1) * (deg + 1)):
+        c0 += b[k] * sh[i, k, 0]
+        c1 += b[k] * sh[i, k, 1]
+        c2 += b[k] * sh[i, k, 2]
+    return c0, c1, c2
+
+
+@njit(fastmath=FAST)
+def _colour_gradient(deg, lens, px, py, pz, sh, i, g0, g1, g2, basis, grad_sh):
+    """Gradient of a row's colour by its coefficients, into grad_sh, and by its mean, returned; basis (4, 16)."""
+    nk = (deg + 1) * (deg + 1)
+    dx, dy, dz = px - lens[6], py - lens[7], pz - lens[8]
+    dn = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz + 1e-30)  # as in _colour
+    ux, uy, uz = dx * dn, dy * dn, dz * dn
+    sh_basis(deg, ux, uy, uz, basis[0])
+    for k in range(nk):
+        grad_sh[i, k, 0] = basis[0, k] * g0
+        grad_sh[i, k, 1] = basis[0, k] * g1
+        grad_sh[i, k, 2] = basis[0, k] * g2
+    if deg == 0:
+        return 0.0, 0.0, 0.0
+    sh_basis_grad(deg, ux, uy, uz, basis[1], basis[2], basis[3])
+    hx = 0.0
+    hy = 0.0
+    hz = 0.0
+    for k in range(1, nk):
+        c = g0 * sh[i, k, 0] + g1 * sh[i, k, 1] + g2 * sh[i, k, 2]
+        hx += c * basis[1, k]
+        hy += c * basis[2, k]
+        hz += c * basis[3, k]
+    dot = hx * ux + hy * uy + hz * uz
+    return (hx - dot * ux) * dn, (hy - dot * uy) * dn, (hz - dot * uz) * dn
+
+
 @njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
 def project(means, quaternions, scales, opacities, sh, deg, view, intrinsics, W, H, near, far, eps2d, flat, key, tiles):
     """Project every Gaussian; what is culled keeps tiles = 0 and the largest key.
@@ -163,21 +261,9 @@ def project(means, quaternions, scales, opacities, sh, deg, view, intrinsics, W,
     tiles (touched a Gaussian). In float64: only N of them. Comparisons are written so that NaN and Inf are culled.
     """
     N = means.shape[0]
-    fx = intrinsics[0]
-    fy = intrinsics[1]
-    cx = intrinsics[2]
-    cy = intrinsics[3]
-    lxp = (W - cx) / fx + 0.3 * (0.5 * W / fx)
-    lxn = cx / fx + 0.3 * (0.5 * W / fx)
-    lyp = (H - cy) / fy + 0.3 * (0.5 * H / fy)
-    lyn = cy / fy + 0.3 * (0.5 * H / fy)
-    # camera centre = -R^T t
-    cpx = -(view[0, 0] * view[0, 3] + view[1, 0] * view[1, 3] + view[2, 0] * view[2, 3])
-    cpy = -(view[0, 1] * view[0, 3] + view[1, 1] * view[1, 3] + view[2, 1] * view[2, 3])
-    cpz = -(view[0, 2] * view[0, 3] + view[1, 2] * view[1, 3] + view[2, 2] * view[2, 3])
+    lens = _lens(view, intrinsics, W, H)
     tiles_x = (W + TILE - 1) // TILE
     tiles_y = (H + TILE - 1) // TILE
-    nk = (deg + 1) * (deg + 1)
     NCH = 64
     for ch in prange(NCH):
         b = np.empty(16, np.float64)
@@ -187,48 +273,19 @@ def project(means, quaternions, scales, opacities, sh, deg, view, intrinsics, W,
             px = float(means[i, 0])
             py = float(means[i, 1])
             pz = float(means[i, 2])
-            z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
+            z = _see(view, 2, px, py, pz)
             if not (z > near and z < far):
                 continue
             op = float(opacities[i])
             if not (op * 255.0 > 1.0):
                 continue
-            x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
-            y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
-            w = float(quaternions[i, 0])
-            qx = float(quaternions[i, 1])
-            qy = float(quaternions[i, 2])
-            qz = float(quaternions[i, 3])
-            n2 = w * w + qx * qx + qy * qy + qz * qz
-            if not (n2 < math.inf):  # NaN and Inf have no direction
+            w, qx, qy, qz, inv = _unit(quaternions, i)
+            if not (inv >= 0.0):
                 continue
-            if not (n2 > 1e-24):
-                w = 1.0
-                qx = 0.0
-                qy = 0.0
-                qz = 0.0
-            else:
-                inv = 1.0 / math.sqrt(n2)
-                w *= inv
-                qx *= inv
-                qy *= inv
-                qz *= inv
             r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rot(w, qx, qy, qz)
             iz = 1.0 / z
-            u = x * iz
-            v = y * iz
-            uc = min(max(u, -lxn), lxp)
-            vc = min(max(v, -lyn), lyp)
-            j00 = fx * iz
-            j02 = -fx * uc * iz
-            j11 = fy * iz
-            j12 = -fy * vc * iz
-            t00 = j00 * view[0, 0] + j02 * view[2, 0]
-            t01 = j00 * view[0, 1] + j02 * view[2, 1]
-            t02 = j00 * view[0, 2] + j02 * view[2, 2]
-            t10 = j11 * view[1, 0] + j12 * view[2, 0]
-            t11 = j11 * view[1, 1] + j12 * view[2, 1]
-            t12 = j11 * view[1, 2] + j12 * view[2, 2]
+            u, v = _see(view, 0, px, py, pz) * iz, _see(view, 1, px, py, pz) * iz
+            _, _, t00, t01, t02, t10, t11, t12 = _jacobian(lens, view, u, v, iz)
             s0 = float(scales[i, 0])
             s1 = float(scales[i, 1])
             s2 = float(scales[i, 2])
@@ -255,23 +312,11 @@ def project(means, quaternions, scales, opacities, sh, deg, view, intrinsics, W,
             t = math.log(255.0 * op)
             hx = math.sqrt(2.0 * t * sxx)
             hy = math.sqrt(2.0 * t * syy)
-            mx = fx * u + cx
-            my = fy * v + cy
+            mx = lens[0] * u + intrinsics[2]
+            my = lens[1] * v + intrinsics[3]
             if not (mx + hx > 0.0 and mx - hx < W and my + hy > 0.0 and my - hy < H):
                 continue
-            # colour
-            dx = px - cpx
-            dy = py - cpy
-            dz = pz - cpz
-            dn = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz + 1e-30)
-            sh_basis(deg, dx * dn, dy * dn, dz * dn, b)
-            c0 = 0.5
-            c1 = 0.5
-            c2 = 0.5
-            for k in range(nk):
-                c0 += b[k] * sh[i, k, 0]
-                c1 += b[k] * sh[i, k, 1]
-                c2 += b[k] * sh[i, k, 2]
+            c0, c1, c2 = _colour(deg, lens, px, py, pz, sh, i, b)
             if not (abs(c0) + abs(c1) + abs(c2) < 1e6):
                 continue
             flat[i, 0] = mx
@@ -694,103 +739,27 @@ def project_gradient(
     A zero quaternion has zero gradient, as it was read as identity.
     """
     M = vis.shape[0]
-    fx = intrinsics[0]
-    fy = intrinsics[1]
-    cx = intrinsics[2]
-    cy = intrinsics[3]
-    lxp = (W - cx) / fx + 0.3 * (0.5 * W / fx)
-    lxn = cx / fx + 0.3 * (0.5 * W / fx)
-    lyp = (H - cy) / fy + 0.3 * (0.5 * H / fy)
-    lyn = cy / fy + 0.3 * (0.5 * H / fy)
-    cpx = -(view[0, 0] * view[0, 3] + view[1, 0] * view[1, 3] + view[2, 0] * view[2, 3])
-    cpy = -(view[0, 1] * view[0, 3] + view[1, 1] * view[1, 3] + view[2, 1] * view[2, 3])
-    cpz = -(view[0, 2] * view[0, 3] + view[1, 2] * view[1, 3] + view[2, 2] * view[2, 3])
-    nk = (deg + 1) * (deg + 1)
+    lens = _lens(view, intrinsics, W, H)
+    fx, fy = lens[0], lens[1]
     NCH = 64
     for ch in prange(NCH):
-        b = np.empty(16, np.float64)
-        bx = np.empty(16, np.float64)
-        by = np.empty(16, np.float64)
-        bz = np.empty(16, np.float64)
+        basis = np.empty((4, 16), np.float64)
         for kk in range(ch * M // NCH, (ch + 1) * M // NCH):
             i = vis[kk]
             px = float(means[i, 0])
             py = float(means[i, 1])
             pz = float(means[i, 2])
-            # ---- colour
-            dx = px - cpx
-            dy = py - cpy
-            dz = pz - cpz
-            dn = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz + 1e-30)
-            ux = dx * dn
-            uy = dy * dn
-            uz = dz * dn
-            sh_basis(deg, ux, uy, uz, b)
             g0 = float(grads[i, 0]) if flat[i, 6] > 0 else 0.0
             g1 = float(grads[i, 1]) if flat[i, 7] > 0 else 0.0
             g2 = float(grads[i, 2]) if flat[i, 8] > 0 else 0.0
-            for k in range(nk):
-                grad_sh[i, k, 0] = b[k] * g0
-                grad_sh[i, k, 1] = b[k] * g1
-                grad_sh[i, k, 2] = b[k] * g2
-            gx = 0.0
-            gy = 0.0
-            gz = 0.0
-            if deg > 0:
-                sh_basis_grad(deg, ux, uy, uz, bx, by, bz)
-                hx = 0.0
-                hy = 0.0
-                hz = 0.0
-                for k in range(1, nk):
-                    c = g0 * sh[i, k, 0] + g1 * sh[i, k, 1] + g2 * sh[i, k, 2]
-                    hx += c * bx[k]
-                    hy += c * by[k]
-                    hz += c * bz[k]
-                dot = hx * ux + hy * uy + hz * uz
-                gx = (hx - dot * ux) * dn
-                gy = (hy - dot * uy) * dn
-                gz = (hz - dot * uz) * dn
-            # ---- opacity: t = ln(255 op)
-            op = float(opacities[i])
-            grad_opacities[i] = grads[i, 3] / op
-            # ---- geometry (recompute)
-            x = view[0, 0] * px + view[0, 1] * py + view[0, 2] * pz + view[0, 3]
-            y = view[1, 0] * px + view[1, 1] * py + view[1, 2] * pz + view[1, 3]
-            z = view[2, 0] * px + view[2, 1] * py + view[2, 2] * pz + view[2, 3]
-            w0 = float(quaternions[i, 0])
-            x0 = float(quaternions[i, 1])
-            y0 = float(quaternions[i, 2])
-            z0 = float(quaternions[i, 3])
-            n2 = w0 * w0 + x0 * x0 + y0 * y0 + z0 * z0
-            zeroq = not (n2 > 1e-24)
-            if zeroq:
-                w = 1.0
-                qx = 0.0
-                qy = 0.0
-                qz = 0.0
-                inv = 0.0
-            else:
-                inv = 1.0 / math.sqrt(n2)
-                w = w0 * inv
-                qx = x0 * inv
-                qy = y0 * inv
-                qz = z0 * inv
+            gx, gy, gz = _colour_gradient(deg, lens, px, py, pz, sh, i, g0, g1, g2, basis, grad_sh)
+            grad_opacities[i] = grads[i, 3] / float(opacities[i])  # reach = ln(255 opacity)
+            x, y, z = _see(view, 0, px, py, pz), _see(view, 1, px, py, pz), _see(view, 2, px, py, pz)
+            w, qx, qy, qz, inv = _unit(quaternions, i)
             r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rot(w, qx, qy, qz)
             iz = 1.0 / z
-            u = x * iz
-            v = y * iz
-            uc = min(max(u, -lxn), lxp)
-            vc = min(max(v, -lyn), lyp)
-            j00 = fx * iz
-            j02 = -fx * uc * iz
-            j11 = fy * iz
-            j12 = -fy * vc * iz
-            t00 = j00 * view[0, 0] + j02 * view[2, 0]
-            t01 = j00 * view[0, 1] + j02 * view[2, 1]
-            t02 = j00 * view[0, 2] + j02 * view[2, 2]
-            t10 = j11 * view[1, 0] + j12 * view[2, 0]
-            t11 = j11 * view[1, 1] + j12 * view[2, 1]
-            t12 = j11 * view[1, 2] + j12 * view[2, 2]
+            u, v = x * iz, y * iz
+            uc, vc, t00, t01, t02, t10, t11, t12 = _jacobian(lens, view, u, v, iz)
             s0 = float(scales[i, 0])
             s1 = float(scales[i, 1])
             s2 = float(scales[i, 2])
