@@ -24,7 +24,7 @@ def test_json_repeats_exactly(capsys):
     status, out, err = runs[0]
     result = json.loads(out)
     assert (status, err) == (0, "")
-    assert result["scale"] == 1.0 and result["trace"] == "trace.csv" and result["frames"] > 0
+    assert result["trace_scale"] == 1.0 and result["trace"] == "trace.csv" and result["frames"] > 0
 
 
 def test_report_and_film(capsys, tmp_path):

@@ -103,6 +103,15 @@ def test_extremes_equal_the_reference(name):
         assert not got["quaternions"][50:100].any()  # zero reads as identity and stays put
 
 
+@pytest.mark.parametrize("sizes", [[1e4, 1.0, 1e-2], [100.0] * 3, [1e-9] * 3])
+def test_absurd_sizes_still_give_the_reference_picture_and_finite_gradients(sizes):
+    """Of 1e4 x 1 x 1e-2 before the camera the mean and quaternion gradients are rounding noise: a trainer clamps."""
+    values = inputs(200, 1, scales=np.tile(sizes, (200, 1)))
+    (rgb, _, gradients), (expected, _, _) = both(values, camera())
+    assert np.abs(rgb - expected).mean() <= MEAN_ERROR and np.abs(rgb - expected).max() <= MAX_ERROR
+    assert all(np.isfinite(g).all() for g in gradients.values())
+
+
 def test_behind_the_camera_nothing_is_drawn_and_nothing_pulls():
     (rgb, transmittance, gradients), _ = both(inputs(), camera(-5.0))
     np.testing.assert_allclose(rgb, np.broadcast_to(np.float32([0.2, 0.5, 0.9]), rgb.shape))
