@@ -74,9 +74,15 @@ def extract(picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
     return np.ascontiguousarray(picture).ravel().take(index)
 
 
-def read_codes(picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32]) -> NDArray[np.int32]:
-    """A picture and (P, n) escape bases -> (channels, n) codes; without a plane a channel is its centre."""
+def read_codes(picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32] | None) -> NDArray[np.int32]:
+    """A picture and (P, n) escape bases -> (channels, n) codes; without a plane a channel is its centre.
+
+    No bases: there are no escapes.
+    """
+    centres = np.array(atlas.centres, np.int32)[:, None]
     codes = np.empty((len(atlas.centres), atlas.rows), np.int32)
-    codes[:] = np.array(atlas.centres, np.int32)[:, None]
-    codes[atlas.planes] += extract(picture, atlas).astype(np.int32) - 128 + escapes.UNIT * bases
+    codes[:] = centres
+    codes[atlas.planes] = extract(picture, atlas) + (centres[atlas.planes] - GREY)
+    if bases is not None:
+        codes[atlas.planes] += escapes.UNIT * bases
     return codes

@@ -27,4 +27,4 @@ def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: floa
 
 def from_codes(codes: NDArray[np.int32], steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
     """(C, N) codes -> values."""
-    return (codes * (steps / gain).astype(np.float32)[:, None]).astype(np.float32)
+    return codes.astype(np.float32) * (steps / gain).astype(np.float32)[:, None]
