@@ -28,10 +28,10 @@ def pooled_quality(m: Manifest, level: int, quality: int) -> tuple[float, float]
     squared, similarity = 0.0, 0.0
     for segment in m.segments:
         measured = segment.levels[level]
-        if not measured.psnr:
+        if not measured.psnr or not measured.ssim:
             return None
         weight = (segment.stop - segment.start) / m.frames
-        squared += weight * 10 ** (-measured.psnr[quality] / 10)
+        squared += weight * 10.0 ** min(-measured.psnr[quality] / 10, 300.0)  # 300: a float, whatever a table claims
         similarity += weight * measured.ssim[quality]
     return psnr(squared), similarity
 
@@ -49,6 +49,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> dict[str, Any]:
     levels = []
     for j, level in enumerate(m.levels):
         rates = segment_bits(m, j)
+        measured = pooled_quality(m, j, 0)
         rows = [group.levels[j].rows for group in m.groups]
         total = sum(m.bytes_of(m.state_files(i, j)) for i in range(len(m.segments)))
         levels.append(
@@ -60,6 +61,8 @@ def summarise(m: Manifest, manifest_bytes: int) -> dict[str, Any]:
                 "bytes_per_frame": total / m.frames,
                 "mean_bps": 8 * total / duration,
                 "peak_bps": float(rates.max()),
+                "psnr": measured[0] if measured else None,
+                "ssim": measured[1] if measured else None,
             }
         )
     keys = []
@@ -132,6 +135,7 @@ def left_out(m: Manifest) -> list[str]:
             lines.append(f"{where}: {group.unused} Gaussians, in no picture of the {m.views.usage} views")
         if group.static:
             lines.append(f"{where}: updates of {group.static} rows, all within half a step (static)")
+        lines += [f"{where}: key tier T{t}: it has no rows" for t, tier in enumerate(group.tiers) if not tier.number]
         for name, atlas, state in _top_atlases(m, i):
             missing = Counter(
                 channel_attribute(c, state) for c in range(len(atlas.centres)) if c not in set(atlas.planes)
@@ -178,6 +182,8 @@ def bytes_by_attribute(package: Package) -> dict[str, float]:
 
 
 def _share(out: dict[str, float], size: int, atlas: Atlas, pictures: list[NDArray[np.uint8]], state: bool) -> None:
+    if not atlas.planes:
+        return
     entropy = np.zeros(len(atlas.planes))
     previous = np.zeros((len(atlas.planes), atlas.rows), np.int16)
     for picture in pictures:
@@ -223,17 +229,18 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
             f"{v['bytes_per_frame'] / 1e3:.2f}",
             f"{v['mean_bps'] / 1e6:.2f}",
             f"{v['peak_bps'] / 1e6:.2f}",
+            *_quality_cells(v),
         ]
         for v in s["levels"]
     ]
-    lines += ["", *_table(["level", "Gaussians", "pruned", "steps", "kB/frame", "Mbit/s", "peak"], rows)]
+    lines += ["", "levels, without keys; PSNR and SSIM with every key in Q0:"]
+    lines += [*_table(["level", "Gaussians", "pruned", "steps", "kB/frame", "Mbit/s", "peak", "PSNR dB", "SSIM"], rows)]
     rows = [
         [
             f"{r['key']} + {r['state']}",
             f"{r['bytes_per_frame'] / 1e3:.2f}",
             f"{r['mean_bps'] / 1e6:.2f}",
-            "-" if r["psnr"] is None else f"{r['psnr']:.2f}",
-            "-" if r["ssim"] is None else f"{r['ssim']:.4f}",
+            *_quality_cells(r),
         ]
         for r in s["rungs"]
     ]
@@ -250,6 +257,12 @@ def format_attributes(package: Package) -> str:
     frames = package.manifest.frames
     parts = [f"{name} {size / frames / 1e3:.2f}" for name, size in bytes_by_attribute(package).items()]
     return f"top rung by attribute, kB/frame, shared out by entropy: {', '.join(parts)}"
+
+
+def _quality_cells(entry: dict[str, Any]) -> list[str]:
+    return [
+        f"{entry[name]:.{digits}f}" if entry[name] is not None else "-" for name, digits in (("psnr", 2), ("ssim", 4))
+    ]
 
 
 def _span(bounds: list[int]) -> str:

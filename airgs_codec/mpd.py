@@ -7,6 +7,7 @@ each Representation, SupplementalProperty only, relative addresses.
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 
@@ -24,6 +25,23 @@ from airgs_codec.manifest import (
 DASH = "urn:mpeg:dash:schema:mpd:2011"
 AIRGS = "urn:airgs:mpd:1"
 MIN_BUFFER_S = 1.0
+
+_XLINK = "{http://www.w3.org/1999/xlink}"
+_PARENTS = {
+    "Period": ("MPD",),
+    "AdaptationSet": ("Period",),
+    "SupplementalProperty": ("Period", "AdaptationSet"),
+    "Representation": ("AdaptationSet",),
+    "SegmentTemplate": ("Representation",),
+    "SegmentTimeline": ("SegmentTemplate",),
+    "S": ("SegmentTimeline",),
+}
+_LEAD_AWAY = ("BaseURL", "Location", "PatchLocation")  # elements that change where a player fetches
+_ATTRIBUTES = {  # of the elements that say which file plays when; the others' are advisory
+    "SegmentTemplate": {"timescale", "startNumber", "initialization", "media"},
+    "SegmentTimeline": set[str](),
+    "S": {"t", "d"},
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,49 +155,118 @@ def _element(parent: ET.Element | None, tag: str, **attributes: str) -> ET.Eleme
 
 
 def _bandwidth(m: Manifest, r: Representation) -> int:
-    """Least bit/s b at which every run of segments fits into b * (MIN_BUFFER_S + its duration)."""
+    """A bit/s above the least b at which every run of segments fits into b * (MIN_BUFFER_S + time since its start)."""
     sizes = [8 * m.files[r.media.replace("$Number$", str(n))].bytes for n in range(1, len(r.timeline) + 1)]
+    starts = [start / m.timescale for start, _ in r.timeline]
     best = 0.0
     for first in range(len(sizes)):
-        bits, seconds = 0, MIN_BUFFER_S
+        bits = 0
         for i in range(first, len(sizes)):
             bits += sizes[i]
-            best = max(best, bits / seconds)
-            seconds += r.timeline[i][1] / m.timescale
+            best = max(best, bits / (MIN_BUFFER_S + starts[i] - starts[first]))
     return int(best) + 1
 
 
 def check_mpd(data: bytes, m: Manifest) -> None:
-    """Raise FormatError unless an MPD says what the tables say.
+    """Raise FormatError unless an MPD says what the tables say, and nothing else about files and times.
 
     Reasons: doctype, bad_mpd, foreign_url, mpd_mismatch.
     """
-    if b"<!DOCTYPE" in data.upper() or b"<!ENTITY" in data.upper():
-        raise FormatError("doctype", MPD_NAME, "expected XML without a DOCTYPE")
-    try:
-        root = ET.fromstring(data)
-    except ET.ParseError as error:
-        raise FormatError("bad_mpd", MPD_NAME, f"expected XML: {error}") from error
-    if root.tag != f"{{{DASH}}}MPD" or len(root.findall(f"{{{DASH}}}Period")) != 1:
-        raise FormatError("bad_mpd", MPD_NAME, "expected an MPD with one Period")
-    if root.find(f".//{{{DASH}}}BaseURL") is not None:
-        raise FormatError("foreign_url", MPD_NAME, "expected relative addresses without BaseURL")
-    found = {r.id: r for r in _read_representations(root, m)}
+    root = _parse(data)
+    _check_shape(root)
+    _check_duration(root, m)
+    _check_numbers(m)
+    rows = [
+        _read_representations(element, m) for element in root.findall(f"./{{{DASH}}}Period/{{{DASH}}}AdaptationSet")
+    ]
+    found = {r.id: r for row in rows for r in row}
+    if len(found) != sum(len(row) for row in rows):
+        raise FormatError("bad_mpd", MPD_NAME, "expected a different id for each Representation")
     expected = {r.id: r for row in representations(m) for r in row}
     for name in sorted(found.keys() ^ expected.keys()):
         raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", "is not in both the MPD and airgs.json")
     for name, representation in expected.items():
         if found[name] != representation:
             raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", f"expected {representation}, got {found[name]}")
+    sets, wanted = ({frozenset(r.id for r in row) for row in part if row} for part in (rows, representations(m)))
+    if sets != wanted:
+        raise FormatError("mpd_mismatch", MPD_NAME, "expected an AdaptationSet for the state and one for each key tier")
 
 
-def _read_representations(root: ET.Element, m: Manifest) -> list[Representation]:
+def _parse(data: bytes) -> ET.Element:
+    """The root element. One encoding, so that a DOCTYPE cannot hide from the search in another one."""
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FormatError("bad_mpd", MPD_NAME, f"expected UTF-8: {error.reason} at byte {error.start}") from error
+    if "\0" in text:  # the parser would take it for UTF-16, in which the search below finds nothing
+        raise FormatError("bad_mpd", MPD_NAME, "expected UTF-8 without zero bytes")
+    declared = re.match(r"""\ufeff?<\?xml[^>]*?\sencoding\s*=\s*["']([^"']*)""", text)
+    if declared and declared[1].lower() != "utf-8":
+        raise FormatError("bad_mpd", MPD_NAME, f"expected UTF-8, got {declared[1]!r}")
+    if re.search("<!(DOCTYPE|ENTITY)", text, re.IGNORECASE):
+        raise FormatError("doctype", MPD_NAME, "expected XML without a DOCTYPE")
+    try:
+        return ET.fromstring(text)
+    except ET.ParseError as error:
+        raise FormatError("bad_mpd", MPD_NAME, f"expected XML: {error}") from error
+
+
+def _check_shape(root: ET.Element) -> None:
+    """Refuse elements and attributes that this format does not use: a player might follow them, a check would not."""
+    if root.tag != f"{{{DASH}}}MPD" or len(root.findall(f"{{{DASH}}}Period")) != 1:
+        raise FormatError("bad_mpd", MPD_NAME, "expected an MPD with one Period")
+    waiting = [root]
+    while waiting:
+        parent = waiting.pop()
+        name = _local(parent)
+        for attribute in parent.attrib:
+            if attribute.startswith(_XLINK):
+                raise FormatError("foreign_url", f"{MPD_NAME} {name}", "expected no xlink")
+            if attribute not in _ATTRIBUTES.get(name, {attribute}):
+                raise FormatError("bad_mpd", f"{MPD_NAME} {name}", f"unknown attribute {attribute!r}")
+        for child in parent:
+            if _local(child) in _LEAD_AWAY:
+                detail = f"expected relative addresses without {_local(child)}"
+                raise FormatError("foreign_url", f"{MPD_NAME} {name}", detail)
+            if name not in _PARENTS.get(_local(child), ()):
+                raise FormatError("bad_mpd", f"{MPD_NAME} {name}", f"unknown element {child.tag!r}")
+            waiting.append(child)
+
+
+def _local(element: ET.Element) -> str:
+    """Name of a DASH element without its namespace; empty for any other element."""
+    prefix = f"{{{DASH}}}"
+    return element.tag.removeprefix(prefix) if element.tag.startswith(prefix) else ""
+
+
+def _check_duration(root: ET.Element, m: Manifest) -> None:
+    text = root.get("mediaPresentationDuration", "")
+    if not re.fullmatch(r"PT\d{1,12}(\.\d{1,12})?S", text, re.ASCII):
+        raise FormatError("bad_mpd", MPD_NAME, f"expected mediaPresentationDuration as PT…S, got {text!r}")
+    seconds = float(m.frames / m.fps)
+    if abs(float(text[2:-1]) - seconds) > 1e-5 or root.get("type") != "static":
+        raise FormatError("mpd_mismatch", MPD_NAME, f"expected a static presentation of {seconds:.6f} s, got {text}")
+
+
+def _check_numbers(m: Manifest) -> None:
+    """The MPD counts files from 1; so must the tables."""
+    runs = [(f"L{j}", [s.levels[j].number for s in m.segments]) for j in range(len(m.levels))]
+    runs += [(f"T{t}", [g.tiers[t].number for g in m.groups]) for t in range(m.tier_count)]
+    for name, numbers in runs:
+        present = [n for n in numbers if n]
+        if present != list(range(1, len(present) + 1)):
+            raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", f"expected files 1, 2, … in order, got {present}")
+
+
+def _read_representations(adaptation: ET.Element, m: Manifest) -> list[Representation]:
     out = []
-    for element in root.iter(f"{{{DASH}}}Representation"):
+    for element in adaptation.findall(f"{{{DASH}}}Representation"):
         where = f"{MPD_NAME} {element.get('id')}"
-        template = element.find(f"{{{DASH}}}SegmentTemplate")
-        if template is None:
-            raise FormatError("bad_mpd", where, "expected a SegmentTemplate")
+        templates = element.findall(f"{{{DASH}}}SegmentTemplate")
+        if len(templates) != 1:
+            raise FormatError("bad_mpd", where, f"expected one SegmentTemplate, got {len(templates)}")
+        template = templates[0]
         addresses = [template.get("initialization", ""), template.get("media", "")]
         for address in addresses:
             if ":" in address or address.startswith("/") or ".." in address.split("/"):
@@ -187,12 +274,13 @@ def _read_representations(root: ET.Element, m: Manifest) -> list[Representation]
                     "foreign_url", where, f"expected a relative address inside the package, got {address!r}"
                 )
         try:
-            if int(template.get("timescale", "")) != m.timescale or template.get("startNumber") != "1":
-                raise FormatError("mpd_mismatch", where, f"expected timescale {m.timescale} and startNumber 1")
+            scale = int(template.get("timescale", ""))
             times = tuple((int(s.attrib["t"]), int(s.attrib["d"])) for s in template.iter(f"{{{DASH}}}S"))
             size = int(element.get("width", "")), int(element.get("height", ""))
         except (ValueError, KeyError) as error:
             raise FormatError("bad_mpd", where, f"expected whole numbers: {error}") from error
+        if scale != m.timescale or template.get("startNumber") != "1":
+            raise FormatError("mpd_mismatch", where, f"expected timescale {m.timescale} and startNumber 1")
         name, codecs = element.get("id", ""), element.get("codecs", "")
         out.append(Representation(name, codecs, size[0], size[1], addresses[0], addresses[1], times))
     return out

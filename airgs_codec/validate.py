@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 
+import numpy as np
+
+from airgs_codec.canonical import Canonical, show
 from airgs_codec.decode import decode_canonical, decode_segment
-from airgs_codec.errors import FormatError
-from airgs_codec.manifest import JSON_NAME, MPD_NAME, expected_files
+from airgs_codec.errors import AirgsError, FormatError
+from airgs_codec.gaussians import Gaussians
+from airgs_codec.manifest import JSON_NAME, MPD_NAME, expected_files, key_init_path, state_init_path
 from airgs_codec.mpd import check_mpd
-from airgs_codec.package import Package, open_package
+from airgs_codec.package import MAX_JSON_BYTES, Package, open_package
+from airgs_codec.video import decode_clip
+
+MAX_PSNR = 1000.0  # dB; nothing measured comes near, and ten to the power of it is still a float
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,20 +34,18 @@ class Finding:
 
 
 def validate(path: Path) -> list[Finding]:
-    """Everything that is wrong with the package in folder `path`; empty for a good one.
+    """Everything that is wrong with the package in folder `path`; empty for a good one. Never raises for a bad one.
 
     Checks the tables, the MPD against them, every file's length and digest, foreign files, and that every key unit
-    and every segment of every level decodes to the promised pictures.
+    and every segment of every level decodes to the promised pictures and to finite numbers.
     """
     try:
         package = open_package(path)
     except FormatError as error:
         return [_finding(error)]
     findings = list(_check_files(package))
-    try:
-        check_mpd((path / MPD_NAME).read_bytes(), package.manifest)
-    except FormatError as error:
-        findings.append(_finding(error))
+    findings += _check_measures(package)
+    findings += _attempt(MPD_NAME, partial(_check_mpd, package))
     if not findings:  # broken files would only repeat themselves
         findings = list(_check_decoding(package))
     return findings
@@ -47,6 +53,24 @@ def validate(path: Path) -> list[Finding]:
 
 def _finding(error: FormatError) -> Finding:
     return Finding(error.reason, error.where, error.detail)
+
+
+def _attempt(where: str, work: Callable[[], None]) -> list[Finding]:
+    """The finding of a step that raises, or nothing."""
+    try:
+        work()
+    except FormatError as error:
+        return [_finding(error)]
+    except (AirgsError, OverflowError) as error:  # a group without keys; a number that fits no array
+        return [Finding("bad_value", where, str(error))]
+    return []
+
+
+def _check_mpd(package: Package) -> None:
+    path = package.path / MPD_NAME
+    if path.stat().st_size > MAX_JSON_BYTES:
+        raise FormatError("too_large", MPD_NAME, f"expected at most {MAX_JSON_BYTES} bytes")
+    check_mpd(path.read_bytes(), package.manifest)
 
 
 def _check_files(package: Package) -> Iterator[Finding]:
@@ -62,20 +86,70 @@ def _check_files(package: Package) -> Iterator[Finding]:
         relative = file.relative_to(package.path).as_posix()
         if file.is_symlink():
             yield Finding("unsafe_path", relative, "expected plain files and folders, got a link")
-        elif file.is_file() and relative not in listed | {JSON_NAME, MPD_NAME}:
+        elif not file.is_dir() and relative not in listed | {JSON_NAME, MPD_NAME}:
             yield Finding("foreign_file", relative, f"not listed in {JSON_NAME}")
+
+
+def _check_measures(package: Package) -> Iterator[Finding]:
+    """What the tables say of each segment against its file, and measured quality within what can be measured."""
+    m = package.manifest
+    for s, segment in enumerate(m.segments):
+        for j, level in enumerate(segment.levels):
+            where = f"{JSON_NAME}.segments[{s}].levels[{j}]"
+            if len(level.psnr) != len(level.ssim):
+                yield Finding("bad_value", where, "expected psnr and ssim, or neither")
+            if any(abs(v) > MAX_PSNR for v in level.psnr) or any(abs(v) > 1 for v in level.ssim):
+                yield Finding("bad_value", where, f"expected |PSNR| <= {MAX_PSNR:g} dB and |SSIM| <= 1")
+            if level.number:
+                size = m.bytes_of(m.state_files(s, j)[:1])
+                if min(level.frame_bytes) < 1 or sum(level.frame_bytes) > size:
+                    detail = f"frame_bytes add up to {sum(level.frame_bytes)}, the file has {size}"
+                    yield Finding("size_mismatch", where, detail)
 
 
 def _check_decoding(package: Package) -> Iterator[Finding]:
     m = package.manifest
     for g in range(len(m.groups)):
         for q in range(len(m.qualities)):
-            try:
-                base = decode_canonical(package, g, q)
-                if q == 0:
-                    for s, segment in enumerate(m.segments):
-                        for j in range(len(m.levels) if segment.group == g else 0):
-                            for _ in decode_segment(package, s, base, j, 0, segment.stop - segment.start):
-                                pass
-            except FormatError as error:
-                yield _finding(error)
+            yield from _attempt(f"group {g}", partial(_decode_key, package, g, q))
+        try:
+            with np.errstate(all="ignore"):
+                base = decode_canonical(package, g, 0)
+        except (AirgsError, OverflowError):
+            continue  # found above
+        for s, segment in enumerate(m.segments):
+            for j in range(len(m.levels) if segment.group == g else 0):
+                yield from _attempt(f"segment {s}", partial(_decode_state, package, s, j, base))
+
+
+def _decode_key(package: Package, group: int, quality: int) -> None:
+    with np.errstate(all="ignore"):  # _expect_finite says it better
+        base = decode_canonical(package, group, quality)
+        _expect_finite(show(base), f"group {group} Q{quality}")
+    for t in range(package.manifest.tier_count):
+        files = package.manifest.key_files(group, t, quality)
+        if files:
+            _expect_pictures(package, key_init_path(t, quality), files[0], 1)
+
+
+def _decode_state(package: Package, index: int, level: int, base: Canonical) -> None:
+    segment = package.manifest.segments[index]
+    files = package.manifest.state_files(index, level)
+    length = segment.stop - segment.start
+    if files:
+        with np.errstate(all="ignore"):
+            for frame in decode_segment(package, index, base, level, 0, length):
+                _expect_finite(frame, files[0])
+        _expect_pictures(package, state_init_path(level), files[0], length)
+
+
+def _expect_pictures(package: Package, init: str, media: str, count: int) -> None:
+    got = sum(1 for _ in decode_clip(package.read(init), package.read(media), media))
+    if got != count:
+        raise FormatError("bad_picture", media, f"expected {count} pictures, got {got}")
+
+
+def _expect_finite(frame: Gaussians, where: str) -> None:
+    for field in fields(frame):
+        if not np.isfinite(getattr(frame, field.name)).all():
+            raise FormatError("bad_value", where, f"{field.name} decode to numbers that are not finite")
