@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from fractions import Fraction
@@ -40,6 +40,8 @@ from airgs_codec.video import (
     STATE_QP,
     Clip,
     CodecSettings,
+    Stream,
+    check_stream,
     decode_clip,
     encode_stream,
     library_versions,
@@ -183,12 +185,20 @@ def _encode_keys(
             )
             for plan in used
         ]
-        return Coded(encode_stream(clips, size, fps, timescale, codec) if used else None, size)
+        return Coded(_encode_checked(lambda: clips, size, fps, timescale, codec) if used else None, size)
 
     pairs = [(t, q) for t in range(len(settings.tiers)) for q in range(len(settings.key_factors))]
     streams = _parallel(settings.jobs, [functools.partial(encode, *pair) for pair in pairs], "key pictures", progress)
     count = len(settings.key_factors)
     return [streams[t * count : (t + 1) * count] for t in range(len(settings.tiers))]
+
+
+def _encode_checked(
+    clips: Callable[[], Iterable[Clip]], size: tuple[int, int], fps: Fraction, timescale: int, codec: CodecSettings
+) -> Stream:
+    stream = encode_stream(clips(), size, fps, timescale, codec)
+    check_stream(stream, clips(), codec)
+    return stream
 
 
 def _common_size(atlases: list[Atlas]) -> tuple[int, int]:
@@ -314,9 +324,10 @@ def _encode_states(
 
     def encode(level: int) -> Coded:
         size = _common_size([plan.levels[level] for plan in plans if plan.levels[level].planes])
-        clips = _state_clips(plans, spans, fetched, level, size, ticks, scratch)
-        wanted = any(row[level] for group in fetched for row in group)
-        return Coded(encode_stream(clips, size, fps, timescale, codec), size) if wanted else Coded(None, (0, 0))
+        if not any(row[level] for group in fetched for row in group):
+            return Coded(None, (0, 0))
+        clips = functools.partial(_state_clips, plans, spans, fetched, level, size, ticks, scratch)
+        return Coded(_encode_checked(clips, size, fps, timescale, codec), size)
 
     tasks = [functools.partial(encode, level) for level in range(len(settings.levels))]
     return _parallel(settings.jobs, tasks, "state pictures", progress)

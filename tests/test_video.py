@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 
 from airgs_codec import atlas as at
-from airgs_codec.errors import FormatError
+from airgs_codec.errors import CodecError, FormatError
 from airgs_codec.manifest import Atlas
-from airgs_codec.video import KEY_QP, STATE_QP, Clip, CodecSettings, decode_clip, encode_stream, quantiser, write_movie
+from airgs_codec.video import (
+    KEY_QP,
+    STATE_QP,
+    Clip,
+    CodecSettings,
+    check_stream,
+    decode_clip,
+    encode_stream,
+    quantiser,
+    write_movie,
+)
 
 
 @pytest.mark.parametrize("rows", [1, 2, 255, 256, 257, 511, 4096, 5000])
@@ -79,3 +89,13 @@ def test_broken_bytes_are_refused():
 def test_a_film_of_odd_size_can_be_written(tmp_path):
     write_movie(tmp_path / "a.mp4", (np.zeros((33, 47, 3), np.uint8) for _ in range(3)), Fraction(24))
     assert (tmp_path / "a.mp4").stat().st_size > 500
+
+
+def test_a_stream_that_decodes_to_something_else_is_not_published():
+    codec = CodecSettings(STATE_QP, 1.2, 1.3, "veryfast")
+    right, wrong = pictures(4), pictures(4, 5)
+    stream = encode_stream([Clip(right, 0, 1)], (96, 64), Fraction(24), 24, codec)
+    check_stream(stream, [Clip(right, 0, 1)], codec)
+    for other in (wrong, right[:3], [*right, right[0]], [p[:32] for p in right]):
+        with pytest.raises(CodecError, match="segment 0"):
+            check_stream(stream, [Clip(other, 0, 1)], codec)
