@@ -284,27 +284,38 @@ def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
         rungs = [_rung(m, q, j, manifest_bytes) for j in range(len(m.levels))]
         measured = [r for r in rungs if r["psnr"] is not None]
         x, y = [r["bytes_per_frame"] / 1e3 for r in measured], [r["psnr"] for r in measured]
-        ladder.plot(x, y, "o-", label=f"key {quality.id} (steps x{quality.factor:g})")
+        (line,) = ladder.plot(x, y, "o-", label=f"key {quality.id} (steps x{quality.factor:g})")
+        side = {"xytext": (6, -9)} if q % 2 == 0 else {"xytext": (-6, 4), "ha": "right"}  # curves cross
         for r, a, b in zip(measured, x, y, strict=True):
-            ladder.annotate(r["state"], (a, b), textcoords="offset points", xytext=(5, -11), fontsize=8)
+            ladder.annotate(r["state"], (a, b), textcoords="offset points", fontsize=8, color=line.get_color(), **side)
+    ladder.margins(0.08)
     ladder.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB", title="Rungs")
     if m.views.reference == "none":
         ladder.text(0.5, 0.5, "quality was not measured", ha="center", transform=ladder.transAxes)
     else:
         ladder.legend()
     ladder.grid(alpha=0.3)
+    edges = np.arange(m.frames + 1) - 0.5
     for j, level in enumerate(m.levels):
         sizes = np.zeros(m.frames)
         for segment in m.segments:
             if segment.levels[j].frame_bytes:
                 sizes[segment.start : segment.stop] = segment.levels[j].frame_bytes
         name = f"{level.id} ({100 * level.pruned:g} % pruned, x{level.factor:g})"
-        time.step(np.arange(m.frames), sizes / 1e3, where="mid", label=name)
+        time.stairs(sizes / 1e3, edges, label=name, linewidth=1.4, baseline=None)
+    keys = np.zeros(m.frames)
+    for g, group in enumerate(m.groups):
+        total = sum(m.bytes_of(m.key_files(g, t, 0)) for t in range(m.tier_count))
+        keys[group.start : group.stop] = total / (group.stop - group.start)
+    name = f"keys in {m.qualities[0].id}, spread over their group"
+    time.stairs(keys / 1e3, edges, fill=True, color="0.88", label=name, zorder=0)
     for group in m.groups[1:]:
         time.axvline(group.start - 0.5, color="0.6", linestyle=":", linewidth=1)
-    time.set(xlabel="frame (dotted: a new group)", ylabel="kB", title="State pictures over time")
-    time.set_ylim(bottom=0)
-    time.legend(fontsize=8)
+    time.set(xlabel="frame (dotted: a new group)", ylabel="kB", title="Bytes over time: state pictures and keys")
+    time.set_ylim(0, 1.3 * time.get_ylim()[1])  # room for the legend
+    time.xaxis.get_major_locator().set_params(integer=True)
+    time.legend(fontsize=8, ncols=2)
+    time.set_axisbelow(True)
     time.grid(alpha=0.3)
     try:
         figure.savefig(path, dpi=110)
