@@ -175,7 +175,6 @@ def check_mpd(data: bytes, m: Manifest) -> None:
     root = _parse(data)
     _check_shape(root)
     _check_duration(root, m)
-    _check_numbers(m)
     rows = [
         _read_representations(element, m) for element in root.findall(f"./{{{DASH}}}Period/{{{DASH}}}AdaptationSet")
     ]
@@ -247,16 +246,6 @@ def _check_duration(root: ET.Element, m: Manifest) -> None:
     seconds = float(m.frames / m.fps)
     if abs(float(text[2:-1]) - seconds) > 1e-5 or root.get("type") != "static":
         raise FormatError("mpd_mismatch", MPD_NAME, f"expected a static presentation of {seconds:.6f} s, got {text}")
-
-
-def _check_numbers(m: Manifest) -> None:
-    """The MPD counts files from 1; so must the tables."""
-    runs = [(f"L{j}", [s.levels[j].number for s in m.segments]) for j in range(len(m.levels))]
-    runs += [(f"T{t}", [g.tiers[t].number for g in m.groups]) for t in range(m.tier_count)]
-    for name, numbers in runs:
-        present = [n for n in numbers if n]
-        if present != list(range(1, len(present) + 1)):
-            raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", f"expected files 1, 2, … in order, got {present}")
 
 
 def _read_representations(adaptation: ET.Element, m: Manifest) -> list[Representation]:

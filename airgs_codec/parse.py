@@ -30,6 +30,10 @@ from airgs_codec.manifest import (
 _PATH = re.compile(r"key/T\d+/(\d+\.bin|Q\d+/(init\.mp4|\d+\.m4s))|state/L\d+/(init\.mp4|\d+\.(m4s|bin))")
 
 
+MAX_CENTRE = 1 << 30  # as quantize.CODE_LIMIT: a code, a centre and an escape add up within int32
+MAX_PSNR = 1000.0  # dB; nothing measured comes near, and ten to the power of it is still a float
+
+
 def parse_manifest(text: str | bytes) -> Manifest:
     """The value of an airgs.json. Raises FormatError whose `where` names the place.
 
@@ -154,7 +158,7 @@ def _atlas_ranges(
 ) -> Iterator[tuple[str, float, float, float]]:
     yield f"len({where}.centres)", len(atlas.centres), channels, channels
     for centre in atlas.centres:
-        yield f"{where}.centres", centre, -(1 << 31), 1 << 31
+        yield f"{where}.centres", centre, -MAX_CENTRE, MAX_CENTRE
     for i, plane in enumerate(atlas.planes):
         yield f"{where}.planes[{i}]", plane, atlas.planes[i - 1] + 1 if i else 0, channels - 1
     if atlas.planes:
@@ -209,6 +213,12 @@ def _check_cover(m: Manifest) -> None:
             raise FormatError("bad_value", f"{JSON_NAME}.groups[{i}].canonical", f"{group.canonical} is outside")
     for i, segment in enumerate(m.segments):
         _check_segment(m, i, segment)
+    runs = [(f"level L{j}", [s.levels[j].number for s in m.segments]) for j in range(len(m.levels))]
+    runs += [(f"tier T{t}", [g.tiers[t].number for g in m.groups]) for t in range(m.tier_count)]
+    for name, numbers in runs:
+        present = [number for number in numbers if number]
+        if present != list(range(1, len(present) + 1)):
+            raise FormatError("bad_value", f"{JSON_NAME} {name}", f"expected files 1, 2, … in order, got {present}")
 
 
 def _check_segment(m: Manifest, index: int, segment: Segment) -> None:
@@ -219,10 +229,17 @@ def _check_segment(m: Manifest, index: int, segment: Segment) -> None:
     if segment.start < group.start or segment.stop > group.stop:
         raise FormatError("bad_value", where, f"crosses group {segment.group}")
     for j, level in enumerate(segment.levels):
+        for name, value, low, high in (
+            *(("frame_bytes", size, 1, MAX_FILE_BYTES) for size in level.frame_bytes),
+            *(("psnr", value, -MAX_PSNR, MAX_PSNR) for value in level.psnr),
+            *(("ssim", value, -1, 1) for value in level.ssim),
+        ):
+            if not low <= value <= high:
+                raise FormatError("bad_value", f"{where}.levels[{j}].{name}", f"expected {low} to {high}, got {value}")
         for name, got, allowed in (
             ("frame_bytes", len(level.frame_bytes), {segment.stop - segment.start if level.number else 0}),
             ("psnr", len(level.psnr), {0, len(m.qualities)}),
-            ("ssim", len(level.ssim), {0, len(m.qualities)}),
+            ("ssim", len(level.ssim), {len(level.psnr)}),
             ("number", level.number, {0} if not group.levels[j].planes else {max(0, level.number)}),
         ):
             if got not in allowed:

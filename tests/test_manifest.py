@@ -75,15 +75,36 @@ PLACES = [p for p in places(json.loads(TEXT)) if p]
 )
 @settings(max_examples=300)
 def test_a_mutated_table_is_read_or_refused_never_a_crash(place, value):
+    try:
+        parse_manifest(set_in(place, value))
+    except FormatError as error:
+        assert error.reason and error.where.startswith("airgs.json")
+
+
+def set_in(place, value):
+    """The text of a valid table with one value changed."""
     data = json.loads(TEXT)
     target = data
     for key in place[:-1]:
         target = target[key]
     target[place[-1]] = value
-    try:
-        parse_manifest(json.dumps(data))
-    except FormatError as error:
-        assert error.reason and error.where.startswith("airgs.json")
+    return json.dumps(data)
+
+
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("segments", 0, "levels", 0, "psnr"), [1e300, 40.0]),
+        (("segments", 0, "levels", 0, "ssim"), []),
+        (("segments", 0, "levels", 0, "number"), 2),
+        (("groups", 0, "tiers", 0, "qualities", 0, "centres", 0), 2**31 - 1),
+        (("segments", 0, "levels", 0, "frame_bytes"), [-1, 5]),
+    ],
+)
+def test_claims_that_cannot_be_true_are_refused(place, value):
+    with pytest.raises(FormatError) as caught:
+        parse_manifest(set_in(place, value))
+    assert caught.value.reason == "bad_value"
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"version": NaN}', "nul", "[" * 100_000])

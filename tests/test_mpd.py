@@ -138,14 +138,5 @@ def test_a_level_in_the_set_of_a_key_tier_is_refused():
     assert reason_of(ET.tostring(root), m) == "mpd_mismatch"
 
 
-def test_file_numbers_out_of_order_are_refused():
-    m = tiny_manifest()
-    swapped = [
-        dataclasses.replace(s, levels=[dataclasses.replace(v, number=3 - v.number) for v in s.levels])
-        for s in m.segments
-    ]
-    assert reason_of(write_mpd(m), dataclasses.replace(m, segments=swapped)) == "mpd_mismatch"
-
-
 def test_nested_elements_do_not_overflow():
     assert reason_of(b"<a>" * 100_000 + b"</a>" * 100_000, tiny_manifest()) == "bad_mpd"
