@@ -6,7 +6,7 @@ OUT := build/demo
 
 .PHONY: demo test clean
 
-# torch is pinned here, in one place; --extra-index-url of your mirror's CPU builds goes into PIP_EXTRA_INDEX_URL.
+# torch is pinned here, in one place; where pip would take its CUDA build, name a CPU index in PIP_EXTRA_INDEX_URL.
 .venv/installed: pyproject.toml Makefile
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet torch==2.13.0
