@@ -34,6 +34,12 @@ def test_encode_reports_what_it_did(tmp_path, capsys):
     assert (tmp_path / "scene.airgs" / "manifest.mpd").exists()
 
 
+def test_the_folder_one_stands_in_can_be_encoded(tmp_path, monkeypatch):
+    monkeypatch.chdir(write_sequence(tmp_path / "scene", moving_frames(20, 1)))
+    assert encode.main([".", "--preset", "ultrafast", "--measure-frames", "0", "--json"]) == 0
+    assert (tmp_path / "scene.airgs" / "manifest.mpd").exists()
+
+
 def test_ladder_presets_and_levels(tmp_path, capsys):
     scene = write_sequence(tmp_path / "scene", moving_frames(60, 2))
     base = [str(scene), "-o", str(tmp_path / "out"), "--preset", "ultrafast", "--measure-frames", "0"]

@@ -120,7 +120,8 @@ def _run(args: argparse.Namespace) -> int:
     if args.fps is not None and not 0 < args.fps <= 1000:
         raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
     sequence = open_sequence(args.scene, views=args.views, fps=args.fps)
-    target = args.output or args.scene.with_name(args.scene.name + ".airgs")
+    scene = args.scene.resolve()  # "." has no name of its own
+    target = args.output or scene.with_name(scene.name + ".airgs")
     bar = Bar(args.json)
     try:
         report = author_package(
