@@ -5,7 +5,6 @@ N Gaussians, K = (degree + 1)^2 - 1 SH coefficients past DC.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -44,11 +43,6 @@ class Gaussians:
     def opacities(self) -> NDArray[np.float32]:
         """(N,) alpha in [0, 1]."""
         return sigmoid(self.opacity_logits)
-
-
-def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
-    """All rows of all parts, in order; the parts share one SH degree."""
-    return Gaussians(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Gaussians)))
 
 
 def sigmoid(x: NDArray[np.floating]) -> NDArray:
