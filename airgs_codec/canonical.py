@@ -26,7 +26,7 @@ class Canonical:
     """Decoded canonical space; rows in file order."""
 
     means: NDArray[np.float64]  # (N, 3) world units, on the grid
-    size_roots: NDArray[np.float32]  # (N,) sqrt(world units)
+    motion_units: NDArray[np.float32]  # (N,) world units
     quaternions: NDArray[np.float32]  # (N, 4) unit
     log_scales: NDArray[np.float32]  # (N, 3)
     opacity: NDArray[np.float32]  # (N,) may leave [0, 1] by coding error
@@ -90,7 +90,7 @@ def read_key(
     scale = tf.colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1]).astype(np.float32)
     return Canonical(
         means=grid_means(codes, grid),
-        size_roots=tf.size_roots(classes),
+        motion_units=tf.motion_units(classes),
         quaternions=tf.from_rotation_vector(np.ascontiguousarray(channels[3:6].T)),
         log_scales=np.ascontiguousarray(channels[:3].T),
         opacity=channels[6],
@@ -111,7 +111,7 @@ def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSte
     out = np.empty((len(frames), STATE_FIXED + base.colours.shape[1], len(base.means)))
     for t, g in enumerate(frames):
         opacity = tf.to_opacity(g.opacity_logits.astype(np.float64))
-        out[t, 0:3] = ((g.means - base.means) / base.size_roots[:, None]).T
+        out[t, 0:3] = ((g.means - base.means) / base.motion_units[:, None]).T
         out[t, 3:6] = (g.log_scales.astype(np.float64) - base.log_scales).T
         out[t, 6:9] = tf.to_rotation_vector(tf.multiply(g.quaternions.astype(np.float64), quaternions)).T
         out[t, 9] = opacity - base.opacity
@@ -139,7 +139,7 @@ class LevelRows:
 
     base: Canonical
     rows: NDArray[np.intp]  # (n,)
-    size_roots: NDArray[np.float32]  # (n,)
+    motion_units: NDArray[np.float32]  # (n,)
     quaternions: NDArray[np.float32]  # (n, 4)
     colour_steps: NDArray[np.float32]  # (C,)
     transform: NDArray[np.float32]  # (C, C)
@@ -151,7 +151,7 @@ class LevelRows:
         """Gather the rows."""
         scale = tf.colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1]).astype(np.float32)
         transform = base.transform.astype(np.float32)
-        return LevelRows(base, rows, base.size_roots[rows], base.quaternions[rows], scale, transform, turns, coloured)
+        return LevelRows(base, rows, base.motion_units[rows], base.quaternions[rows], scale, transform, turns, coloured)
 
 
 def apply_state(level: LevelRows, channels: NDArray[np.float32]) -> Gaussians:
@@ -162,7 +162,7 @@ def apply_state(level: LevelRows, channels: NDArray[np.float32]) -> Gaussians:
     base, rows = level.base, level.rows
     means, log_scales, opacity = base.means.copy(), base.log_scales.copy(), base.opacity.copy()
     quaternions, colours = base.quaternions, base.colours
-    shifts = channels[0:3] * level.size_roots
+    shifts = channels[0:3] * level.motion_units
     for axis in range(3):
         means[rows, axis] += shifts[axis]
         log_scales[rows, axis] += channels[3 + axis]

@@ -17,6 +17,7 @@ from airgs_codec.gaussians import Gaussians
 from airgs_codec.manifest import Atlas, Picture, key_init_path, state_init_path, unpack_matrix
 from airgs_codec.package import Package
 from airgs_codec.quantize import from_codes
+from airgs_codec.rangecoder import Reader
 from airgs_codec.sidecar import KeySidecar, unpack_key_sidecar
 from airgs_codec.tiers import STATIC
 from airgs_codec.video import decode_clip
@@ -105,11 +106,9 @@ def decode_state(package: Package, index: int, level: int, first: int, last: int
     media, sidecar_path = m.state_files(index, level)
     atlas = m.groups[segment.group].levels[level]
     shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
-    most = 4 + 12 * shape[0] * shape[1] * shape[2]
-    payload = escapes.inflate(package.read(sidecar_path), most, sidecar_path)
-    escape_index, jumps, used = escapes.unpack(payload, shape, sidecar_path)
-    if used != len(payload):
-        raise FormatError("bad_sidecar", sidecar_path, f"expected the end at {used}, got {len(payload)} bytes")
+    reader = Reader(package.read(sidecar_path), sidecar_path)
+    escape_index, jumps = escapes.read(reader, shape, sidecar_path)
+    reader.close()
     shown = 0
     pictures = decode_clip(package.read(state_init_path(level)), package.read(media), media)
     for shown, picture in enumerate(pictures, 1):

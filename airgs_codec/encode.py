@@ -28,7 +28,9 @@ from airgs_codec.grouping import plan_groups
 from airgs_codec.manifest import Atlas
 from airgs_codec.plan import GroupPlan, load_frames, plan_group
 from airgs_codec.quantize import from_codes, to_codes
+from airgs_codec.rangecoder import encode_columns
 from airgs_codec.render import Camera
+from airgs_codec.sensitivity import withheld_error
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.settings import EncodeSettings
 from airgs_codec.tiers import STATIC, assign_depths
@@ -273,7 +275,7 @@ def _code_states(
     values = space.state_channels([frame.take(plan.rows) for frame in frames], base, plan.state_steps)
     steps = space.state_steps(plan.state_steps, base.colours.shape[1])
     changes = (values - values[plan.canonical - plan.start]) / steps[:, None]
-    plan.depths = _depths(changes, plan.score, settings)
+    plan.depths = _depths(changes, plan, settings)
     fetched = [[False] * len(settings.levels) for _ in spans]
     for level, (_, factor) in enumerate(settings.levels):
         rows = (plan.depths != STATIC) & (plan.depths >= level)
@@ -291,21 +293,22 @@ def _code_states(
             part = slice(start - plan.start, stop - plan.start)
             fetched[s][level] = bool((np.abs(changes[part][:, :, rows]) > factor / 2).any())
             samples[part], bases = escapes.split(centred[part])
-            escapes_path(scratch, group, level, s).write_bytes(escapes.deflate([escapes.pack(bases)]))
+            escapes_path(scratch, group, level, s).write_bytes(encode_columns(escapes.columns(bases)))
         np.save(_samples_path(scratch, group, level), samples)
     return fetched
 
 
-def _depths(changes: NDArray[np.float64], score: NDArray[np.float64], settings: EncodeSettings) -> NDArray[np.uint8]:
-    """Rows ranked by usage x size of their change since the canonical frame (root mean square over frames).
-
-    changes (T, 10 + C, N) in steps.
+def _depths(changes: NDArray[np.float64], plan: GroupPlan, settings: EncodeSettings) -> NDArray[np.uint8]:
+    """Rows ranked by what withholding their updates would cost; changes (T, 10 + C, N) in steps.
 
     A row that never changes by more than half a step is static: its state would only add coding noise to the key.
     """
     moving = np.abs(changes).max(axis=(0, 1)) > 0.5
-    size = np.sqrt(np.einsum("tcn,tcn->n", changes, changes) / len(changes))
-    return assign_depths(score * size, moving, [share for share, _ in settings.levels])
+    if settings.rank == "error":
+        score = withheld_error(changes, plan.classes, plan.sensitivity, plan.state_steps)
+    else:
+        score = plan.score * np.sqrt(np.einsum("tcn,tcn->n", changes, changes) / len(changes))
+    return assign_depths(score, moving, [share for share, _ in settings.levels])
 
 
 def _encode_states(

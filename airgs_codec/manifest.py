@@ -102,7 +102,7 @@ class KeySteps:
 class StateSteps:
     """Quantiser steps of the state at factor 1."""
 
-    means: float  # sqrt(world units): displacement / sqrt(size of the row)
+    means: float  # motion units of the row
     quaternions: float  # radians
     log_scales: float  # ln
     opacity: float  # of [0, 1]

@@ -6,7 +6,7 @@ N rows of a group, n rows of a tier or level, P planes, C colour channels.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.manifest import Atlas, Grid, KeySteps, StateSteps
 from airgs_codec.render import Camera
+from airgs_codec.sensitivity import FLOOR, Sensitivity, measure_sensitivity
 from airgs_codec.sequence import Repaired, repair
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.settings import EncodeSettings
@@ -38,7 +39,8 @@ class GroupPlan:
     tiers: NDArray[np.uint8]  # (N,) of the rows in file order, ascending
     score: NDArray[np.float64]  # (N,) usage
     codes: NDArray[np.uint64]  # (N,) Morton codes of the grid
-    classes: NDArray[np.int16]
+    classes: NDArray[np.int16]  # (N,) motion classes
+    sensitivity: Sensitivity  # of the rows in file order
     grid: Grid
     key_steps: KeySteps
     state_steps: StateSteps
@@ -81,7 +83,8 @@ def plan_group(
     canonical = start + (stop - start) // 2
     key = loaded.frames[canonical - start]
     ends = sorted({0, canonical - start, stop - start - 1})
-    usage = measure_usage([loaded.frames[i] for i in ends], cameras).measure(settings.usage)
+    shown = [loaded.frames[i] for i in ends]
+    usage = measure_usage(shown, cameras).measure(settings.usage)
     rows = np.flatnonzero(usage > 0) if given and usage.any() else np.arange(len(key))
     key, score = key.take(rows), usage[rows]
     key_steps, state_steps, grid_step = _steps(settings, scene_unit(key))
@@ -92,6 +95,7 @@ def plan_group(
     key = key.take(order)
     transform = _colour_transform(key, key_steps)
     channels = 3 * (1 + key.sh_rest.shape[1])
+    sensitivity = measure_sensitivity([frame.take(rows[order]) for frame in shown], cameras)
     values = space.key_channels(key, tables.unpack_matrix(transform, channels), key_steps)
     return GroupPlan(
         start,
@@ -103,7 +107,8 @@ def plan_group(
         tiers[order],
         score[order],
         codes[order],
-        tf.size_classes(key.log_scales),
+        _motion_classes(sensitivity),
+        sensitivity,
         grid,
         key_steps,
         state_steps,
@@ -112,11 +117,18 @@ def plan_group(
     )
 
 
+def _motion_classes(sensitivity: Sensitivity) -> NDArray[np.int16]:
+    seen = sensitivity.means[sensitivity.means > 0]
+    if not len(seen):  # nothing is visible: every row counts alike
+        return np.zeros(len(sensitivity.means), np.int16)
+    return tf.motion_classes(sensitivity.means, FLOOR * float(np.median(seen)))
+
+
 def _steps(settings: EncodeSettings, unit: float) -> tuple[KeySteps, StateSteps, float]:
     q, steps = settings.quality, settings.steps
     key = KeySteps(*(getattr(steps.key, name) * q for name in tables.KEY_ATTRIBUTES))
     state = StateSteps(*(getattr(steps.state, name) * q for name in tables.STATE_ATTRIBUTES))
-    return key, replace(state, means=state.means * unit**0.5), steps.grid * q * unit
+    return key, state, steps.grid * q * unit
 
 
 def _grid(means: NDArray[np.float32], step: float) -> Grid:

@@ -25,13 +25,14 @@ class StepSettings:
     )
     state: StateSteps = field(
         default_factory=lambda: StateSteps(
-            means=0.4, quaternions=0.03, log_scales=0.10, opacity=0.06, sh_dc=0.05, sh_rest=0.08
+            means=0.0006, quaternions=0.03, log_scales=0.10, opacity=0.06, sh_dc=0.05, sh_rest=0.08
         )
     )
     grid: float = 0.5  # grid step of canonical means, in units of the scene
 
 
 DEFAULT_LEVELS = ((0.0, 1.0), (0.3, 1.5), (0.5, 2.0), (0.6, 3.0))
+RANKS = ("error", "usage")  # expected error of withholding an update; usage x size of its change
 PAPER_LEVELS = tuple((share / 10, 1.0) for share in range(10))
 QUALITY_FACTORS = {"low": 1.6, "medium": 1.0, "high": 0.6}
 
@@ -47,7 +48,8 @@ class EncodeSettings:
     quality: float = 1.0  # factor on every step
     segment_s: float = 1.0
     group_frames: int = DEFAULT_GROUP_FRAMES
-    usage: str = "max"
+    usage: str = "max"  # what key tiers are ranked by
+    rank: str = "error"  # what updates are ranked by, of RANKS
     preset: str = DEFAULT_PRESET
     jobs: int = field(default_factory=lambda: os.cpu_count() or 1)
 
@@ -65,6 +67,7 @@ class EncodeSettings:
                 f"expected tiers that sum to 1, got {self.tiers}",
             ),
             (self.usage in MEASURES, f"expected usage {', '.join(MEASURES)}, got {self.usage}"),
+            (self.rank in RANKS, f"expected rank {', '.join(RANKS)}, got {self.rank}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
             (self.jobs >= 1, f"expected at least one job, got {self.jobs}"),
         ]
@@ -79,6 +82,7 @@ class EncodeSettings:
             "key_factors": ",".join(f"{factor:g}" for factor in self.key_factors),
             "quality": f"{self.quality:g}",
             "usage": self.usage,
+            "rank": self.rank,
             "codec": "libx264",
             "preset": self.preset,
             "key_qp": str(KEY_QP),

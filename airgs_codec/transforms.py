@@ -65,14 +65,18 @@ def from_opacity(opacity: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.log(a / (1 - a))
 
 
-def size_classes(log_scales: Floats) -> NDArray[np.int16]:
-    """(N, 3) canonical log-scales -> (N,) class c with 2^(c/2) nearest the geometric mean of the three scales."""
-    return np.clip(np.rint(2 * log_scales.astype(np.float64).mean(axis=1) / np.log(2)), -128, 127).astype(np.int16)
+def motion_classes(sensitivity: NDArray[np.float64], floor: float) -> NDArray[np.int16]:
+    """(N,) squared derivative of the picture by a row's mean, 1 / world unit^2 -> class c, its motion unit 2^c.
+
+    The unit is the nearest power of two to 1 / sqrt(derivative): a row that the picture depends on more is sent finer.
+    `floor` (> 0) is the least sensitivity that counts.
+    """
+    return np.clip(np.rint(-0.25 * np.log2(np.maximum(sensitivity, floor))), -128, 127).astype(np.int16)
 
 
-def size_roots(classes: NDArray[np.int16]) -> NDArray[np.float32]:
-    """(N,) class -> sqrt(2^(c/2)), the unit of a row's displacement in sqrt(world units)."""
-    return np.exp2(classes.astype(np.float32) / 4)
+def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
+    """(N,) class -> 2^c, what a row's displacement is counted in (world units)."""
+    return np.exp2(classes.astype(np.float32))
 
 
 def colours(sh_dc: Floats, sh_rest: Floats) -> Floats:

@@ -13,7 +13,7 @@ MAY_IMPORT = {
     "av": {"video.py"},
     "cv2": {"picture.py"},
     "colour": {"color.py"},
-    "numba": {"render/cpu.py", "render/cpu_kernels.py"},
+    "numba": {"rangecoder.py", "render/cpu.py", "render/cpu_kernels.py"},
     "plyfile": {"ply.py"},
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))

@@ -158,9 +158,9 @@ def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(tmp_path):
     steps = package.manifest.groups[0].state_steps.means
     shown = [f.gaussians for f in decode_frames(package, 0, 5)]
     far = int(np.argmax(shown[3].means[:, 0]))
-    size = np.exp(shown[3].log_scales[far].mean()) ** 0.5
-    assert np.abs(shown[3].means[far] - means[11]).max() <= 3 * steps * size
-    assert np.abs(shown[2].means[far] - frames[2].means[11]).max() <= 3 * steps * size
+    unit = decode_canonical(package, 0, 0).motion_units[far]
+    assert np.abs(shown[3].means[far] - means[11]).max() <= 3 * steps * unit
+    assert np.abs(shown[2].means[far] - frames[2].means[11]).max() <= 3 * steps * unit
 
 
 def test_a_still_scene_has_no_state_at_all(tmp_path):

@@ -14,7 +14,7 @@ from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.inspection import format_summary
 from airgs_codec.measure import DEFAULT_FRAMES
 from airgs_codec.sequence import open_sequence
-from airgs_codec.settings import DEFAULT_LEVELS, PAPER_LEVELS, QUALITY_FACTORS, EncodeSettings
+from airgs_codec.settings import DEFAULT_LEVELS, PAPER_LEVELS, QUALITY_FACTORS, RANKS, EncodeSettings
 from airgs_codec.usage import MEASURES
 from airgs_codec.video import DEFAULT_PRESET, PRESETS
 
@@ -78,7 +78,14 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
         "--usage",
         choices=MEASURES,
         default=EncodeSettings().usage,
-        help="what ranks Gaussians: max or sum of alpha T, or pixel hits (the paper, literally) (default: max)",
+        help="usage of a Gaussian: max or sum of alpha T, or pixel hits (the paper, literally) (default: max)",
+    )
+    parser.add_argument(
+        "--rank",
+        choices=RANKS,
+        default=EncodeSettings().rank,
+        help="what ranks updates for pruning: the expected error of withholding one, or usage x size of the change "
+        "(default: error)",
     )
     parser.add_argument(
         "--measure-frames",
@@ -114,6 +121,7 @@ def _run(args: argparse.Namespace) -> int:
         segment_s=args.segment,
         group_frames=args.group,
         usage=args.usage,
+        rank=args.rank,
         preset=args.preset,
         jobs=args.jobs,
     )

@@ -8,7 +8,6 @@ import numpy as np
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.render import cpu_kernels as kernels
 from airgs_codec.render.camera import Camera
 
 
@@ -25,7 +24,7 @@ class _Rasterize(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
-        columns = gradients(
+        columns = cpu.gradients(
             ctx.activated,
             ctx.camera,
             ctx.blended,
@@ -33,36 +32,6 @@ class _Rasterize(torch.autograd.Function):
             np.ascontiguousarray(grads[1].numpy(), np.float32),
         )
         return (*(torch.from_numpy(c) for c in columns), None, None)
-
-
-def gradients(
-    g: cpu.Activated, camera: Camera, b: cpu.Blended, grad_rgb: np.ndarray, grad_transmittance: np.ndarray
-) -> tuple[np.ndarray, ...]:
-    """dL/d(means, quaternions, scales, opacities, sh) from dL/drgb (H, W, 3) and dL/dtransmittance (H, W)."""
-    pairs = np.empty((len(b.ids), 12), np.float32)
-    sums = np.zeros((len(g.means), 12), np.float32)
-    out = tuple(np.zeros_like(c) for c in (g.means, g.quaternions, g.scales, g.opacities, g.sh))
-    view, intrinsics = cpu.view_arguments(camera)
-    picture = b.picture
-    with cpu._LOCK:
-        kernels.blend_gradient(
-            b.flat,
-            b.tile_start,
-            b.ids,
-            b.tile_order,
-            *b.tiles,
-            picture.rgb,
-            picture.transmittance,
-            b.blended,
-            grad_rgb,
-            grad_transmittance,
-            pairs,
-        )
-        kernels.sum_pairs(b.order, b.first_pair, b.slots, pairs, sums)
-        geometry = (g.means, g.quaternions, g.scales, g.opacities, g.sh, g.sh_degree, view, intrinsics)
-        size = (camera.width, camera.height)
-        kernels.project_gradient(*geometry, *size, cpu.DILATION, b.flat, b.order, sums, *out)
-    return out
 
 
 def rasterize(

@@ -129,6 +129,40 @@ def blend(g: Activated, camera: Camera, background: tuple[float, float, float]) 
     return Blended(picture, flat, order, first_pair, tile_start, ids, slots, tile_order, blended, tiles)
 
 
+def gradients(
+    g: Activated,
+    camera: Camera,
+    b: Blended,
+    grad_rgb: NDArray[np.float32],
+    grad_transmittance: NDArray[np.float32],
+) -> tuple[NDArray[np.float32], ...]:
+    """dL/d(means, quaternions, scales, opacities, sh) from dL/drgb (H, W, 3) and dL/dtransmittance (H, W)."""
+    pairs = np.empty((len(b.ids), 12), np.float32)
+    sums = np.zeros((len(g.means), 12), np.float32)
+    out = tuple(np.zeros_like(c) for c in (g.means, g.quaternions, g.scales, g.opacities, g.sh))
+    view, intrinsics = view_arguments(camera)
+    picture = b.picture
+    with _LOCK:
+        kernels.blend_gradient(
+            b.flat,
+            b.tile_start,
+            b.ids,
+            b.tile_order,
+            *b.tiles,
+            picture.rgb,
+            picture.transmittance,
+            b.blended,
+            grad_rgb,
+            grad_transmittance,
+            pairs,
+        )
+        kernels.sum_pairs(b.order, b.first_pair, b.slots, pairs, sums)
+        geometry = (g.means, g.quaternions, g.scales, g.opacities, g.sh, g.sh_degree, view, intrinsics)
+        size = (camera.width, camera.height)
+        kernels.project_gradient(*geometry, *size, DILATION, b.flat, b.order, sums, *out)
+    return out
+
+
 def view_arguments(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """World-to-camera matrix and fx, fy, cx, cy as the kernels take them."""
     view = np.ascontiguousarray(camera.world_to_camera, np.float64)

@@ -1,0 +1,207 @@
+"""Adaptive binary range coder for columns of whole numbers: what must be exact in few bytes.
+
+A number is sent as its bit length (six binary decisions, a tree) and then the bits below its leading one: the upper
+three each by a model, the others as they are. A model learns how often its decision is 1. The models of a number are
+those of its column (order 0) or of the number before it (order 1). The arithmetic (32-bit range, carries kept back,
+normalised by bytes) is that of LZMA's range coder (Pavlov; after Martin 1979).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import FormatError
+
+MOST = (1 << 63) - 1  # largest number
+
+_TOP = 1 << 24  # the range is kept at or above it
+_HALF = 1 << 15  # probabilities are in 1 / 65536
+_MEMORY = 60  # decisions that a model remembers
+_LENGTHS = 64
+_MODELLED = 3  # bits below the leading one
+_NODES = _LENGTHS + (_LENGTHS << _MODELLED)
+_SEEN = 16  # numbers from 15 up choose the same model
+_CODE, _RANGE, _AT, _CACHE, _PENDING, _CONTEXT = range(6)  # of the coder's state
+_BATCH = 1 << 14  # numbers coded into one buffer
+_MOST_BYTES = 40  # a number: 9 modelled decisions of at most 11 bits, 60 plain ones, and bytes kept back
+_FLUSH = 5  # bytes at the end, and at the start of decoding
+
+
+@numba.njit(cache=True)
+def _shift(state: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
+    """Send the highest byte of `low`, or keep it back while a carry may still change it."""
+    low = state[_CODE]
+    if low < 0xFF000000 or low > 0xFFFFFFFF:
+        carry = low >> 32
+        byte = state[_CACHE] + carry
+        while state[_PENDING] > 0:
+            out[state[_AT]] = byte & 255
+            state[_AT] += 1
+            byte = 255 + carry
+            state[_PENDING] -= 1
+        state[_CACHE] = (low >> 24) & 255
+    state[_PENDING] += 1
+    state[_CODE] = (low & 0x00FFFFFF) << 8
+
+
+@numba.njit(cache=True)
+def _update(models: NDArray[np.int32], node: int, bit: int) -> None:
+    """Move towards the decision by one over the number of decisions seen so far, at least by 1/_MEMORY."""
+    seen = models[node, 1]
+    error = (65535 if bit else 0) - models[node, 0]
+    models[node, 0] += 2 * error // (2 * seen + 3)
+    models[node, 1] = min(seen + 1, _MEMORY)
+
+
+@numba.njit(cache=True)
+def _split(models: NDArray[np.int32], node: int, range_: int) -> int:
+    """The part of the range that stands for 1; never empty, never all."""
+    return (range_ >> 15) * min(max(models[node, 0] >> 1, 16), _HALF - 16)
+
+
+@numba.njit(cache=True)
+def _put(bit: int, part: int, state: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
+    if bit:
+        state[_RANGE] = part
+    else:
+        state[_CODE] += part
+        state[_RANGE] -= part
+    while state[_RANGE] < _TOP:
+        state[_RANGE] <<= 8
+        _shift(state, out)
+
+
+@numba.njit(cache=True)
+def _encode(
+    values: NDArray[np.int64], models: NDArray[np.int32], state: NDArray[np.int64], out: NDArray[np.uint8]
+) -> None:
+    for value in values:
+        base = state[_CONTEXT] * _NODES
+        length = 0
+        while value >> length:
+            length += 1
+        node = 1
+        for i in range(5, -1, -1):
+            bit = (length >> i) & 1
+            _put(bit, _split(models, base + node, state[_RANGE]), state, out)
+            _update(models, base + node, bit)
+            node = 2 * node + bit
+        node = 1
+        for i in range(length - 2, -1, -1):
+            bit = (value >> i) & 1
+            if length - 2 - i < _MODELLED:
+                at = base + _LENGTHS + (length << _MODELLED) + node
+                _put(bit, _split(models, at, state[_RANGE]), state, out)
+                _update(models, at, bit)
+                node = 2 * node + bit
+            else:
+                _put(bit, state[_RANGE] >> 1, state, out)
+        state[_CONTEXT] = min(int(value), _SEEN - 1) % (len(models) // _NODES)
+
+
+@numba.njit(cache=True)
+def _take(part: int, state: NDArray[np.int64], data: NDArray[np.uint8]) -> int:
+    bit = 1 if state[_CODE] < part else 0
+    if bit:
+        state[_RANGE] = part
+    else:
+        state[_CODE] -= part
+        state[_RANGE] -= part
+    while state[_RANGE] < _TOP:
+        state[_RANGE] <<= 8
+        byte = data[state[_AT]] if state[_AT] < len(data) else 0
+        state[_AT] += 1
+        state[_CODE] = (state[_CODE] << 8) | byte
+    return bit
+
+
+@numba.njit(cache=True)
+def _decode(
+    values: NDArray[np.int64], models: NDArray[np.int32], state: NDArray[np.int64], data: NDArray[np.uint8]
+) -> None:
+    """Fills `values`; stops once it has read past the end."""
+    for k in range(len(values)):
+        base = state[_CONTEXT] * _NODES
+        node = 1
+        for _ in range(6):
+            bit = _take(_split(models, base + node, state[_RANGE]), state, data)
+            _update(models, base + node, bit)
+            node = 2 * node + bit
+        length = node - _LENGTHS
+        value = np.int64(1 if length else 0)
+        node = 1
+        for i in range(length - 1):
+            if i < _MODELLED:
+                at = base + _LENGTHS + (length << _MODELLED) + node
+                bit = _take(_split(models, at, state[_RANGE]), state, data)
+                _update(models, at, bit)
+                node = 2 * node + bit
+            else:
+                bit = _take(state[_RANGE] >> 1, state, data)
+            value = 2 * value + bit
+        if state[_AT] > len(data):
+            return
+        values[k] = value
+        state[_CONTEXT] = min(int(value), _SEEN - 1) % (len(models) // _NODES)
+
+
+Column = tuple[NDArray[np.integer], int]  # numbers (M,) in 0..MOST; order 0, or 1: the number before chooses the models
+
+
+def _models(order: int) -> NDArray[np.int32]:
+    """Of every context and decision: the chance of a 1 in 1/65536, and the decisions seen."""
+    models = np.zeros((_SEEN**order * _NODES, 2), np.int32)
+    models[:, 0] = _HALF
+    return models
+
+
+def encode_columns(columns: Sequence[Column]) -> bytes:
+    """Columns -> bytes; `Reader` gives them back."""
+    state = np.array([0, 0xFFFFFFFF, 0, 0, 1, 0], np.int64)
+    out = np.empty(_MOST_BYTES * _BATCH, np.uint8)
+    parts = []
+    for numbers, order in columns:
+        values = np.ascontiguousarray(numbers, np.int64)
+        if len(values) and int(values.min()) < 0:
+            raise ValueError(f"expected numbers from 0, got {values.min()}")
+        models = _models(order)
+        state[_CONTEXT] = 0
+        for start in range(0, len(values), _BATCH):
+            _encode(values[start : start + _BATCH], models, state, out)
+            parts.append(out[: state[_AT]].tobytes())
+            state[_AT] = 0
+    for _ in range(_FLUSH):
+        _shift(state, out)
+    return b"".join([*parts, out[: state[_AT]].tobytes()])
+
+
+class Reader:
+    """Decodes columns in the order in which they were encoded. Raises FormatError(bad_sidecar)."""
+
+    def __init__(self, data: bytes, where: str) -> None:
+        self._data = np.frombuffer(data, np.uint8)
+        self._where = where
+        if len(data) < _FLUSH:
+            raise FormatError("bad_sidecar", where, f"expected at least {_FLUSH} bytes, got {len(data)}")
+        self._state = np.array([int.from_bytes(data[1:_FLUSH], "big"), 0xFFFFFFFF, _FLUSH, 0, 0, 0], np.int64)
+        if data[0]:
+            raise FormatError("bad_sidecar", where, f"expected a first byte of 0, got {data[0]}")
+
+    def column(self, count: int, order: int) -> NDArray[np.int64]:
+        """The next (count,) numbers."""
+        values = np.zeros(count, np.int64)
+        self._state[_CONTEXT] = 0
+        _decode(values, _models(order), self._state, self._data)
+        if self._state[_AT] > len(self._data):
+            raise FormatError("bad_sidecar", self._where, f"expected {count} more numbers, got the end of the file")
+        return values
+
+    def close(self) -> None:
+        """Refuse data that is not used up exactly."""
+        if self._state[_AT] != len(self._data) or self._state[_CODE]:
+            read = int(self._state[_AT])
+            raise FormatError("bad_sidecar", self._where, f"expected the end at {read}, got {len(self._data)} bytes")
