@@ -1,20 +1,30 @@
-"""From a sequence to a published package: encode, check, measure, write the manifests last."""
+"""From a sequence to a published package: calibrate, encode, check, measure, write the manifests last."""
 
 from __future__ import annotations
 
+import shutil
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from airgs_codec import cache
+from airgs_codec.calibrate import calibrate
 from airgs_codec.encode import encode_sequence
+from airgs_codec.grouping import Grouping, plan_groups
+from airgs_codec.inspection import pooled_quality
 from airgs_codec.manifest import JSON_NAME, MPD_NAME, Manifest, Views
 from airgs_codec.measure import DEFAULT_FRAMES, measure_quality, measured_views
 from airgs_codec.mpd import write_mpd
 from airgs_codec.package import Package, staged, write_file
+from airgs_codec.plan import Survey, survey_group
+from airgs_codec.render import Camera
 from airgs_codec.render.views import orbit_views
-from airgs_codec.sequence import Sequence
+from airgs_codec.search import PSNR, Goal, find_quality
+from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.settings import EncodeSettings
+
+Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,22 +33,63 @@ class AuthorReport:
 
     manifest: Manifest
     manifest_bytes: int
+    survey_s: float  # training views
+    calibrate_s: float
+    cached: bool  # the calibration was
+    search_s: float  # for a goal
     encode_s: float
     measure_s: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Job:
+    """What every encode of one sequence shares."""
+
+    sequence: GaussianSequence
+    grouping: Grouping
+    surveys: list[Survey]
+    training: Sequence[Camera]
+    shown: Sequence[Camera]
+    views: Views
+    attribution: str
+    progress: Progress
+
+    def encode(self, settings: EncodeSettings, folder: Path) -> Manifest:
+        return encode_sequence(
+            self.sequence,
+            self.surveys,
+            self.training,
+            self.views,
+            settings,
+            folder,
+            self.attribution,
+            self.grouping.notes,
+            self.progress,
+        )
+
+    def measure(self, manifest: Manifest, folder: Path, frames: int) -> Manifest:
+        return measure_quality(Package(folder, manifest, 0), self.sequence, self.shown, frames, self.progress)
+
+
 def author_package(
-    sequence: Sequence,
+    sequence: GaussianSequence,
     target: Path,
     settings: EncodeSettings,
     *,
+    calibrated: bool = True,
+    ladder: bool = True,
+    goal: Goal | None = None,
     attribution: str = "",
     measure_frames: int = DEFAULT_FRAMES,
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    progress: Progress = lambda what, done, total: None,
 ) -> AuthorReport:
-    """Publish `sequence` as the package `target`; `measure_frames` 0 leaves quality out.
+    """Publish `sequence` as the package `target`.
 
-    Raises the errors of `encode_sequence` and `staged`; then `target` is as it was.
+    `calibrated`: steps are found for this scene, starting at those of `settings`, and with `ladder` also levels and
+    tiers. `goal`: the quality factor is searched for. `measure_frames` 0 leaves quality out.
+
+    Raises the errors of `encode_sequence` and `staged`, and ConfigError for a goal out of reach; then `target` is as
+    it was.
     """
     given = list(sequence.cameras)
     cameras = given or orbit_views(sequence.read(len(sequence) // 2))
@@ -53,12 +104,107 @@ def author_package(
         "original" if measure_frames else "none",
     )
     with staged(target) as stage:
-        began = time.perf_counter()
-        manifest = encode_sequence(sequence, training, views, settings, stage, attribution, progress)
-        encoded = time.perf_counter()
+        clock = _Clock()
+        grouping = plan_groups(sequence, settings.group_frames)
+        surveys = []
+        for i, (start, stop) in enumerate(grouping.spans):
+            progress("training views", i, len(grouping.spans))
+            surveys.append(survey_group(sequence, start, stop, training))
+        survey_s = clock.lap()
+        cached = False
+        if calibrated:
+            progress("calibration", 0, 1)
+            settings, cached = _calibrate(sequence, surveys, training, views, settings, ladder)
+        calibrate_s = clock.lap()
+        job = _Job(sequence, grouping, surveys, training, shown, views, attribution, progress)
+        if goal:
+            settings = replace(settings, quality=_search(job, settings, goal, stage, measure_frames or DEFAULT_FRAMES))
+        search_s = clock.lap()
+        manifest = job.encode(settings, stage)
+        encode_s = clock.lap()
         if measure_frames:
-            manifest = measure_quality(Package(stage, manifest, 0), sequence, shown, measure_frames, progress)
+            manifest = job.measure(manifest, stage, measure_frames)
         tables = write_file(stage, JSON_NAME, manifest.to_json().encode())
         mpd = write_file(stage, MPD_NAME, write_mpd(manifest))
-        report = AuthorReport(manifest, tables.bytes + mpd.bytes, encoded - began, time.perf_counter() - encoded)
+        size = tables.bytes + mpd.bytes
+        report = AuthorReport(manifest, size, survey_s, calibrate_s, cached, search_s, encode_s, clock.lap())
     return report
+
+
+class _Clock:
+    """Seconds between laps."""
+
+    def __init__(self) -> None:
+        self._last = time.perf_counter()
+
+    def lap(self) -> float:
+        now = time.perf_counter()
+        seconds, self._last = now - self._last, now
+        return seconds
+
+
+def _calibrate(
+    sequence: GaussianSequence,
+    surveys: list[Survey],
+    training: Sequence[Camera],
+    views: Views,
+    settings: EncodeSettings,
+    ladder: bool,
+) -> tuple[EncodeSettings, bool]:
+    """Settings for this scene, from the middle one of its longest groups, and whether they were kept from before."""
+    longest = max(s.stop - s.start for s in surveys)
+    survey = [s for s in surveys if s.stop - s.start == longest]
+    subject = survey[len(survey) // 2]
+    name = cache.digest(sequence, subject, training, settings)
+    kept = cache.load(name)
+    calibration = kept or calibrate(sequence, subject, training, views.source == "given", settings)
+    if kept is None:
+        cache.keep(name, calibration)
+    return calibration.apply(settings, ladder), kept is not None
+
+
+def _search(job: _Job, settings: EncodeSettings, goal: Goal, stage: Path, frames: int) -> float:
+    """The quality factor that brings the top rung to its goal."""
+    top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1], core_levels=0)
+    trials = 0
+
+    def trial(factor: float) -> float:
+        nonlocal trials
+        trials += 1
+        job.progress(f"trial {trials}: quality factor {factor:.3g}", 0, 1)
+        folder = stage / ".trial"
+        folder.mkdir()
+        try:
+            manifest = job.encode(replace(top, quality=factor), folder)
+            if goal.kind == PSNR:
+                measured = pooled_quality(job.measure(manifest, folder, frames), 0, 0)
+                assert measured is not None
+                return measured[0]
+            tables = _table_bytes(manifest, len(settings.levels), len(settings.key_factors))
+            return (manifest.bytes_of(manifest.rung_files(0, 0)) + tables) / manifest.frames / 1e3
+        finally:
+            shutil.rmtree(folder)
+
+    return find_quality(goal, trial, settings.quality)
+
+
+def _table_bytes(m: Manifest, levels: int, qualities: int) -> int:
+    """Length of both manifests if the package had so many levels and key qualities, each like the only one in `m`."""
+    files = dict(m.files)
+    for path, entry in m.files.items():
+        files |= {path.replace("/Q0/", f"/Q{q}/"): entry for q in range(qualities)}
+        files |= {path.replace("/L0/", f"/L{j}/"): entry for j in range(levels)}
+    many = replace(
+        m,
+        qualities=m.qualities * qualities,
+        levels=m.levels * levels,
+        key_pictures=[row * qualities for row in m.key_pictures],
+        state_pictures=m.state_pictures * levels,
+        groups=[
+            replace(g, levels=g.levels * levels, tiers=[replace(t, qualities=t.qualities * qualities) for t in g.tiers])
+            for g in m.groups
+        ],
+        segments=[replace(s, levels=s.levels * levels) for s in m.segments],
+        files=files,
+    )
+    return len(many.to_json()) + len(write_mpd(many))

@@ -44,7 +44,10 @@ def decode_frame(package: Package, frame: int, level: int = 0, quality: int = 0)
 def decode_frames(
     package: Package, start: int, stop: int, level: int = 0, quality: int = 0, tiers: int | None = None
 ) -> Iterator[Frame]:
-    """Frames [start, stop) with the first `tiers` key tiers (default: all), each key and segment decoded once."""
+    """Frames [start, stop) with the first `tiers` key tiers (default: those that viewers of the level fetch).
+
+    Each key and segment is decoded once.
+    """
     m = package.manifest
     if not (0 <= start <= stop <= m.frames):
         raise ConfigError(f"frames {start}:{stop}: expected a range inside 0:{m.frames}")
@@ -58,7 +61,7 @@ def decode_frames(
             continue
         if segment.group != group:
             group = segment.group
-            base = decode_canonical(package, group, quality, tiers)
+            base = decode_canonical(package, group, quality, m.levels[level].tiers if tiers is None else tiers)
         assert base is not None
         first, last = max(start, segment.start), min(stop, segment.stop)
         shown = decode_segment(package, index, base, level, first - segment.start, last - segment.start)
@@ -126,7 +129,7 @@ def decode_segment(
 ) -> Iterator[Gaussians]:
     """Frames [first, last) of a segment, counted from its start, over a decoded canonical space.
 
-    With fewer tiers than the group has, the rows at hand are the first of every level (rows are in tier order).
+    With fewer tiers than the level asks for, the rows at hand are the first of every level (rows are in tier order).
     """
     m = package.manifest
     files = m.state_files(index, level)
@@ -138,7 +141,7 @@ def decode_segment(
     group = m.groups[m.segments[index].group]
     atlas = group.levels[level]
     rows = np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
-    complete = len(base.means) == group.count
+    complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
     if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
         detail = f"the sidecars give {len(rows)} rows, airgs.json {atlas.rows}"
         raise FormatError("count_mismatch", files[0], detail)

@@ -20,17 +20,15 @@ from numpy.typing import NDArray
 from airgs_codec import __version__, escapes
 from airgs_codec import canonical as space
 from airgs_codec import manifest as tables
-from airgs_codec.atlas import assemble, choose_layout, picture_size, read_codes
+from airgs_codec.atlas import assemble, choose_layout, fit_atlas, picture_size, read_codes
 from airgs_codec.canonical import Canonical
 from airgs_codec.errors import SceneError
 from airgs_codec.gaussians import Gaussians
-from airgs_codec.grouping import plan_groups
 from airgs_codec.manifest import Atlas
-from airgs_codec.plan import GroupPlan, load_frames, plan_group
+from airgs_codec.plan import GroupPlan, Survey, load_frames, plan_group, rank_updates
 from airgs_codec.quantize import from_codes, to_codes
 from airgs_codec.rangecoder import encode_columns
 from airgs_codec.render import Camera
-from airgs_codec.sensitivity import withheld_error
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.settings import EncodeSettings
 from airgs_codec.tiers import STATIC, assign_depths
@@ -56,24 +54,26 @@ Progress = Callable[[str, int, int], None]  # what, done, total
 
 def encode_sequence(
     sequence: GaussianSequence,
+    surveys: Sequence[Survey],
     cameras: Sequence[Camera],
     views: tables.Views,
     settings: EncodeSettings,
     folder: Path,
     attribution: str = "",
+    notes: Sequence[str] = (),
     progress: Progress = lambda what, done, total: None,
 ) -> tables.Manifest:
     """Write every segment and sidecar of a package into `folder`; gives its tables, without measured quality.
 
-    `cameras` are the training views that usage is measured on. Raises SceneError, CodecError, ConfigError.
+    One survey a group, made with `cameras`, the training views; `notes` say what grouping found. Raises SceneError,
+    CodecError, ConfigError.
     """
-    grouping = plan_groups(sequence, settings.group_frames)
     scratch = folder / ".scratch"
     scratch.mkdir()
     plans = []
-    for i, (start, stop) in enumerate(grouping.spans):
-        progress("usage and order", i, len(grouping.spans))
-        plans.append(plan_group(sequence, start, stop, cameras, views.source == "given", settings))
+    for i, survey in enumerate(surveys):
+        progress("order", i, len(surveys))
+        plans.append(plan_group(sequence, survey, cameras, views.source == "given", settings))
     gains = quantiser(KEY_QP), quantiser(STATE_QP)
     timescale, ticks = _timing(sequence.fps)
     for plan in plans:
@@ -93,12 +93,11 @@ def encode_sequence(
     for path in scratch.iterdir():
         path.unlink()
     scratch.rmdir()
-    notes = grouping.notes + [note for plan in plans for note in plan.notes]
     return tables.Manifest(
         version=tables.VERSION,
         generator=tables.Generator(__version__, library_versions(), settings.table()),
         attribution=attribution,
-        repairs=notes,
+        repairs=[*notes, *(note for plan in plans for note in plan.notes)],
         frame_rate=[sequence.fps.numerator, sequence.fps.denominator],
         timescale=timescale,
         frames=len(sequence),
@@ -107,7 +106,10 @@ def encode_sequence(
         state_gain=gains[1],
         views=views,
         qualities=[tables.KeyQuality(f"Q{i}", factor) for i, factor in enumerate(settings.key_factors)],
-        levels=[tables.Level(f"L{j}", share, factor) for j, (share, factor) in enumerate(settings.levels)],
+        levels=[
+            tables.Level(f"L{j}", share, factor, settings.tiers_of(j))
+            for j, (share, factor) in enumerate(settings.levels)
+        ],
         key_pictures=[[coded.picture() for coded in row] for row in key_streams],
         state_pictures=[coded.picture() for coded in state_streams],
         groups=group_tables(plans),
@@ -120,18 +122,6 @@ def _timing(fps: Fraction) -> tuple[int, int]:
     """Timescale (ticks a second, at least 1000) and ticks a frame, both whole."""
     factor = 1 if fps.numerator >= 1000 else 1000
     return fps.numerator * factor, fps.denominator * factor
-
-
-def _atlas(codes: NDArray[np.int32], limit: float) -> Atlas:
-    """Centres, planes and layout of (T, channels, n) codes; a channel within `limit` of its centre has no plane."""
-    low, high = codes.min(axis=(0, 2)).astype(np.int64), codes.max(axis=(0, 2)).astype(np.int64)
-    near_constant = high - low <= 2 * limit
-    median = np.rint(np.median(codes, axis=(0, 2))).astype(np.int64)
-    centres = np.where(near_constant, (low + high) // 2, median)
-    centres = np.where(near_constant & (np.maximum(np.abs(low), np.abs(high)) <= limit), 0, centres)
-    planes = np.flatnonzero(~near_constant).tolist()
-    width, columns = choose_layout(codes.shape[2], len(planes)) if planes else (0, 0)
-    return Atlas(codes.shape[2], centres.tolist(), planes, width, columns)
 
 
 def _code_keys(plan: GroupPlan, settings: EncodeSettings, gain: float) -> None:
@@ -154,8 +144,8 @@ def _code_keys(plan: GroupPlan, settings: EncodeSettings, gain: float) -> None:
 
 
 def _key_atlas(codes: NDArray[np.int32], limit: float) -> Atlas:
-    """As `_atlas`, but a key always has a picture: if every channel is constant, the first has a plane all the same."""
-    atlas = _atlas(codes, limit)
+    """As `fit_atlas`, but a key always has a picture: of its first channel, if all are constant."""
+    atlas = fit_atlas(codes, limit)
     if atlas.planes:
         return atlas
     return replace(atlas, planes=[0], plane_width=choose_layout(codes.shape[2], 1)[0], columns=1)
@@ -275,7 +265,9 @@ def _code_states(
     values = space.state_channels([frame.take(plan.rows) for frame in frames], base, plan.state_steps)
     steps = space.state_steps(plan.state_steps, base.colours.shape[1])
     changes = (values - values[plan.canonical - plan.start]) / steps[:, None]
-    plan.depths = _depths(changes, plan, settings)
+    score, moving = rank_updates(values / steps[:, None], changes, plan, settings)
+    level_tiers = [settings.tiers_of(j) for j in range(len(settings.levels))]
+    plan.depths = assign_depths(score, moving, [share for share, _ in settings.levels], plan.tiers, level_tiers)
     fetched = [[False] * len(settings.levels) for _ in spans]
     for level, (_, factor) in enumerate(settings.levels):
         rows = (plan.depths != STATIC) & (plan.depths >= level)
@@ -283,7 +275,7 @@ def _code_states(
             plan.levels.append(Atlas(0, [0] * len(steps), [], 0, 0))
             continue
         codes = to_codes(values[:, :, rows], steps * factor, gain)
-        atlas = _atlas(codes, gain / 2)
+        atlas = fit_atlas(codes, gain / 2)
         plan.levels.append(atlas)
         if not atlas.planes:
             continue
@@ -296,19 +288,6 @@ def _code_states(
             escapes_path(scratch, group, level, s).write_bytes(encode_columns(escapes.columns(bases)))
         np.save(_samples_path(scratch, group, level), samples)
     return fetched
-
-
-def _depths(changes: NDArray[np.float64], plan: GroupPlan, settings: EncodeSettings) -> NDArray[np.uint8]:
-    """Rows ranked by what withholding their updates would cost; changes (T, 10 + C, N) in steps.
-
-    A row that never changes by more than half a step is static: its state would only add coding noise to the key.
-    """
-    moving = np.abs(changes).max(axis=(0, 1)) > 0.5
-    if settings.rank == "error":
-        score = withheld_error(changes, plan.classes, plan.sensitivity, plan.state_steps)
-    else:
-        score = plan.score * np.sqrt(np.einsum("tcn,tcn->n", changes, changes) / len(changes))
-    return assign_depths(score, moving, [share for share, _ in settings.levels])
 
 
 def _encode_states(

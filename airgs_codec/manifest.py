@@ -62,11 +62,12 @@ class KeyQuality:
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """A pruning level: which share of the moving rows is withheld, and the step factor of the others."""
+    """A pruning level: which share of the moving rows is withheld at least, and the step factor of the others."""
 
     id: str
     pruned: float  # share of the moving rows, 0..1
     factor: float
+    tiers: int  # key tiers that its viewers fetch; rows of later tiers have no state in it
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +232,8 @@ class Manifest:
 
     def init_files(self, quality: int, level: int) -> list[str]:
         """Init segments of everything a viewer of one rung decodes."""
-        keys = [key_init_path(t, quality) for t, row in enumerate(self.key_pictures) if row[quality].width]
+        rows = self.key_pictures[: self.levels[level].tiers]
+        keys = [key_init_path(t, quality) for t, row in enumerate(rows) if row[quality].width]
         return keys + ([state_init_path(level)] if self.state_pictures[level].width else [])
 
     def bytes_of(self, paths: list[str]) -> int:
@@ -242,7 +244,7 @@ class Manifest:
         """Every file a viewer of one rung fetches from start to end, without the two manifests."""
         paths = self.init_files(quality, level)
         for group in range(len(self.groups)):
-            for tier in range(self.tier_count):
+            for tier in range(self.levels[level].tiers):
                 paths += self.key_files(group, tier, quality)
         for segment in range(len(self.segments)):
             paths += self.state_files(segment, level)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from airgs_codec.decode import decode_canonical, decode_segment
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.manifest import Manifest, Segment, SegmentLevel
@@ -15,6 +13,7 @@ from airgs_codec.package import Package
 from airgs_codec.render import Camera, render
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.sequence import repair
+from airgs_codec.spread import spread
 
 MAX_VIEWS = 4
 DEFAULT_FRAMES = 3  # measured a segment
@@ -23,13 +22,7 @@ DEFAULT_FRAMES = 3  # measured a segment
 def measured_views(cameras: Sequence[Camera]) -> list[Camera]:
     """Held-out cameras if there are any, else all; at most MAX_VIEWS of them, spread evenly."""
     chosen = [c for c in cameras if c.split == "test"] or list(cameras)
-    picks = np.unique(np.linspace(0, len(chosen) - 1, MAX_VIEWS).round().astype(int))
-    return [chosen[i] for i in picks]
-
-
-def spread(start: int, stop: int, count: int) -> list[int]:
-    """At most `count` frames of [start, stop), first and last among them."""
-    return np.unique(np.linspace(start, stop - 1, min(count, stop - start)).round().astype(int)).tolist()
+    return [chosen[i] for i in spread(len(chosen), MAX_VIEWS)]
 
 
 @dataclass(slots=True)
@@ -59,13 +52,13 @@ def measure_quality(
     segments: list[Segment] = []
     for index, segment in enumerate(m.segments):
         progress("quality", index, len(m.segments))
-        numbers = spread(segment.start, segment.stop, frames)
+        numbers = [segment.start + i for i in spread(segment.stop - segment.start, frames)]
         originals = repair([sequence.read(i) for i in numbers], "").frames
         references = [[render(g, camera).rgb for camera in cameras] for g in originals]
         sums = [[_Sums() for _ in m.qualities] for _ in m.levels]
         for quality in range(len(m.qualities)):
-            base = decode_canonical(package, segment.group, quality)
-            for level in range(len(m.levels)):
+            for level, wanted in enumerate(m.levels):
+                base = decode_canonical(package, segment.group, quality, wanted.tiers)
                 shown = list(decode_segment(package, index, base, level, 0, segment.stop - segment.start))
                 for number, pictures in zip(numbers, references, strict=True):
                     _compare(shown[number - segment.start], cameras, pictures, sums[level][quality])

@@ -134,6 +134,7 @@ def _write_representation(parent: ET.Element, m: Manifest, r: Representation, ra
         )
         element.set(f"{{{AIRGS}}}pruned", f"{level.pruned:g}")
         element.set(f"{{{AIRGS}}}factor", f"{level.factor:g}")
+        element.set(f"{{{AIRGS}}}tiers", str(level.tiers))
     else:
         element.set(f"{{{AIRGS}}}factor", f"{m.qualities[int(r.id.partition('Q')[2])].factor:g}")
     template = _element(

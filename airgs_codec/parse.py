@@ -120,9 +120,12 @@ def _ranges(m: Manifest) -> Iterator[tuple[str, float, float, float]]:
         yield f"len({name})", len(getattr(m, name)), 1, MAX_CHOICES
     for quality in m.qualities:
         yield f"{quality.id}.factor", quality.factor, 1e-6, 1e6
-    for level in m.levels:
+    most = m.tier_count  # every tier is some level's: the first level has all of them
+    for j, level in enumerate(m.levels):
         yield f"{level.id}.pruned", level.pruned, 0, 1
         yield f"{level.id}.factor", level.factor, 1e-6, 1e6
+        yield f"{level.id}.tiers", level.tiers, 1 if j else most, most
+        most = level.tiers
     for picture in (*(p for row in m.key_pictures for p in row), *m.state_pictures):
         yield "picture.width", picture.width, 0, MAX_SIDE
         yield "picture.height", picture.height, 0, MAX_SIDE
@@ -144,6 +147,8 @@ def _group_ranges(m: Manifest, group: Group) -> Iterator[tuple[str, float, float
             yield f"steps.{field.name}", getattr(steps, field.name), 1e-30, 1e30
     yield "sum of tier counts", sum(t.count for t in group.tiers), group.count, group.count
     key_channels, state_channels = 7 + m.colour_channels, 10 + m.colour_channels
+    fewest = m.levels[-1].tiers if m.levels else 0
+    yield f"rows of the first {fewest} tiers", sum(t.count for t in group.tiers[:fewest]), 1, group.count
     for t, tier in enumerate(group.tiers):
         for q, atlas in enumerate(tier.qualities):
             yield f"tiers[{t}].qualities[{q}].rows", atlas.rows, tier.count, tier.count

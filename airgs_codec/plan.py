@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +17,15 @@ from airgs_codec import manifest as tables
 from airgs_codec import transforms as tf
 from airgs_codec.errors import SceneError
 from airgs_codec.gaussians import Gaussians
+from airgs_codec.leaveout import Needed, Removal, importance
 from airgs_codec.manifest import Atlas, Grid, KeySteps, StateSteps
 from airgs_codec.render import Camera
-from airgs_codec.sensitivity import FLOOR, Sensitivity, measure_sensitivity
+from airgs_codec.sensitivity import CODING_VARIANCE, FLOOR, LEAK, Sensitivity, measure_sensitivity, withheld_error
 from airgs_codec.sequence import Repaired, repair
 from airgs_codec.sequence import Sequence as GaussianSequence
-from airgs_codec.settings import EncodeSettings
+from airgs_codec.settings import EncodeSettings, StepSettings
 from airgs_codec.tiers import assign_tiers
-from airgs_codec.usage import measure_usage
+from airgs_codec.usage import Usage, measure_usage
 
 
 @dataclass(slots=True, eq=False)
@@ -35,6 +37,7 @@ class GroupPlan:
     canonical: int
     rows: NDArray[np.intp]  # (N,) input rows in file order, unused ones left out
     count: int  # input rows after repairs
+    removal_error: float  # of pictures without the rows left out
     notes: list[str]
     tiers: NDArray[np.uint8]  # (N,) of the rows in file order, ascending
     score: NDArray[np.float64]  # (N,) usage
@@ -75,37 +78,63 @@ def load_frames(sequence: GaussianSequence, start: int, stop: int) -> Repaired:
     return repair([sequence.read(i) for i in range(start, stop)], where)
 
 
-def plan_group(
-    sequence: GaussianSequence, start: int, stop: int, cameras: Sequence[Camera], given: bool, settings: EncodeSettings
-) -> GroupPlan:
-    """Order, tiers, steps and transforms of a group, from its canonical (middle) frame."""
-    loaded = load_frames(sequence, start, stop)
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """What the training views say about the rows of a group, before any setting matters."""
+
+    start: int
+    stop: int
+    canonical: int  # the middle frame
+    shown: list[int]  # frames that were looked at
+    usage: Usage
+    sensitivity: Sensitivity
+    rank: NDArray[np.float64]  # (N,) of `leaveout.importance`
+
+
+def survey_group(sequence: GaussianSequence, start: int, stop: int, cameras: Sequence[Camera]) -> Survey:
+    """Usage and sensitivity over the first, canonical and last frame."""
     canonical = start + (stop - start) // 2
-    key = loaded.frames[canonical - start]
-    ends = sorted({0, canonical - start, stop - start - 1})
-    shown = [loaded.frames[i] for i in ends]
-    usage = measure_usage(shown, cameras).measure(settings.usage)
-    rows = np.flatnonzero(usage > 0) if given and usage.any() else np.arange(len(key))
-    key, score = key.take(rows), usage[rows]
-    key_steps, state_steps, grid_step = _steps(settings, scene_unit(key))
-    grid = _grid(key.means, grid_step)
-    codes = space.grid_codes(key.means, grid)
-    tiers = assign_tiers(score, settings.tiers)
+    shown = sorted({start, canonical, stop - 1})
+    loaded = load_frames(sequence, start, stop).frames
+    frames = [loaded[i - start] for i in shown]
+    usage, sensitivity = measure_usage(frames, cameras), measure_sensitivity(frames, cameras)
+    return Survey(start, stop, canonical, shown, usage, sensitivity, importance(frames, usage, sensitivity))
+
+
+def plan_group(
+    sequence: GaussianSequence, survey: Survey, cameras: Sequence[Camera], given: bool, settings: EncodeSettings
+) -> GroupPlan:
+    """Order, tiers, steps and transforms of a group, from its canonical frame."""
+    loaded = load_frames(sequence, survey.start, survey.stop)
+    key = loaded.frames[survey.canonical - survey.start]
+    if given and not settings.keep_all:
+        shown = [loaded.frames[i - survey.start] for i in survey.shown]
+        needed = Removal(shown, cameras, survey.rank).needed(settings.steps.rows * settings.quality)
+    else:
+        needed = Needed(np.arange(len(key)), 0.0)
+    score = survey.rank if settings.usage == "importance" else survey.usage.measure(settings.usage)
+    kept = key.take(needed.rows)
+    key_steps, state_steps, grid_step = world_steps(settings.steps, settings.quality, scene_unit(kept))
+    grid = _grid(kept.means, grid_step)
+    codes = space.grid_codes(kept.means, grid)
+    tiers = assign_tiers(score[needed.rows], settings.tiers)
     order = np.lexsort((codes, tiers))
-    key = key.take(order)
-    transform = _colour_transform(key, key_steps)
+    rows = needed.rows[order]
+    key = key.take(rows)
+    transform = colour_transform(key, key_steps)
     channels = 3 * (1 + key.sh_rest.shape[1])
-    sensitivity = measure_sensitivity([frame.take(rows[order]) for frame in shown], cameras)
+    sensitivity = survey.sensitivity.take(rows)
     values = space.key_channels(key, tables.unpack_matrix(transform, channels), key_steps)
     return GroupPlan(
-        start,
-        stop,
-        canonical,
-        rows[order],
-        len(usage),
+        survey.start,
+        survey.stop,
+        survey.canonical,
+        rows,
+        len(score),
+        needed.error,
         loaded.notes,
         tiers[order],
-        score[order],
+        score[rows],
         codes[order],
         _motion_classes(sensitivity),
         sensitivity,
@@ -124,11 +153,11 @@ def _motion_classes(sensitivity: Sensitivity) -> NDArray[np.int16]:
     return tf.motion_classes(sensitivity.means, FLOOR * float(np.median(seen)))
 
 
-def _steps(settings: EncodeSettings, unit: float) -> tuple[KeySteps, StateSteps, float]:
-    q, steps = settings.quality, settings.steps
-    key = KeySteps(*(getattr(steps.key, name) * q for name in tables.KEY_ATTRIBUTES))
-    state = StateSteps(*(getattr(steps.state, name) * q for name in tables.STATE_ATTRIBUTES))
-    return key, state, steps.grid * q * unit
+def world_steps(steps: StepSettings, quality: float, unit: float) -> tuple[KeySteps, StateSteps, float]:
+    """Steps of key and state, and the grid's in world units; `unit` of the scene."""
+    key = KeySteps(*(getattr(steps.key, name) * quality for name in tables.KEY_ATTRIBUTES))
+    state = StateSteps(*(getattr(steps.state, name) * quality for name in tables.STATE_ATTRIBUTES))
+    return key, state, steps.grid * quality * unit
 
 
 def _grid(means: NDArray[np.float32], step: float) -> Grid:
@@ -141,7 +170,30 @@ def _grid(means: NDArray[np.float32], step: float) -> Grid:
     return Grid(low.tolist(), max(step, extent / (2**bits - 1)), bits)
 
 
-def _colour_transform(key: Gaussians, steps: KeySteps) -> str:
+def colour_transform(key: Gaussians, steps: KeySteps) -> str:
+    """The KLT of a group's colours, as airgs.json stores it."""
     colour = tf.colours(key.sh_dc, key.sh_rest).astype(np.float64)
     scaled = colour / tf.colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1])
     return tables.pack_matrix(tf.fit_colour_transform(scaled))
+
+
+def rank_updates(
+    states: NDArray[np.float64], changes: NDArray[np.float64], plan: GroupPlan, settings: EncodeSettings
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(N,) score of rows for pruning and (N,) whether any level carries them; arguments (T, 10 + C, N) in steps.
+
+    `states` are differences to the canonical frame as decoded, `changes` to the original one. A row is static if it
+    never changes by more than half a step, or if coding its states is expected to add more error than it mends.
+    """
+    transform = tables.unpack_matrix(plan.transform, states.shape[1] - space.STATE_FIXED)
+    withheld = partial(
+        withheld_error, classes=plan.classes, s=plan.sensitivity, steps=plan.state_steps, transform=transform
+    )
+    moving = np.abs(changes).max(axis=(0, 1)) > 0.5
+    if not settings.keep_all:
+        variance = np.square(states).mean(axis=0, keepdims=True)
+        coded = np.minimum(variance + LEAK * np.maximum(CODING_VARIANCE - variance, 0), CODING_VARIANCE)
+        moving &= withheld(states) > withheld(np.sqrt(coded))
+    if settings.rank == "error":
+        return withheld(changes), moving
+    return plan.score * np.sqrt(np.einsum("tcn,tcn->n", changes, changes) / len(changes)), moving

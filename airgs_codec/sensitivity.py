@@ -13,8 +13,11 @@ from airgs_codec.canonical import STATE_FIXED
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.manifest import StateSteps
 from airgs_codec.render import Camera, cpu
+from airgs_codec.spread import spread
 
 MAX_VIEWS = 8  # a frame; more change the estimate little
+CODING_VARIANCE = 0.1  # steps^2: 1/12 of the quantiser and some of H.264
+LEAK = 0.3  # share of that which a channel gets from its neighbours when nothing in it is worth coding
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
 
 
@@ -39,23 +42,27 @@ class Sensitivity:
 
 
 def withheld_error(
-    changes: NDArray[np.float64], classes: NDArray[np.int16], s: Sensitivity, steps: StateSteps
+    changes: NDArray[np.float64],
+    classes: NDArray[np.int16],
+    s: Sensitivity,
+    steps: StateSteps,
+    transform: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """(N,) mean squared error, over picture samples and frames, that withholding a row's update is expected to make.
 
-    changes (T, 10 + C, N) in steps. The KLT is orthonormal in units of the steps, so a colour channel weighs like the
-    mean of the colours it mixes.
+    changes (T, 10 + C, N) in steps, colours after the KLT `transform` (C, C).
     """
     squares = np.einsum("tcn,tcn->cn", changes, changes) / len(changes)
     unit = tf.motion_units(classes).astype(np.float64) * steps.means
-    colours = len(squares) - STATE_FIXED
-    return (
+    colours = np.square(np.einsum("tkn,kc->tcn", changes[:, STATE_FIXED:], transform, optimize=True)).mean(axis=0)
+    error = (
         s.means * unit**2 * squares[0:3].mean(axis=0)
         + s.log_scales * steps.log_scales**2 * squares[3:6].mean(axis=0)
         + s.quaternions * steps.quaternions**2 * squares[6:9].mean(axis=0)
         + s.opacity * steps.opacity**2 * squares[9]
-        + (s.sh_dc * steps.sh_dc**2 + s.sh_rest * steps.sh_rest**2) * squares[STATE_FIXED:].sum(axis=0) / colours
+        + s.sh_dc * steps.sh_dc**2 * colours[:3].mean(axis=0)
     )
+    return error + s.sh_rest * steps.sh_rest**2 * colours[3:].mean(axis=0) if len(colours) > 3 else error
 
 
 def measure_sensitivity(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> Sensitivity:
@@ -65,11 +72,10 @@ def measure_sensitivity(frames: Sequence[Gaussians], cameras: Sequence[Camera]) 
     squared derivatives (Hutchinson 1990). The signs are the same in every run.
     """
     rng = np.random.default_rng(0)
-    picks = np.unique(np.linspace(0, len(cameras) - 1, MAX_VIEWS).round().astype(int))
     sums = np.zeros((len(fields(Sensitivity)), len(frames[0])))
     samples = 0
     for frame in frames:
-        for camera in (cameras[i] for i in picks):
+        for camera in (cameras[i] for i in spread(len(cameras), MAX_VIEWS)):
             signs = rng.integers(0, 2, (camera.height, camera.width, 3)).astype(np.float32) * 2 - 1
             sums += _squares(frame, camera, signs)
             samples += signs.size

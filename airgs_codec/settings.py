@@ -21,14 +21,15 @@ class StepSettings:
     """
 
     key: KeySteps = field(
-        default_factory=lambda: KeySteps(quaternions=0.035, log_scales=0.10, opacity=0.02, sh_dc=0.04, sh_rest=0.04)
+        default_factory=lambda: KeySteps(quaternions=0.025, log_scales=0.08, opacity=0.014, sh_dc=0.036, sh_rest=0.04)
     )
     state: StateSteps = field(
         default_factory=lambda: StateSteps(
-            means=0.0006, quaternions=0.03, log_scales=0.10, opacity=0.06, sh_dc=0.05, sh_rest=0.08
+            means=0.0007, quaternions=0.03, log_scales=0.12, opacity=0.058, sh_dc=0.063, sh_rest=0.08
         )
     )
-    grid: float = 0.5  # grid step of canonical means, in units of the scene
+    grid: float = 0.32  # grid step of canonical means, in units of the scene
+    rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) allowed by leaving out Gaussians
 
 
 DEFAULT_LEVELS = ((0.0, 1.0), (0.3, 1.5), (0.5, 2.0), (0.6, 3.0))
@@ -42,14 +43,16 @@ class EncodeSettings:
     """Everything that decides the bytes of a package besides the scene."""
 
     levels: tuple[tuple[float, float], ...] = DEFAULT_LEVELS  # pruned share, step factor
+    core_levels: int = 0  # the last of them, which do with the first key tier
     key_factors: tuple[float, ...] = (1.0, 3.0)
     tiers: tuple[float, ...] = DEFAULT_TIERS
     steps: StepSettings = field(default_factory=StepSettings)
     quality: float = 1.0  # factor on every step
     segment_s: float = 1.0
     group_frames: int = DEFAULT_GROUP_FRAMES
-    usage: str = "max"  # what key tiers are ranked by
+    usage: str = "importance"  # what key tiers are ranked by
     rank: str = "error"  # what updates are ranked by, of RANKS
+    keep_all: bool = False  # leave nothing out but what is constant
     preset: str = DEFAULT_PRESET
     jobs: int = field(default_factory=lambda: os.cpu_count() or 1)
 
@@ -59,6 +62,7 @@ class EncodeSettings:
             (1 <= len(self.levels) <= MAX_CHOICES, f"expected 1 to {MAX_CHOICES} levels"),
             (all(0 <= s < 1 for s in shares), f"expected pruned shares in [0, 1), got {shares}"),
             (shares == sorted(shares), f"expected ascending pruned shares, got {shares}"),
+            (0 <= self.core_levels < len(self.levels), f"expected 0 to {len(self.levels) - 1} core levels"),
             (all(f > 0 for _, f in self.levels) and self.quality > 0, "expected positive step factors"),
             (self.segment_s > 0, f"expected a positive segment length, got {self.segment_s}"),
             (self.group_frames >= 1, f"expected at least one frame a group, got {self.group_frames}"),
@@ -75,10 +79,15 @@ class EncodeSettings:
             if not good:
                 raise ConfigError(message)
 
+    def tiers_of(self, level: int) -> int:
+        """Key tiers that viewers of a level fetch."""
+        return 1 if level >= len(self.levels) - self.core_levels else len(self.tiers)
+
     def table(self) -> dict[str, str]:
         """Settings as text, for the record in airgs.json."""
         return {
             "levels": ",".join(f"{share * 100:g}:{factor:g}" for share, factor in self.levels),
+            "core_levels": str(self.core_levels),
             "key_factors": ",".join(f"{factor:g}" for factor in self.key_factors),
             "quality": f"{self.quality:g}",
             "usage": self.usage,

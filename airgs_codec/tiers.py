@@ -20,15 +20,23 @@ def assign_tiers(usage: NDArray[np.float64], shares: Sequence[float] = DEFAULT_T
     return tiers
 
 
-def assign_depths(score: NDArray[np.float64], moving: NDArray[np.bool_], pruned: Sequence[float]) -> NDArray[np.uint8]:
-    """(N,) depth: the deepest level that carries a row; STATIC for rows that do not move.
+def assign_depths(
+    score: NDArray[np.float64],
+    moving: NDArray[np.bool_],
+    pruned: Sequence[float],
+    tiers: NDArray[np.uint8] | None = None,
+    level_tiers: Sequence[int] = (),
+) -> NDArray[np.uint8]:
+    """(N,) depth: the deepest level that carries a row; STATIC for rows that no level does.
 
     Level j withholds the `pruned[j]` share of the moving rows with the lowest score (paper: p keeps the Gaussians
-    with the highest usage frequency); ascending shares make levels nested.
+    with the highest usage frequency), and with `tiers`, the (N,) tier of each row, all rows that are not in the first
+    `level_tiers[j]` of them. Ascending shares and descending tiers make levels nested.
     """
     rows = np.flatnonzero(moving)
     ranked = rows[np.argsort(-score[rows], kind="stable")]
     depths = np.full(len(score), STATIC, np.uint8)
     for level, share in enumerate(pruned):
-        depths[ranked[: round((1 - share) * len(ranked))]] = level
+        kept = ranked[: round((1 - share) * len(ranked))]
+        depths[kept if tiers is None else kept[tiers[kept] < level_tiers[level]]] = level
     return depths

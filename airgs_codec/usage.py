@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.render import Camera, measure_contribution
 
-MEASURES = ("max", "sum", "hits")
+MEASURES = ("importance", "max", "sum", "hits")  # the first is `leaveout.importance`
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -38,6 +38,7 @@ from airgs_codec.render import Camera, read_cameras, render
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.sequence import open_sequence, repair
 from airgs_codec.settings import EncodeSettings
+from airgs_codec.spread import spread
 from airgs_codec.video import library_versions
 from tools.baselines import mpeg_anchor_layout, v3_layout
 
@@ -96,7 +97,7 @@ def open_bench(sequence: GaussianSequence, cameras: list[Camera], count: int) ->
         low, extent = means.min(axis=0), float(np.ptp(means, axis=0).max()) or 1.0
         order = np.argsort(morton_encode(((means - low) / extent * (2**16 - 1)).astype(np.int64)), kind="stable")
         groups.append((start, [frame.take(order) for frame in frames]))
-    measured = np.unique(np.linspace(0, len(sequence) - 1, count).round().astype(int)).tolist()
+    measured = spread(len(sequence), count)
     references = {}
     for start, frames in groups:
         for i, frame in enumerate(frames, start):

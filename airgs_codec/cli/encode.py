@@ -13,6 +13,8 @@ from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.inspection import format_summary
 from airgs_codec.measure import DEFAULT_FRAMES
+from airgs_codec.search import PSNR, SIZE, Goal
+from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.sequence import open_sequence
 from airgs_codec.settings import DEFAULT_LEVELS, PAPER_LEVELS, QUALITY_FACTORS, RANKS, EncodeSettings
 from airgs_codec.usage import MEASURES
@@ -27,13 +29,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("scene", type=Path, help="folder of .ply frames, optionally sequence.json and transforms.json")
     parser.add_argument("-o", "--output", type=Path, help="package folder (default: SCENE with .airgs appended)")
-    parser.add_argument("--levels", help="PRUNED%%:STEP_FACTOR,… ascending (default: 0:1,30:1.5,50:2,60:3)")
-    parser.add_argument(
-        "--ladder",
-        choices=("default", "paper"),
-        default="default",
-        help="preset for --levels; paper: 0..90 %% pruned, steps fixed",
-    )
+    _add_choices(parser)
     parser.add_argument(
         "--segment",
         type=float,
@@ -48,12 +44,6 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FRAMES",
         help="longest group without given keyframes (default: 30)",
     )
-    parser.add_argument(
-        "--quality",
-        choices=tuple(QUALITY_FACTORS),
-        default="medium",
-        help="a factor on every quantiser step: low 1.6, medium 1, high 0.6",
-    )
     parser.add_argument("--fps", type=Fraction, help="frames a second (default: sequence.json, else 30)")
     _add_measuring(parser)
     parser.add_argument(
@@ -65,6 +55,28 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--attribution", metavar="TEXT", help="who made the scene (default: SCENE/ATTRIBUTION.txt)")
     parser.add_argument("--json", action="store_true", help="print a JSON report instead of a table")
     return parser
+
+
+def _add_choices(parser: argparse.ArgumentParser) -> None:
+    goal = parser.add_mutually_exclusive_group()
+    goal.add_argument(
+        "--quality",
+        choices=tuple(QUALITY_FACTORS),
+        default="medium",
+        help="a factor on every quantiser step: low 1.6, medium 1, high 0.6",
+    )
+    goal.add_argument("--target-psnr", type=float, metavar="DB", help="PSNR of the top rung, steps are searched for")
+    goal.add_argument("--target-mb", type=float, metavar="MB", help="megabytes a frame of the top rung, all it fetches")
+    goal.add_argument("--target-mbps", type=float, metavar="MBPS", help="mean megabits a second of the top rung")
+    parser.add_argument(
+        "--steps",
+        choices=("calibrated", "default"),
+        default="calibrated",
+        help="calibrated: steps, levels and tiers from trial encodes of this scene, kept for the next time (default)",
+    )
+    parser.add_argument("--levels", metavar="LIST", help="PRUNED%%:STEP_FACTOR,… ascending, instead of calibrated ones")
+    parser.add_argument("--ladder", choices=("paper",), help="instead of --levels; paper: 0..90 %% pruned, steps fixed")
+    parser.add_argument("--keep-all", action="store_true", help="leave nothing out but what is constant")
 
 
 def _add_measuring(parser: argparse.ArgumentParser) -> None:
@@ -112,16 +124,17 @@ def parse_levels(text: str) -> tuple[tuple[float, float], ...]:
 
 
 def _run(args: argparse.Namespace) -> int:
-    levels = PAPER_LEVELS if args.ladder == "paper" else DEFAULT_LEVELS
+    levels = parse_levels(args.levels) if args.levels else PAPER_LEVELS if args.ladder else DEFAULT_LEVELS
     if args.measure_frames < 0:
         raise ConfigError(f"--measure-frames: expected 0 or more, got {args.measure_frames}")
     settings = EncodeSettings(
-        levels=parse_levels(args.levels) if args.levels else levels,
+        levels=levels,
         quality=QUALITY_FACTORS[args.quality],
         segment_s=args.segment,
         group_frames=args.group,
         usage=args.usage,
         rank=args.rank,
+        keep_all=args.keep_all,
         preset=args.preset,
         jobs=args.jobs,
     )
@@ -136,6 +149,9 @@ def _run(args: argparse.Namespace) -> int:
             sequence,
             target,
             settings,
+            calibrated=args.steps == "calibrated",
+            ladder=not (args.levels or args.ladder),
+            goal=_goal(args, sequence),
             attribution=_attribution(args),
             measure_frames=args.measure_frames,
             progress=bar,
@@ -144,6 +160,16 @@ def _run(args: argparse.Namespace) -> int:
         bar.close()
     print(json.dumps(_as_json(report, target)) if args.json else _as_words(report, target))
     return 0
+
+
+def _goal(args: argparse.Namespace, sequence: GaussianSequence) -> Goal | None:
+    if args.target_psnr is not None:
+        return Goal(PSNR, args.target_psnr)
+    if args.target_mb is not None:
+        return Goal(SIZE, 1e3 * args.target_mb)
+    if args.target_mbps is not None:
+        return Goal(SIZE, 1e3 / 8 * args.target_mbps / float(sequence.fps))
+    return None
 
 
 def _attribution(args: argparse.Namespace) -> str:
@@ -161,13 +187,24 @@ def _as_json(report: AuthorReport, target: Path) -> dict[str, object]:
         "frames": m.frames,
         "bytes": sum(f.bytes for f in m.files.values()) + report.manifest_bytes,
         "top_rung_bytes": m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes,
-        "encode_s": round(report.encode_s, 3),
-        "measure_s": round(report.measure_s, 3),
+        "seconds": {name: round(value, 3) for name, value in _times(report).items()},
+        "calibration_cached": report.cached,
         "repairs": m.repairs,
     }
 
 
 def _as_words(report: AuthorReport, target: Path) -> str:
     m = report.manifest
-    times = f"{m.frames} frames in {report.encode_s:.1f} s, quality measured in {report.measure_s:.1f} s"
-    return f"{format_summary(m, report.manifest_bytes)}\n\n{target}: {times}"
+    times = ", ".join(f"{name} {value:.1f} s" for name, value in _times(report).items() if value >= 0.05)
+    kept = " (calibration kept from before)" if report.cached else ""
+    return f"{format_summary(m, report.manifest_bytes)}\n\n{target}: {m.frames} frames; {times}{kept}"
+
+
+def _times(report: AuthorReport) -> dict[str, float]:
+    return {
+        "training views": report.survey_s,
+        "calibration": report.calibrate_s,
+        "search": report.search_s,
+        "encoding": report.encode_s,
+        "measuring": report.measure_s,
+    }

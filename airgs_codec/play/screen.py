@@ -37,7 +37,8 @@ def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians
         if entry != shown_at:
             shown_at = entry
             s = log.shown[entry]
-            base = decode_canonical(package, package.manifest.segments[s.segment].group, s.quality)
+            group = package.manifest.segments[s.segment].group
+            base = decode_canonical(package, group, s.quality, log.manifest.levels[s.level].tiers)
             frames = list(decode_segment(package, s.segment, base, s.level, 0, s.frames))
         yield frames[frame], entry
 
@@ -79,7 +80,7 @@ def still(package: Package, log: SessionLog, camera: Camera) -> NDArray[np.uint8
     pictures = []
     for what, quality, level in (("best", 0, 0), ("worst shown", worst.quality, worst.level)):
         segment = m.segments[worst.segment]
-        base = decode_canonical(package, segment.group, quality)
+        base = decode_canonical(package, segment.group, quality, m.levels[level].tiers)
         gaussians = next(decode_segment(package, worst.segment, base, level, 0, 1))
         text = f"{what}: {m.qualities[quality].id} + {m.levels[level].id}"
         if segment.levels[level].psnr:

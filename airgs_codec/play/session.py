@@ -1,7 +1,8 @@
 """A viewer over a link: requests, arrivals, choices, stalls. Event-driven, deterministic, no clock.
 
-One batch is on the way at a time: a state segment, and before it in the same batch the key units of its group (all
-tiers, in tier order) where the group begins. Key quality and level of such a batch are chosen together. The sequence
+One batch is on the way at a time: a state segment, and before it in the same batch those key units of its group that
+its level needs and that are not at hand, in tier order. Where the group begins, key quality and level are chosen
+together; the quality then stays. The sequence
 may be played `loops` times, as if it were longer: keys and states are fetched again, init segments and manifests are
 not. Times are seconds from the first request.
 """
@@ -121,15 +122,14 @@ def simulate(manifest: Manifest, manifest_bytes: int, link: Link, settings: Sess
     player.count("manifests", manifest_bytes)
     duration = float(m.frames / m.fps)
     loops = settings.loops or max(1, round(SESSION_S / duration))
-    quality, group = 0, (-1, -1)
+    quality, tiers, group = 0, 0, (-1, -1)
     for position, (loop, index) in enumerate(_positions(m, loops)):
         segment = m.segments[index]
         _wait_for_room(player, float((segment.stop - segment.start) / m.fps))
-        begins = (loop, segment.group) != group
-        group = (loop, segment.group)
-        quality, level = _fetch_segment(
-            player, position, index, range(len(m.qualities)) if begins else [quality], begins
-        )
+        if (loop, segment.group) != group:
+            group, tiers = (loop, segment.group), 0
+        quality, level = _fetch_segment(player, position, index, [quality] if tiers else range(len(m.qualities)), tiers)
+        tiers = max(tiers, m.levels[level].tiers)
         _show(player, loop, index, quality, level)
     return SessionLog(m, link, settings, tuple(player.fetches), tuple(player.shown), dict(player.bytes_by_kind))
 
@@ -169,18 +169,16 @@ def _wait_for_room(player: _Player, segment_s: float) -> None:
         ahead += length
 
 
-def _fetch_segment(
-    player: _Player, position: int, index: int, qualities: Iterable[int], begins: bool
-) -> tuple[int, int]:
+def _fetch_segment(player: _Player, position: int, index: int, qualities: Iterable[int], tiers: int) -> tuple[int, int]:
     """Choose among the rungs with those key qualities and fetch; gives key quality and level.
 
-    `begins`: the segment is the first of its group, so that the batch has the group's key units.
+    `tiers` of the group's keys are at hand, none where it begins.
     """
     m, s = player.manifest, player.manifest.segments[index]
     rungs = [(q, j) for q in qualities for j in range(len(m.levels))]
     batches = []
     for q, j in rungs:
-        keys = [path for t in range(m.tier_count) for path in m.key_files(s.group, t, q)] if begins else []
+        keys = [path for t in range(tiers, m.levels[j].tiers) for path in m.key_files(s.group, t, q)]
         batches.append(keys + m.state_files(index, j))
     measured = [s.levels[j].psnr[q] if s.levels[j].psnr else 0.0 for q, j in rungs]
     options = tuple(Point(i, m.bytes_of(batches[i]), measured[i], m.levels[j].pruned) for i, (_, j) in enumerate(rungs))
@@ -197,7 +195,7 @@ def _fetch_segment(
     decision = choose_paper(state) if player.settings.policy == "paper" else choose_fixed(state, fixed)
     quality, level = rungs[decision.level]
     if batches[decision.level]:  # else nothing moves in this segment: the canonical space is at hand
-        kind = "group" if begins else "state"
+        kind = "state" if tiers else "group"
         _fetch_files(player, kind, position, (quality, level), batches[decision.level], decision, budget_bytes(state))
     return quality, level
 
