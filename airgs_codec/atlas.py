@@ -40,14 +40,17 @@ def picture_size(atlas: Atlas) -> tuple[int, int]:
     return max(MIN_SIDE, atlas.plane_width * atlas.columns), max(MIN_SIDE, height)
 
 
-def fit_atlas(codes: NDArray[np.int32], limit: float) -> Atlas:
-    """Centres, planes and layout of (T, channels, n) codes; a channel within `limit` of its centre has no plane."""
+def fit_atlas(codes: NDArray[np.int32], limit: float, spare: NDArray[np.bool_] | None = None) -> Atlas:
+    """Centres, planes and layout of (T, channels, n) codes; a channel within `limit` of its centre has no plane.
+
+    Neither has one of the (channels,) `spare`: its centre is its median.
+    """
     low, high = codes.min(axis=(0, 2)).astype(np.int64), codes.max(axis=(0, 2)).astype(np.int64)
     near_constant = high - low <= 2 * limit
     median = np.rint(np.median(codes, axis=(0, 2))).astype(np.int64)
     centres = np.where(near_constant, (low + high) // 2, median)
     centres = np.where(near_constant & (np.maximum(np.abs(low), np.abs(high)) <= limit), 0, centres)
-    planes = np.flatnonzero(~near_constant).tolist()
+    planes = np.flatnonzero(~near_constant if spare is None else ~near_constant & ~spare).tolist()
     width, columns = choose_layout(codes.shape[2], len(planes)) if planes else (0, 0)
     return Atlas(codes.shape[2], centres.tolist(), planes, width, columns)
 

@@ -13,7 +13,7 @@ from airgs_codec.calibrate import calibrate
 from airgs_codec.encode import encode_sequence
 from airgs_codec.grouping import Grouping, plan_groups
 from airgs_codec.inspection import pooled_quality
-from airgs_codec.manifest import JSON_NAME, MPD_NAME, Manifest, Views
+from airgs_codec.manifest import JSON_NAME, MPD_NAME, LeftOut, Manifest, Views
 from airgs_codec.measure import DEFAULT_FRAMES, measure_quality, measured_views
 from airgs_codec.mpd import write_mpd
 from airgs_codec.package import Package, staged, write_file
@@ -23,6 +23,7 @@ from airgs_codec.render.views import orbit_views
 from airgs_codec.search import PSNR, Goal, find_quality
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.settings import EncodeSettings
+from airgs_codec.spare import needed_bands
 
 Progress = Callable[[str, int, int], None]
 
@@ -45,7 +46,8 @@ class AuthorReport:
 class _Job:
     """What every encode of one sequence shares."""
 
-    sequence: GaussianSequence
+    original: GaussianSequence
+    sequence: GaussianSequence  # without the SH bands left out
     grouping: Grouping
     surveys: list[Survey]
     training: Sequence[Camera]
@@ -68,7 +70,7 @@ class _Job:
         )
 
     def measure(self, manifest: Manifest, folder: Path, frames: int) -> Manifest:
-        return measure_quality(Package(folder, manifest, 0), self.sequence, self.shown, frames, self.progress)
+        return measure_quality(Package(folder, manifest, 0), self.original, self.shown, frames, self.progress)
 
 
 def author_package(
@@ -106,21 +108,26 @@ def author_package(
     with staged(target) as stage:
         clock = _Clock()
         grouping = plan_groups(sequence, settings.group_frames)
-        surveys = []
-        for i, (start, stop) in enumerate(grouping.spans):
-            progress("training views", i, len(grouping.spans))
-            surveys.append(survey_group(sequence, start, stop, training))
+        surveys = _survey(sequence, grouping, training, progress)
         survey_s = clock.lap()
-        cached = False
+        coded, cached = sequence, False
+        left_out: list[LeftOut] = []
         if calibrated:
             progress("calibration", 0, 1)
-            settings, cached = _calibrate(sequence, surveys, training, views, settings, ladder)
+            subject = _longest(surveys)
+            settings, cached = _calibrate(sequence, subject, training, views, settings, ladder)
+            step, span = settings.steps.key.sh_rest * settings.quality, subject.stop - subject.start
+            bands, left_out = needed_bands(sequence, subject.canonical, span, training, step, settings.byte_price)
+            if left_out:
+                coded = replace(sequence, most_bands=bands)
+                surveys = _survey(coded, grouping, training, progress)
         calibrate_s = clock.lap()
-        job = _Job(sequence, grouping, surveys, training, shown, views, attribution, progress)
+        job = _Job(sequence, coded, grouping, surveys, training, shown, views, attribution, progress)
         if goal:
             settings = replace(settings, quality=_search(job, settings, goal, stage, measure_frames or DEFAULT_FRAMES))
         search_s = clock.lap()
         manifest = job.encode(settings, stage)
+        manifest = replace(manifest, left_out=left_out + manifest.left_out)
         encode_s = clock.lap()
         if measure_frames:
             manifest = job.measure(manifest, stage, measure_frames)
@@ -129,6 +136,23 @@ def author_package(
         size = tables.bytes + mpd.bytes
         report = AuthorReport(manifest, size, survey_s, calibrate_s, cached, search_s, encode_s, clock.lap())
     return report
+
+
+def _survey(
+    sequence: GaussianSequence, grouping: Grouping, training: Sequence[Camera], progress: Progress
+) -> list[Survey]:
+    surveys = []
+    for i, (start, stop) in enumerate(grouping.spans):
+        progress("training views", i, len(grouping.spans))
+        surveys.append(survey_group(sequence, i, start, stop, training))
+    return surveys
+
+
+def _longest(surveys: list[Survey]) -> Survey:
+    """The middle one of the longest groups."""
+    most = max(s.stop - s.start for s in surveys)
+    longest = [s for s in surveys if s.stop - s.start == most]
+    return longest[len(longest) // 2]
 
 
 class _Clock:
@@ -145,16 +169,13 @@ class _Clock:
 
 def _calibrate(
     sequence: GaussianSequence,
-    surveys: list[Survey],
+    subject: Survey,
     training: Sequence[Camera],
     views: Views,
     settings: EncodeSettings,
     ladder: bool,
 ) -> tuple[EncodeSettings, bool]:
-    """Settings for this scene, from the middle one of its longest groups, and whether they were kept from before."""
-    longest = max(s.stop - s.start for s in surveys)
-    survey = [s for s in surveys if s.stop - s.start == longest]
-    subject = survey[len(survey) // 2]
+    """Settings for this scene, and whether they were kept from before."""
     name = cache.digest(sequence, subject, training, settings)
     kept = cache.load(name)
     calibration = kept or calibrate(sequence, subject, training, views.source == "given", settings)

@@ -20,9 +20,9 @@ from airgs_codec import manifest as tables
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.leaveout import PICTURES, Removal, in_turn
 from airgs_codec.metrics import mse
-from airgs_codec.plan import GroupPlan, Survey, load_frames, plan_group, rank_updates, scene_unit, world_steps
+from airgs_codec.plan import GroupPlan, Survey, load_frames, plan_group, rank_updates, world_steps
 from airgs_codec.render import Camera, render
-from airgs_codec.sample import BLOCK_ROWS, BLOCKS, FRAMES, Cost, Sample
+from airgs_codec.sample import BLOCK_ROWS, Cost, Sample
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.settings import EncodeSettings, StepSettings
 from airgs_codec.spread import spread
@@ -35,6 +35,7 @@ KEY_PRICE = 8.0  # the same at the second key quality
 CORE_LEVELS = 2  # the last ones, for which the first key tier must do
 FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # of the steps, tried for lower rungs
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)  # of the updates, tried to withhold
+SAMPLE_BLOCKS, FEWEST_BLOCKS, MOST_FRAMES = 200, 6, 32  # of the sample: blocks of all its frames together
 RANKED_FRAMES = 8  # of a group, to tell which updates matter
 
 # The attribute whose planes are coded anew when a step changes.
@@ -67,7 +68,7 @@ class Calibration:
 
     def apply(self, settings: EncodeSettings, ladder: bool) -> EncodeSettings:
         """Settings of an encode; without `ladder`, levels stay as they are."""
-        chosen = replace(settings, steps=self.steps, key_factors=self.key_factors)
+        chosen = replace(settings, steps=self.steps, key_factors=self.key_factors, price=self.price)
         if not ladder:
             return chosen
         return replace(chosen, levels=self.levels, core_levels=self.core_levels, tiers=self.tiers)
@@ -94,25 +95,24 @@ class Subject:
         return Subject(frames, plan, cameras, removal, settings)
 
     def sample(self, fps: float) -> Sample:
-        """Blocks spread over all rows, and frames half-way between the first and the canonical one."""
+        """Blocks spread over all rows, and the frames of the first segment: enough to see P and B pictures settle."""
         plan, settings = self.plan, self.settings
         canonical = plan.canonical - plan.start
-        first = max(0, canonical // 2 - FRAMES // 2)
-        blocks = np.array(spread(-(-len(plan.rows) // BLOCK_ROWS), BLOCKS))
+        segment = min(len(self.frames), MOST_FRAMES, max(1, int(settings.segment_s * fps)))
+        most = max(FEWEST_BLOCKS, SAMPLE_BLOCKS // segment)
+        blocks = np.array(spread(-(-len(plan.rows) // BLOCK_ROWS), most))
         index = (blocks[:, None] * BLOCK_ROWS + np.arange(BLOCK_ROWS)).ravel()
         index = index[index < len(plan.rows)]
         sample = Sample(
             index=index,
             key=self.frames[canonical].take(plan.rows[index]),
-            frames=[frame.take(plan.rows[index]) for frame in self.frames[first : first + FRAMES]],
+            frames=[frame.take(plan.rows[index]) for frame in self.frames[:segment]],
             classes=plan.classes[index],
             sensitivity=plan.sensitivity.take(index),
             moving=np.ones(len(index), bool),
-            grid=replace(plan.grid, bits=21),
-            unit=scene_unit(self.frames[canonical].take(plan.rows)),
             scale=len(plan.rows) / len(index),
             group=len(self.frames),
-            segment=min(len(self.frames), max(1, int(settings.segment_s * fps))),
+            segment=segment,
         )
         states = sample.states(sample.code_key(settings.steps, 1.0)[1], settings.steps)
         part = replace(plan, classes=sample.classes, sensitivity=sample.sensitivity, score=plan.score[index])
@@ -173,7 +173,7 @@ def solve_steps(sample: Sample, subject: Subject) -> tuple[StepSettings, float]:
         return steps, 0.0
     for name, (m, b) in slopes.items():
         factor = ((m / rate + PRIOR) / (b / error + PRIOR)) ** 0.5
-        steps = with_step(steps, name, get_step(steps, name) * factor)
+        steps = with_step(steps, name, float(f"{get_step(steps, name) * factor:.4g}"))
     return steps, 2 * error / rate
 
 
@@ -241,7 +241,7 @@ def _withheld(subject: Subject, steps: StepSettings) -> tuple[NDArray[np.float64
     plan, frames = subject.plan, subject.frames
     canonical = frames[plan.canonical - plan.start].take(plan.rows)
     settings = replace(subject.settings, steps=steps)
-    key_steps, state_steps, _ = world_steps(steps, 1.0, scene_unit(canonical))
+    key_steps, state_steps, _ = world_steps(steps, 1.0)
     colours = plan.key_values.shape[0] - space.KEY_FIXED
     transform = tables.unpack_matrix(plan.transform, colours)
     channels = space.key_channels(canonical, transform, key_steps).astype(np.float32)

@@ -25,7 +25,7 @@ STATE_FIXED = 10  # the same with means before them
 class Canonical:
     """Decoded canonical space; rows in file order."""
 
-    means: NDArray[np.float64]  # (N, 3) world units, on the grid
+    means: NDArray[np.float64]  # (N, 3) world units, in the middle of cells
     motion_units: NDArray[np.float32]  # (N,) world units
     quaternions: NDArray[np.float32]  # (N, 4) unit
     log_scales: NDArray[np.float32]  # (N, 3)
@@ -35,20 +35,22 @@ class Canonical:
     transform: NDArray[np.float64]  # (C, C) KLT, as stored
 
 
-def grid_index(means: NDArray[np.floating], grid: Grid) -> NDArray[np.uint32]:
-    """(N, 3) nearest grid point; |mean - grid_means(index)| <= step / 2 an axis."""
-    scaled = (means.astype(np.float64) - np.asarray(grid.origin)) / (grid.step or 1.0)
-    return np.rint(scaled).astype(np.uint32)
+def cell_bits(classes: NDArray[np.int16], grid: Grid) -> NDArray[np.int64]:
+    """(N,) k: the cell of a row is 2^k steps wide."""
+    return np.clip(classes.astype(np.int64) - grid.finest, 0, grid.bits)
 
 
-def grid_means(codes: NDArray[np.uint64], grid: Grid) -> NDArray[np.float64]:
-    """(N,) Morton codes -> (N, 3) means in world units."""
-    return np.asarray(grid.origin) + grid.step * morton_decode(codes).astype(np.float64)
+def grid_codes(means: NDArray[np.floating], classes: NDArray[np.int16], grid: Grid) -> NDArray[np.uint64]:
+    """(N, 3) means -> (N,) Morton codes of their cells; |mean - grid_means| <= 2^k step / 2 an axis."""
+    bits = cell_bits(classes, grid)[:, None]
+    index = np.floor((means.astype(np.float64) - np.asarray(grid.origin)) / (grid.step or 1.0)).astype(np.int64)
+    return morton_encode(index >> bits << bits)
 
 
-def grid_codes(means: NDArray[np.floating], grid: Grid) -> NDArray[np.uint64]:
-    """(N, 3) means -> (N,) Morton codes of their grid points."""
-    return morton_encode(grid_index(means, grid))
+def grid_means(codes: NDArray[np.uint64], classes: NDArray[np.int16], grid: Grid) -> NDArray[np.float64]:
+    """(N,) Morton codes -> (N, 3) middles of the cells in world units."""
+    middle = np.exp2(cell_bits(classes, grid))[:, None] / 2
+    return np.asarray(grid.origin) + grid.step * (morton_decode(codes).astype(np.float64) + middle)
 
 
 def key_steps(steps: KeySteps, channels: int) -> NDArray[np.float64]:
@@ -89,7 +91,7 @@ def read_key(
     colour = tf.from_klt(channels[KEY_FIXED:].T, transform.astype(np.float32))
     scale = tf.colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1]).astype(np.float32)
     return Canonical(
-        means=grid_means(codes, grid),
+        means=grid_means(codes, classes, grid),
         motion_units=tf.motion_units(classes),
         quaternions=tf.from_rotation_vector(np.ascontiguousarray(channels[3:6].T)),
         log_scales=np.ascontiguousarray(channels[:3].T),

@@ -93,7 +93,7 @@ def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[N
     m = package.manifest
     unit = m.groups[group].tiers[tier]
     media, sidecar_path = m.key_files(group, tier, quality)
-    sidecar = unpack_key_sidecar(package.read(sidecar_path), unit.qualities, sidecar_path)
+    sidecar = unpack_key_sidecar(package.read(sidecar_path), unit.qualities, m.groups[group].grid, sidecar_path)
     pictures = decode_clip(package.read(key_init_path(tier, quality)), package.read(media), media)
     picture = next(pictures, None)
     if picture is None:

@@ -24,6 +24,7 @@ from airgs_codec.atlas import assemble, choose_layout, fit_atlas, picture_size, 
 from airgs_codec.canonical import Canonical
 from airgs_codec.errors import SceneError
 from airgs_codec.gaussians import Gaussians
+from airgs_codec.leaveout import guess_channels
 from airgs_codec.manifest import Atlas
 from airgs_codec.plan import GroupPlan, Survey, load_frames, plan_group, rank_updates
 from airgs_codec.quantize import from_codes, to_codes
@@ -31,6 +32,7 @@ from airgs_codec.rangecoder import encode_columns
 from airgs_codec.render import Camera
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.settings import EncodeSettings
+from airgs_codec.spare import StateNeeds, spare_key_planes
 from airgs_codec.tiers import STATIC, assign_depths
 from airgs_codec.video import (
     KEY_IP_RATIO,
@@ -77,7 +79,7 @@ def encode_sequence(
     gains = quantiser(KEY_QP), quantiser(STATE_QP)
     timescale, ticks = _timing(sequence.fps)
     for plan in plans:
-        _code_keys(plan, settings, gains[0])
+        _code_keys(plan, cameras, settings, gains[0])
     _number_keys(plans)
     key_streams = _encode_keys(plans, settings, sequence.fps, timescale, ticks, progress)
     spans = [_segment_spans(plan, settings.segment_s, sequence.fps) for plan in plans]
@@ -86,7 +88,7 @@ def encode_sequence(
         progress("states", g, len(plans))
         base = _decode_canonical(plan, key_streams, gains[0], settings)
         frames = load_frames(sequence, plan.start, plan.stop).frames
-        moving.append(_code_states(plan, base, frames, spans[g], settings, gains[1], scratch, g))
+        moving.append(_code_states(plan, base, frames, cameras, spans[g], settings, gains[1], scratch, g))
     state_streams = _encode_states(plans, spans, moving, settings, sequence.fps, timescale, ticks, scratch, progress)
     files = write_streams(folder, key_streams, state_streams)
     files |= write_sidecars(folder, plans, spans, moving, scratch, len(settings.levels))
@@ -114,6 +116,7 @@ def encode_sequence(
         state_pictures=[coded.picture() for coded in state_streams],
         groups=group_tables(plans),
         segments=segment_tables(spans, moving, state_streams),
+        left_out=[entry for plan in plans for entry in plan.left_out],
         files=dict(sorted(files.items())),
     )
 
@@ -124,15 +127,17 @@ def _timing(fps: Fraction) -> tuple[int, int]:
     return fps.numerator * factor, fps.denominator * factor
 
 
-def _code_keys(plan: GroupPlan, settings: EncodeSettings, gain: float) -> None:
+def _code_keys(plan: GroupPlan, cameras: Sequence[Camera], settings: EncodeSettings, gain: float) -> None:
     """Atlases, samples and escapes of every tier and key quality."""
     steps = space.key_steps(plan.key_steps, len(plan.key_values) - space.KEY_FIXED)
+    _note_removed(plan)
+    spare = spare_key_planes(plan, cameras, settings.byte_price)
     for tier in range(len(settings.tiers)):
         atlases, samples, bases = [], [], []
         rows = plan.tier_rows(tier)
         for factor in settings.key_factors:
             codes = to_codes(plan.key_values[None, :, rows], steps * factor, gain)
-            atlas = _key_atlas(codes, gain / 2) if codes.shape[2] else Atlas(0, [0] * len(steps), [], 0, 0)
+            atlas = _key_atlas(codes, gain / 2, spare) if codes.shape[2] else Atlas(0, [0] * len(steps), [], 0, 0)
             centred = (codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes]
             luma, base = escapes.split(centred)
             atlases.append(atlas)
@@ -143,9 +148,19 @@ def _code_keys(plan: GroupPlan, settings: EncodeSettings, gain: float) -> None:
         plan.key_bases.append(bases)
 
 
-def _key_atlas(codes: NDArray[np.int32], limit: float) -> Atlas:
+def _note_removed(plan: GroupPlan) -> None:
+    """Bytes are those of as many of the written rows, keys alone."""
+    steps = space.key_steps(plan.key_steps, len(plan.key_values) - space.KEY_FIXED)[:, None]
+    centres = np.median(plan.key_values, axis=1) / steps[:, 0]
+    sizes, _ = guess_channels(plan.key_values[None] / steps, centres, plan.key_weights())
+    missing = plan.count - len(plan.rows)
+    size = float(sizes.sum()) / len(plan.rows) * missing / (plan.stop - plan.start)
+    plan.leave_out("gaussians", missing, plan.removal_error, size)
+
+
+def _key_atlas(codes: NDArray[np.int32], limit: float, spare: NDArray[np.bool_]) -> Atlas:
     """As `fit_atlas`, but a key always has a picture: of its first channel, if all are constant."""
-    atlas = fit_atlas(codes, limit)
+    atlas = fit_atlas(codes, limit, spare)
     if atlas.planes:
         return atlas
     return replace(atlas, planes=[0], plane_width=choose_layout(codes.shape[2], 1)[0], columns=1)
@@ -252,6 +267,7 @@ def _code_states(
     plan: GroupPlan,
     base: Canonical,
     frames: list[Gaussians],
+    cameras: Sequence[Camera],
     spans: list[tuple[int, int]],
     settings: EncodeSettings,
     gain: float,
@@ -268,6 +284,9 @@ def _code_states(
     score, moving = rank_updates(values / steps[:, None], changes, plan, settings)
     level_tiers = [settings.tiers_of(j) for j in range(len(settings.levels))]
     plan.depths = assign_depths(score, moving, [share for share, _ in settings.levels], plan.tiers, level_tiers)
+    plan.leave_out("updates", *_unsent(plan, values / steps[:, None]))
+    needs = StateNeeds(plan, base, values, cameras, settings.byte_price)
+    spare, quiet = needs.spare_planes(), needs.spare_segments(spans)
     fetched = [[False] * len(settings.levels) for _ in spans]
     for level, (_, factor) in enumerate(settings.levels):
         rows = (plan.depths != STATIC) & (plan.depths >= level)
@@ -275,7 +294,7 @@ def _code_states(
             plan.levels.append(Atlas(0, [0] * len(steps), [], 0, 0))
             continue
         codes = to_codes(values[:, :, rows], steps * factor, gain)
-        atlas = fit_atlas(codes, gain / 2)
+        atlas = fit_atlas(codes, gain / 2, spare)
         plan.levels.append(atlas)
         if not atlas.planes:
             continue
@@ -283,11 +302,19 @@ def _code_states(
         samples = np.empty(centred.shape, np.uint8)
         for s, (start, stop) in enumerate(spans):
             part = slice(start - plan.start, stop - plan.start)
-            fetched[s][level] = bool((np.abs(changes[part][:, :, rows]) > factor / 2).any())
+            differs = bool((np.abs(changes[part][:, :, rows]) > factor / 2).any())
+            fetched[s][level] = differs and not quiet[s]
             samples[part], bases = escapes.split(centred[part])
             escapes_path(scratch, group, level, s).write_bytes(encode_columns(escapes.columns(bases)))
         np.save(_samples_path(scratch, group, level), samples)
     return fetched
+
+
+def _unsent(plan: GroupPlan, states: NDArray[np.float64]) -> tuple[int, float, float]:
+    """How many rows are static, what that is expected to cost beyond coding them, and the bytes a frame saved."""
+    still = plan.depths == STATIC
+    sizes, errors = guess_channels(states[:, :, still], np.zeros(states.shape[1]), plan.weights()[:, still])
+    return int(still.sum()), float(errors.sum()), float(sizes.sum()) / len(states)
 
 
 def _encode_states(

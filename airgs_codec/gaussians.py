@@ -5,7 +5,7 @@ N Gaussians, K = (degree + 1)^2 - 1 SH coefficients past DC.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,10 @@ class Gaussians:
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Gaussians:
         """The rows picked by an index or mask array."""
         return Gaussians(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def with_degree(self, degree: int) -> Gaussians:
+        """The same without the SH bands above `degree`."""
+        return replace(self, sh_rest=self.sh_rest[:, : SH_REST[degree]])
 
     def opacities(self) -> NDArray[np.float32]:
         """(N,) alpha in [0, 1]."""

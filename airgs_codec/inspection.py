@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.atlas import extract
 from airgs_codec.errors import ConfigError
-from airgs_codec.manifest import STATE_ATTRIBUTES, Atlas, Manifest, key_init_path, state_init_path
+from airgs_codec.manifest import STATE_ATTRIBUTES, Atlas, LeftOut, Manifest, key_init_path, state_init_path
 from airgs_codec.metrics import psnr
 from airgs_codec.package import Package
 from airgs_codec.video import decode_clip
@@ -128,13 +128,9 @@ def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) ->
 
 def left_out(m: Manifest) -> list[str]:
     """What was not written and why, one line each."""
-    lines = []
+    lines = [_words(entry) for entry in m.left_out]
     for i, group in enumerate(m.groups):
         where = f"group {i}"
-        if group.unused:
-            lines.append(f"{where}: {group.unused} Gaussians, in no picture of the {m.views.usage} views")
-        if group.static:
-            lines.append(f"{where}: updates of {group.static} rows, all within half a step (static)")
         lines += [f"{where}: key tier T{t}: it has no rows" for t, tier in enumerate(group.tiers) if not tier.number]
         for name, atlas, state in _top_atlases(m, i):
             missing = Counter(
@@ -149,6 +145,13 @@ def left_out(m: Manifest) -> list[str]:
     if m.sh_degree == 0:
         lines.append("SH rest: the scene has none")
     return lines
+
+
+def _words(entry: LeftOut) -> str:
+    what = {"gaussians": "Gaussians", "updates": "rows are never updated", "sh bands": "SH bands"}
+    alone = f"{psnr(entry.error):.1f} dB if nothing else were wrong" if entry.error > 0 else "no error"
+    saved = f"{entry.bytes / 1e3:.2f} kB/frame saved"
+    return f"group {entry.group}: {entry.count} {what.get(entry.what, entry.what)}: {alone}, {saved}"
 
 
 def _top_atlases(m: Manifest, group: int) -> list[tuple[str, Atlas, bool]]:

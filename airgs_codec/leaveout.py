@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.metrics import mse
 from airgs_codec.render import Camera, render
-from airgs_codec.sensitivity import Sensitivity
+from airgs_codec.sensitivity import CODING_VARIANCE, Sensitivity
 from airgs_codec.spread import spread
 from airgs_codec.usage import Usage
 
 PICTURES = 4  # rendered at each step of a search
 PRECISION = 0.01  # of the rows
+_WIDEST = 255  # changes told apart, steps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,3 +74,53 @@ class Removal:
         kept = np.sort(self._order[count:])
         errors = [mse(render(g.take(kept), camera).rgb, full) for g, camera, full in self._seen]
         return self._errors.setdefault(count, float(np.mean(errors)))
+
+
+def affordable(
+    sizes: NDArray[np.float64],
+    guesses: NDArray[np.float64],
+    error: Callable[[NDArray[np.bool_]], float],
+    price: float,
+) -> tuple[NDArray[np.bool_], float]:
+    """Which of (c,) things to leave out, and the error that makes in rendered pictures.
+
+    `sizes` in bytes a frame, `guesses` of the errors, which rank the things; `error` renders without some of them. As
+    many go as cost at most half of `price`, squared error a byte, together, so that the last one pays as well; none if
+    the price is 0.
+    """
+    order = np.argsort(guesses - price * sizes, kind="stable")
+    chosen, cost = np.zeros(len(sizes), bool), 0.0
+    most = int(np.count_nonzero(guesses < price * sizes))
+    while most:
+        trial = np.isin(np.arange(len(sizes)), order[:most])
+        trial_cost = error(trial)
+        if trial_cost <= price / 2 * float(sizes[trial].sum()):
+            return trial, trial_cost
+        most //= 2
+    return chosen, cost
+
+
+def guess_channels(
+    values: NDArray[np.float64], centres: NDArray[np.float64], weights: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Bytes that each of the channels (T, c, n) takes, and the error if it were its centre (c,) in place; in steps.
+
+    Bytes are the zero-order entropy of the first picture and of the changes after it: H.264 does a little better.
+    The error is the mean squared one of pictures, to first order, `weights` (c, n) of a squared step. It takes rows as
+    independent: neighbours that change alike make more, so it only ranks.
+    """
+    sizes, errors = np.empty(len(centres)), np.empty(len(centres))
+    for c, weight in enumerate(weights):
+        v = values[:, c] - centres[c]
+        errors[c] = max(0.0, float(np.square(v).mean(axis=0) @ weight) - CODING_VARIANCE * float(weight.sum()))
+        whole = np.rint(v)
+        sizes[c] = _entropy_bytes(whole[:1]) + _entropy_bytes(np.diff(whole, axis=0))
+    return sizes, errors
+
+
+def _entropy_bytes(whole: NDArray[np.float64]) -> float:
+    if not whole.size:
+        return 0.0
+    counts = np.bincount((np.clip(whole, -_WIDEST, _WIDEST) + _WIDEST).astype(np.intp).ravel())
+    share = counts[counts > 0] / whole.size
+    return float(-(share * np.log2(share)).sum()) * whole.size / 8

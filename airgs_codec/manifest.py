@@ -81,11 +81,15 @@ class Picture:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """The cubic grid of canonical means: mean = origin + step * index, index 0 .. 2^bits - 1."""
+    """Nested cubic cells of canonical means: a row of motion class c lies in the middle of a cell of step 2^k.
+
+    k = c - finest, from 0 to `bits`; a cell begins at origin + step * index, index 0 .. 2^bits - 1 with k low bits 0.
+    """
 
     origin: list[float]  # (3,) world units
     step: float  # world units
     bits: int
+    finest: int  # motion class whose cells are one step wide
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +182,17 @@ class FileEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Something that was not written because pictures hardly need it, with the two numbers that decided."""
+
+    what: str  # gaussians, updates, key planes, state planes, segments or sh bands
+    group: int
+    count: int  # of what was left out
+    error: float  # mean squared error of pictures that it makes, samples in 0..1
+    bytes: float  # a frame that it saves, estimated
+
+
+@dataclass(frozen=True, slots=True)
 class Manifest:
     """Everything a decoder needs that is not pixels."""
 
@@ -198,6 +213,7 @@ class Manifest:
     state_pictures: list[Picture]  # L
     groups: list[Group]
     segments: list[Segment]
+    left_out: list[LeftOut]
     files: dict[str, FileEntry]
 
     @property

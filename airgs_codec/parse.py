@@ -142,6 +142,7 @@ def _group_ranges(m: Manifest, group: Group) -> Iterator[tuple[str, float, float
     yield "grid.bits", group.grid.bits, 1, 21
     yield "len(grid.origin)", len(group.grid.origin), 3, 3
     yield "grid.step", group.grid.step, 0, 1e30
+    yield "grid.finest", group.grid.finest, -128, 127 + 21
     for steps in (group.key_steps, group.state_steps):
         for field in dataclasses.fields(steps):
             yield f"steps.{field.name}", getattr(steps, field.name), 1e-30, 1e30

@@ -5,6 +5,7 @@ N rows of a group, n rows of a tier or level, P planes, C colour channels.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -18,9 +19,17 @@ from airgs_codec import transforms as tf
 from airgs_codec.errors import SceneError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.leaveout import Needed, Removal, importance
-from airgs_codec.manifest import Atlas, Grid, KeySteps, StateSteps
+from airgs_codec.manifest import Atlas, Grid, KeySteps, LeftOut, StateSteps
 from airgs_codec.render import Camera
-from airgs_codec.sensitivity import CODING_VARIANCE, FLOOR, LEAK, Sensitivity, measure_sensitivity, withheld_error
+from airgs_codec.sensitivity import (
+    CODING_VARIANCE,
+    FLOOR,
+    LEAK,
+    Sensitivity,
+    channel_weights,
+    measure_sensitivity,
+    withheld_error,
+)
 from airgs_codec.sequence import Repaired, repair
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.settings import EncodeSettings, StepSettings
@@ -32,6 +41,7 @@ from airgs_codec.usage import Usage, measure_usage
 class GroupPlan:
     """What is known of a group while it is coded; fields fill up from top to bottom."""
 
+    index: int  # of the group
     start: int
     stop: int
     canonical: int
@@ -55,21 +65,28 @@ class GroupPlan:
     depths: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
     numbers: list[int] = field(default_factory=list)  # of the key unit in each tier; 0: no rows
     levels: list[Atlas] = field(default_factory=list)
+    left_out: list[LeftOut] = field(default_factory=list)
+
+    def key_weights(self) -> NDArray[np.float64]:
+        """(7 + C, N) the same for the channels of a key."""
+        steps = StateSteps(1.0, *(getattr(self.key_steps, name) for name in tables.KEY_ATTRIBUTES))
+        transform = tables.unpack_matrix(self.transform, len(self.key_values) - space.KEY_FIXED)
+        return channel_weights(self.classes, self.sensitivity, steps, transform)[3:]
+
+    def weights(self) -> NDArray[np.float64]:
+        """(10 + C, N) of `sensitivity.channel_weights`."""
+        transform = tables.unpack_matrix(self.transform, len(self.key_values) - space.KEY_FIXED)
+        return channel_weights(self.classes, self.sensitivity, self.state_steps, transform)
+
+    def leave_out(self, what: str, count: int, error: float, size: float) -> None:
+        """Note a decision."""
+        if count:
+            self.left_out.append(LeftOut(what, self.index, count, float(f"{error:.3g}"), float(f"{size:.3g}")))
 
     def tier_rows(self, tier: int) -> slice:
         """Rows of a tier, in file order."""
         low, high = np.searchsorted(self.tiers, [tier, tier + 1])
         return slice(int(low), int(high))
-
-
-def scene_unit(g: Gaussians) -> float:
-    """Opacity-weighted median size of a Gaussian: what lengths are measured in, in world units."""
-    size = g.log_scales.astype(np.float64).mean(axis=1)
-    order = np.argsort(size)
-    weight = np.cumsum(g.opacities().astype(np.float64)[order])
-    if weight[-1] <= 0:  # nothing is visible: every size counts alike
-        return float(np.exp(np.median(size)))
-    return float(np.exp(size[order][np.searchsorted(weight, weight[-1] / 2)]))
 
 
 def load_frames(sequence: GaussianSequence, start: int, stop: int) -> Repaired:
@@ -82,6 +99,7 @@ def load_frames(sequence: GaussianSequence, start: int, stop: int) -> Repaired:
 class Survey:
     """What the training views say about the rows of a group, before any setting matters."""
 
+    index: int  # of the group
     start: int
     stop: int
     canonical: int  # the middle frame
@@ -91,14 +109,14 @@ class Survey:
     rank: NDArray[np.float64]  # (N,) of `leaveout.importance`
 
 
-def survey_group(sequence: GaussianSequence, start: int, stop: int, cameras: Sequence[Camera]) -> Survey:
+def survey_group(sequence: GaussianSequence, index: int, start: int, stop: int, cameras: Sequence[Camera]) -> Survey:
     """Usage and sensitivity over the first, canonical and last frame."""
     canonical = start + (stop - start) // 2
     shown = sorted({start, canonical, stop - 1})
     loaded = load_frames(sequence, start, stop).frames
     frames = [loaded[i - start] for i in shown]
     usage, sensitivity = measure_usage(frames, cameras), measure_sensitivity(frames, cameras)
-    return Survey(start, stop, canonical, shown, usage, sensitivity, importance(frames, usage, sensitivity))
+    return Survey(index, start, stop, canonical, shown, usage, sensitivity, importance(frames, usage, sensitivity))
 
 
 def plan_group(
@@ -114,9 +132,10 @@ def plan_group(
         needed = Needed(np.arange(len(key)), 0.0)
     score = survey.rank if settings.usage == "importance" else survey.usage.measure(settings.usage)
     kept = key.take(needed.rows)
-    key_steps, state_steps, grid_step = world_steps(settings.steps, settings.quality, scene_unit(kept))
-    grid = _grid(kept.means, grid_step)
-    codes = space.grid_codes(kept.means, grid)
+    key_steps, state_steps, cell = world_steps(settings.steps, settings.quality)
+    classes = _motion_classes(survey.sensitivity.take(needed.rows), kept)
+    grid = fit_grid(kept.means, classes, cell)
+    codes = space.grid_codes(kept.means, classes, grid)
     tiers = assign_tiers(score[needed.rows], settings.tiers)
     order = np.lexsort((codes, tiers))
     rows = needed.rows[order]
@@ -126,6 +145,7 @@ def plan_group(
     sensitivity = survey.sensitivity.take(rows)
     values = space.key_channels(key, tables.unpack_matrix(transform, channels), key_steps)
     return GroupPlan(
+        survey.index,
         survey.start,
         survey.stop,
         survey.canonical,
@@ -136,7 +156,7 @@ def plan_group(
         tiers[order],
         score[rows],
         codes[order],
-        _motion_classes(sensitivity),
+        classes[order],
         sensitivity,
         grid,
         key_steps,
@@ -146,28 +166,35 @@ def plan_group(
     )
 
 
-def _motion_classes(sensitivity: Sensitivity) -> NDArray[np.int16]:
+def _motion_classes(sensitivity: Sensitivity, g: Gaussians) -> NDArray[np.int16]:
     seen = sensitivity.means[sensitivity.means > 0]
     if not len(seen):  # nothing is visible: every row counts alike
-        return np.zeros(len(sensitivity.means), np.int16)
+        return np.full(len(g), round(math.log2(_median_size(g))), np.int16)
     return tf.motion_classes(sensitivity.means, FLOOR * float(np.median(seen)))
 
 
-def world_steps(steps: StepSettings, quality: float, unit: float) -> tuple[KeySteps, StateSteps, float]:
-    """Steps of key and state, and the grid's in world units; `unit` of the scene."""
+def world_steps(steps: StepSettings, quality: float) -> tuple[KeySteps, StateSteps, float]:
+    """Steps of key and state, and the cells of the grid in motion units."""
     key = KeySteps(*(getattr(steps.key, name) * quality for name in tables.KEY_ATTRIBUTES))
     state = StateSteps(*(getattr(steps.state, name) * quality for name in tables.STATE_ATTRIBUTES))
-    return key, state, steps.grid * quality * unit
+    return key, state, steps.grid * quality
 
 
-def _grid(means: NDArray[np.float32], step: float) -> Grid:
-    """The finest cubic grid of at most 21 bits an axis whose step is at least `step`."""
+def _median_size(g: Gaussians) -> float:
+    return float(np.exp(np.clip(np.median(g.log_scales.astype(np.float64)), -30, 30)))
+
+
+def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float) -> Grid:
+    """Cells of `cell` motion units; wider ones for the finest classes where more than 21 bits an axis were needed."""
     low, high = means.min(axis=0).astype(np.float64), means.max(axis=0).astype(np.float64)
     extent = float((high - low).max())
     if not np.isfinite(extent) or extent > 1e30:
         raise SceneError(f"means span {extent:g} world units: expected at most 1e30")
-    bits = min(21, max(1, int(extent / step + 1).bit_length()))
-    return Grid(low.tolist(), max(step, extent / (2**bits - 1)), bits)
+    finest = int(classes.min())
+    while extent / (cell * 2.0**finest) >= 2**21:
+        finest += 1
+    step = cell * 2.0**finest
+    return Grid(low.tolist(), step, max(1, int(extent / step).bit_length()), finest)
 
 
 def colour_transform(key: Gaussians, steps: KeySteps) -> str:
@@ -185,10 +212,7 @@ def rank_updates(
     `states` are differences to the canonical frame as decoded, `changes` to the original one. A row is static if it
     never changes by more than half a step, or if coding its states is expected to add more error than it mends.
     """
-    transform = tables.unpack_matrix(plan.transform, states.shape[1] - space.STATE_FIXED)
-    withheld = partial(
-        withheld_error, classes=plan.classes, s=plan.sensitivity, steps=plan.state_steps, transform=transform
-    )
+    withheld = partial(withheld_error, weights=plan.weights())
     moving = np.abs(changes).max(axis=(0, 1)) > 0.5
     if not settings.keep_all:
         variance = np.square(states).mean(axis=0, keepdims=True)

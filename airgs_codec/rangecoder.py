@@ -205,3 +205,16 @@ class Reader:
         if self._state[_AT] != len(self._data) or self._state[_CODE]:
             read = int(self._state[_AT])
             raise FormatError("bad_sidecar", self._where, f"expected the end at {read}, got {len(self._data)} bytes")
+
+
+@numba.njit(cache=True)
+def sum_gaps(gaps: NDArray[np.int64], low: NDArray[np.int64], bits: int, codes: NDArray[np.uint64]) -> bool:
+    """Codes from gaps between neighbours without their `low` bits; False when a code leaves `bits`."""
+    code = 0
+    for i in range(len(gaps)):
+        high = code >> low[i]
+        if gaps[i] > (MOST >> (63 - bits + low[i])) - high:
+            return False
+        code = (high + gaps[i]) << low[i]
+        codes[i] = code
+    return True

@@ -15,11 +15,11 @@ from airgs_codec import manifest as tables
 from airgs_codec.atlas import assemble, fit_atlas, picture_size, read_codes
 from airgs_codec.canonical import Canonical
 from airgs_codec.gaussians import Gaussians
-from airgs_codec.manifest import Grid, KeySteps
-from airgs_codec.plan import colour_transform, world_steps
+from airgs_codec.manifest import KeySteps
+from airgs_codec.plan import colour_transform, fit_grid, world_steps
 from airgs_codec.quantize import from_codes, to_codes
 from airgs_codec.rangecoder import encode_columns
-from airgs_codec.sensitivity import Sensitivity, withheld_error
+from airgs_codec.sensitivity import Sensitivity, channel_weights, withheld_error
 from airgs_codec.settings import StepSettings
 from airgs_codec.sidecar import KeySidecar, pack_key_sidecar
 from airgs_codec.video import (
@@ -35,7 +35,7 @@ from airgs_codec.video import (
     quantiser,
 )
 
-BLOCKS, BLOCK_ROWS, FRAMES = 16, 256, 8
+BLOCK_ROWS = 256
 PRESET = "fast"
 KEY_PARTS = {"log_scales": slice(0, 3), "quaternions": slice(3, 6), "opacity": slice(6, 7), "colour": slice(7, None)}
 STATE_PARTS = {
@@ -67,8 +67,6 @@ class Sample:
     classes: NDArray[np.int16]  # (n,)
     sensitivity: Sensitivity  # (n,)
     moving: NDArray[np.bool_]  # (n,) rows that some level carries
-    grid: Grid
-    unit: float  # of the scene
     scale: float  # rows of the group for each of the sample
     group: int  # frames of the group
     segment: int  # frames of a state segment
@@ -98,7 +96,7 @@ class Sample:
 
     def code_key(self, steps: StepSettings, factor: float, parts: Sequence[str] = ALL) -> tuple[float, Canonical]:
         """Bytes a frame, and the canonical space as decoded; attributes that are not in `parts` stay exact."""
-        key_steps, _, grid_step = world_steps(steps, 1.0, self.unit)
+        key_steps, _, cell = world_steps(steps, 1.0)
         key = self.key
         colours = 3 * (1 + key.sh_rest.shape[1])
         transform = self._transform(key_steps)
@@ -115,20 +113,22 @@ class Sample:
             sizes, decoded = _code(values[None, chosen], step, codec)
             channels[chosen] = decoded[0]
             size += sizes[0]
-        grid = replace(self.grid, step=grid_step)
-        codes = space.grid_codes(key.means, grid)
+        grid = fit_grid(key.means, self.classes, cell)
+        codes = space.grid_codes(key.means, self.classes, grid)
         if "means" in parts:
             order = np.argsort(codes, kind="stable")
             still = np.zeros(len(codes), np.uint8)
-            size += len(pack_key_sidecar(KeySidecar(codes[order], self.classes[order], still, [])))
+            size += len(pack_key_sidecar(KeySidecar(codes[order], self.classes[order], still, []), grid))
         base = space.read_key(channels, codes, self.classes, np.zeros(len(codes), np.uint8), transform, grid, key_steps)
         return self.scale * size / self.group, base
 
     def error(self, errors: NDArray[np.float64], steps: StepSettings) -> NDArray[np.float64]:
         """(n,) what errors (T, 10 + C, n), in steps, add to the mean squared error of pictures of the whole group."""
-        key_steps, state_steps, _ = world_steps(steps, 1.0, self.unit)
+        key_steps, state_steps, _ = world_steps(steps, 1.0)
         transform = self._transform(key_steps)
-        return self.scale * withheld_error(errors, self.classes, self.sensitivity, state_steps, transform)
+        return self.scale * withheld_error(
+            errors, channel_weights(self.classes, self.sensitivity, state_steps, transform)
+        )
 
     def _transform(self, steps: KeySteps) -> NDArray[np.float64]:
         key = self.key
@@ -136,7 +136,7 @@ class Sample:
 
     def states(self, base: Canonical, steps: StepSettings) -> NDArray[np.float64]:
         """(1 + T, 10 + C, n) differences of the canonical frame and the others to a canonical space, in steps."""
-        _, state_steps, _ = world_steps(steps, 1.0, self.unit)
+        _, state_steps, _ = world_steps(steps, 1.0)
         values = space.state_channels([self.key, *self.frames], base, state_steps)
         return values / space.state_steps(state_steps, base.colours.shape[1])[:, None]
 

@@ -41,28 +41,31 @@ class Sensitivity:
         return Sensitivity(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
-def withheld_error(
-    changes: NDArray[np.float64],
-    classes: NDArray[np.int16],
-    s: Sensitivity,
-    steps: StateSteps,
-    transform: NDArray[np.float64],
+def channel_weights(
+    classes: NDArray[np.int16], s: Sensitivity, steps: StateSteps, transform: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(N,) mean squared error, over picture samples and frames, that withholding a row's update is expected to make.
+    """(10 + C, N) what a squared step in a state channel adds to the mean squared error of pictures.
 
-    changes (T, 10 + C, N) in steps, colours after the KLT `transform` (C, C).
+    Derivatives by the channels of an attribute count as equal. A colour channel, row k of the KLT `transform` (C, C),
+    changes DC and SH rest by its entries; errors of different channels count as independent.
     """
-    squares = np.einsum("tcn,tcn->cn", changes, changes) / len(changes)
     unit = tf.motion_units(classes).astype(np.float64) * steps.means
-    colours = np.square(np.einsum("tkn,kc->tcn", changes[:, STATE_FIXED:], transform, optimize=True)).mean(axis=0)
-    error = (
-        s.means * unit**2 * squares[0:3].mean(axis=0)
-        + s.log_scales * steps.log_scales**2 * squares[3:6].mean(axis=0)
-        + s.quaternions * steps.quaternions**2 * squares[6:9].mean(axis=0)
-        + s.opacity * steps.opacity**2 * squares[9]
-        + s.sh_dc * steps.sh_dc**2 * colours[:3].mean(axis=0)
-    )
-    return error + s.sh_rest * steps.sh_rest**2 * colours[3:].mean(axis=0) if len(colours) > 3 else error
+    colours = len(transform)
+    dc, rest = (np.square(part).sum(axis=1) for part in (transform[:, :3], transform[:, 3:]))
+    weights = np.empty((STATE_FIXED + colours, len(classes)))
+    weights[0:3] = s.means * unit**2 / 3
+    weights[3:6] = s.log_scales * steps.log_scales**2 / 3
+    weights[6:9] = s.quaternions * steps.quaternions**2 / 3
+    weights[9] = s.opacity * steps.opacity**2
+    weights[STATE_FIXED:] = np.outer(dc, s.sh_dc * steps.sh_dc**2 / 3)
+    if colours > 3:
+        weights[STATE_FIXED:] += np.outer(rest, s.sh_rest * steps.sh_rest**2 / (colours - 3))
+    return weights
+
+
+def withheld_error(changes: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) mean squared error, over picture samples and frames, of leaving changes (T, 10 + C, N), in steps, undone."""
+    return np.einsum("tcn,tcn,cn->n", changes, changes, weights, optimize=True) / len(changes)
 
 
 def measure_sensitivity(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> Sensitivity:

@@ -32,18 +32,19 @@ class Sequence:
     fps: Fraction
     keyframes: tuple[int, ...] | None  # first frames of groups, when sequence.json names them
     cameras: tuple[Camera, ...]  # empty: none given
+    most_bands: int = 3  # SH bands past DC that are read
 
     @property
     def sh_degree(self) -> int:
-        """The SH degree of every frame."""
-        return self.headers[0].sh_degree
+        """The SH degree of every frame as it is read."""
+        return min(self.headers[0].sh_degree, self.most_bands)
 
     def __len__(self) -> int:
         return len(self.paths)
 
     def read(self, frame: int) -> Gaussians:
         """The frame as its file has it, unrepaired."""
-        return read_ply(self.paths[frame])
+        return read_ply(self.paths[frame]).with_degree(self.sh_degree)
 
 
 def open_sequence(folder: Path, *, views: Path | None = None, fps: Fraction | None = None) -> Sequence:

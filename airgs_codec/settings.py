@@ -15,7 +15,7 @@ from airgs_codec.video import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
 
 @dataclass(frozen=True, slots=True)
 class StepSettings:
-    """Quantiser steps at quality factor 1; lengths in units of the scene (see `plan.scene_unit`).
+    """Quantiser steps at quality factor 1; lengths in motion units (see `transforms.motion_units`).
 
     Found by coordinate descent on bytes against rendered PSNR, over the walking fox and the N3DV spinach scenes.
     """
@@ -28,7 +28,7 @@ class StepSettings:
             means=0.0007, quaternions=0.03, log_scales=0.12, opacity=0.058, sh_dc=0.063, sh_rest=0.08
         )
     )
-    grid: float = 0.32  # grid step of canonical means, in units of the scene
+    grid: float = 0.0007  # cells of canonical means, in motion units
     rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) allowed by leaving out Gaussians
 
 
@@ -53,6 +53,9 @@ class EncodeSettings:
     usage: str = "importance"  # what key tiers are ranked by
     rank: str = "error"  # what updates are ranked by, of RANKS
     keep_all: bool = False  # leave nothing out but what is constant
+    price: float = (
+        0.0  # squared error of pictures that a byte a frame must save at quality 1; 0: planes and segments stay
+    )
     preset: str = DEFAULT_PRESET
     jobs: int = field(default_factory=lambda: os.cpu_count() or 1)
 
@@ -78,6 +81,11 @@ class EncodeSettings:
         for good, message in checks:
             if not good:
                 raise ConfigError(message)
+
+    @property
+    def byte_price(self) -> float:
+        """The price at this quality: error grows with the square of the steps."""
+        return 0.0 if self.keep_all else self.price * self.quality**2
 
     def tiers_of(self, level: int) -> int:
         """Key tiers that viewers of a level fetch."""

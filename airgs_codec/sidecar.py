@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec import escapes
+from airgs_codec.canonical import cell_bits
 from airgs_codec.errors import FormatError
-from airgs_codec.manifest import Atlas
-from airgs_codec.rangecoder import Reader, encode_columns
+from airgs_codec.manifest import Atlas, Grid
+from airgs_codec.rangecoder import Reader, encode_columns, sum_gaps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,29 +24,31 @@ class KeySidecar:
     bases: list[NDArray[np.int32]]  # for each key quality: (P, N) escape bases
 
 
-def pack_key_sidecar(sidecar: KeySidecar) -> bytes:
+def pack_key_sidecar(sidecar: KeySidecar, grid: Grid) -> bytes:
     """The bytes of key/T{k}/{n}.bin."""
-    gaps = np.diff(sidecar.codes.astype(np.int64), prepend=np.int64(0))
+    low = (3 * cell_bits(sidecar.classes, grid)).astype(np.uint64)
+    before = np.concatenate([np.zeros(1, np.uint64), sidecar.codes[:-1]])
+    gaps = ((sidecar.codes >> low) - (before >> low)).astype(np.int64)
     least = int(sidecar.classes.min())
     carried = sidecar.depths + np.uint8(1)  # static rows, 255, become 0
-    columns = [(gaps, 0), (np.array([least + 128]), 0), (sidecar.classes - least, 1), (carried, 1)]
+    columns = [(np.array([least + 128]), 0), (sidecar.classes - least, 1), (gaps, 0), (carried, 1)]
     return encode_columns([*columns, *(c for bases in sidecar.bases for c in escapes.columns(bases[None]))])
 
 
-def unpack_key_sidecar(data: bytes, qualities: list[Atlas], where: str) -> KeySidecar:
+def unpack_key_sidecar(data: bytes, qualities: list[Atlas], grid: Grid, where: str) -> KeySidecar:
     """Inverse of `pack_key_sidecar`. Raises FormatError(bad_sidecar)."""
     rows = qualities[0].rows
     reader = Reader(data, where)
-    codes = np.cumsum(reader.column(rows, 0).astype(np.uint64), dtype=np.uint64)
-    least = int(reader.column(1, 0)[0]) - 128
-    classes, carried = least + reader.column(rows, 1), reader.column(rows, 1)
+    classes = int(reader.column(1, 0)[0]) - 128 + reader.column(rows, 1)
+    gaps, carried = reader.column(rows, 0), reader.column(rows, 1)
     bases = []
     for atlas in qualities:
         shape = (1, len(atlas.planes), rows)
         bases.append(escapes.bases_at(*escapes.read(reader, shape, where), shape, 0))
     reader.close()
-    if int(codes[-1]) >> 63 or (codes[1:] < codes[:-1]).any():
-        raise FormatError("bad_sidecar", where, "Morton codes leave 63 bits")
     if int(classes.max()) > 127 or int(carried.max()) > 255:
         raise FormatError("bad_sidecar", where, "expected classes up to 127 and depths up to 255")
+    codes = np.empty(rows, np.uint64)
+    if not sum_gaps(gaps, 3 * cell_bits(classes.astype(np.int16), grid), 3 * grid.bits, codes):
+        raise FormatError("bad_sidecar", where, f"Morton codes leave {3 * grid.bits} bits")
     return KeySidecar(codes, classes.astype(np.int16), (carried - 1).astype(np.uint8), bases)

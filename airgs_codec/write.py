@@ -69,7 +69,7 @@ def write_sidecars(
                 rows = plan.tier_rows(tier)
                 sidecar = KeySidecar(plan.codes[rows], plan.classes[rows], plan.depths[rows], plan.key_bases[tier])
                 path = tables.key_sidecar_path(tier, number)
-                files[path] = write_file(folder, path, pack_key_sidecar(sidecar))
+                files[path] = write_file(folder, path, pack_key_sidecar(sidecar, plan.grid))
         for s in range(len(spans[g])):
             for level in range(levels):
                 if fetched[g][s][level]:

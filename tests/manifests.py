@@ -52,7 +52,7 @@ def tiny_manifest(
         state_gain=6.0,
         views=mf.Views("generated", 1, 1 if psnr else 0, 32, 32, "original" if psnr else "none"),
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q) for q in range(qualities)],
-        levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j) for j in range(levels)],
+        levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers) for j in range(levels)],
         key_pictures=[[picture] * qualities for _ in range(tiers)],
         state_pictures=[picture] * levels,
         groups=[
@@ -63,7 +63,7 @@ def tiny_manifest(
                 count=10 * tiers,
                 static=0,
                 unused=0,
-                grid=mf.Grid([0.0, 0.0, 0.0], 0.01, 8),
+                grid=mf.Grid([0.0, 0.0, 0.0], 0.01, 8, 0),
                 key_steps=mf.KeySteps(0.1, 0.1, 0.1, 0.1, 0.1),
                 state_steps=mf.StateSteps(0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
                 colour_transform="",
@@ -89,5 +89,6 @@ def tiny_manifest(
             )
             for g, (start, stop) in enumerate(spans)
         ],
+        left_out=[],
         files={path: mf.FileEntry(size, HASH) for path, size in files.items()},
     )

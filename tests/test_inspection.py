@@ -18,6 +18,7 @@ from airgs_codec.inspection import (
     segment_bits,
     summarise,
 )
+from airgs_codec.manifest import LeftOut
 from airgs_codec.package import open_package
 from airgs_codec.picture import read_png
 from tests.manifests import tiny_manifest
@@ -92,9 +93,15 @@ def test_kinds_add_up_and_boxes_are_container():
 def test_what_was_left_out_is_named():
     m = tiny_manifest(state_bytes=(0,), psnr=None)
     tiers = [m.groups[0].tiers[0], dataclasses.replace(m.groups[0].tiers[1], number=0, count=0)]
-    group = dataclasses.replace(m.groups[0], unused=7, static=3, tiers=tiers)
-    text = "\n".join(left_out(dataclasses.replace(m, groups=[group, m.groups[1]])))
-    assert "group 0: 7 Gaussians" in text and "updates of 3 rows" in text
+    group = dataclasses.replace(m.groups[0], tiers=tiers)
+    notes = [
+        LeftOut("gaussians", 1, 7, 1e-5, 120.0),
+        LeftOut("updates", 0, 3, 0.0, 5.0),
+        LeftOut("sh bands", 0, 2, 1e-6, 9),
+    ]
+    text = "\n".join(left_out(dataclasses.replace(m, groups=[group, m.groups[1]], left_out=notes)))
+    assert "group 1: 7 Gaussians: 50.0 dB if nothing else were wrong, 0.12 kB/frame saved" in text
+    assert "group 0: 3 rows are never updated: no error" in text and "2 SH bands: 60.0 dB" in text
     assert "key tier T1: it has no rows" in text
     assert "2 log_scales, 3 quaternions, 1 opacity, 3 colour" in text
     assert "2 state segments" in text and "SH rest" in text

@@ -7,10 +7,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec import escapes, transforms
-from airgs_codec.canonical import grid_codes, grid_means
+from airgs_codec.canonical import cell_bits, grid_codes, grid_means
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.manifest import Atlas, Grid, pack_matrix, unpack_matrix
 from airgs_codec.ordering import morton_decode, morton_encode
+from airgs_codec.plan import fit_grid
 from airgs_codec.quantize import from_codes, to_codes
 from airgs_codec.rangecoder import MOST, Reader, encode_columns
 from airgs_codec.sidecar import KeySidecar, pack_key_sidecar, unpack_key_sidecar
@@ -28,13 +29,27 @@ def test_morton_bits_interleave_x_first():
     assert morton_encode(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [3, 3, 3]])).tolist() == [1, 2, 4, 8, 63]
 
 
-@given(npst.arrays(np.float64, st.tuples(st.integers(1, 30), st.just(3)), elements=finite), st.floats(1e-3, 1e3))
-def test_grid_error_is_at_most_half_a_step(means, step):
-    low = means.min(axis=0)
-    bits = min(21, max(1, int(np.ptp(means, axis=0).max() / step + 1).bit_length()))
-    grid = Grid(low.tolist(), max(step, float(np.ptp(means, axis=0).max()) / (2**bits - 1)), bits)
-    error = np.abs(grid_means(grid_codes(means, grid), grid) - means)
-    assert error.max() <= grid.step / 2 * (1 + 1e-9) + np.spacing(np.abs(means).max())
+@given(
+    npst.arrays(np.float32, st.tuples(st.just(20), st.just(3)), elements=st.floats(-1e6, 1e6, width=32)),
+    npst.arrays(np.int16, 20, elements=st.integers(-128, 127)),
+    st.floats(1e-6, 1e6),
+)
+def test_means_are_within_half_a_cell_of_their_class(means, classes, cell):
+    grid = fit_grid(means, classes, cell)
+    assert grid.bits <= 21 and grid.step == cell * 2.0**grid.finest
+    side = grid.step * 2.0 ** cell_bits(classes, grid)
+    error = np.abs(grid_means(grid_codes(means, classes, grid), classes, grid) - means).max(axis=1)
+    assert (error <= side / 2 * (1 + 1e-9) + np.spacing(np.abs(means).max())).all()
+
+
+def test_cells_of_a_class_are_two_to_the_class_wide():
+    means = np.array([[0, 0, 0], [10, 10, 10], [3.3, 7.7, 9.9]], np.float32)
+    classes = np.array([-1, 2, 1], np.int16)
+    grid = fit_grid(means, classes, 0.5)
+    assert grid == Grid([0.0, 0.0, 0.0], 0.25, 6, -1)
+    np.testing.assert_array_equal(cell_bits(classes, grid), [0, 3, 2])
+    middles = grid_means(grid_codes(means, classes, grid), classes, grid)
+    np.testing.assert_array_equal(middles, [[0.125] * 3, [11] * 3, [3.5, 7.5, 9.5]])
 
 
 unit = npst.arrays(np.float64, (20, 4), elements=st.floats(-1, 1)).filter(
@@ -146,7 +161,7 @@ def test_no_choice_of_bases_jumps_less(series):
 def test_any_bytes_as_a_sidecar_are_refused_with_a_reason(data):
     atlas = Atlas(7, [0] * 10, [0, 3], 16, 1)
     with pytest.raises(FormatError) as caught:
-        unpack_key_sidecar(data, [atlas], "x.bin")
+        unpack_key_sidecar(data, [atlas], Grid([0.0, 0.0, 0.0], 1.0, 21, 0), "x.bin")
     assert caught.value.reason == "bad_sidecar"
 
 
@@ -204,17 +219,34 @@ def test_negative_numbers_are_no_columns():
         encode_columns([(np.array([3, -1]), 0)])
 
 
+def test_codes_that_leave_the_grid_are_refused():
+    """63 is the last of 4 x 4 x 4 cells; the same gaps lead out of a smaller grid."""
+    atlases = [Atlas(2, [0] * 10, [0], 16, 1)]
+    bases = [np.zeros((1, 2), np.int32)]
+    large, small = Grid([0.0, 0.0, 0.0], 1.0, 2, 0), Grid([0.0, 0.0, 0.0], 1.0, 1, 0)
+    good = KeySidecar(np.array([8, 63], np.uint64), np.array([1, 0], np.int16), np.zeros(2, np.uint8), bases)
+    packed = pack_key_sidecar(good, large)
+    np.testing.assert_array_equal(unpack_key_sidecar(packed, atlases, large, "x").codes, good.codes)
+    with pytest.raises(FormatError) as caught:
+        unpack_key_sidecar(packed, atlases, small, "x")
+    assert caught.value.reason == "bad_sidecar"
+
+
 @given(st.data())
 @settings(deadline=None)  # the first call compiles
 def test_key_sidecars_are_exact(data):
     n = data.draw(st.integers(1, 40))
-    morton = np.sort(data.draw(npst.arrays(np.uint64, n, elements=st.integers(0, 2**63 - 1))))
+    grid = Grid([0.0, 0.0, 0.0], 1.0, 21, data.draw(st.integers(-128, 127)))
     classes = data.draw(npst.arrays(np.int16, n, elements=st.integers(-128, 127)))
+    low = (3 * cell_bits(classes, grid)).astype(np.uint64)
+    morton = data.draw(npst.arrays(np.uint64, n, elements=st.integers(0, 2**63 - 1))) >> low << low
+    order = np.argsort(morton, kind="stable")
+    morton, classes = morton[order], classes[order]
     depths = data.draw(npst.arrays(np.uint8, n))
     bases = [data.draw(npst.arrays(np.int32, (p, n), elements=st.integers(-(2**22), 2**22))) for p in (1, 2)]
     atlases = [Atlas(n, [0] * 10, list(range(p)), 16, 1) for p in (1, 2)]
-    packed = pack_key_sidecar(KeySidecar(morton, classes, depths, bases))
-    back = unpack_key_sidecar(packed, atlases, "x")
+    packed = pack_key_sidecar(KeySidecar(morton, classes, depths, bases), grid)
+    back = unpack_key_sidecar(packed, atlases, grid, "x")
     np.testing.assert_array_equal(back.codes, morton)
     np.testing.assert_array_equal(back.classes, classes)
     np.testing.assert_array_equal(back.depths, depths)

@@ -50,6 +50,26 @@ def test_a_session_by_hand():
     assert result["trace_mean_bps"] == 8e4
 
 
+def test_a_tier_is_fetched_when_a_level_first_needs_it():
+    """The last level does with T0; rising in the middle of a group brings T1 along, once."""
+    m = tiny_manifest(groups=(30,), psnr=None)
+    thirds = [replace(m.segments[0], start=s, stop=s + 10) for s in (0, 10, 20)]
+    for i, segment in enumerate(thirds):
+        levels = [replace(v, number=i + 1, frame_bytes=v.frame_bytes[:10]) for v in segment.levels]
+        thirds[i] = replace(segment, levels=levels)
+    files = dict(m.files)
+    for path, entry in m.files.items():
+        if path.startswith("state/") and not path.endswith("init.mp4"):
+            head, _, tail = path.rpartition("/1.")
+            files |= {f"{head}/{n}.{tail}": entry for n in (2, 3)}
+    m = replace(m, levels=[*m.levels[:2], replace(m.levels[2], tiers=1)], segments=thirds, files=files)
+    assert parse_manifest(m.to_json()) == m
+    low = simulate(m, 1000, link([8e4]), fixed(2))
+    assert low.bytes_by_kind["key"] == 3000 and low.bytes_by_kind["sidecars"] == 100 + 3 * 100
+    high = simulate(m, 1000, link([8e4]), fixed(0))
+    assert high.bytes_by_kind["key"] == 4000 and high.bytes_by_kind["sidecars"] == 200 + 3 * 100
+
+
 def test_half_the_rate_stalls_and_the_frozen_picture_counts():
     log = simulate(tiny_manifest(psnr=[[40.0, 0.0]] * 3), 1000, link([4e4]), fixed(0))
     assert [f.arrival_s for f in log.fetches] == pytest.approx([0.2, 1.49, 2.75])

@@ -12,7 +12,7 @@ from airgs_codec.errors import ConfigError, FormatError, SceneError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.metrics import mse, psnr
 from airgs_codec.package import open_package, staged
-from airgs_codec.plan import plan_group
+from airgs_codec.plan import plan_group, survey_group
 from airgs_codec.render import render
 from airgs_codec.sequence import open_sequence, repair
 from airgs_codec.settings import EncodeSettings, StepSettings
@@ -24,7 +24,7 @@ FAST = EncodeSettings(preset="veryfast", jobs=2)
 
 def encode(tmp_path, frames, settings=FAST, **options):
     folder = write_sequence(tmp_path / "scene", frames)
-    author_package(open_sequence(folder), tmp_path / "out", settings, measure_frames=0, **options)
+    author_package(open_sequence(folder), tmp_path / "out", settings, measure_frames=0, calibrated=False, **options)
     assert validate(tmp_path / "out") == []
     return open_package(tmp_path / "out")
 
@@ -44,7 +44,7 @@ def opaque(g: Gaussians) -> Gaussians:
 @pytest.fixture(scope="module")
 def fox(tmp_path_factory):
     target = tmp_path_factory.mktemp("fox") / "out"
-    author_package(open_sequence(FOX), target, replace(FAST, preset="medium"))
+    author_package(open_sequence(FOX), target, replace(FAST, preset="medium"), calibrated=False)
     return open_package(target)
 
 
@@ -102,7 +102,8 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox):
     sequence = open_sequence(FOX)
     training = [c for c in sequence.cameras if c.split == "train"]
     for g, group in enumerate(m.groups):
-        plan = plan_group(sequence, group.start, group.stop, training, True, FAST)
+        survey = survey_group(sequence, g, group.start, group.stop, training)
+        plan = plan_group(sequence, survey, training, True, FAST)
         frames = repair([sequence.read(i) for i in range(group.start, group.stop)], "").frames
         base = decode_canonical(fox, g, 0)
         values = space.state_channels([f.take(plan.rows) for f in frames], base, group.state_steps)
@@ -121,7 +122,7 @@ def test_key_codes_are_within_the_codecs_error_of_the_source(fox):
     sequence = open_sequence(FOX)
     training = [c for c in sequence.cameras if c.split == "train"]
     group = m.groups[0]
-    plan = plan_group(sequence, group.start, group.stop, training, True, FAST)
+    plan = plan_group(sequence, survey_group(sequence, 0, group.start, group.stop, training), training, True, FAST)
     steps = space.key_steps(group.key_steps, m.colour_channels)
     for q, quality in enumerate(m.qualities):
         codes = np.concatenate([decode_key(fox, 0, t, q)[0] for t in range(2)], axis=1)
@@ -129,20 +130,22 @@ def test_key_codes_are_within_the_codecs_error_of_the_source(fox):
         assert np.abs(error).max() <= 2.5 and np.sqrt(np.mean(error**2)) <= 0.5
 
 
-def test_canonical_means_are_within_half_a_grid_step(fox):
+def test_canonical_means_are_within_half_a_cell(fox):
     sequence = open_sequence(FOX)
+    training = [c for c in sequence.cameras if c.split == "train"]
     for g, group in enumerate(fox.manifest.groups):
-        plan = plan_group(
-            sequence, group.start, group.stop, [c for c in sequence.cameras if c.split == "train"], True, FAST
-        )
+        survey = survey_group(sequence, g, group.start, group.stop, training)
+        plan = plan_group(sequence, survey, training, True, FAST)
         source = repair([sequence.read(group.canonical)], "").frames[0].take(plan.rows)
-        error = np.abs(decode_canonical(fox, g, 0).means - source.means)
-        assert error.max() <= group.grid.step / 2 * (1 + 1e-6)
+        error = np.abs(decode_canonical(fox, g, 0).means - source.means).max(axis=1)
+        side = group.grid.step * 2.0 ** space.cell_bits(plan.classes, group.grid)
+        assert (error <= side / 2 * (1 + 1e-6)).all()
+        assert len(np.unique(side)) > 2
 
 
 def test_fine_steps_come_back_finely(tmp_path):
     frames = [opaque(f) for f in moving_frames(300, 4)]  # what is not drawn may hold any value
-    steps = replace(StepSettings(), grid=0.02)
+    steps = replace(StepSettings(), grid=0.00002)
     package = encode(tmp_path, frames, replace(FAST, quality=0.05, steps=steps))
     for shown in decode_frames(package, 0, 4):
         nearest = np.linalg.norm(shown.gaussians.means[:, None] - frames[shown.number].means[None], axis=2)
@@ -254,7 +257,7 @@ def test_values_that_no_code_holds_are_refused_and_leave_the_old_package(tmp_pat
     wild = Gaussians(g.means, g.quaternions, g.log_scales, g.opacity_logits, g.sh_dc * np.float32(1e30), g.sh_rest)
     folder = write_sequence(tmp_path / "wild", [wild])
     with pytest.raises(SceneError, match="codes"):
-        author_package(open_sequence(folder), good.path, FAST, measure_frames=0)
+        author_package(open_sequence(folder), good.path, FAST, measure_frames=0, calibrated=False)
     assert {p.name: p.read_bytes() for p in good.path.iterdir() if p.is_file()} == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "scene", "wild"]  # no stage is left behind
 

@@ -90,10 +90,10 @@ def rewrite(relative: str, make: Callable[[bytes], bytes], honest: bool = True) 
 def without_moving_rows(folder: Path, data: dict[str, Any]) -> dict[str, Any]:
     """Say in a sidecar that its rows are static, while the tables count them."""
     package = open_package(folder)
-    atlases = package.manifest.groups[0].tiers[0].qualities
-    sidecar = unpack_key_sidecar(package.read(KEY_SIDECAR), atlases, KEY_SIDECAR)
+    group = package.manifest.groups[0]
+    sidecar = unpack_key_sidecar(package.read(KEY_SIDECAR), group.tiers[0].qualities, group.grid, KEY_SIDECAR)
     still = replace(sidecar, depths=np.full_like(sidecar.depths, 255))
-    return rewrite(KEY_SIDECAR, lambda _: pack_key_sidecar(still))(folder, data)  # type: ignore[return-value]
+    return rewrite(KEY_SIDECAR, lambda _: pack_key_sidecar(still, group.grid))(folder, data)  # type: ignore[return-value]
 
 
 def rename_entry(folder: Path, data: dict[str, Any]) -> dict[str, Any]:
@@ -152,7 +152,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             for i, frame in enumerate(sequence):
                 write_ply(Path(folder) / f"{i:06d}.ply", frame)
-            author_package(open_sequence(Path(folder)), CORPUS / "valid" / name, settings)
+            author_package(open_sequence(Path(folder)), CORPUS / "valid" / name, settings, calibrated=False)
     for reason, apply in INVALID.items():
         target = CORPUS / "invalid" / reason
         shutil.copytree(CORPUS / "valid" / "moving", target)

@@ -57,7 +57,7 @@ def main() -> None:
     shutil.rmtree(GOLDEN, ignore_errors=True)
     GOLDEN.mkdir()
     source = open_sequence(FOX)
-    fine = StepSettings(grid=0.05)
+    fine = StepSettings(grid=0.00007)
     cases = {
         "fox": (range(3, 7), EncodeSettings(levels=((0.0, 1.0), (0.5, 2.0)))),
         "fox-fine": (range(5, 8), EncodeSettings(levels=((0.0, 1.0),), key_factors=(1.0,), quality=0.1, steps=fine)),
@@ -68,7 +68,7 @@ def main() -> None:
             for number, frame in enumerate(frames):
                 write_ply(Path(folder) / f"{number:06d}.ply", source.read(frame).take(rows))
             (Path(folder) / "sequence.json").write_text(json.dumps({"fps": 24, "keyframes": [0, 2]}))
-            author_package(open_sequence(Path(folder)), GOLDEN / name, settings)
+            author_package(open_sequence(Path(folder)), GOLDEN / name, settings, calibrated=False)
         table = json.dumps(digests(open_package(GOLDEN / name)), indent=1)
         (GOLDEN / f"{name}.json").write_text(table + "\n")
 
