@@ -15,7 +15,8 @@ from tests.scenes import FOX, moving_frames, random_gaussians, write_sequence
 def package(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli")
     scene = write_sequence(folder / "scene", moving_frames(120, 4), fps=10, keyframes=[0, 2])
-    assert encode.main([str(scene), "-o", str(folder / "out"), "--preset", "veryfast", "--json"]) == 0
+    options = ["--preset", "veryfast", "--steps", "default"]
+    assert encode.main([str(scene), "-o", str(folder / "out"), *options, "--json"]) == 0
     return folder / "out"
 
 
