@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec import __version__
-from airgs_codec.calibrate import Calibration
+from airgs_codec.calibrate import REVISION, Calibration
 from airgs_codec.errors import AirgsError
 from airgs_codec.manifest import KeySteps, StateSteps
 from airgs_codec.package import write_file
@@ -35,7 +35,7 @@ def digest(sequence: GaussianSequence, survey: Survey, cameras: Sequence[Camera]
     """Of everything that a calibration depends on; of the group's frames, those that were looked at."""
     h = hashlib.sha256()
     choices = dataclasses.asdict(dataclasses.replace(settings, quality=1.0, jobs=1))
-    words = [__version__, library_versions(), choices, str(sequence.fps), survey.start, survey.stop]
+    words = [__version__, REVISION, library_versions(), choices, str(sequence.fps), survey.start, survey.stop]
     h.update(json.dumps(words, sort_keys=True).encode())
     for camera in cameras:
         for field in dataclasses.fields(camera):

@@ -28,15 +28,16 @@ from airgs_codec.settings import EncodeSettings, StepSettings
 from airgs_codec.spread import spread
 from airgs_codec.tiers import assign_depths
 
+REVISION = 1  # of this method, for the cache
 TRIAL = 1.5  # factor between the two steps at which bytes and error are measured
 PRIOR = 0.02  # share of all bytes and error that every step is taken to have: what is hardly measured hardly moves
-LEVEL_PRICES = (1.0, 2.5, 6.0, 15.0)  # of a byte at each level, in those of the top one
-KEY_PRICE = 8.0  # the same at the second key quality
+LEVEL_PRICES = (1.0, 2.5, 6.0, 12.0)  # of a byte at each level, in those of the top one
+KEY_PRICE = 7.0  # the same at the second key quality
 CORE_LEVELS = 2  # the last ones, for which the first key tier must do
 FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # of the steps, tried for lower rungs
 SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)  # of the updates, tried to withhold
-SAMPLE_BLOCKS, FEWEST_BLOCKS, MOST_FRAMES = 200, 6, 32  # of the sample: blocks of all its frames together
-RANKED_FRAMES = 8  # of a group, to tell which updates matter
+SAMPLE_BLOCKS, FEWEST_BLOCKS, MOST_FRAMES = 150, 5, 32  # of the sample: blocks of all its frames together
+RANKED_FRAMES = 6  # of a group, to tell which updates matter
 
 # The attribute whose planes are coded anew when a step changes.
 STEPS = {
@@ -89,9 +90,9 @@ class Subject:
         sequence: GaussianSequence, survey: Survey, cameras: Sequence[Camera], given: bool, settings: EncodeSettings
     ) -> Subject:
         """Planned at `settings`."""
-        plan = plan_group(sequence, survey, cameras, given, settings)
-        frames = load_frames(sequence, plan.start, plan.stop).frames
+        frames = load_frames(sequence, survey.start, survey.stop).frames
         removal = Removal([frames[i - survey.start] for i in survey.shown], cameras, survey.rank)
+        plan = plan_group(sequence, survey, cameras, given, settings, removal)
         return Subject(frames, plan, cameras, removal, settings)
 
     def sample(self, fps: float) -> Sample:

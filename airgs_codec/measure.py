@@ -16,13 +16,22 @@ from airgs_codec.sequence import repair
 from airgs_codec.spread import spread
 
 MAX_VIEWS = 4
-DEFAULT_FRAMES = 3  # measured a segment
+DEFAULT_FRAMES = 4  # measured a segment
 
 
 def measured_views(cameras: Sequence[Camera]) -> list[Camera]:
     """Held-out cameras if there are any, else all; at most MAX_VIEWS of them, spread evenly."""
     chosen = [c for c in cameras if c.split == "test"] or list(cameras)
     return [chosen[i] for i in spread(len(chosen), MAX_VIEWS)]
+
+
+def measured_frames(start: int, stop: int, count: int) -> list[int]:
+    """At most `count` frames of [start, stop), each in the middle of an equal part.
+
+    First and last would be the furthest from the canonical frame, and make a segment look worse than it is.
+    """
+    parts = min(count, stop - start)
+    return [start + (2 * i + 1) * (stop - start) // (2 * parts) for i in range(parts)]
 
 
 @dataclass(slots=True)
@@ -52,7 +61,7 @@ def measure_quality(
     segments: list[Segment] = []
     for index, segment in enumerate(m.segments):
         progress("quality", index, len(m.segments))
-        numbers = [segment.start + i for i in spread(segment.stop - segment.start, frames)]
+        numbers = measured_frames(segment.start, segment.stop, frames)
         originals = repair([sequence.read(i) for i in numbers], "").frames
         references = [[render(g, camera).rgb for camera in cameras] for g in originals]
         sums = [[_Sums() for _ in m.qualities] for _ in m.levels]

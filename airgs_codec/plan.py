@@ -120,14 +120,23 @@ def survey_group(sequence: GaussianSequence, index: int, start: int, stop: int, 
 
 
 def plan_group(
-    sequence: GaussianSequence, survey: Survey, cameras: Sequence[Camera], given: bool, settings: EncodeSettings
+    sequence: GaussianSequence,
+    survey: Survey,
+    cameras: Sequence[Camera],
+    given: bool,
+    settings: EncodeSettings,
+    removal: Removal | None = None,
 ) -> GroupPlan:
-    """Order, tiers, steps and transforms of a group, from its canonical frame."""
+    """Order, tiers, steps and transforms of a group, from its canonical frame.
+
+    `given`: the cameras are the scene's own, so that rows they can do without are left out. `removal` saves time if
+    somebody has it.
+    """
     loaded = load_frames(sequence, survey.start, survey.stop)
     key = loaded.frames[survey.canonical - survey.start]
     if given and not settings.keep_all:
-        shown = [loaded.frames[i - survey.start] for i in survey.shown]
-        needed = Removal(shown, cameras, survey.rank).needed(settings.steps.rows * settings.quality)
+        removal = removal or Removal([loaded.frames[i - survey.start] for i in survey.shown], cameras, survey.rank)
+        needed = removal.needed(settings.steps.rows * settings.quality)
     else:
         needed = Needed(np.arange(len(key)), 0.0)
     score = survey.rank if settings.usage == "importance" else survey.usage.measure(settings.usage)

@@ -10,7 +10,7 @@ from tools.bench_rd import MPEG_QPS, RdPoint, bd_rate
 
 
 def curve(*pairs):
-    return [RdPoint("c", str(i), kb, psnr, 0.0, 0.0) for i, (kb, psnr) in enumerate(pairs)]
+    return [RdPoint("c", str(i), kb, psnr, None, 0.0, 0.0) for i, (kb, psnr) in enumerate(pairs)]
 
 
 WIDE = curve((10, 38), (14, 41), (20, 44), (28, 47), (40, 50))

@@ -3,14 +3,17 @@
     python -m tools.bench_rd SEQUENCE --views transforms.json -o OUT [--fps 24] [--splat-transform COMMAND]
 
 Writes OUT/rd.csv, OUT/rd.json (figures, BD-rates, machine, versions) and OUT/rd.png, and prints the table. PSNR is
-render-referenced: pooled over the test cameras and `--frames` frames of the sequence. BD-rate (Bjontegaard 2001, with
-monotone cubic interpolation of log rate over PSNR) spans only the PSNR that both curves cover; negative is smaller.
+render-referenced: pooled over the test cameras and `--frames` frames of the sequence; where transforms.json names
+pictures of these cameras and frames, PSNR against them stands beside it. BD-rate (Bjontegaard 2001, with monotone cubic
+interpolation of log rate over PSNR) spans only the PSNR that both curves cover; negative is smaller. The layouts are
+given all rows in Morton order; "airgs, keeps all" is given no other.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import itertools
 import json
 import platform
 import shlex
@@ -22,12 +25,13 @@ from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
 
+import cv2
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from airgs_codec.author import author_package
 from airgs_codec.decode import decode_frames
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.grouping import plan_groups
 from airgs_codec.metrics import mse, psnr
@@ -35,6 +39,7 @@ from airgs_codec.ordering import morton_encode
 from airgs_codec.package import open_package
 from airgs_codec.ply import read_ply, write_ply
 from airgs_codec.render import Camera, read_cameras, render
+from airgs_codec.search import PSNR, Goal
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.sequence import open_sequence, repair
 from airgs_codec.settings import EncodeSettings
@@ -42,7 +47,7 @@ from airgs_codec.spread import spread
 from airgs_codec.video import library_versions
 from tools.baselines import mpeg_anchor_layout, v3_layout
 
-OUR_FACTORS = (0.5, 0.65, 0.8, 1.0, 1.3, 1.7)  # on every default step
+TARGETS = "47,45.5,44,42.5,41,39.5"  # dB, of our packages
 V3_QPS = (6, 10, 14, 18, 22, 26)
 # The MPEG anchor's published rate points, finest first, from its lowest QPs up.
 MPEG_QPS = (
@@ -63,7 +68,8 @@ class RdPoint:
     coder: str
     setting: str
     kb_per_frame: float
-    psnr: float  # dB
+    psnr: float  # dB, against renderings of the input
+    truth_psnr: float | None  # dB, against pictures taken of the scene
     encode_s: float
     decode_s: float
 
@@ -77,18 +83,37 @@ class Bench:
     cameras: list[Camera]
     frames: list[int]
     references: dict[int, list[np.ndarray]]
+    truth: dict[int, list[np.ndarray]]  # empty: no pictures
 
-    def psnr_of(self, shown: dict[int, Gaussians]) -> float:
-        """Pooled over cameras and measured frames."""
-        errors = [
-            mse(render(shown[frame], camera).rgb, reference)
-            for frame in self.frames
-            for camera, reference in zip(self.cameras, self.references[frame], strict=True)
-        ]
-        return psnr(float(np.mean(errors)))
+    def psnr_of(self, shown: dict[int, Gaussians]) -> tuple[float, float | None]:
+        """Against renderings and against pictures, pooled over cameras and measured frames."""
+        rendered = {frame: [render(shown[frame], camera).rgb for camera in self.cameras] for frame in self.frames}
+        return _pooled(rendered, self.references), _pooled(rendered, self.truth) if self.truth else None
 
 
-def open_bench(sequence: GaussianSequence, cameras: list[Camera], count: int) -> Bench:
+def _pooled(rendered: dict[int, list[np.ndarray]], wanted: dict[int, list[np.ndarray]]) -> float:
+    pairs = [zip(pictures, wanted[frame], strict=True) for frame, pictures in rendered.items()]
+    return psnr(float(np.mean([mse(a, b) for pair in pairs for a, b in pair])))
+
+
+def read_truth(views: Path, cameras: Sequence[Camera], frames: Sequence[int]) -> dict[int, list[np.ndarray]]:
+    """(H, W, 3) pictures in 0..1 of each frame seen by each camera; empty unless transforms.json names all of them."""
+    entries = json.loads(views.read_text(encoding="utf-8"))["frames"]
+    paths = {(e.get("camera"), e.get("time_index")): views.parent / e.get("file_path", "") for e in entries}
+    wanted = {frame: [paths.get((camera.name, frame)) for camera in cameras] for frame in frames}
+    if not all(path and path.is_file() for row in wanted.values() for path in row):
+        return {}
+    return {frame: [_read_picture(path) for path in row if path] for frame, row in wanted.items()}
+
+
+def _read_picture(path: Path) -> np.ndarray:
+    picture = cv2.imread(str(path))
+    if picture is None:
+        raise SceneError(f"{path}: expected a picture")
+    return picture[..., ::-1].astype(np.float32) / 255
+
+
+def open_bench(sequence: GaussianSequence, cameras: list[Camera], count: int, views: Path) -> Bench:
     """Read everything once; `count` frames are measured, first and last among them."""
     groups = []
     for start, stop in plan_groups(sequence).spans:
@@ -103,15 +128,21 @@ def open_bench(sequence: GaussianSequence, cameras: list[Camera], count: int) ->
         for i, frame in enumerate(frames, start):
             if i in measured:
                 references[i] = [render(frame, camera).rgb for camera in cameras]
-    return Bench(sequence, groups, cameras, measured, references)
+    return Bench(sequence, groups, cameras, measured, references, read_truth(views, cameras, measured))
 
 
-def our_points(bench: Bench) -> Iterator[RdPoint]:
-    """The top rung of a whole package: all tiers, sidecars, init segments and both manifests."""
-    for factor in OUR_FACTORS:
+def our_points(bench: Bench, targets: Sequence[float], keep_all: bool) -> Iterator[RdPoint]:
+    """The top rung of a whole package: all tiers, sidecars, init segments and both manifests.
+
+    Encoding counts the training views and, the first time, calibration; not the search for the target.
+    """
+    name = "airgs, keeps all" if keep_all else "airgs"
+    for wanted in targets:
         with tempfile.TemporaryDirectory() as folder:
             target = Path(folder) / "package"
-            report = author_package(bench.sequence, target, EncodeSettings(quality=factor), measure_frames=0)
+            settings = EncodeSettings(keep_all=keep_all)
+            report = author_package(bench.sequence, target, settings, goal=Goal(PSNR, wanted), measure_frames=0)
+            encode_s = report.survey_s + report.calibrate_s + report.encode_s
             package = open_package(target)
             m = package.manifest
             began = time.perf_counter()
@@ -119,7 +150,7 @@ def our_points(bench: Bench) -> Iterator[RdPoint]:
             seconds = time.perf_counter() - began
             size = m.bytes_of(m.rung_files(0, 0)) + package.manifest_bytes
             kb = size / m.frames / 1e3
-            yield RdPoint("airgs", f"steps x{factor:g}", kb, bench.psnr_of(shown), report.encode_s, seconds)
+            yield RdPoint(name, f"{wanted:g} dB", kb, *bench.psnr_of(shown), encode_s, seconds)
 
 
 def layout_points(bench: Bench) -> Iterator[RdPoint]:
@@ -137,7 +168,7 @@ def layout_points(bench: Bench) -> Iterator[RdPoint]:
             shown |= dict(enumerate(coded.frames, start))
         encode_s = time.perf_counter() - began - decode_s
         quality = bench.psnr_of(shown)
-        yield RdPoint(coder, name, size / len(bench.sequence) / 1e3, quality, encode_s, decode_s)
+        yield RdPoint(coder, name, size / len(bench.sequence) / 1e3, *quality, encode_s, decode_s)
 
 
 def static_points(bench: Bench, command: str) -> Iterator[RdPoint]:
@@ -155,7 +186,7 @@ def static_points(bench: Bench, command: str) -> Iterator[RdPoint]:
                 size += packed.stat().st_size
                 shown[frame] = read_ply(back)
         kb = size / len(bench.frames) / 1e3
-        yield RdPoint(name, "default", kb, bench.psnr_of(shown), scale * encode_s, scale * decode_s)
+        yield RdPoint(name, "default", kb, *bench.psnr_of(shown), scale * encode_s, scale * decode_s)
 
 
 def _timed(command: str, source: Path, target: Path) -> float:
@@ -203,7 +234,14 @@ def plot(points: Sequence[RdPoint], path: Path, title: str) -> None:
     for coder in dict.fromkeys(p.coder for p in points):
         curve = sorted((p for p in points if p.coder == coder), key=lambda p: p.kb_per_frame)
         x, y = [p.kb_per_frame for p in curve], [p.psnr for p in curve]
-        axis.plot(x, y, "o-", label=coder, linewidth=2.5 if coder == "airgs" else 1.3)
+        axis.plot(
+            x,
+            y,
+            "o-",
+            label=coder,
+            linewidth=2.5 if coder == "airgs" else 1.3,
+            linestyle="--" if "keeps" in coder else "-",
+        )
     axis.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB (render-referenced)", title=title, xscale="log")
     ticks = [10, 15, 20, 30, 50, 70, 100, 150, 200, 300, 500]
     axis.set_xticks(ticks, [str(t) for t in ticks])
@@ -223,6 +261,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--fps", type=Fraction)
     parser.add_argument("--frames", type=int, default=6, help="frames measured (default: 6)")
+    parser.add_argument("--targets", default=TARGETS, help=f"PSNR of our packages, dB (default: {TARGETS})")
     parser.add_argument("--range", default="0:99", help="PSNR range of the BD-rate, dB (default: all)")
     parser.add_argument(
         "--splat-transform",
@@ -232,24 +271,30 @@ def main() -> None:
     args = parser.parse_args()
     args.output.mkdir(parents=True, exist_ok=True)
     sequence = open_sequence(args.sequence, views=args.views, fps=args.fps)
-    bench = open_bench(sequence, [c for c in read_cameras(args.views) if c.split == "test"], args.frames)
+    cameras = [c for c in read_cameras(args.views) if c.split == "test"]
+    bench = open_bench(sequence, cameras, args.frames, args.views)
+    if bench.truth:
+        print(f"the input against pictures of the scene: {_pooled(bench.references, bench.truth):.2f} dB")
     points = []
-    sources = [our_points(bench), layout_points(bench)]
+    targets = [float(part) for part in args.targets.split(",")]
+    sources = [our_points(bench, targets, keep_all=False), our_points(bench, targets, keep_all=True)]
+    sources += [layout_points(bench)]
     sources += [static_points(bench, args.splat_transform)] if args.splat_transform else []
     for source in sources:
         for p in source:
             points.append(p)
             figures = f"{p.kb_per_frame:8.2f} kB/frame  {p.psnr:6.2f} dB"
+            figures += "" if p.truth_psnr is None else f" ({p.truth_psnr:.2f})"
             print(
                 f"{p.coder:20} {p.setting:12} {figures}  enc {p.encode_s:7.2f} s  dec {p.decode_s:6.2f} s", flush=True
             )
     low, high = (float(part) for part in args.range.split(":"))
-    ours = [p for p in points if p.coder == "airgs"]
     rates = {}
-    for coder in ("V3 layout", "MPEG anchor layout"):
-        rate = rates[coder] = bd_rate(ours, [p for p in points if p.coder == coder], low, high)
+    for coder, other in itertools.product(("airgs", "airgs, keeps all"), ("V3 layout", "MPEG anchor layout")):
+        ours, theirs = ([p for p in points if p.coder == name] for name in (coder, other))
+        rate = rates[f"{coder} against {other}"] = bd_rate(ours, theirs, low, high)
         words = "no common range" if rate is None else f"{100 * rate:+.1f} %"
-        print(f"BD-rate of airgs against {coder}: {words}")
+        print(f"BD-rate of {coder} against {other}: {words}")
     machine = {"machine": platform.machine(), "python": platform.python_version(), **library_versions()}
     record = {"points": [asdict(p) for p in points], "bd_rate": rates, "range": [low, high], **machine}
     (args.output / "rd.json").write_text(json.dumps(record, indent=1) + "\n")
