@@ -186,7 +186,7 @@ def _calibrate(
 
 def _search(job: _Job, settings: EncodeSettings, goal: Goal, stage: Path, frames: int) -> float:
     """The quality factor that brings the top rung to its goal."""
-    top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1], core_levels=0)
+    top = replace(settings, levels=settings.levels[:1], core_levels=0)
     trials = 0
 
     def trial(factor: float) -> float:
@@ -201,7 +201,7 @@ def _search(job: _Job, settings: EncodeSettings, goal: Goal, stage: Path, frames
                 measured = pooled_quality(job.measure(manifest, folder, frames), 0, 0)
                 assert measured is not None
                 return measured[0]
-            tables = _table_bytes(manifest, len(settings.levels), len(settings.key_factors))
+            tables = _table_bytes(manifest, len(settings.levels))
             return (manifest.bytes_of(manifest.rung_files(0, 0)) + tables) / manifest.frames / 1e3
         finally:
             shutil.rmtree(folder)
@@ -209,22 +209,16 @@ def _search(job: _Job, settings: EncodeSettings, goal: Goal, stage: Path, frames
     return find_quality(goal, trial, settings.quality)
 
 
-def _table_bytes(m: Manifest, levels: int, qualities: int) -> int:
-    """Length of both manifests if the package had so many levels and key qualities, each like the only one in `m`."""
+def _table_bytes(m: Manifest, levels: int) -> int:
+    """Length of both manifests if the package had so many levels, each like the only one in `m`."""
     files = dict(m.files)
     for path, entry in m.files.items():
-        files |= {path.replace("/Q0/", f"/Q{q}/"): entry for q in range(qualities)}
         files |= {path.replace("/L0/", f"/L{j}/"): entry for j in range(levels)}
     many = replace(
         m,
-        qualities=m.qualities * qualities,
         levels=m.levels * levels,
-        key_pictures=[row * qualities for row in m.key_pictures],
         state_pictures=m.state_pictures * levels,
-        groups=[
-            replace(g, levels=g.levels * levels, tiers=[replace(t, qualities=t.qualities * qualities) for t in g.tiers])
-            for g in m.groups
-        ],
+        groups=[replace(g, levels=g.levels * levels) for g in m.groups],
         segments=[replace(s, levels=s.levels * levels) for s in m.segments],
         files=files,
     )

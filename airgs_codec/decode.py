@@ -92,14 +92,19 @@ def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[N
     """(7 + C, n) codes of one key unit, and its sidecar."""
     m = package.manifest
     unit = m.groups[group].tiers[tier]
-    media, sidecar_path = m.key_files(group, tier, quality)
-    sidecar = unpack_key_sidecar(package.read(sidecar_path), unit.qualities, m.groups[group].grid, sidecar_path)
+    sidecar_path, media, escapes_path = m.key_files(group, tier, quality)
+    sidecar = unpack_key_sidecar(package.read(sidecar_path), unit.count, m.groups[group].grid, sidecar_path)
     pictures = decode_clip(package.read(key_init_path(tier, quality)), package.read(media), media)
     picture = next(pictures, None)
     if picture is None:
         raise FormatError("bad_picture", media, "expected one picture, got none")
     _expect_size(picture, m.key_pictures[tier][quality], media)
-    return read_codes(picture, unit.qualities[quality], sidecar.bases[quality]), sidecar
+    atlas = unit.qualities[quality]
+    shape = (1, len(atlas.planes), atlas.rows)
+    reader = Reader(package.read(escapes_path), escapes_path)
+    bases = escapes.bases_at(*escapes.read(reader, shape, escapes_path), shape, 0)
+    reader.close()
+    return read_codes(picture, atlas, bases), sidecar
 
 
 def decode_state(package: Package, index: int, level: int, first: int, last: int) -> Iterator[NDArray[np.int32]]:

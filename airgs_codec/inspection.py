@@ -171,10 +171,10 @@ def bytes_by_attribute(package: Package) -> dict[str, float]:
     for g, group in enumerate(m.groups):
         for t, tier in enumerate(group.tiers):
             if tier.number:
-                media, sidecar = m.key_files(g, t, 0)
+                sidecar, media, escapes = m.key_files(g, t, 0)
                 out["means"] += m.files[sidecar].bytes
                 pictures = list(decode_clip(package.read(key_init_path(t, 0)), package.read(media), media))
-                _share(out, m.files[media].bytes, tier.qualities[0], [p.copy() for p in pictures], False)
+                _share(out, m.bytes_of([media, escapes]), tier.qualities[0], [p.copy() for p in pictures], False)
     for s, segment in enumerate(m.segments):
         files = m.state_files(s, 0)
         if files:

@@ -237,9 +237,14 @@ class Manifest:
         return len(self.key_pictures)
 
     def key_files(self, group: int, tier: int, quality: int) -> list[str]:
-        """Files of one key unit without its init segment; empty when the tier has no rows in that group."""
+        """Sidecar, picture and escapes of one key unit; empty when the tier has no rows in that group."""
         number = self.groups[group].tiers[tier].number
-        return [key_media_path(tier, quality, number), key_sidecar_path(tier, number)] if number else []
+        paths = (
+            key_sidecar_path(tier, number),
+            key_media_path(tier, quality, number),
+            key_escapes_path(tier, quality, number),
+        )
+        return list(paths) if number else []
 
     def state_files(self, segment: int, level: int) -> list[str]:
         """Files of one state segment without its init segment; empty when there is nothing to fetch."""
@@ -289,8 +294,13 @@ def key_media_path(tier: int, quality: int, number: int) -> str:
 
 
 def key_sidecar_path(tier: int, number: int) -> str:
-    """Sidecar of a key unit, shared by its qualities."""
+    """Sidecar of a key unit, the same for all its qualities."""
     return f"key/T{tier}/{number}.bin"
+
+
+def key_escapes_path(tier: int, quality: int, number: int) -> str:
+    """Escapes of the picture of a key unit."""
+    return f"key/T{tier}/Q{quality}/{number}.bin"
 
 
 def state_init_path(level: int) -> str:

@@ -27,7 +27,7 @@ from airgs_codec.manifest import (
     expected_files,
 )
 
-_PATH = re.compile(r"key/T\d+/(\d+\.bin|Q\d+/(init\.mp4|\d+\.m4s))|state/L\d+/(init\.mp4|\d+\.(m4s|bin))")
+_PATH = re.compile(r"key/T\d+/\d+\.bin|(key/T\d+/Q|state/L)\d+/(init\.mp4|\d+\.(m4s|bin))")
 
 
 MAX_CENTRE = 1 << 30  # as quantize.CODE_LIMIT: a code, a centre and an escape add up within int32

@@ -118,7 +118,7 @@ class Sample:
         if "means" in parts:
             order = np.argsort(codes, kind="stable")
             still = np.zeros(len(codes), np.uint8)
-            size += len(pack_key_sidecar(KeySidecar(codes[order], self.classes[order], still, []), grid))
+            size += len(pack_key_sidecar(KeySidecar(codes[order], self.classes[order], still), grid))
         base = space.read_key(channels, codes, self.classes, np.zeros(len(codes), np.uint8), transform, grid, key_steps)
         return self.scale * size / self.group, base
 

@@ -7,21 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec import escapes
 from airgs_codec.canonical import cell_bits
 from airgs_codec.errors import FormatError
-from airgs_codec.manifest import Atlas, Grid
+from airgs_codec.manifest import Grid
 from airgs_codec.rangecoder import Reader, encode_columns, sum_gaps
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeySidecar:
-    """Canonical means, motion classes and depths of a tier, and the escapes of its key pictures."""
+    """Canonical means, motion classes and depths of a tier."""
 
     codes: NDArray[np.uint64]  # (N,) ascending Morton codes of the canonical means
     classes: NDArray[np.int16]  # (N,) motion classes, -128..127
     depths: NDArray[np.uint8]  # (N,)
-    bases: list[NDArray[np.int32]]  # for each key quality: (P, N) escape bases
 
 
 def pack_key_sidecar(sidecar: KeySidecar, grid: Grid) -> bytes:
@@ -32,23 +30,18 @@ def pack_key_sidecar(sidecar: KeySidecar, grid: Grid) -> bytes:
     least = int(sidecar.classes.min())
     carried = sidecar.depths + np.uint8(1)  # static rows, 255, become 0
     columns = [(np.array([least + 128]), 0), (sidecar.classes - least, 1), (gaps, 0), (carried, 1)]
-    return encode_columns([*columns, *(c for bases in sidecar.bases for c in escapes.columns(bases[None]))])
+    return encode_columns(columns)
 
 
-def unpack_key_sidecar(data: bytes, qualities: list[Atlas], grid: Grid, where: str) -> KeySidecar:
+def unpack_key_sidecar(data: bytes, rows: int, grid: Grid, where: str) -> KeySidecar:
     """Inverse of `pack_key_sidecar`. Raises FormatError(bad_sidecar)."""
-    rows = qualities[0].rows
     reader = Reader(data, where)
     classes = int(reader.column(1, 0)[0]) - 128 + reader.column(rows, 1)
     gaps, carried = reader.column(rows, 0), reader.column(rows, 1)
-    bases = []
-    for atlas in qualities:
-        shape = (1, len(atlas.planes), rows)
-        bases.append(escapes.bases_at(*escapes.read(reader, shape, where), shape, 0))
     reader.close()
     if int(classes.max()) > 127 or int(carried.max()) > 255:
         raise FormatError("bad_sidecar", where, "expected classes up to 127 and depths up to 255")
     codes = np.empty(rows, np.uint64)
     if not sum_gaps(gaps, 3 * cell_bits(classes.astype(np.int16), grid), 3 * grid.bits, codes):
         raise FormatError("bad_sidecar", where, f"Morton codes leave {3 * grid.bits} bits")
-    return KeySidecar(codes, classes.astype(np.int16), (carried - 1).astype(np.uint8), bases)
+    return KeySidecar(codes, classes.astype(np.int16), (carried - 1).astype(np.uint8))

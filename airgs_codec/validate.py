@@ -121,7 +121,7 @@ def _decode_key(package: Package, group: int, quality: int) -> None:
     for t in range(package.manifest.tier_count):
         files = package.manifest.key_files(group, t, quality)
         if files:
-            _expect_pictures(package, key_init_path(t, quality), files[0], 1)
+            _expect_pictures(package, key_init_path(t, quality), files[1], 1)
 
 
 def _decode_state(package: Package, index: int, level: int, base: Canonical) -> None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from airgs_codec import escapes
 from airgs_codec import manifest as tables
 from airgs_codec.manifest import FileEntry, Group, GroupTier, Picture, Segment
 from airgs_codec.package import write_file
 from airgs_codec.plan import GroupPlan
+from airgs_codec.rangecoder import encode_columns
 from airgs_codec.sidecar import KeySidecar, pack_key_sidecar
 from airgs_codec.tiers import STATIC
 from airgs_codec.video import Stream
@@ -67,9 +69,12 @@ def write_sidecars(
         for tier, number in enumerate(plan.numbers):
             if number:
                 rows = plan.tier_rows(tier)
-                sidecar = KeySidecar(plan.codes[rows], plan.classes[rows], plan.depths[rows], plan.key_bases[tier])
+                sidecar = KeySidecar(plan.codes[rows], plan.classes[rows], plan.depths[rows])
                 path = tables.key_sidecar_path(tier, number)
                 files[path] = write_file(folder, path, pack_key_sidecar(sidecar, plan.grid))
+                for q, bases in enumerate(plan.key_bases[tier]):
+                    path = tables.key_escapes_path(tier, q, number)
+                    files[path] = write_file(folder, path, encode_columns(escapes.columns(bases[None])))
         for s in range(len(spans[g])):
             for level in range(levels):
                 if fetched[g][s][level]:

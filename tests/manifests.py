@@ -21,7 +21,8 @@ def tiny_manifest(
 ) -> mf.Manifest:
     """One segment a group of `groups` frames; key_bytes[tier][quality], state_bytes[level], psnr[level][quality].
 
-    The state's sidecar has `sidecar_bytes` too. A level of 0 bytes has nothing to fetch.
+    A key unit has `sidecar_bytes` of sidecar and escapes, a state segment so many of escapes. A level of 0 bytes has
+    nothing to fetch.
     """
     tiers, qualities, levels = len(key_bytes), len(key_bytes[0]), len(state_bytes)
     still, moving = (mf.Atlas(10, [0] * 13, [0], 16, 1), mf.Atlas(10, [0] * 13, [0], 16, 1))
@@ -33,7 +34,8 @@ def tiny_manifest(
         for q in range(qualities):
             files[mf.key_init_path(t, q)] = init_bytes
             files |= {mf.key_media_path(t, q, g + 1): key_bytes[t][q] for g in range(len(groups))}
-        files |= {mf.key_sidecar_path(t, g + 1): sidecar_bytes for g in range(len(groups))}
+            files |= {mf.key_escapes_path(t, q, g + 1): 10 for g in range(len(groups))}
+        files |= {mf.key_sidecar_path(t, g + 1): sidecar_bytes - 10 for g in range(len(groups))}
     for j, size in enumerate(state_bytes):
         if size:
             files |= {mf.state_media_path(j, g + 1): size for g in range(len(groups))}

@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as npst
 from airgs_codec import escapes, transforms
 from airgs_codec.canonical import cell_bits, grid_codes, grid_means
 from airgs_codec.errors import FormatError, SceneError
-from airgs_codec.manifest import Atlas, Grid, pack_matrix, unpack_matrix
+from airgs_codec.manifest import Grid, pack_matrix, unpack_matrix
 from airgs_codec.ordering import morton_decode, morton_encode
 from airgs_codec.plan import fit_grid
 from airgs_codec.quantize import from_codes, to_codes
@@ -159,9 +159,8 @@ def test_no_choice_of_bases_jumps_less(series):
 @given(st.binary(max_size=200))
 @settings(deadline=None)  # the first call compiles
 def test_any_bytes_as_a_sidecar_are_refused_with_a_reason(data):
-    atlas = Atlas(7, [0] * 10, [0, 3], 16, 1)
     with pytest.raises(FormatError) as caught:
-        unpack_key_sidecar(data, [atlas], Grid([0.0, 0.0, 0.0], 1.0, 21, 0), "x.bin")
+        unpack_key_sidecar(data, 7, Grid([0.0, 0.0, 0.0], 1.0, 21, 0), "x.bin")
     assert caught.value.reason == "bad_sidecar"
 
 
@@ -221,14 +220,12 @@ def test_negative_numbers_are_no_columns():
 
 def test_codes_that_leave_the_grid_are_refused():
     """63 is the last of 4 x 4 x 4 cells; the same gaps lead out of a smaller grid."""
-    atlases = [Atlas(2, [0] * 10, [0], 16, 1)]
-    bases = [np.zeros((1, 2), np.int32)]
     large, small = Grid([0.0, 0.0, 0.0], 1.0, 2, 0), Grid([0.0, 0.0, 0.0], 1.0, 1, 0)
-    good = KeySidecar(np.array([8, 63], np.uint64), np.array([1, 0], np.int16), np.zeros(2, np.uint8), bases)
+    good = KeySidecar(np.array([8, 63], np.uint64), np.array([1, 0], np.int16), np.zeros(2, np.uint8))
     packed = pack_key_sidecar(good, large)
-    np.testing.assert_array_equal(unpack_key_sidecar(packed, atlases, large, "x").codes, good.codes)
+    np.testing.assert_array_equal(unpack_key_sidecar(packed, 2, large, "x").codes, good.codes)
     with pytest.raises(FormatError) as caught:
-        unpack_key_sidecar(packed, atlases, small, "x")
+        unpack_key_sidecar(packed, 2, small, "x")
     assert caught.value.reason == "bad_sidecar"
 
 
@@ -243,15 +240,11 @@ def test_key_sidecars_are_exact(data):
     order = np.argsort(morton, kind="stable")
     morton, classes = morton[order], classes[order]
     depths = data.draw(npst.arrays(np.uint8, n))
-    bases = [data.draw(npst.arrays(np.int32, (p, n), elements=st.integers(-(2**22), 2**22))) for p in (1, 2)]
-    atlases = [Atlas(n, [0] * 10, list(range(p)), 16, 1) for p in (1, 2)]
-    packed = pack_key_sidecar(KeySidecar(morton, classes, depths, bases), grid)
-    back = unpack_key_sidecar(packed, atlases, grid, "x")
+    packed = pack_key_sidecar(KeySidecar(morton, classes, depths), grid)
+    back = unpack_key_sidecar(packed, n, grid, "x")
     np.testing.assert_array_equal(back.codes, morton)
     np.testing.assert_array_equal(back.classes, classes)
     np.testing.assert_array_equal(back.depths, depths)
-    for a, b in zip(back.bases, bases, strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 def test_tiers_hold_the_most_used_first():

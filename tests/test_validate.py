@@ -148,7 +148,7 @@ def test_one_broken_quality_does_not_hide_another_group(tmp_path):
 def test_depths_that_disagree_with_a_level_are_counted(package):
     opened = open_package(package)
     group = opened.manifest.groups[0]
-    sidecar = unpack_key_sidecar(opened.read("key/T0/1.bin"), group.tiers[0].qualities, group.grid, "")
+    sidecar = unpack_key_sidecar(opened.read("key/T0/1.bin"), group.tiers[0].count, group.grid, "")
     lower = dataclasses.replace(sidecar, depths=np.minimum(sidecar.depths, 0))
     replace_file(package, "key/T0/1.bin", pack_key_sidecar(lower, group.grid))
     assert reasons(package) == {"count_mismatch"}

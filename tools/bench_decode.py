@@ -39,7 +39,7 @@ def video_alone(package: Package, groups: list[int], segments: list[int], stop: 
     for g in groups:
         for t, tier in enumerate(m.groups[g].tiers):
             if tier.number:
-                plain_decode(package.read(key_init_path(t, 0)) + package.read(m.key_files(g, t, 0)[0]), None)
+                plain_decode(package.read(key_init_path(t, 0)) + package.read(m.key_files(g, t, 0)[1]), None)
     for s in segments:
         plain_decode(package.read(state_init_path(0)) + package.read(m.state_files(s, 0)[0]), stop)
 

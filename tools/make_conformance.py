@@ -91,7 +91,7 @@ def without_moving_rows(folder: Path, data: dict[str, Any]) -> dict[str, Any]:
     """Say in a sidecar that its rows are static, while the tables count them."""
     package = open_package(folder)
     group = package.manifest.groups[0]
-    sidecar = unpack_key_sidecar(package.read(KEY_SIDECAR), group.tiers[0].qualities, group.grid, KEY_SIDECAR)
+    sidecar = unpack_key_sidecar(package.read(KEY_SIDECAR), group.tiers[0].count, group.grid, KEY_SIDECAR)
     still = replace(sidecar, depths=np.full_like(sidecar.depths, 255))
     return rewrite(KEY_SIDECAR, lambda _: pack_key_sidecar(still, group.grid))(folder, data)  # type: ignore[return-value]
 
