@@ -84,7 +84,7 @@ def test_headers_round_trips_and_decoding_cost_time():
     log = simulate(tiny_manifest(), 1000, link([8e4], rtt=0.1, headers=100), fixed(0, decode_frame_s=0.05))
     # manifests 1 file; 3 init, 2 tiers of 3 files, state of 2; then without init
     assert [f.arrival_s for f in log.fetches] == pytest.approx([0.21, 1.065, 1.875])
-    assert log.shown[0].start_s == pytest.approx(1.095)
+    assert log.shown[0].start_s == pytest.approx(1.115)
 
 
 def test_an_outage_is_waited_out():
