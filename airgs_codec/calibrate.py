@@ -221,6 +221,8 @@ def choose_levels(
     depths = assign_depths(score[sample.index], sample.moving, SHARES)
     states = sample.states(sample.code_key(steps, 1.0)[1], steps)
     coded = [sample.code_states(states, factor) for factor in FACTORS]
+    if coded[0][0] == 0:  # no channel has a plane
+        return ((0.0, 1.0),)
     still = sample.error(states[0][None], steps)
     sizes, errors = np.empty((len(SHARES), len(FACTORS))), np.empty((len(SHARES), len(FACTORS)))
     for i in range(len(SHARES)):

@@ -82,7 +82,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> dict[str, Any]:
         "groups": [_group_entry(m, g) for g in range(len(m.groups))],
         "keys": keys,
         "levels": levels,
-        "rungs": [_rung(m, q, j, manifest_bytes) for q in range(len(m.qualities)) for j in range(len(m.levels))],
+        "rungs": rungs(m, manifest_bytes),
         "top_rung_bytes": bytes_by_kind(m, 0, 0, manifest_bytes),
         "left_out": left_out(m),
         "repairs": m.repairs,
@@ -95,6 +95,29 @@ def _group_entry(m: Manifest, index: int) -> dict[str, Any]:
     segments = sum(s.group == index for s in m.segments)
     entry = {"frames": [g.start, g.stop], "canonical": g.canonical, "gaussians": g.count, "static": g.static}
     return entry | {"unused": g.unused, "segments": segments, "grid_bits": g.grid.bits}
+
+
+def rungs(m: Manifest, manifest_bytes: int) -> list[dict[str, Any]]:
+    """Every key quality with every level; `best` marks the ladder: the lower convex hull of error over bytes.
+
+    A rung above it, such as the finest keys with the coarsest states, is beaten by some mixture of two on it.
+    """
+    entries = [_rung(m, q, j, manifest_bytes) for q in range(len(m.qualities)) for j in range(len(m.levels))]
+    hull: list[dict[str, Any]] = []
+    measured = [entry for entry in entries if entry["psnr"] is not None]
+    for entry in sorted(measured, key=lambda e: (e["bytes_per_frame"], -e["psnr"])):
+        if hull and entry["psnr"] <= hull[-1]["psnr"]:
+            continue
+        while len(hull) > 1 and _slope(hull[-2], hull[-1]) >= _slope(hull[-2], entry):
+            hull.pop()
+        hull.append(entry)
+    return [entry | {"best": entry in hull} for entry in entries]
+
+
+def _slope(a: dict[str, Any], b: dict[str, Any]) -> float:
+    """Change of the mean squared error for each byte from one rung to a larger one."""
+    errors = [10.0 ** (-entry["psnr"] / 10) for entry in (a, b)]
+    return (errors[1] - errors[0]) / float(b["bytes_per_frame"] - a["bytes_per_frame"])
 
 
 def _rung(m: Manifest, quality: int, level: int, manifest_bytes: int) -> dict[str, Any]:
@@ -244,11 +267,12 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
             f"{r['bytes_per_frame'] / 1e3:.2f}",
             f"{r['mean_bps'] / 1e6:.2f}",
             *_quality_cells(r),
+            "*" if r["best"] else "",
         ]
         for r in s["rungs"]
     ]
-    lines += ["", "everything a viewer fetches:"]
-    lines += _table(["rung", "kB/frame", "Mbit/s", "PSNR dB", "SSIM"], rows)
+    lines += ["", "everything a viewer fetches (*: the ladder; the others are beaten by a mixture of two on it):"]
+    lines += _table(["rung", "kB/frame", "Mbit/s", "PSNR dB", "SSIM", ""], rows)
     kinds = [f"{kind} {size / frames / 1e3:.2f}" for kind, size in s["top_rung_bytes"].items()]
     lines += ["", f"top rung, kB/frame: {', '.join(kinds)}"]
     lines += [f"left out: {line}" for line in s["left_out"]] + [f"repaired: {line}" for line in m.repairs]
@@ -274,7 +298,7 @@ def _span(bounds: list[int]) -> str:
 
 def _table(head: list[str], rows: list[list[str]]) -> list[str]:
     widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
-    return ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)) for row in [head, *rows]]
+    return ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
 
 
 def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:

@@ -16,7 +16,7 @@ from airgs_codec.sequence import repair
 from airgs_codec.spread import spread
 
 MAX_VIEWS = 4
-DEFAULT_FRAMES = 4  # measured a segment
+DEFAULT_FRAMES = 6  # measured a segment
 
 
 def measured_views(cameras: Sequence[Camera]) -> list[Camera]:

@@ -12,9 +12,12 @@ DEFAULT_TIERS = (0.8, 0.2)  # core, rest
 
 
 def assign_tiers(usage: NDArray[np.float64], shares: Sequence[float] = DEFAULT_TIERS) -> NDArray[np.uint8]:
-    """(N,) usage -> (N,) tier: the most used first, ties by row; `shares` of the rows each, summing to 1."""
+    """(N,) usage -> (N,) tier: the most used first, ties by row; `shares` of the rows each, summing to 1.
+
+    The first tier has at least one row: some levels do with it.
+    """
     order = np.argsort(-usage, kind="stable")
-    bounds = np.rint(np.cumsum(shares) * len(usage)).astype(np.intp)
+    bounds = np.maximum(np.rint(np.cumsum(shares) * len(usage)), 1).astype(np.intp)
     tiers = np.empty(len(usage), np.uint8)
     tiers[order] = np.searchsorted(bounds[:-1], np.arange(len(usage)), side="right")
     return tiers

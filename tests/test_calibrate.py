@@ -9,7 +9,7 @@ import pytest
 
 from airgs_codec import cache
 from airgs_codec.author import author_package
-from airgs_codec.calibrate import STEPS, Calibration, Subject, calibrate, get_step, solve_steps, with_step
+from airgs_codec.calibrate import STEPS, Subject, calibrate, get_step, solve_steps, with_step
 from airgs_codec.cli import encode as command
 from airgs_codec.decode import decode_canonical, decode_frames, decode_segment
 from airgs_codec.errors import ConfigError
@@ -245,8 +245,3 @@ def test_depths_keep_to_tiers():
     tiers = np.array([0, 1, 0, 1], np.uint8)
     assert assign_depths(score, moving, [0.0, 0.25, 0.5], tiers, [2, 2, 1]).tolist() == [2, 1, 1, 0]
     assert assign_depths(score, moving, [0.0, 0.25], tiers, [2, 1]).tolist() == [1, 0, 1, 0]
-
-
-def test_nothing_changed_about_a_calibrations_fields():
-    """The cache reads what it wrote by these names."""
-    assert set(Calibration.__slots__) == {"steps", "levels", "core_levels", "tiers", "key_factors", "price"}

@@ -15,6 +15,7 @@ from airgs_codec.inspection import (
     left_out,
     plot_ladder,
     pooled_quality,
+    rungs,
     segment_bits,
     summarise,
 )
@@ -153,3 +154,16 @@ def test_a_picture_that_cannot_be_written_is_one_error(tmp_path):
     for path in (tmp_path / "missing" / "a.png", tmp_path / "a.unknown"):
         with pytest.raises(ConfigError):
             plot_ladder(tiny_manifest(), MANIFESTS, path)
+
+
+def test_the_ladder_is_the_convex_hull():
+    """Q0 + L1 costs more than Q1 + L0 and shows less; Q1 + L1 lies between two others, but above their line."""
+    m = tiny_manifest(
+        key_bytes=((9000, 1000), (1000, 500)),
+        state_bytes=(2000, 1900, 500),
+        psnr=((40.0, 36.0), (35.0, 32.5), (34.0, 32.0)),
+    )
+    best = {(r["key"], r["state"]) for r in rungs(m, MANIFESTS) if r["best"]}
+    assert best == {("Q0", "L0"), ("Q1", "L0"), ("Q1", "L2")}
+    assert format_summary(m, MANIFESTS).count("*") == 1 + len(best)
+    assert not any(r["best"] for r in rungs(tiny_manifest(psnr=None), MANIFESTS))

@@ -251,6 +251,7 @@ def test_tiers_hold_the_most_used_first():
     usage = np.array([0.1, 0.9, 0.5, 0.7, 0.3])
     assert assign_tiers(usage, (0.4, 0.6)).tolist() == [1, 0, 1, 0, 1]
     assert assign_tiers(np.ones(1), (0.8, 0.2)).tolist() == [0]
+    assert assign_tiers(np.array([1.0, 2.0]), (0.1, 0.9)).tolist() == [1, 0]  # the first is never empty
 
 
 @given(

@@ -234,14 +234,8 @@ def plot(points: Sequence[RdPoint], path: Path, title: str) -> None:
     for coder in dict.fromkeys(p.coder for p in points):
         curve = sorted((p for p in points if p.coder == coder), key=lambda p: p.kb_per_frame)
         x, y = [p.kb_per_frame for p in curve], [p.psnr for p in curve]
-        axis.plot(
-            x,
-            y,
-            "o-",
-            label=coder,
-            linewidth=2.5 if coder == "airgs" else 1.3,
-            linestyle="--" if "keeps" in coder else "-",
-        )
+        ours = coder.startswith("airgs")
+        axis.plot(x, y, "o--" if "keeps" in coder else "o-", label=coder, linewidth=2.5 if ours else 1.3)
     axis.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB (render-referenced)", title=title, xscale="log")
     ticks = [10, 15, 20, 30, 50, 70, 100, 150, 200, 300, 500]
     axis.set_xticks(ticks, [str(t) for t in ticks])
