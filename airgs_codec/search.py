@@ -14,6 +14,7 @@ TOLERANCES = {PSNR: 0.1, SIZE: 0.01}  # dB, share: of a search; finished package
 # error grows with the square of the steps; sizes were seen to fall by 0.6 to 1.
 SLOPES = {PSNR: -20 / math.log(10), SIZE: -0.75}
 TRIALS = 8
+ENOUGH = 2.5  # tolerances
 FACTORS = 0.01, 100.0
 
 
@@ -35,28 +36,39 @@ class Goal:
 
 
 def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> float:
-    """A factor at which `trial` gives what the goal asks for, to TOLERANCES; the secant method, bounded.
+    """A factor at which `trial` gives what the goal asks for, to TOLERANCES, or to ENOUGH of them after all TRIALS.
 
-    Raises ConfigError when TRIALS do not come near: the goal is out of reach.
+    Steps by the slopes of SLOPES until two trials lie on both sides, then by regula falsi between the nearest: trials
+    are noisy by about a tolerance, so that no slope between two of them can be trusted. Raises ConfigError when the
+    goal is out of reach.
     """
-    factor, slope = start, SLOPES[goal.kind] / TOLERANCES[goal.kind]
+    slope = SLOPES[goal.kind] / TOLERANCES[goal.kind]
     seen: dict[float, float] = {}
+    factor = start
     for _ in range(TRIALS):
         seen[factor] = goal.misses(trial(factor))
         if abs(seen[factor]) <= 1:
             return factor
-        if len(seen) > 1:
-            (a, miss_a), (b, miss_b) = list(seen.items())[-2:]
-            measured = (miss_b - miss_a) / math.log(b / a)
-            slope = min(max(measured, 2 * slope), slope / 2)  # both negative: within a factor of 2 of the last
-        factor = min(max(factor * math.exp(-seen[factor] / slope), factor / 4, FACTORS[0]), factor * 4, FACTORS[1])
+        factor = min(max(_next_factor(seen, slope), FACTORS[0]), FACTORS[1])
         if factor in seen:
             break
     best = min(seen, key=lambda f: abs(seen[f]))
-    if abs(seen[best]) <= 2:
+    if abs(seen[best]) <= ENOUGH:
         return best
     wide = TOLERANCES[goal.kind]
     got = goal.value + seen[best] * wide if goal.kind == PSNR else goal.value * math.exp(seen[best] * wide)
     raise ConfigError(
         f"target: {goal.value:g} {goal.kind} is out of reach, the nearest was {got:.4g} at quality factor {best:.3g}"
     )
+
+
+def _next_factor(seen: dict[float, float], slope: float) -> float:
+    """The next to try, from the misses of those tried; a positive miss asks for a larger factor."""
+    above = [f for f in seen if seen[f] > 0]
+    below = [f for f in seen if seen[f] < 0]
+    if above and below:
+        fine, coarse = max(above), min(below)
+        share = seen[fine] / (seen[fine] - seen[coarse])
+        return fine * (coarse / fine) ** min(max(share, 0.1), 0.9)
+    factor = max(above) if above else min(below)
+    return factor * min(max(math.exp(-seen[factor] / slope), 0.25), 4.0)

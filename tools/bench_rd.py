@@ -141,7 +141,11 @@ def our_points(bench: Bench, targets: Sequence[float], keep_all: bool) -> Iterat
         with tempfile.TemporaryDirectory() as folder:
             target = Path(folder) / "package"
             settings = EncodeSettings(keep_all=keep_all)
-            report = author_package(bench.sequence, target, settings, goal=Goal(PSNR, wanted), measure_frames=0)
+            try:
+                report = author_package(bench.sequence, target, settings, goal=Goal(PSNR, wanted), measure_frames=0)
+            except ConfigError as error:
+                print(f"{name}: {error}")
+                continue
             encode_s = report.survey_s + report.calibrate_s + report.encode_s
             package = open_package(target)
             m = package.manifest
