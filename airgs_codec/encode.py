@@ -35,10 +35,7 @@ from airgs_codec.settings import EncodeSettings
 from airgs_codec.spare import StateNeeds, spare_key_planes
 from airgs_codec.tiers import STATIC, assign_depths
 from airgs_codec.video import (
-    KEY_IP_RATIO,
     KEY_QP,
-    STATE_IP_RATIO,
-    STATE_PB_RATIO,
     STATE_QP,
     Clip,
     CodecSettings,
@@ -46,8 +43,10 @@ from airgs_codec.video import (
     check_stream,
     decode_clip,
     encode_stream,
+    key_codec,
     library_versions,
     quantiser,
+    state_codec,
 )
 from airgs_codec.write import Coded, escapes_path, group_tables, segment_tables, write_sidecars, write_streams
 
@@ -130,7 +129,6 @@ def _timing(fps: Fraction) -> tuple[int, int]:
 def _code_keys(plan: GroupPlan, cameras: Sequence[Camera], settings: EncodeSettings, gain: float) -> None:
     """Atlases, samples and escapes of every tier and key quality."""
     steps = space.key_steps(plan.key_steps, len(plan.key_values) - space.KEY_FIXED)
-    _note_removed(plan)
     spare = spare_key_planes(plan, cameras, settings.byte_price)
     for tier in range(len(settings.tiers)):
         atlases, samples, bases = [], [], []
@@ -146,16 +144,6 @@ def _code_keys(plan: GroupPlan, cameras: Sequence[Camera], settings: EncodeSetti
         plan.key_atlases.append(atlases)
         plan.key_samples.append(samples)
         plan.key_bases.append(bases)
-
-
-def _note_removed(plan: GroupPlan) -> None:
-    """Bytes are those of as many of the written rows, keys alone."""
-    steps = space.key_steps(plan.key_steps, len(plan.key_values) - space.KEY_FIXED)[:, None]
-    centres = np.median(plan.key_values, axis=1) / steps[:, 0]
-    sizes, _ = guess_channels(plan.key_values[None] / steps, centres, plan.key_weights())
-    missing = plan.count - len(plan.rows)
-    size = float(sizes.sum()) / len(plan.rows) * missing / (plan.stop - plan.start)
-    plan.leave_out("gaussians", missing, plan.removal_error, size)
 
 
 def _key_atlas(codes: NDArray[np.int32], limit: float, spare: NDArray[np.bool_]) -> Atlas:
@@ -179,7 +167,7 @@ def _encode_keys(
     plans: list[GroupPlan], settings: EncodeSettings, fps: Fraction, timescale: int, ticks: int, progress: Progress
 ) -> list[list[Coded]]:
     """Streams of tier x quality, with their picture sizes."""
-    codec = CodecSettings(KEY_QP, KEY_IP_RATIO, 1.0, settings.preset)
+    codec = key_codec(settings.preset)
 
     def encode(tier: int, quality: int) -> Coded:
         used = [plan for plan in plans if plan.key_atlases[tier][quality].rows]
@@ -280,11 +268,12 @@ def _code_states(
     """
     values = space.state_channels([frame.take(plan.rows) for frame in frames], base, plan.state_steps)
     steps = space.state_steps(plan.state_steps, base.colours.shape[1])
-    changes = (values - values[plan.canonical - plan.start]) / steps[:, None]
-    score, moving = rank_updates(values / steps[:, None], changes, plan, settings)
+    states = values / steps[:, None]
+    changes = states - states[plan.canonical - plan.start]
+    score, moving = rank_updates(states, changes, plan, settings)
     level_tiers = [settings.tiers_of(j) for j in range(len(settings.levels))]
     plan.depths = assign_depths(score, moving, [share for share, _ in settings.levels], plan.tiers, level_tiers)
-    plan.leave_out("updates", *_unsent(plan, values / steps[:, None]))
+    plan.leave_out("updates", *_unsent(plan, states))
     needs = StateNeeds(plan, base, values, cameras, settings.byte_price)
     spare, quiet = needs.spare_planes(), needs.spare_segments(spans)
     fetched = [[False] * len(settings.levels) for _ in spans]
@@ -329,7 +318,7 @@ def _encode_states(
     progress: Progress,
 ) -> list[Coded]:
     """One stream a level."""
-    codec = CodecSettings(STATE_QP, STATE_IP_RATIO, STATE_PB_RATIO, settings.preset)
+    codec = state_codec(settings.preset)
 
     def encode(level: int) -> Coded:
         size = _common_size([plan.levels[level] for plan in plans if plan.levels[level].planes])

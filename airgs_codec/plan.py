@@ -67,16 +67,16 @@ class GroupPlan:
     levels: list[Atlas] = field(default_factory=list)
     left_out: list[LeftOut] = field(default_factory=list)
 
+    def weights(self) -> NDArray[np.float64]:
+        """(10 + C, N) of `sensitivity.channel_weights`."""
+        transform = tables.unpack_matrix(self.transform, len(self.key_values) - space.KEY_FIXED)
+        return channel_weights(self.classes, self.sensitivity, self.state_steps, transform)
+
     def key_weights(self) -> NDArray[np.float64]:
         """(7 + C, N) the same for the channels of a key."""
         steps = StateSteps(1.0, *(getattr(self.key_steps, name) for name in tables.KEY_ATTRIBUTES))
         transform = tables.unpack_matrix(self.transform, len(self.key_values) - space.KEY_FIXED)
         return channel_weights(self.classes, self.sensitivity, steps, transform)[3:]
-
-    def weights(self) -> NDArray[np.float64]:
-        """(10 + C, N) of `sensitivity.channel_weights`."""
-        transform = tables.unpack_matrix(self.transform, len(self.key_values) - space.KEY_FIXED)
-        return channel_weights(self.classes, self.sensitivity, self.state_steps, transform)
 
     def leave_out(self, what: str, count: int, error: float, size: float) -> None:
         """Note a decision."""

@@ -22,18 +22,7 @@ from airgs_codec.rangecoder import encode_columns
 from airgs_codec.sensitivity import Sensitivity, channel_weights, withheld_error
 from airgs_codec.settings import StepSettings
 from airgs_codec.sidecar import KeySidecar, pack_key_sidecar
-from airgs_codec.video import (
-    KEY_IP_RATIO,
-    KEY_QP,
-    STATE_IP_RATIO,
-    STATE_PB_RATIO,
-    STATE_QP,
-    Clip,
-    CodecSettings,
-    decode_clip,
-    encode_stream,
-    quantiser,
-)
+from airgs_codec.video import Clip, CodecSettings, decode_clip, encode_stream, key_codec, quantiser, state_codec
 
 BLOCK_ROWS = 256
 PRESET = "fast"
@@ -109,7 +98,7 @@ class Sample:
         size = 0.0
         if chosen.any():
             step = space.key_steps(key_steps, colours)[chosen] * factor
-            codec = CodecSettings(KEY_QP, KEY_IP_RATIO, 1.0, PRESET)
+            codec = key_codec(PRESET)
             sizes, decoded = _code(values[None, chosen], step, codec)
             channels[chosen] = decoded[0]
             size += sizes[0]
@@ -154,7 +143,7 @@ class Sample:
         if not len(moving):
             return 0.0, errors
         values = states[1:, channels[:, None], moving]
-        codec = CodecSettings(STATE_QP, STATE_IP_RATIO, STATE_PB_RATIO, PRESET)
+        codec = state_codec(PRESET)
         sizes, decoded = _code(values, np.full(len(channels), factor), codec)
         errors[:, channels[:, None], moving] = decoded - values
         others = float(np.mean(sizes[1:])) if len(sizes) > 1 else 0.0

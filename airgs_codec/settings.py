@@ -17,7 +17,7 @@ from airgs_codec.video import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
 class StepSettings:
     """Quantiser steps at quality factor 1; lengths in motion units (see `transforms.motion_units`).
 
-    Found by coordinate descent on bytes against rendered PSNR, over the walking fox and the N3DV spinach scenes.
+    Where calibration starts: between what the walking fox and the N3DV spinach scenes ask for.
     """
 
     key: KeySteps = field(
@@ -53,9 +53,7 @@ class EncodeSettings:
     usage: str = "importance"  # what key tiers are ranked by
     rank: str = "error"  # what updates are ranked by, of RANKS
     keep_all: bool = False  # leave nothing out but what is constant
-    price: float = (
-        0.0  # squared error of pictures that a byte a frame must save at quality 1; 0: planes and segments stay
-    )
+    price: float = 0.0  # squared error of pictures that a byte a frame must save, at quality 1; 0: no plane pays
     preset: str = DEFAULT_PRESET
     jobs: int = field(default_factory=lambda: os.cpu_count() or 1)
 

@@ -26,23 +26,28 @@ from airgs_codec.tiers import STATIC
 
 
 def spare_key_planes(plan: GroupPlan, cameras: Sequence[Camera], price: float) -> NDArray[np.bool_]:
-    """(7 + C,) channels that every row may take from the channel's median; noted in the plan."""
-    channels = len(plan.key_values)
-    if price == 0:
+    """(7 + C,) channels that every row may take from the channel's median; noted in the plan.
+
+    So are the Gaussians that are not written, with the bytes of as many of the written ones, keys alone.
+    """
+    channels, missing = len(plan.key_values), plan.count - len(plan.rows)
+    if price == 0 and not missing:
         return np.zeros(channels, bool)
     steps = space.key_steps(plan.key_steps, channels - space.KEY_FIXED)[:, None]
     centres = np.median(plan.key_values, axis=1)
-    frames = plan.stop - plan.start
     sizes, guesses = guess_channels(plan.key_values[None] / steps, centres / steps[:, 0], plan.key_weights())
+    sizes /= plan.stop - plan.start
+    plan.leave_out("gaussians", missing, plan.removal_error, float(sizes.sum()) / len(plan.rows) * missing)
+    if price == 0:
+        return np.zeros(channels, bool)
     full = [(camera, render(g, camera).rgb) for g, camera in in_turn([_shown(plan, plan.key_values)], cameras)]
 
     def error(spare: NDArray[np.bool_]) -> float:
-        values = np.where(spare[:, None], centres[:, None], plan.key_values)
-        shown = _shown(plan, values)
+        shown = _shown(plan, np.where(spare[:, None], centres[:, None], plan.key_values))
         return float(np.mean([mse(render(shown, camera).rgb, picture) for camera, picture in full]))
 
-    chosen, cost = affordable(sizes / frames, guesses, error, price)
-    plan.leave_out("key planes", int(chosen.sum()), cost, float(sizes[chosen].sum()) / frames)
+    chosen, cost = affordable(sizes, guesses, error, price)
+    plan.leave_out("key planes", int(chosen.sum()), cost, float(sizes[chosen].sum()))
     return chosen
 
 
@@ -60,10 +65,12 @@ def needed_bands(
 
     The highest goes as long as its bytes, at quantiser step `step`, are worth less than what rendering shows.
     """
+    if not sequence.sh_degree or price == 0:
+        return sequence.sh_degree, []
     g = repair([sequence.read(frame)], "").frames[0]
     full = [(camera, render(g, camera).rgb) for g, camera in in_turn([g], cameras)]
     bands, cost, size = g.sh_degree, 0.0, 0.0
-    while bands and price > 0:
+    while bands:
         fewer = g.with_degree(bands - 1)
         top = g.with_degree(bands).sh_rest[:, SH_REST[bands - 1] :]
         coefficients = top.reshape(1, len(g), -1).transpose(0, 2, 1).astype(np.float64) / step

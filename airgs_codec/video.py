@@ -78,6 +78,16 @@ class CodecSettings:
         return {"preset": self.preset, "qp": str(self.qp), "forced-idr": "1", "x264-params": params}
 
 
+def key_codec(preset: str) -> CodecSettings:
+    """Of key pictures."""
+    return CodecSettings(KEY_QP, KEY_IP_RATIO, 1.0, preset)
+
+
+def state_codec(preset: str) -> CodecSettings:
+    """Of state pictures."""
+    return CodecSettings(STATE_QP, STATE_IP_RATIO, STATE_PB_RATIO, preset)
+
+
 def encode_stream(
     clips: Iterable[Clip], size: tuple[int, int], rate: Fraction, timescale: int, settings: CodecSettings
 ) -> Stream:

@@ -37,12 +37,11 @@ def measure(scene: Path, views: Path | None) -> tuple[dict[str, float], float]:
     with tempfile.TemporaryDirectory() as cache:
         words = [sys.executable, "-c", "import sys; from airgs_codec.cli.encode import main; sys.exit(main())"]
         words += [str(scene), "-o", str(Path(cache) / "package"), "--json", *(["--views", str(views)] if views else [])]
-        before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
         done = subprocess.run(
             words, check=True, capture_output=True, text=True, env=os.environ | {"XDG_CACHE_HOME": cache}
         )
         peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss  # of the largest child so far
-    return json.loads(done.stdout)["seconds"], max(before, peak) / 1024
+    return json.loads(done.stdout)["seconds"], peak / 1024
 
 
 def main() -> None:

@@ -90,7 +90,8 @@ def _add_measuring(parser: argparse.ArgumentParser) -> None:
         "--usage",
         choices=MEASURES,
         default=EncodeSettings().usage,
-        help="usage of a Gaussian: max or sum of alpha T, or pixel hits (the paper, literally) (default: max)",
+        help="usage of a Gaussian, which ranks key tiers: max or sum of alpha T, pixel hits (the paper, literally), or "
+        "importance: max x sum x the error of leaving it out (default: importance)",
     )
     parser.add_argument(
         "--rank",
