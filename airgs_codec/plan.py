@@ -53,6 +53,7 @@ class GroupPlan:
     score: NDArray[np.float64]  # (N,) usage
     codes: NDArray[np.uint64]  # (N,) Morton codes of the grid
     classes: NDArray[np.int16]  # (N,) motion classes
+    moved: NDArray[np.float64] | None  # (N,) `Usage.moved` of the rows, where it is known
     sensitivity: Sensitivity  # of the rows in file order
     grid: Grid
     key_steps: KeySteps
@@ -110,12 +111,14 @@ class Survey:
 
 
 def survey_group(sequence: GaussianSequence, index: int, start: int, stop: int, cameras: Sequence[Camera]) -> Survey:
-    """Usage and sensitivity over the first, canonical and last frame."""
+    """Usage and sensitivity over the first, canonical and last frame; the trainer's usage, over all, where it fits."""
     canonical = start + (stop - start) // 2
     shown = sorted({start, canonical, stop - 1})
     loaded = load_frames(sequence, start, stop).frames
     frames = [loaded[i - start] for i in shown]
-    usage, sensitivity = measure_usage(frames, cameras), measure_sensitivity(frames, cameras)
+    known = sequence.usage(start, stop)
+    usage = known if known is not None and len(known.peak) == len(loaded[0]) else measure_usage(frames, cameras)
+    sensitivity = measure_sensitivity(frames, cameras)
     return Survey(index, start, stop, canonical, shown, usage, sensitivity, importance(frames, usage, sensitivity))
 
 
@@ -142,7 +145,7 @@ def plan_group(
     score = survey.rank if settings.usage == "importance" else survey.usage.measure(settings.usage)
     kept = key.take(needed.rows)
     key_steps, state_steps, cell = world_steps(settings.steps, settings.quality)
-    classes = _motion_classes(survey.sensitivity.take(needed.rows), kept)
+    classes = motion_classes(survey.sensitivity.take(needed.rows), kept)
     grid = fit_grid(kept.means, classes, cell)
     codes = space.grid_codes(kept.means, classes, grid)
     tiers = assign_tiers(score[needed.rows], settings.tiers)
@@ -166,6 +169,7 @@ def plan_group(
         score[rows],
         codes[order],
         classes[order],
+        None if survey.usage.moved is None else survey.usage.moved[rows],
         sensitivity,
         grid,
         key_steps,
@@ -175,7 +179,8 @@ def plan_group(
     )
 
 
-def _motion_classes(sensitivity: Sensitivity, g: Gaussians) -> NDArray[np.int16]:
+def motion_classes(sensitivity: Sensitivity, g: Gaussians) -> NDArray[np.int16]:
+    """(N,) of rows: what the pictures depend on them, or their size where nothing is visible."""
     seen = sensitivity.means[sensitivity.means > 0]
     if not len(seen):  # nothing is visible: every row counts alike
         return np.full(len(g), round(math.log2(_median_size(g))), np.int16)
@@ -229,4 +234,6 @@ def rank_updates(
         moving &= withheld(states) > withheld(np.sqrt(coded))
     if settings.rank == "error":
         return withheld(changes), moving
+    if plan.moved is not None:
+        return plan.moved, moving
     return plan.score * np.sqrt(np.einsum("tcn,tcn->n", changes, changes) / len(changes)), moving

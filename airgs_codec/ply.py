@@ -94,3 +94,17 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
     for name, values in columns.items():
         rows[name] = values
     PlyData([PlyElement.describe(rows, "vertex")], byte_order="<").write(str(path))
+
+
+def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+    """Positions (P, 3) and RGB of [0, 1] (P, 3), if it has any, of a point cloud. Raises SceneError."""
+    try:
+        rows = next(e.data for e in PlyData.read(str(path)).elements if e.name == "vertex")
+        positions = np.stack([np.asarray(rows[name], np.float32) for name in "xyz"], axis=1)
+        names = ("red", "green", "blue")
+        if not set(names) <= set(rows.dtype.names):
+            return positions, None
+        colours = np.stack([np.asarray(rows[name], np.float32) for name in names], axis=1)
+        return positions, colours / np.float32(255) if rows.dtype["red"].kind == "u" else colours
+    except (PlyParseError, ValueError, OSError, UnicodeDecodeError, StopIteration) as error:
+        raise SceneError(f"{path}: expected a point cloud with x, y, z: {error}") from error

@@ -16,8 +16,10 @@ from airgs_codec.errors import SceneError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.ply import PlyHeader, read_ply, read_ply_header
 from airgs_codec.render.camera import Camera, read_cameras
+from airgs_codec.usage import Usage, load_usage
 
 DEFAULT_FPS = Fraction(30)
+USAGE_NAME = "usage.npz"
 OPACITY_LOGIT_LIMIT = np.float32(20.0)  # sigmoid(20) = 1 - 2e-9; an infinite logit is stored as this
 QUATERNION_MIN_NORM = 1e-12  # below it the squared length leaves float32: no direction to read
 
@@ -42,6 +44,11 @@ class Sequence:
     def __len__(self) -> int:
         return len(self.paths)
 
+    def usage(self, start: int, stop: int) -> Usage | None:
+        """What the trainer measured of the group [start, stop) over all its frames, if it left that."""
+        path = self.folder / USAGE_NAME
+        return load_usage(path, start, stop) if path.is_file() else None
+
     def read(self, frame: int) -> Gaussians:
         """The frame as its file has it, unrepaired."""
         return read_ply(self.paths[frame]).with_degree(self.sh_degree)
@@ -56,7 +63,7 @@ def open_sequence(folder: Path, *, views: Path | None = None, fps: Fraction | No
         raise SceneError(
             f"{folder}: expected a folder of .ply frames, got {'a file' if folder.exists() else 'nothing'}"
         )
-    paths = tuple(sorted(folder.glob("*.ply"), key=_natural))
+    paths = tuple(sorted(folder.glob("*.ply"), key=natural_key))
     if not paths:
         raise SceneError(f"{folder}: expected at least one .ply frame, got none")
     headers = tuple(read_ply_header(path) for path in paths)
@@ -72,7 +79,7 @@ def open_sequence(folder: Path, *, views: Path | None = None, fps: Fraction | No
     return Sequence(folder, paths, headers, fps or settings[0], settings[1], cameras)
 
 
-def _natural(path: Path) -> list[tuple[int, str]]:
+def natural_key(path: Path) -> list[tuple[int, str]]:
     """Sort key that puts frame2 before frame10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.stem) if part]
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import zipfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.errors import SceneError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.render import Camera, measure_contribution
 
@@ -21,6 +24,7 @@ class Usage:
     total: NDArray[np.float64]  # (N,) sum of alpha T
     peak: NDArray[np.float64]  # (N,) max of alpha T, 0..1
     hits: NDArray[np.int64]  # (N,) pixels where it is blended: the paper's usage frequency, literally
+    moved: NDArray[np.float64] | None = None  # (N,) max over frames of max alpha T x size of the change, in codec steps
 
     def measure(self, name: str) -> NDArray[np.float64]:
         """(N,) by name: max, sum or hits."""
@@ -38,3 +42,23 @@ def measure_usage(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> Usa
             peak = np.maximum(peak, seen.peak)
             hits += seen.hits
     return Usage(total, peak, hits)
+
+
+def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
+    """Write the usage of groups, each under its frames [start, stop), as .npz."""
+    arrays: dict[str, NDArray] = {}
+    for (start, stop), usage in groups.items():
+        columns = {"total": usage.total, "peak": usage.peak, "hits": usage.hits, "moved": usage.moved}
+        arrays |= {f"{start}:{stop}/{name}": column for name, column in columns.items() if column is not None}
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def load_usage(path: Path, start: int, stop: int) -> Usage | None:
+    """The usage of the group [start, stop), None if the file does not know it. Raises SceneError."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            names = {name: f"{start}:{stop}/{name}" for name in ("total", "peak", "hits", "moved")}
+            return Usage(**{n: file[key] for n, key in names.items()}) if names["total"] in file else None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise SceneError(f"{path}: expected usage as the trainer writes it: {error}") from error

@@ -1,4 +1,4 @@
-"""Pictures <-> H.264 in fragmented MP4. The only importer of av.
+"""Pictures <-> H.264 in fragmented MP4, and reading of camera videos. The only importer of av.
 
 Luma carries the samples, chroma is 128, the full-range flag is set, and no frame ever meets swscale.
 """
@@ -17,7 +17,7 @@ import av.bitstream
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.errors import CodecError, FormatError
+from airgs_codec.errors import CodecError, FormatError, SceneError
 
 DEFAULT_PRESET = "veryslow"
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
@@ -296,3 +296,53 @@ def write_movie(path: Path, frames: Iterable[NDArray[np.uint8]], fps: Fraction) 
 def library_versions() -> dict[str, str]:
     """Versions that decide the encoder's bytes."""
     return {"av": av.__version__, **{name: ".".join(map(str, v)) for name, v in av.library_versions.items()}}
+
+
+class VideoReader:
+    """Frames of any video FFmpeg reads, by number, as RGB; made for reading forward."""
+
+    def __init__(self, path: Path) -> None:
+        """Opens the first video stream. Raises SceneError."""
+        self._path = path
+        self._open()
+        stream = self._container.streams.video[0]
+        self.size = (stream.codec_context.width, stream.codec_context.height)
+        self.fps = stream.average_rate
+        self.frames = stream.frames or self._count()
+
+    def read(self, number: int) -> NDArray[np.uint8]:
+        """(H, W, 3) frame `number`. Raises SceneError when the video ends before it or cannot be decoded."""
+        if number < self._next:
+            self._container.close()
+            self._open()
+        try:
+            while True:
+                frame = next(self._decoded)
+                self._next += 1
+                if self._next > number:
+                    return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+        except StopIteration:
+            raise SceneError(f"{self._path}: expected frame {number}, the video ends after {self._next}") from None
+        except av.FFmpegError as error:
+            raise SceneError(f"{self._path}: cannot decode frame {self._next}: {error}") from error
+
+    def close(self) -> None:
+        """Free the decoder."""
+        self._container.close()
+
+    def _open(self) -> None:
+        try:
+            self._container = av.open(str(self._path))
+            if not self._container.streams.video:
+                raise SceneError(f"{self._path}: expected a video, got a file without a picture stream")
+            self._decoded = self._container.decode(video=0)
+        except (av.FFmpegError, OSError) as error:
+            raise SceneError(f"{self._path}: expected a video: {error}") from error
+        self._next = 0
+
+    def _count(self) -> int:
+        """Frames of a container that does not say."""
+        count = sum(1 for packet in self._container.demux(video=0) if packet.size)
+        self._container.close()
+        self._open()
+        return count

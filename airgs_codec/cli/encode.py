@@ -10,6 +10,7 @@ from pathlib import Path
 
 from airgs_codec.author import AuthorReport, author_package
 from airgs_codec.cli.common import Bar, run_command
+from airgs_codec.cli.train import default_model, default_settings, pick_device, require_torch, run_training
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.inspection import format_summary
 from airgs_codec.measure import DEFAULT_FRAMES
@@ -17,6 +18,7 @@ from airgs_codec.search import PSNR, SIZE, Goal
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.sequence import open_sequence
 from airgs_codec.settings import DEFAULT_LEVELS, PAPER_LEVELS, QUALITY_FACTORS, RANKS, EncodeSettings
+from airgs_codec.train.readers import is_multiview
 from airgs_codec.usage import MEASURES
 from airgs_codec.video import DEFAULT_PRESET, PRESETS
 
@@ -25,9 +27,14 @@ def _parser() -> argparse.ArgumentParser:
     defaults = EncodeSettings()
     parser = argparse.ArgumentParser(
         prog="airgs-encode",
-        description="Encode a Gaussian sequence (a folder of .ply frames) as H.264 pictures and a DASH manifest.",
+        description="Encode a Gaussian sequence (a folder of .ply frames) as H.264 pictures and a DASH manifest. "
+        "Multi-view video is trained first, as airgs-train does by default.",
     )
-    parser.add_argument("scene", type=Path, help="folder of .ply frames, optionally sequence.json and transforms.json")
+    parser.add_argument(
+        "scene",
+        type=Path,
+        help="folder of .ply frames, optionally sequence.json and transforms.json; or of multi-view pictures",
+    )
     parser.add_argument("-o", "--output", type=Path, help="package folder (default: SCENE with .airgs appended)")
     _add_choices(parser)
     parser.add_argument(
@@ -141,7 +148,8 @@ def _run(args: argparse.Namespace) -> int:
     )
     if args.fps is not None and not 0 < args.fps <= 1000:
         raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
-    sequence = open_sequence(args.scene, views=args.views, fps=args.fps)
+    folder = _trained(args) if is_multiview(args.scene) else args.scene
+    sequence = open_sequence(folder, views=args.views, fps=args.fps)
     scene = args.scene.resolve()  # "." has no name of its own
     target = args.output or scene.with_name(scene.name + ".airgs")
     bar = Bar(args.json)
@@ -161,6 +169,19 @@ def _run(args: argparse.Namespace) -> int:
         bar.close()
     print(json.dumps(_as_json(report, target)) if args.json else _as_words(report, target))
     return 0
+
+
+def _trained(args: argparse.Namespace) -> Path:
+    """The model of a multi-view scene, trained as far as it is not yet."""
+    require_torch()
+    from airgs_codec.train.readers import open_scene
+    from airgs_codec.train.scene import with_held_out
+
+    folder = default_model(args.scene)
+    scene = with_held_out(open_scene(args.scene, fps=args.fps), None)
+    device = pick_device("auto")
+    run_training(scene, folder, default_settings(device), resume=True, device=device, quiet=args.json)
+    return folder
 
 
 def _goal(args: argparse.Namespace, sequence: GaussianSequence) -> Goal | None:

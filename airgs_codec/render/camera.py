@@ -73,7 +73,7 @@ def read_cameras(path: Path) -> list[Camera]:
         for number, frame in enumerate(data["frames"]):
             name = str(frame.get("camera", f"view{number:03d}"))
             if name not in cameras:
-                cameras[name] = _camera(name, data, frame)
+                cameras[name] = camera_from_transforms(name, data, frame)
     except OSError as error:
         raise SceneError(f"{path}: cannot read cameras: {error.strerror}") from error
     except (ValueError, KeyError, TypeError, AttributeError, np.linalg.LinAlgError) as error:
@@ -85,7 +85,12 @@ def read_cameras(path: Path) -> list[Camera]:
     return list(cameras.values())
 
 
-def _camera(name: str, shared: dict[str, Any], frame: dict[str, Any]) -> Camera:
+def camera_from_transforms(name: str, shared: dict[str, Any], frame: dict[str, Any]) -> Camera:
+    """The camera of an entry under `frames`, which takes what it lacks from the file's own fields.
+
+    Raises KeyError, TypeError, ValueError or LinAlgError for an entry that is none.
+    """
+
     def value(key: str) -> float:
         return float(frame[key] if key in frame else shared[key])
 

@@ -137,6 +137,17 @@ def gradients(
     grad_transmittance: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], ...]:
     """dL/d(means, quaternions, scales, opacities, sh) from dL/drgb (H, W, 3) and dL/dtransmittance (H, W)."""
+    return gradients_and_pull(g, camera, b, grad_rgb, grad_transmittance)[0]
+
+
+def gradients_and_pull(
+    g: Activated,
+    camera: Camera,
+    b: Blended,
+    grad_rgb: NDArray[np.float32],
+    grad_transmittance: NDArray[np.float32],
+) -> tuple[tuple[NDArray[np.float32], ...], NDArray[np.float32]]:
+    """`gradients`, and (N, 2) the absolute gradients of single pixels by a Gaussian's pixel position, summed."""
     pairs = np.empty((len(b.ids), 12), np.float32)
     sums = np.zeros((len(g.means), 12), np.float32)
     out = tuple(np.zeros_like(c) for c in (g.means, g.quaternions, g.scales, g.opacities, g.sh))
@@ -160,7 +171,7 @@ def gradients(
         geometry = (g.means, g.quaternions, g.scales, g.opacities, g.sh, g.sh_degree, view, intrinsics)
         size = (camera.width, camera.height)
         kernels.project_gradient(*geometry, *size, DILATION, b.flat, b.order, sums, *out)
-    return out
+    return out, sums[:, 9:11]
 
 
 def view_arguments(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,0 +1,75 @@
+"""gsplat behind the same function as the CPU renderer, for tensors on a CUDA device. Imported only where it is used.
+
+gsplat 1.5 imports without its kernels and fails later, so they are looked for: `available` says what is missing.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.render.autograd import Background, Pull
+from airgs_codec.render.camera import Camera
+from airgs_codec.render.cpu import DILATION, FAR, NEAR
+
+
+def missing() -> str | None:
+    """Why gsplat cannot run here; None if it can. Compiles its kernels where they are not compiled yet (minutes)."""
+    if not torch.cuda.is_available():
+        return "torch sees no CUDA device"
+    try:
+        from gsplat.cuda import _backend
+    except ImportError as error:
+        return f"gsplat cannot be imported ({error}): pip install 'airgs-codec[cuda]'"
+    if _backend._C is None:
+        return "gsplat has no kernels: it needs the CUDA toolkit (nvcc) to compile them"
+    return None
+
+
+def require() -> None:
+    """Raises ConfigError with what is missing."""
+    if reason := missing():
+        raise ConfigError(f"CUDA: {reason}")
+
+
+def rasterize(
+    means: torch.Tensor,
+    quaternions: torch.Tensor,
+    scales: torch.Tensor,
+    opacities: torch.Tensor,
+    sh: torch.Tensor,
+    camera: Camera,
+    background: Background = (0.0, 0.0, 0.0),
+    pull: Pull | None = None,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """As `autograd.rasterize`. Single pixels may differ by 5e-3 where alpha is next to 1/255, others by 1e-5."""
+    from gsplat import rasterization
+
+    def on_device(values: Any) -> torch.Tensor:
+        return torch.as_tensor(values, dtype=torch.float32, device=means.device)
+
+    matrix = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+    rgb, alpha, meta = rasterization(
+        means,
+        quaternions,
+        scales,
+        opacities,
+        sh,
+        on_device(camera.world_to_camera)[None],
+        on_device(matrix)[None],
+        camera.width,
+        camera.height,
+        near_plane=NEAR,
+        far_plane=FAR,
+        eps2d=DILATION,
+        sh_degree=round(sh.shape[1] ** 0.5) - 1,
+        packed=False,
+        backgrounds=on_device(background)[None],
+        absgrad=pull is not None,
+    )
+    if pull is not None:  # gsplat leaves absolute gradients on its projected means once the gradient reaches them
+        means2d, radii = meta["means2d"], meta["radii"]
+        pull.read = lambda: (means2d.absgrad[0].norm(dim=-1), (radii[0] > 0).all(dim=-1))
+    return rgb[0], 1 - alpha[0, ..., 0]

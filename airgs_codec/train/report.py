@@ -1,0 +1,135 @@
+"""Curves and pictures of a training run, and a page that shows them."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.picture import label, to_bytes, write_png
+from airgs_codec.render import cpu
+from airgs_codec.train.record import FrameRecord, Model
+from airgs_codec.train.scene import Pictures
+
+_BLUE, _ORANGE, _GREEN, _RED = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b"
+ERROR_GAIN = 5  # of the error maps
+
+
+def write_report(model: Model, pictures: Pictures, directory: Path) -> Path:
+    """Write training.png, frame-*.png and index.html into `directory`; gives the page. Raises ConfigError."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        plot_curves(model.record.frames, directory / "training.png")
+        shown = {}
+        for frame in _telling(model.record.frames):
+            name = f"frame-{frame:06d}.png"
+            write_png(directory / name, compare(model, pictures, frame))
+            shown[frame] = name
+        page = directory / "index.html"
+        page.write_text(_page(model, shown), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{directory}: cannot write the report: {error}") from error
+    return page
+
+
+def compare(model: Model, pictures: Pictures, frame: int) -> NDArray[np.uint8]:
+    """Picture, rendering and error map of a held-out view (a training one where there is none), side by side."""
+    view = (pictures.held_out(frame) or pictures.train(frame))[0]
+    rendered = cpu.render(model.read(frame), view.camera).rgb
+    error = np.abs(np.clip(rendered, 0, 1) - view.target.rgb).mean(axis=2) * ERROR_GAIN
+    panels = [
+        label(to_bytes(view.target.rgb), f"frame {frame} {view.camera.name} ({view.camera.split})"),
+        label(to_bytes(rendered), "trained"),
+        label(_heat(error), f"error x {ERROR_GAIN}"),
+    ]
+    return np.concatenate(panels, axis=1)
+
+
+def plot_curves(records: Sequence[FrameRecord], path: Path) -> None:
+    """PSNR, count, static updates and seconds over the frames."""
+    from matplotlib.figure import Figure  # half a second of imports, paid only for pictures
+
+    figure = Figure(figsize=(10, 11), layout="constrained")
+    axes = figure.subplots(4, 1, sharex=True)
+    for draw, axis in zip((_psnr, _count, _static, _seconds), axes, strict=True):
+        draw(axis, records)
+        axis.grid(alpha=0.25)
+        for record in records:
+            if record.kind == "key":
+                axis.axvline(record.frame, color=_RED, alpha=0.4, linewidth=1)
+    axes[-1].set_xlabel("frame (red: keyframes)")
+    figure.savefig(path, dpi=100)
+
+
+def _psnr(axis: Any, records: Sequence[FrameRecord]) -> None:
+    frames = [r.frame for r in records]
+    axis.plot(frames, [r.psnr for r in records], "o-", ms=3, color=_BLUE, label="training views")
+    if records[0].held_out_psnr is not None:
+        axis.plot(frames, [r.held_out_psnr for r in records], "o-", ms=3, color=_ORANGE, label="held-out views")
+    rejected = [r for r in records if r.rejected_psnr is not None]
+    label = "in the old group" if rejected else None
+    axis.plot([r.frame for r in rejected], [r.rejected_psnr for r in rejected], "x", color=_RED, label=label)
+    axis.set(ylabel="PSNR, dB")
+    axis.legend()
+
+
+def _count(axis: Any, records: Sequence[FrameRecord]) -> None:
+    axis.step([r.frame for r in records], [r.gaussians for r in records], where="post", color=_GREEN)
+    axis.set(ylabel="Gaussians", ylim=(0, None))
+
+
+def _static(axis: Any, records: Sequence[FrameRecord]) -> None:
+    moving = [r for r in records if r.static]
+    for name in moving[0].static if moving else []:
+        axis.plot([r.frame for r in moving], [100 * r.static[name] for r in moving], label=name.replace("_", " "))
+    axis.set(ylabel="% updates under half a step", ylim=(0, 101))
+    if moving:
+        axis.legend(ncols=3, fontsize="small")
+
+
+def _seconds(axis: Any, records: Sequence[FrameRecord]) -> None:
+    axis.bar([r.frame for r in records], [r.seconds for r in records], color=_BLUE)
+    axis.set(ylabel="seconds")
+
+
+def _heat(error: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """(H, W) of [0, 1] -> black, red, yellow, white."""
+    e = np.clip(error, 0, 1)[..., None]
+    return to_bytes(np.clip(3 * e - np.array([0.0, 1.0, 2.0]), 0, 1))
+
+
+def _telling(records: Sequence[FrameRecord]) -> list[int]:
+    """First and last frame, keyframes (at most six) and the worst one."""
+    worst = min(records, key=lambda r: r.psnr if r.held_out_psnr is None else r.held_out_psnr)
+    keys = [r.frame for r in records if r.kind == "key"][:6]
+    return sorted({records[0].frame, *keys, worst.frame, records[-1].frame})
+
+
+def _page(model: Model, shown: dict[int, str]) -> str:
+    records = model.record.frames
+    held_out = [r.held_out_psnr for r in records if r.held_out_psnr is not None]
+    facts = {
+        "frames": str(len(records)),
+        "groups": str(len(model.record.keyframes())),
+        "Gaussians": f"{records[0].gaussians:,} to {records[-1].gaussians:,}",
+        "PSNR of training views": f"{np.mean([r.psnr for r in records]):.2f} dB",
+        "PSNR of held-out views": f"{np.mean(held_out):.2f} dB, worst {min(held_out):.2f} dB" if held_out else "none",
+        "time": f"{sum(r.seconds for r in records):.0f} s",
+        "points": model.record.origin,
+    }
+    rows = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in facts.items())
+    settings = html.escape(str(model.record.settings))
+    pictures = "".join(f'<h2>Frame {frame}</h2><img src="{name}" alt="frame {frame}">' for frame, name in shown.items())
+    return f"""<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>Training of {html.escape(model.folder.name)}</title>
+<style>body{{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}}
+img{{max-width:100%}} th{{text-align:left;padding-right:2rem;font-weight:500}} code{{overflow-wrap:anywhere}}</style>
+<h1>Training of {html.escape(model.folder.name)}</h1><table>{rows}</table>
+<img src="training.png" alt="PSNR, Gaussians, static updates and seconds a frame">
+{pictures}<h2>Settings</h2><p><code>{settings}</code></p></html>
+"""
