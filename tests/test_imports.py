@@ -9,11 +9,13 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "airgs_codec"
 MAY_IMPORT = {
-    "torch": {"render/autograd.py", "render/reference.py", "train"},
+    "torch": {"render/autograd.py", "render/cuda.py", "render/reference.py", "train"},
+    "gsplat": {"render/cuda.py"},
+    "pycolmap": {"train/colmap.py"},
     "av": {"video.py"},
     "cv2": {"picture.py"},
     "colour": {"color.py"},
-    "numba": {"rangecoder.py", "render/cpu.py", "render/cpu_kernels.py"},
+    "numba": {"rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "train/loss_kernels.py"},
     "plyfile": {"ply.py"},
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))

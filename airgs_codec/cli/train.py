@@ -49,6 +49,9 @@ def _add_input(parser: argparse.ArgumentParser) -> None:
         metavar="NAMES",
         help="cameras kept for testing, with commas; 'none' (default: the scene's own, else one in eight)",
     )
+    group.add_argument(
+        "--near", type=float, metavar="UNITS", help="hide what is nearer to a camera (default: the scene's, else 0.01)"
+    )
     group.add_argument("--foreground", action="store_true", help="train only what the scene's masks show")
 
 
@@ -101,7 +104,7 @@ def _run(args: argparse.Namespace) -> int:
     require_torch()
     from airgs_codec.train.readers import open_scene
     from airgs_codec.train.report import write_report
-    from airgs_codec.train.scene import Pictures, with_held_out
+    from airgs_codec.train.scene import Pictures, with_held_out, with_near
 
     if args.fps is not None and not 0 < args.fps <= 1000:
         raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
@@ -109,9 +112,13 @@ def _run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
     device = pick_device(args.device)
     settings = _settings(args, device)
-    scene = open_scene(args.scene, fps=args.fps, frames=_frames(args.frames))
+    scene = open_scene(args.scene, fps=args.fps, frames=parse_frames(args.frames))
     names = None if args.hold_out is None else [] if args.hold_out == "none" else args.hold_out.split(",")
     scene = with_held_out(scene, names)
+    if args.near is not None:
+        if not 0 < args.near < float("inf"):
+            raise ConfigError(f"--near: expected a positive distance, got {args.near}")
+        scene = with_near(scene, args.near)
     folder = args.output or default_model(args.scene)
     model = run_training(scene, folder, settings, args.resume, device, quiet=args.json)
     if args.report:
@@ -189,18 +196,16 @@ def pick_device(wanted: str) -> str:
     """cpu or cuda for auto, cpu or cuda. Raises ConfigError where cuda is wanted and cannot run."""
     if wanted == "cpu":
         return "cpu"
-    import torch
-
-    if wanted == "auto" and not torch.cuda.is_available():
-        return "cpu"
     from airgs_codec.render import cuda
 
-    if wanted == "cuda":
-        cuda.require()
-    return "cuda" if cuda.missing() is None else "cpu"
+    reason = cuda.missing()
+    if wanted == "cuda" and reason:
+        raise ConfigError(f"--device cuda: {reason}")
+    return "cpu" if reason else "cuda"
 
 
-def _frames(text: str | None) -> tuple[int, int | None]:
+def parse_frames(text: str | None) -> tuple[int, int | None]:
+    """A:B, A:, :B or one number; None is all. Raises ConfigError."""
     if text is None:
         return 0, None
     head, colon, tail = text.partition(":")

@@ -66,7 +66,7 @@ def rasterize(
     """Differentiable picture: rgb (H, W, 3) and transmittance (H, W), float32, on the device of the tensors.
 
     means (N, 3), quaternions (N, 4) of any length, scales (N, 3) and opacities (N,) activated, sh (N, K + 1, 3).
-    `pull` is filled by the backward pass. Raises ConfigError for CUDA tensors where gsplat cannot run.
+    `pull` is filled by the backward pass.
     """
     if means.is_cuda:
         from airgs_codec.render import cuda  # gsplat compiles its kernels when it is first imported

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 
+NEAR = 0.01  # world units, as gsplat has it
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # nerfstudio cameras look along -z with y up
 
 
@@ -28,6 +29,7 @@ class Camera:
     cy: float  # pixels
     world_to_camera: NDArray[np.float64]  # (4, 4)
     split: str = "train"  # "train" or "test" (held out)
+    near: float = NEAR  # world units along the view axis; Gaussians whose mean is nearer are not drawn
 
     @property
     def position(self) -> NDArray[np.float64]:
@@ -102,4 +104,7 @@ def camera_from_transforms(name: str, shared: dict[str, Any], frame: dict[str, A
     if width < 1 or height < 1:
         raise ValueError(f"camera {name} has size {width}x{height}")
     intrinsics = (value("fl_x"), value("fl_y"), value("cx"), value("cy"))
-    return Camera(name, width, height, *intrinsics, matrix, str(frame.get("split", "train")))
+    near = float(frame.get("near", shared.get("near", NEAR)))
+    if not 0 < near < np.inf:
+        raise ValueError(f"camera {name} has near {near}")
+    return Camera(name, width, height, *intrinsics, matrix, str(frame.get("split", "train")), near)

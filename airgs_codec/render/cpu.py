@@ -15,7 +15,7 @@ from airgs_codec.gaussians import Gaussians
 from airgs_codec.render import cpu_kernels as kernels
 from airgs_codec.render.camera import Camera
 
-NEAR, FAR = 0.01, 1e10  # world units along the view axis
+FAR = 1e10  # world units along the view axis
 DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
 BANDS = 4  # bands of tile rows that are binned side by side
 
@@ -115,7 +115,7 @@ def blend(g: Activated, camera: Camera, background: tuple[float, float, float]) 
     rgb = np.empty((camera.height, camera.width, 3), np.float32)
     transmittance = np.empty((camera.height, camera.width), np.float32)
     with _LOCK:
-        kernels.project(*geometry, view, intrinsics, *shape, NEAR, FAR, DILATION, flat, key, touched)
+        kernels.project(*geometry, view, intrinsics, *shape, camera.near, FAR, DILATION, flat, key, touched)
         visible = np.sort(key[touched > 0])  # depth, then row: the same order every time
         order = (visible & np.uint64(0xFFFFFFFF)).astype(np.int32)
         first_pair = np.concatenate([[0], np.cumsum(touched[order], dtype=np.int64)])

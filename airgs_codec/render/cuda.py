@@ -9,10 +9,9 @@ from typing import Any
 
 import torch
 
-from airgs_codec.errors import ConfigError
 from airgs_codec.render.autograd import Background, Pull
 from airgs_codec.render.camera import Camera
-from airgs_codec.render.cpu import DILATION, FAR, NEAR
+from airgs_codec.render.cpu import DILATION, FAR
 
 
 def missing() -> str | None:
@@ -26,12 +25,6 @@ def missing() -> str | None:
     if _backend._C is None:
         return "gsplat has no kernels: it needs the CUDA toolkit (nvcc) to compile them"
     return None
-
-
-def require() -> None:
-    """Raises ConfigError with what is missing."""
-    if reason := missing():
-        raise ConfigError(f"CUDA: {reason}")
 
 
 def rasterize(
@@ -61,7 +54,7 @@ def rasterize(
         on_device(matrix)[None],
         camera.width,
         camera.height,
-        near_plane=NEAR,
+        near_plane=camera.near,
         far_plane=FAR,
         eps2d=DILATION,
         sh_degree=round(sh.shape[1] ** 0.5) - 1,

@@ -9,7 +9,7 @@ import torch
 
 from airgs_codec.gaussians import SH_C0
 from airgs_codec.render.camera import Camera
-from airgs_codec.render.cpu import DILATION, FAR, NEAR
+from airgs_codec.render.cpu import DILATION, FAR
 
 Picture = tuple[torch.Tensor, torch.Tensor]
 
@@ -72,7 +72,7 @@ def blending_weights(
     view = torch.as_tensor(camera.world_to_camera, dtype=means.dtype)
     rotation, translation = view[:3, :3], view[:3, 3]
     x, y, z = (means @ rotation.T + translation).unbind(-1)
-    drawn = (z > NEAR) & (z < FAR) & (opacities * 255 > 1)
+    drawn = (z > camera.near) & (z < FAR) & (opacities * 255 > 1)
     z = torch.where(drawn, z, torch.ones_like(z))
     conic, position = _conics(rotation, quaternions, scales, x, y, z, camera)
     directions = torch.nn.functional.normalize(means + rotation.T @ translation, dim=-1)

@@ -209,5 +209,5 @@ def _transforms(cameras: Sequence[Camera], scene: Scene) -> dict[str, Any]:
         matrix = np.linalg.inv(c.world_to_camera) @ OPENGL_TO_OPENCV
         intrinsics = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
         entry = {"camera": c.name, "split": c.split, "file_path": "", **intrinsics}
-        frames.append({**entry, "transform_matrix": matrix.tolist()})
+        frames.append({**entry, "near": c.near, "transform_matrix": matrix.tolist()})
     return {"camera_model": "PINHOLE", "fps": float(scene.fps), "frames": frames}

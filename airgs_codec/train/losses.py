@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -65,8 +66,13 @@ def _scratch(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.fl
     return _SCRATCH[shape]
 
 
+_ON_DEVICE: WeakKeyDictionary[Target, torch.Tensor] = WeakKeyDictionary()
+
+
 def _on_cuda(rgb: torch.Tensor, target: Target, weight: float) -> Match:
-    truth = torch.from_numpy(target.rgb).to(rgb)
+    if target not in _ON_DEVICE:
+        _ON_DEVICE[target] = torch.from_numpy(target.rgb).to(rgb)
+    truth = _ON_DEVICE[target]
     similarity = windowed_ssim(rgb, truth)
     loss = (1 - weight) * (rgb - truth).abs().mean() + weight * (1 - similarity)
     return Match(loss, float((rgb.detach() - truth).square().mean()), float(similarity.detach()))

@@ -30,6 +30,8 @@ from airgs_codec.video import VideoReader
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+# Metres. The cameras hang in the wall of a dome: what lies nearer is the wall that others see, and their own housing.
+PANOPTIC_NEAR = 0.5
 POINT_FILES = ("points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "points3d.npy")
 
 
@@ -135,7 +137,7 @@ def read_panoptic(folder: Path) -> Scene:
 
 def _panoptic_shot(folder: Path, size: tuple[int, int], file: str, k: Any, w2c: Any, camera_id: int) -> Shot:
     m, view = np.asarray(k, np.float64).reshape(3, 3), np.asarray(w2c, np.float64).reshape(4, 4)
-    camera = Camera(f"cam{camera_id:02d}", *size, m[0, 0], m[1, 1], m[0, 2], m[1, 2], view)
+    camera = Camera(f"cam{camera_id:02d}", *size, m[0, 0], m[1, 1], m[0, 2], m[1, 2], view, near=PANOPTIC_NEAR)
     mask = folder / "seg" / Path(file).with_suffix(".png")
     return Shot(camera, PictureFile(folder / "ims" / file), None, mask if mask.is_file() else None)
 

@@ -87,6 +87,15 @@ class Scene:
         return [shot.camera for shot in self.frames[0]]
 
 
+def with_near(scene: Scene, near: float) -> Scene:
+    """`scene` with Gaussians nearer than `near` world units hidden from every camera."""
+
+    def changed(shot: Shot) -> Shot:
+        return replace(shot, camera=replace(shot.camera, near=near))
+
+    return replace(scene, frames=tuple(tuple(changed(s) for s in shots) for shots in scene.frames))
+
+
 def with_held_out(scene: Scene, names: Sequence[str] | None) -> Scene:
     """`scene` with the cameras `names` held out; None: those it marks itself, else one in HELD_OUT_SHARE.
 

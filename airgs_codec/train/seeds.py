@@ -64,7 +64,7 @@ def project(
     """Pixel rows and columns of the points (P, 3) that fall into the picture, and which points those are."""
     view = camera.world_to_camera
     x, y, z = (points @ view[:3, :3].T + view[:3, 3]).T
-    ahead = z > cpu.NEAR
+    ahead = z > camera.near
     safe = np.where(ahead, z, 1.0)
     column, row = camera.fx * x / safe + camera.cx, camera.fy * y / safe + camera.cy
     inside = np.flatnonzero(ahead & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height))
