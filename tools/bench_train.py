@@ -2,8 +2,8 @@
 
     python -m tools.bench_train SCENE -o OUT [--methods airgs,v3,naive3dgs] [--frames A:B] [--max-size PX]
 
-Every method trains with the default settings into OUT/METHOD, is encoded as `airgs-encode` does by default, decoded, and
-compared with the pictures of the held-out cameras. Writes OUT/methods.csv and prints it.
+Every method trains with the default settings into OUT/METHOD, is encoded as `airgs-encode` does by default, decoded,
+and compared with the pictures of the held-out cameras. Writes OUT/methods.csv and prints it.
 """
 
 from __future__ import annotations

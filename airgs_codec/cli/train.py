@@ -50,6 +50,9 @@ def _add_input(parser: argparse.ArgumentParser) -> None:
         help="cameras kept for testing, with commas; 'none' (default: the scene's own, else one in eight)",
     )
     group.add_argument(
+        "--match-exposure", action="store_true", help="find a gain and an offset a camera; for real cameras"
+    )
+    group.add_argument(
         "--near", type=float, metavar="UNITS", help="hide what is nearer to a camera (default: the scene's, else 0.01)"
     )
     group.add_argument("--foreground", action="store_true", help="train only what the scene's masks show")
@@ -248,7 +251,8 @@ def _settings(args: argparse.Namespace, device: str) -> TrainSettings:
     if args.iterations is not None:
         counts = _three(args.iterations)
         given |= dict(zip(("first_iterations", "key_iterations", "frame_iterations"), counts, strict=True))
-    return replace(settings, **given, max_size=args.max_size, foreground=args.foreground)
+    given |= {name: getattr(args, name) for name in ("max_size", "foreground", "match_exposure")}
+    return replace(settings, **given)
 
 
 def _three(text: str) -> list[int]:

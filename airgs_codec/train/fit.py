@@ -17,6 +17,7 @@ import torch
 from airgs_codec.errors import AirgsError
 from airgs_codec.render.autograd import Pull
 from airgs_codec.train.densify import Growth, Pulls, grow, prune
+from airgs_codec.train.exposure import Tones
 from airgs_codec.train.losses import LAMBDA, photometric
 from airgs_codec.train.model import ATTRIBUTES, RATES, Adam, Parameters, render
 from airgs_codec.train.scene import View
@@ -146,9 +147,12 @@ def match(
     *,
     growth: Growth | None = None,
     weight: float = LAMBDA,
+    tones: Tones | None = None,
     tick: Tick = lambda done, of: None,
 ) -> None:
     """Fit `variables` to `views` in random order; with `growth` (for `Free`) rows are added on the way.
+
+    `tones` of the views are fitted along.
 
     `sh_degree`: bands in use when a share of the iterations is past. Raises TrainingError when the loss is not finite.
     """
@@ -159,9 +163,12 @@ def match(
         done = iteration / iterations
         if not deck:
             deck = rng.permutation(len(views)).tolist()
-        view = views[deck.pop()]
+        index = deck.pop()
+        view = views[index]
         pull = Pull() if growth else None
         rgb, _ = render(variables.current(), view.camera, sh_degree(done), pull)
+        if tones:
+            rgb = tones.apply(rgb, index)
         loss = photometric(rgb, view.target, weight).loss + variables.penalty()
         if not math.isfinite(float(loss.detach())):
             raise TrainingError(f"the loss is not finite at iteration {iteration} in view {view.camera.name}")
@@ -169,6 +176,8 @@ def match(
         if pull is not None:
             pulls.add(pull)
         variables.step(done)
+        if tones:
+            tones.step()
         if growth and growth.due(iteration, iterations):
             assert isinstance(variables, Free)
             variables.refine(growth, before, done, pulls, rng)

@@ -17,6 +17,7 @@ from airgs_codec.metrics import mse, psnr, ssim
 from airgs_codec.render import Camera, cpu, measure_contribution
 from airgs_codec.render.camera import OPENGL_TO_OPENCV
 from airgs_codec.train.deltas import Networks
+from airgs_codec.train.exposure import Tones
 from airgs_codec.train.model import ATTRIBUTES, Parameters
 from airgs_codec.train.record import FrameRecord, Model, open_model, write_cameras
 from airgs_codec.train.scene import Pictures, Scene, View
@@ -86,6 +87,7 @@ class _Run:
         self._progress = progress
         self._trainer: Trainer = make_trainer(settings, pictures.train(0), scene.points, device)
         self._group: _Group | None = None
+        pictures.expose_alike(model.record.exposure)
 
     def train_frame(self, frame: int) -> FrameRecord:
         """Fit a frame and keep it."""
@@ -94,6 +96,7 @@ class _Run:
         if not views:
             raise SceneError(f"{self._scene.path}: expected training views of frame {frame}, got none")
         fitted = self._fit(frame, views)
+        views = self._pictures.train(frame)  # as they are exposed now
         g = fitted.gaussians
         static = {}
         if fitted.kind == "frame" and self._group is not None:
@@ -116,10 +119,14 @@ class _Run:
 
     def _fit(self, frame: int, views: Sequence[View]) -> _Fitted:
         s, trainer = self._settings, self._trainer
-        given = self._scene.points if frame == 0 else None
         start = None if frame == 0 else self._model.record.group_start()
         if start is None or s.method == "naive3dgs" or (s.method == "v3" and frame - start >= s.group):
-            first = trainer.first(frame, given or self._scene.points, views, self._tick(frame, "first frame"))
+            tones = Tones(len(views), trainer.device) if s.match_exposure and frame == 0 else None
+            first = trainer.first(frame, self._scene.points, views, tones, self._tick(frame, "first frame"))
+            if tones is not None:
+                self._model.record.exposure = tones.table([view.camera.name for view in views])
+                self._pictures.expose_alike(self._model.record.exposure)
+                views = self._pictures.train(frame)
             self._open(first, views)
             return _Fitted(first, "first" if frame == 0 else "key", added=0)
         before = self._model.read(frame - 1)

@@ -23,7 +23,8 @@ FEATURES = 4000  # a view
 NEIGHBOURS = 6  # views that each one is matched with
 RATIO = 0.8  # Lowe 2004
 REPROJECTION = 2.0  # pixels, in every view of a track
-FEWEST = 100  # points; fewer are joined by random ones
+BOX_POINTS = 50  # given points that tell where the scene is
+BOX_MARGIN = 1.15
 LEAST_ANGLE = np.radians(1.0)  # between two rays of a track
 
 
@@ -37,8 +38,8 @@ def scene_extent(cameras: Sequence[Camera], points: Points | None = None) -> flo
     return float(spread) or 1.0
 
 
-def initial_points(given: Points | None, views: Sequence[View], rng: np.random.Generator) -> Points:
-    """`given` points, or triangulated ones; random ones beside them where they are few. Every point gets a colour.
+def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng: np.random.Generator) -> Points:
+    """`given` points, or triangulated ones; random ones beside them up to `fewest`. Every point gets a colour.
 
     Raises SceneError when there are neither points nor two views to find them in.
     """
@@ -50,8 +51,8 @@ def initial_points(given: Points | None, views: Sequence[View], rng: np.random.G
     finite = np.isfinite(points.positions).all(axis=1)
     colours = None if points.colours is None else points.colours[finite]
     points = replace(points, positions=points.positions[finite], colours=colours)
-    if len(points.positions) < FEWEST:
-        points = _with_random(points, views, rng)
+    if len(points.positions) < fewest:
+        points = _with_random(points, fewest - len(points.positions), views, rng)
     if points.colours is None:
         points = replace(points, colours=_seen_colours(points.positions, views))
     return points
@@ -132,16 +133,22 @@ def intersect(cameras: Sequence[Camera], places: NDArray[np.float64]) -> NDArray
     return point if cosines.min() < np.cos(LEAST_ANGLE) else None
 
 
-def _with_random(points: Points, views: Sequence[View], rng: np.random.Generator) -> Points:
-    """FEWEST times ten random points in front of the cameras, beside the given ones."""
+def _with_random(points: Points, count: int, views: Sequence[View], rng: np.random.Generator) -> Points:
+    """About `count` random points beside the given ones, in their box or, where they are too few, before the cameras.
+
+    Surfaces without texture have no points of their own; what is placed in empty space fades away.
+    """
     cameras = [view.camera for view in views]
-    reach = scene_extent(cameras)
-    centre = _looked_at(cameras)
-    drawn = centre + rng.uniform(-reach, reach, (20 * FEWEST, 3))
+    if len(points.positions) >= BOX_POINTS:
+        low, high = np.quantile(points.positions, [0.01, 0.99], axis=0)
+        centre, reach = (low + high) / 2, BOX_MARGIN * (high - low) / 2
+    else:
+        centre, reach = _looked_at(cameras), np.full(3, scene_extent(cameras))
+    drawn = rng.uniform(centre - reach, centre + reach, (2 * count, 3))
     seen = np.zeros(len(drawn))
     for camera in cameras:
         seen[project(camera, drawn)[2]] += 1
-    random = drawn[seen >= min(2, len(cameras))][: 10 * FEWEST].astype(np.float32)
+    random = drawn[seen >= min(2, len(cameras))][:count].astype(np.float32)
     positions = np.concatenate([points.positions, random])
     colours = None
     if points.colours is not None:

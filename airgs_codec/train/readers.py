@@ -31,7 +31,7 @@ from airgs_codec.video import VideoReader
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 # Metres. The cameras hang in the wall of a dome: what lies nearer is the wall that others see, and their own housing.
-PANOPTIC_NEAR = 0.5
+PANOPTIC_NEAR = 0.8
 POINT_FILES = ("points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "points3d.npy")
 
 

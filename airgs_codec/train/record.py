@@ -55,7 +55,7 @@ class Record:
     settings: dict[str, Any]
     frames: list[FrameRecord] = field(default_factory=list)
     total: int = 0  # frames of the whole run
-    origin: str = ""  # of the points it started from
+    exposure: dict[str, list[float]] = field(default_factory=dict)  # camera -> gains, offsets
 
     @property
     def complete(self) -> bool:
@@ -137,7 +137,7 @@ def open_model(folder: Path, scene: dict[str, Any], settings: TrainSettings, tot
             _same(folder, getattr(known, what), getattr(record, what))
         if len(known.frames) > total:
             raise ConfigError(f"{folder}: expected at most {total} finished frames, got {len(known.frames)}")
-        record.frames, record.origin = known.frames, known.origin
+        record.frames, record.exposure = known.frames, known.exposure
     elif folder.is_dir() and any(p for p in folder.iterdir() if not p.name.startswith(".")):
         raise ConfigError(f"{folder}: expected a new folder or a training run, got a folder with other files")
     folder.mkdir(parents=True, exist_ok=True)

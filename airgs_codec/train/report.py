@@ -120,7 +120,6 @@ def _page(model: Model, shown: dict[int, str]) -> str:
         "PSNR of training views": f"{np.mean([r.psnr for r in records]):.2f} dB",
         "PSNR of held-out views": f"{np.mean(held_out):.2f} dB, worst {min(held_out):.2f} dB" if held_out else "none",
         "time": f"{sum(r.seconds for r in records):.0f} s",
-        "points": model.record.origin,
     }
     rows = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in facts.items())
     settings = html.escape(str(model.record.settings))

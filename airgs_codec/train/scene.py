@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.picture import Lens, read_mask, read_picture, resize, undistort
 from airgs_codec.render.camera import Camera
-from airgs_codec.train.target import Target
+from airgs_codec.train.target import Exposure, Target, exposed_alike
 
 HELD_OUT_SHARE = 8  # one camera in so many, where a scene names none
 CACHE_BYTES = 1 << 30
@@ -135,6 +135,7 @@ class Pictures:
         self._max_size = max_size
         self._foreground = foreground
         self._room = cache_bytes
+        self._exposure: Exposure = {}
         self._kept: OrderedDict[tuple[int, int], View] = OrderedDict()
 
     def train(self, frame: int) -> list[View]:
@@ -144,6 +145,11 @@ class Pictures:
     def held_out(self, frame: int) -> list[View]:
         """The others."""
         return self._split(frame, held_out=True)
+
+    def expose_alike(self, exposure: Exposure) -> None:
+        """From now on, pictures of these cameras come as the average camera would have exposed them."""
+        self._exposure = exposure
+        self._kept.clear()
 
     def cameras(self) -> list[Camera]:
         """Cameras of the first frame at training size."""
@@ -191,4 +197,5 @@ class Pictures:
         if shot.lens:
             rgb = undistort(rgb, shot.lens)
         camera = self._scaled(shot.camera)
-        return resize(rgb, camera.width, camera.height)
+        rgb = resize(rgb, camera.width, camera.height)
+        return exposed_alike(rgb, self._exposure[camera.name]) if camera.name in self._exposure else rgb

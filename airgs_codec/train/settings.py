@@ -34,6 +34,7 @@ class TrainSettings:
     group: int = 20  # frames, for v3
     max_size: int | None = None  # pixels, longest side
     foreground: bool = False
+    match_exposure: bool = False  # find a gain and an offset a camera at the first frame
     seed: int = 0
 
     def __post_init__(self) -> None:

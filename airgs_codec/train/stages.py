@@ -11,6 +11,7 @@ import torch
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.train.deltas import Driven, Networks
 from airgs_codec.train.densify import Growth
+from airgs_codec.train.exposure import Tones
 from airgs_codec.train.fit import Free, Rates, Tick, match
 from airgs_codec.train.model import ATTRIBUTES, Parameters, from_gaussians, from_points, to_gaussians
 from airgs_codec.train.points import initial_points, scene_extent
@@ -20,6 +21,7 @@ from airgs_codec.train.settings import TrainSettings
 from airgs_codec.train.temporal import codec_steps
 
 START_OPACITY = 0.1
+RANDOM_SHARE = 0.3  # of the budget, points to begin with; random ones fill up
 HIDDEN_OPACITY = 0.02  # removed at the end of a first frame or, of what was added, of a keyframe
 OPACITY_WEIGHT, SCALE_WEIGHT = 0.003, 0.03  # +0.3 dB in held-out views of a first frame; empty space stays empty
 SH_SHARE = 0.25  # of the iterations until each further SH band joins
@@ -40,12 +42,17 @@ class Trainer:
         return np.random.default_rng([self.settings.seed, frame, stage])
 
     def first(
-        self, frame: int, given: Points | None, views: Sequence[View], tick: Tick = lambda done, of: None
+        self,
+        frame: int,
+        given: Points | None,
+        views: Sequence[View],
+        tones: Tones | None = None,
+        tick: Tick = lambda done, of: None,
     ) -> Gaussians:
-        """3DGS from a cloud of points, within the budget (AirGS, "Training" 1)."""
+        """3DGS from a cloud of points, within the budget (AirGS, "Training" 1). `tones` of the views are found too."""
         s = self.settings
         rng = self.rng(frame, 0)
-        points = initial_points(given, views, rng)
+        points = initial_points(given, views, round(RANDOM_SHARE * s.budget), rng)
         assert points.colours is not None
         chosen = np.sort(rng.permutation(len(points.positions))[: s.budget])
         largest = self.extent
@@ -57,7 +64,7 @@ class Trainer:
             opacity_weight=OPACITY_WEIGHT,
             scale_weight=SCALE_WEIGHT,
         )
-        match(free, views, s.first_iterations, rng, self._ramp, growth=Growth(s.budget), tick=tick)
+        match(free, views, s.first_iterations, rng, self._ramp, growth=Growth(s.budget), tones=tones, tick=tick)
         free.drop(HIDDEN_OPACITY)
         return to_gaussians(free.detached())
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.train import loss_kernels as kernels
+
+Exposure = Mapping[str, Sequence[float]]  # camera -> gains r g b, offsets r g b
 
 
 class Target:
@@ -23,3 +27,9 @@ class Target:
     def nbytes(self) -> int:
         """Memory it holds."""
         return 3 * self.rgb.nbytes
+
+
+def exposed_alike(picture: NDArray[np.float32], values: Sequence[float]) -> NDArray[np.float32]:
+    """The picture (H, W, 3) as the average camera would have exposed it; may leave [0, 1]."""
+    gains, offsets = np.array(values, np.float32).reshape(2, 3)
+    return (picture - offsets) / gains
