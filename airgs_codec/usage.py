@@ -57,7 +57,7 @@ def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
 def load_usage(path: Path, start: int, stop: int) -> Usage | None:
     """The usage of the group [start, stop), None if the file does not know it. Raises SceneError."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             names = {name: f"{start}:{stop}/{name}" for name in ("total", "peak", "hits", "moved")}
             return Usage(**{n: file[key] for n, key in names.items()}) if names["total"] in file else None
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:

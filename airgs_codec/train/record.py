@@ -91,15 +91,19 @@ class Model:
         self.record.frames.append(frame)
         settings = {"fps": float(fps) if "/" not in fps else fps, "keyframes": self.record.keyframes()}
         _write_json(self.folder / "sequence.json", settings)
-        _write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(self.record)})
+        self.write_record()
         if frame.frame:
             self._networks(frame.frame - 1).unlink(missing_ok=True)
+
+    def write_record(self) -> None:
+        """Keep what is known; the folder is this run's from then on."""
+        _write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(self.record)})
 
     def networks(self) -> dict[str, np.ndarray]:
         """Weights after the last finished frame. Raises SceneError when they are not there."""
         path = self._networks(self.record.frames[-1].frame)
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
                 return {name: file[name] for name in file.files}
         except (OSError, ValueError, EOFError) as error:
             raise SceneError(f"{path}: expected the networks of an unfinished run: {error}") from error
@@ -147,7 +151,9 @@ def open_model(folder: Path, scene: dict[str, Any], settings: TrainSettings, tot
         stray.unlink()
     if not record.complete:
         (folder / USAGE_NAME).unlink(missing_ok=True)
-    return Model(folder, record)
+    model = Model(folder, record)
+    model.write_record()
+    return model
 
 
 def write_cameras(folder: Path, data: dict[str, Any]) -> None:
