@@ -68,7 +68,7 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         choices=("airgs", "naive3dgs", "v3"),
         help="naive3dgs: every frame on its own; v3: groups of fixed length (default: airgs)",
     )
-    group.add_argument("--budget", type=int, metavar="N", help="Gaussians of the first frame (default: 12000)")
+    group.add_argument("--budget", type=int, metavar="N", help="Gaussians of the first frame (default: 8000)")
     group.add_argument(
         "--capacity", type=int, metavar="N", help="most Gaussians there may ever be (default: 1.5 x budget)"
     )
@@ -79,7 +79,7 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         help="how frames move: each Gaussian on its own, six MLPs, or both (default: direct; mlp+residual on CUDA)",
     )
     group.add_argument(
-        "--temporal", type=float, metavar="W", help="weight of change, in codec steps (default: 3e-4; 0: none)"
+        "--temporal", type=float, metavar="W", help="weight of change, in codec steps (default: 1e-3; 0: none)"
     )
     group.add_argument("--tau", type=float, metavar="DB", help="PSNR below which a frame starts a group (default: 30)")
     group.add_argument(

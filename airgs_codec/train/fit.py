@@ -22,6 +22,7 @@ from airgs_codec.train.losses import LAMBDA, photometric
 from airgs_codec.train.model import ATTRIBUTES, RATES, Adam, Parameters, render
 from airgs_codec.train.scene import View
 
+SETTLED = 0.65  # of the iterations, then what moves is decided; later than rows are added
 LARGE = 0.003  # of the extent: larger Gaussians are split, smaller ones cloned
 
 Tick = Callable[[int, int], None]  # iterations done, of
@@ -74,6 +75,7 @@ class Free:
     inflation: float = 0.0  # of the summed opacity of the rows past `kept`
     start: Parameters | None = None  # D to begin with; None: 0
     adam: Adam = field(init=False)
+    _support: Parameters | None = field(init=False, default=None)  # 1 where D may still change
 
     def __post_init__(self) -> None:
         begin = self.start or {name: torch.zeros_like(p) for name, p in self.base.items()}
@@ -101,10 +103,24 @@ class Free:
         return total
 
     def step(self, done: float) -> None:
-        """Adam, the temporal loss, and no Gaussian larger than the scene."""
+        """Adam, the temporal loss, and no Gaussian larger than the scene.
+
+        The temporal loss pulls back what does move, too. When it has had its say (SETTLED), what is still 0 stays so,
+        and the rest is fitted without it (the relaxed lasso, Meinshausen 2007).
+        """
         self.adam.rates = self.rates.at(done, self.extent)
-        self.adam.step(self.shrink)
-        with torch.no_grad():  # past this size gradients of means and rotations are rounding noise
+        if self.shrink is not None and done > SETTLED:
+            if self._support is None:
+                self._support = {name: (p != 0).to(p.dtype) for name, p in self.adam.parameters.items()}
+                for name, weight in self.shrink.items():  # rows without a temporal loss: new ones
+                    self._support[name][weight == 0] = 1
+            self.adam.step()
+        else:
+            self.adam.step(self.shrink)
+        with torch.no_grad():
+            for name, mask in (self._support or {}).items():
+                self.adam.parameters[name].mul_(mask)
+            # Past this size gradients of means and rotations are rounding noise.
             sizes = self.adam.parameters["log_scales"]
             sizes.copy_(torch.minimum(sizes, math.log(self.extent) - self.base["log_scales"]))
 
@@ -132,6 +148,8 @@ class Free:
         self.base = grown(self.base, added)
         if self.shrink is not None:
             self.shrink = grown(self.shrink, zeros)
+        if self._support is not None:
+            self._support = grown(self._support, None)
 
     def detached(self) -> Parameters:
         """The Gaussians as they are now."""

@@ -21,7 +21,7 @@ CANDIDATES = 200_000
 RESIDUAL = 0.06  # mean absolute difference of colours, over 3 x 3 pixels
 AGREE = 0.85  # of the views that see a point
 SEEN = 0.5  # of all views
-FEWEST = 50  # seeds; below that it is noise, and densification has to do
+FEWEST = 50  # candidates; below that it is noise, and densification has to do
 OPACITY = 0.3
 
 
@@ -42,7 +42,7 @@ def residual_seeds(
         sums[0, inside] += colour
         sums[1, inside] += colour**2
     hull = np.flatnonzero((seen >= SEEN * len(views)) & (high_residual >= AGREE * seen))
-    if len(hull) < FEWEST or most < FEWEST:
+    if len(hull) < FEWEST or most < 1:
         return None
     mean, square = sums[:, hull] / seen[hull, None]
     spread = (square - mean**2).sum(axis=1)  # a point on a surface looks alike from everywhere

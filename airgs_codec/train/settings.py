@@ -19,8 +19,8 @@ class TrainSettings:
     """Everything that decides the Gaussians besides the pictures; the same settings give the same run."""
 
     method: str = "airgs"  # naive3dgs: every frame on its own; v3: groups of fixed length, keyframes from scratch
-    budget: int = 12_000  # Gaussians of the first frame
-    capacity: int = 18_000  # most Gaussians there may ever be
+    budget: int = 8_000  # Gaussians of the first frame
+    capacity: int = 12_000  # most Gaussians there may ever be
     sh_degree: int = 1
     first_iterations: int = 2500
     key_iterations: int = 1500

@@ -1,8 +1,8 @@
 """L_temp: what a change costs, counted in the steps the codec will code it with. N Gaussians.
 
 The paper's sum of |d| has no unit and no reduction (AirGS, "Training" 2): summed over raw values its 1e-3 stops all
-motion, averaged it does nothing. Here it is the mean over Gaussians of |d|_1, each channel in half steps' natural unit,
-the codec's step: weight * mean_i sum_c |d_ic| / step_ic.
+motion, averaged it does nothing. Here it is the mean over Gaussians of |d|_1 with every channel in units of the codec's
+step: weight * mean_i sum_c |d_ic| / step_ic.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ LEAST_SLOPE = 0.02
 class Temporal:
     """Weight and unit of the temporal loss."""
 
-    weight: float = 3e-4
+    weight: float = 1e-3
     unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally
 
     def weights(self, steps: Mapping[str, torch.Tensor]) -> Parameters:
