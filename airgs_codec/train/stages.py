@@ -26,6 +26,7 @@ HIDDEN_OPACITY = 0.02  # removed at the end of a first frame or, of what was add
 OPACITY_WEIGHT, SCALE_WEIGHT = 0.003, 0.03  # +0.3 dB in held-out views of a first frame; empty space stays empty
 SH_SHARE = 0.25  # of the iterations until each further SH band joins
 MOVING_RATES = Rates(factor=3.0, means=5.0 / 3, last=0.1, means_last=0.1)  # of frames that start from the one before
+KEY_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
 MLP_SHARE = 0.5  # of the iterations of mlp+residual
 
 
@@ -121,7 +122,7 @@ class Trainer:
         u = len(before)
         most = min(round((1 + s.added) * u), s.capacity)
         rng = self.rng(frame, 3)
-        seeds = residual_seeds(before, views, (most - u) // 2, 0.1 * self.extent, rng)
+        seeds = residual_seeds(before, views, most - u, 0.1 * self.extent, rng)
         base, start = from_gaussians(before, self.device), None
         weights = self._weights(steps)
         start = self._start(base, velocity)
@@ -134,7 +135,7 @@ class Trainer:
         free = Free(
             base,
             self.extent,
-            MOVING_RATES,
+            KEY_RATES,
             shrink=weights,
             kept=u,
             inflation=s.inflation,
