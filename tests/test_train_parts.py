@@ -367,7 +367,8 @@ def test_seeds_lie_in_what_appeared():
     views = views_of(joined(old, appeared()), ring(8))
     seeds = residual_seeds(old, views, 120, 1.0, np.random.default_rng(0))
     assert 0 < len(seeds) <= 120
-    assert np.median(np.linalg.norm(seeds.means - BALL, axis=1)) < 0.35
+    # The ball can be seen to 0.45 from its centre (0.24 + 3 sigma of 0.07), and a pixel is 0.1 wide there.
+    assert np.linalg.norm(seeds.means - BALL, axis=1).max() < 0.6
     assert residual_seeds(old, views_of(old, ring(8)), 120, 1.0, np.random.default_rng(0)) is None
 
 

@@ -45,7 +45,9 @@ def residual_seeds(
         return None
     points, colours, unlike = _surface(hull, views)
     chosen = _spread(points, unlike, most)
-    seeds = from_points(points[chosen], colours[chosen], g.sh_degree, OPACITY, largest)
+    seeds = from_points(
+        points[chosen].astype(np.float32), colours[chosen].astype(np.float32), g.sh_degree, OPACITY, largest
+    )
     sizes = np.minimum(seeds.log_scales, np.median(seeds.log_scales))  # one that lies apart is no larger than others
     return replace(seeds, log_scales=sizes + np.float32(np.log(TIGHT)))
 
