@@ -122,7 +122,8 @@ class _Run:
         start = None if frame == 0 else self._model.record.group_start()
         if start is None or s.method == "naive3dgs" or (s.method == "v3" and frame - start >= s.group):
             tones = Tones(len(views), trainer.device) if s.match_exposure and frame == 0 else None
-            first = trainer.first(frame, self._scene.points, views, tones, self._tick(frame, "first frame"))
+            points = self._scene.points if frame == 0 else None  # a given cloud is of the first frame
+            first = trainer.first(frame, points, views, tones, self._tick(frame, "first frame"))
             if tones is not None:
                 self._model.record.exposure = tones.table([view.camera.name for view in views])
                 self._pictures.expose_alike(self._model.record.exposure)

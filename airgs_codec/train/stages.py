@@ -56,9 +56,8 @@ class Trainer:
         points = initial_points(given, views, round(RANDOM_SHARE * s.budget), rng)
         assert points.colours is not None
         chosen = np.sort(rng.permutation(len(points.positions))[: s.budget])
-        largest = self.extent
         cloud = (points.positions[chosen], points.colours[chosen])
-        start = from_points(*cloud, s.sh_degree, START_OPACITY, 0.1 * largest)
+        start = from_points(*cloud, s.sh_degree, START_OPACITY, 0.1 * self.extent)
         free = Free(
             from_gaussians(start, self.device),
             self.extent,
@@ -86,17 +85,15 @@ class Trainer:
         s = self.settings
         base = from_gaussians(before, self.device)
         weights = self._weights(steps)
-        iterations, past = s.frame_iterations, 0
-        start = self._start(base, velocity)
+        start, iterations, past = self._start(base, velocity), s.frame_iterations, 0
         if networks is not None:
+            past = iterations if s.deltas == "mlp" else round(MLP_SHARE * iterations)
             driven = Driven(base, networks, weights)
-            share = MLP_SHARE if s.deltas == "mlp+residual" else 1.0
-            past = round(share * iterations)
             match(driven, views, past, self.rng(frame, 1), self._all_bands, tick=lambda i, _: tick(i, iterations))
             moved = driven.detached()
+            if s.deltas == "mlp":
+                return to_gaussians(moved)
             start = {name: moved[name] - base[name] for name in ATTRIBUTES}
-        if past == iterations:
-            return to_gaussians(moved)
         free = Free(base, self.extent, MOVING_RATES, shrink=weights, start=start)
         match(
             free,
@@ -123,8 +120,7 @@ class Trainer:
         most = min(round((1 + s.added) * u), s.capacity)
         rng = self.rng(frame, 3)
         seeds = residual_seeds(before, views, most - u, 0.1 * self.extent, rng)
-        base, start = from_gaussians(before, self.device), None
-        weights = self._weights(steps)
+        base, weights = from_gaussians(before, self.device), self._weights(steps)
         start = self._start(base, velocity)
         if seeds is not None:
             new = from_gaussians(seeds, self.device)
