@@ -79,7 +79,7 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
         help="how frames move: each Gaussian on its own, six MLPs, or both (default: direct; mlp+residual on CUDA)",
     )
     group.add_argument(
-        "--temporal", type=float, metavar="W", help="weight of change, in codec steps (default: 1e-3; 0: none)"
+        "--temporal", type=float, metavar="W", help="weight of change, in codec steps (default: 8e-4; 0: none)"
     )
     group.add_argument("--tau", type=float, metavar="DB", help="PSNR below which a frame starts a group (default: 30)")
     group.add_argument(

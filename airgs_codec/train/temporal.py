@@ -30,7 +30,7 @@ LEAST_SLOPE = 0.02
 class Temporal:
     """Weight and unit of the temporal loss."""
 
-    weight: float = 1e-3
+    weight: float = 8e-4
     unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally
 
     def weights(self, steps: Mapping[str, torch.Tensor]) -> Parameters:
