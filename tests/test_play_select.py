@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.policy import Download, PlayerState, budget_bytes, choose_paper, estimate_throughput, parse_policy
-from airgs_codec.play.select import Decision, Ladder, Point, select
+from airgs_codec.play.select import Decision, Ladder, Point, frame_budget, select, select_literal
 
 
 def dense(*qualities: float, sizes: list[int] | None = None) -> list[Point]:
@@ -83,16 +82,61 @@ def test_a_level_that_sends_nothing_always_fits_14():
     assert select(Ladder.build(points), -5) == Decision(1, True, "0 B fit 0 B", 0)
 
 
-def test_units_13_and_keys_over_the_buffer_15():
-    """8 Mbit/s for half of the 10 s that are buffered, less one round trip, 90 % spent, less headers, in bytes."""
-    state = PlayerState(0.0, 10.0, 1.0, 0.1, (Download(1_000_000, 1.0),), files=2, options=tuple(dense(40, 39)))
-    assert budget_bytes(state) == pytest.approx(0.9 * 1_000_000 * 4.9 - 700)
-    assert budget_bytes(state) > 0.9 * 1_000_000 * 1.0  # what the paper's B / R over one segment would allow
+def test_units_13():
+    """8 Mbit/s at 25 fps are 40,000 bytes a frame; half of it spent, less a header."""
+    assert frame_budget(8e6, 25) == pytest.approx(40_000)
+    assert frame_budget(8e6, 25, overhead_bytes=350, share=0.5) == pytest.approx(19_650)
+    assert frame_budget(1e3, 25, overhead_bytes=350) == 0.0
 
 
-def test_the_package_ladder_has_no_second_cliff():
-    state = PlayerState(0.0, 0.0, 1.0, 0.0, (Download(320, 1.0),), files=0, options=tuple(dense(40, 39, 25, 24)))
-    assert choose_paper(state).level == 2  # 288 B: level 2 has 200
+@pytest.mark.parametrize("bandwidth", [math.nan, -1.0, 0.0])
+def test_bandwidths_and_frame_rates_that_are_none_12(bandwidth):
+    assert frame_budget(bandwidth, 30) == 0.0
+    with pytest.raises(ConfigError, match="frame rate"):
+        frame_budget(1e6, 0.0)
+
+
+def literal(*qualities: float, budget: float = 1e9, sizes: list[int] | None = None, beta: float = 2.0) -> int | None:
+    return select_literal(dense(*qualities, sizes=sizes), budget, beta)
+
+
+@pytest.mark.parametrize(
+    ("case", "answer", "expected"),
+    [
+        # level 0 of the largest budget wherever the search finds something: it looks for the lowest that fits
+        ("no cliff, everything fits", literal(40, 39, 38), 0),
+        ("no cliff, the second fits", literal(40, 39, 38, budget=250), 1),
+        ("1: the first drop is 0: x / 0 is a cliff", literal(40, 40, 39.9, 20, budget=150), 2),
+        ("2: a plateau, then a drop: x / 0 is a cliff", literal(40, 39, 39, 30, 20, budget=10), 3),
+        ("3: a tiny first drop makes a cliff of 0.1 dB", literal(40, 39.999, 39.9, 39.8, budget=10), 2),
+        ("4: rising quality changes the sign", literal(38, 40, 39, 30, budget=10), 3),
+        ("5: a slow slide has no cliff", literal(34, 32, 30, 28, 26, 24, 14, budget=150), 6),
+        ("6: the first level is never the cliff", literal(40, 20, 19, budget=250), 1),
+        ("6: unless beta < 1", literal(40, 39, 38, budget=10, beta=0.5), 1),
+        ("7: nothing fits, the answer is the cliff, outside S", literal(40, 39, 30, 20, budget=10), 2),
+        ("8: nothing fits, no cliff: undefined", literal(40, 39, 38, budget=10), None),
+        (
+            "9: sizes that do not fall mislead the search",
+            literal(40, 39, 38, 37, 36, sizes=[9, 4, 8, 7, 3], budget=5),
+            4,
+        ),
+        ("10: one level", literal(40), 0),
+        ("10: one level that does not fit", literal(40, budget=10), None),
+        ("11: infinite quality hides the first cliff", literal(math.inf, 30, 10, 5, budget=10), None),
+        ("11: NaN passes silently", literal(40, math.nan, 20, budget=150), 2),
+        ("12: a budget that is no number fits nothing", literal(40, 39, budget=math.nan), None),
+        ("14: a level of no bytes is a level like any other", literal(40, 39, sizes=[100, 0], budget=0), 1),
+        ("16: level 0 is in S even if another is better", literal(30, 35, budget=1e9), 0),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_algorithm_1_as_printed(case, answer, expected):
+    assert answer == expected
+
+
+def test_as_printed_without_levels_10():
+    with pytest.raises(ConfigError, match="at least one level"):
+        select_literal([], 10)
 
 
 def points_of(draw_sizes, draw_qualities):
@@ -150,25 +194,14 @@ def test_units_of_size_do_not_matter(points, budget, factor):
     assert (small.level, small.fits) == (large.level, large.fits)
 
 
-def test_the_estimate_is_the_smaller_average():
-    assert estimate_throughput([]) == 0
-    assert estimate_throughput([Download(1000, 1.0)]) == pytest.approx(8000)
-    rising = [Download(1000, 5.0), Download(10_000, 5.0)]
-    falling = rising[::-1]
-    assert estimate_throughput(falling) < estimate_throughput(rising)
-    assert 1600 < estimate_throughput(falling) < 16_000
-    assert estimate_throughput([Download(1000, 1e-9)]) == pytest.approx(8e12)
-
-
-@pytest.mark.parametrize("text", ["", "paper:1", "fixed", "fixed:", "fixed:4", "fixed:-1", "fixed:1.5", "best"])
-def test_unknown_policies(text):
-    with pytest.raises(ConfigError, match="expected paper or fixed:0"):
-        parse_policy(text, 4)
-
-
-def test_known_policies():
-    assert parse_policy("paper", 4) == ("paper", 0)
-    assert parse_policy("fixed:3", 4) == ("fixed", 3)
+@given(qualities=st.lists(st.floats(20, 60), min_size=1, max_size=11, unique=True), budget=st.integers(0, 1200))
+def test_as_printed_and_as_defined_agree_where_algorithm_1_is_defined(qualities, budget):
+    """Falling quality and sizes, no cliff, something fits."""
+    points = dense(*sorted(qualities, reverse=True))
+    answer = select_literal(points, budget, beta=math.inf)
+    decision = select(Ladder.build(points, beta=math.inf, cliff_db=math.inf), budget)
+    assert (answer is not None) == decision.fits
+    assert answer is None or answer == decision.level
 
 
 @given(

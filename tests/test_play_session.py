@@ -10,23 +10,34 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.parse import parse_manifest
+from airgs_codec.play import session
+from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.report import format_metrics, write_report
-from airgs_codec.play.session import SessionSettings, metrics, screen_ticks, simulate
+from airgs_codec.play.session import SessionSettings, mean_quality, metrics, screen_ticks, session_bound
 from airgs_codec.play.trace import Trace
 from tests.manifests import tiny_manifest
 
-BARE = {"decode_frame_s": 0.0, "loops": 1}
+BARE = {"decode_frame_s": 0.0, "loops": 1, "resume_s": 0.0, "replace": False, "abandon": False}
 
 
-def link(rates, starts=None, duration=None, rtt=0.0, headers=0):
+def link(rates, starts=None, duration=None, rtt=0.0, end="loop"):
     starts = list(range(len(rates))) if starts is None else starts
-    trace = Trace("t", np.array(starts, float), np.array(rates, float), float(duration or starts[-1] + 1))
-    return Link(trace, rtt, headers)
+    trace = Trace("t", np.array(starts, float), np.array(rates, float), float(duration or starts[-1] + 1), end=end)
+    return Link(trace, rtt)
 
 
 def fixed(level, **options):
-    return SessionSettings("fixed", level, **(BARE | options))
+    return SessionSettings(f"fixed:{level}", **(BARE | options))
+
+
+def simulate(manifest, manifest_bytes, link, settings, headers=0, faults=None):
+    return session.simulate(Catalogue(manifest, headers), manifest_bytes, link, settings, faults)
+
+
+def pairs(log):
+    """Key quality, level and PSNR of what was shown."""
+    return {(*log.catalogue.rungs[s.rung], s.psnr) for s in log.shown}
 
 
 @pytest.mark.parametrize("options", [{}, {"psnr": None}, {"state_bytes": (2000, 1000, 0)}], ids=str)
@@ -52,17 +63,8 @@ def test_a_session_by_hand():
 
 def test_a_tier_is_fetched_when_a_level_first_needs_it():
     """The last level does with T0; rising in the middle of a group brings T1 along, once."""
-    m = tiny_manifest(groups=(30,), psnr=None)
-    thirds = [replace(m.segments[0], start=s, stop=s + 10) for s in (0, 10, 20)]
-    for i, segment in enumerate(thirds):
-        levels = [replace(v, number=i + 1, frame_bytes=v.frame_bytes[:10]) for v in segment.levels]
-        thirds[i] = replace(segment, levels=levels)
-    files = dict(m.files)
-    for path, entry in m.files.items():
-        if path.startswith("state/") and not path.endswith("init.mp4"):
-            head, _, tail = path.rpartition("/1.")
-            files |= {f"{head}/{n}.{tail}": entry for n in (2, 3)}
-    m = replace(m, levels=[*m.levels[:2], replace(m.levels[2], tiers=1)], segments=thirds, files=files)
+    m = segmented(tiny_manifest(groups=(30,), psnr=None))
+    m = replace(m, levels=[*m.levels[:2], replace(m.levels[2], tiers=1)])
     assert parse_manifest(m.to_json()) == m
     low = simulate(m, 1000, link([8e4]), fixed(2))
     assert low.bytes_by_kind["key"] == 3000 and low.bytes_by_kind["sidecars"] == 100 + 3 * 100
@@ -81,7 +83,7 @@ def test_half_the_rate_stalls_and_the_frozen_picture_counts():
 
 
 def test_headers_round_trips_and_decoding_cost_time():
-    log = simulate(tiny_manifest(), 1000, link([8e4], rtt=0.1, headers=100), fixed(0, decode_frame_s=0.05))
+    log = simulate(tiny_manifest(), 1000, link([8e4], rtt=0.1), fixed(0, decode_frame_s=0.05), headers=100)
     # manifests 1 file; 3 init, 2 tiers of 3 files, state of 2; then without init
     assert [f.arrival_s for f in log.fetches] == pytest.approx([0.21, 1.065, 1.875])
     assert log.shown[0].start_s == pytest.approx(1.115)
@@ -118,14 +120,14 @@ def test_loops_fetch_keys_and_states_again_but_not_init_segments():
 def test_key_quality_and_level_are_chosen_together():
     rich = simulate(tiny_manifest(), 1000, link([8e7]), SessionSettings(**BARE))
     poor = simulate(tiny_manifest(), 1000, link([2e4]), SessionSettings(**BARE))
-    assert {(s.quality, s.level, s.psnr) for s in rich.shown} == {(0, 0, 40.0)}
-    assert {(s.quality, s.level, s.psnr) for s in poor.shown} == {(1, 2, 32.0)}
+    assert pairs(rich) == {(0, 0, 40.0)}
+    assert pairs(poor) == {(1, 2, 32.0)}
     assert "nothing fits" in poor.fetches[1].reason and "fit" in rich.fetches[1].reason
 
 
 def test_a_faster_link_is_no_worse_however_fast():
     log = simulate(tiny_manifest(), 1000, link([8e18]), SessionSettings(**BARE))
-    assert {(s.quality, s.level) for s in log.shown} == {(0, 0)}
+    assert pairs(log) == {(0, 0, 40.0)}
 
 
 def test_paper_needs_measured_quality_everywhere():
@@ -148,7 +150,9 @@ def test_paper_needs_measured_quality_everywhere():
         ({"decode_frame_s": float("inf")}, "decoding"),
         ({"loops": 0}, "loops"),
         ({"loops": -1}, "loops"),
-        ({"fixed_level": 3}, "level"),
+        ({"policy": "fixed:3"}, "--policy"),
+        ({"startup_s": -1.0}, "start-up"),
+        ({"resume_s": float("inf")}, "resume"),
     ],
 )
 def test_settings_that_cannot_work(options, words):
@@ -162,27 +166,145 @@ def test_round_trips_that_cannot_be(rtt):
         simulate(tiny_manifest(), 1000, link([8e6], rtt=rtt), fixed(0))
 
 
-rates = st.lists(st.sampled_from([0.0, 1e4, 5e4, 2e5, 5e6]), min_size=1, max_size=12).filter(any)
+def test_playing_begins_when_enough_is_at_hand():
+    """0.645 and 0.63 s of download: the second segment is there at 1.375 s."""
+    log = simulate(tiny_manifest(), 1000, link([8e4]), fixed(0, startup_s=1.5))
+    assert [s.start_s for s in log.shown] == pytest.approx([1.375, 2.375])
+    assert [s.stall_s for s in log.shown] == [0, 0]
 
 
-@settings(deadline=None, max_examples=60)
-@given(rates=rates, policy=st.sampled_from(["paper", "fixed"]), buffer_s=st.sampled_from([0.5, 2.0, 10.0]))
-def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, buffer_s):
+def test_it_goes_on_when_enough_is_at_hand_again():
+    """Half the rate: the second segment stalls by 0.26 s; with 1.5 s wanted the player waits for the third too."""
+    one = simulate(tiny_manifest(), 1000, link([4e4]), fixed(0, loops=2))
+    assert [s.stall_s for s in one.shown] == pytest.approx([0, 0.26, 0.26, 0.26])
+    two = simulate(tiny_manifest(), 1000, link([4e4]), fixed(0, loops=2, resume_s=1.5))
+    assert [s.ready_s for s in two.shown] == pytest.approx([1.49, 2.75, 4.01, 5.27])
+    assert [s.start_s for s in two.shown] == pytest.approx([1.49, 4.01, 5.01, 6.01])
+    assert [s.stall_s for s in two.shown] == pytest.approx([0, 1.52, 0, 0])
+    assert two.shown[-1].start_s + 1 > one.shown[-1].start_s
+
+
+def test_a_full_buffer_need_not_wait_for_more():
+    log = simulate(tiny_manifest(), 1000, link([4e4]), fixed(0, loops=2, resume_s=9.0, startup_s=9.0, buffer_s=2.0))
+    assert log.shown[0].start_s == pytest.approx(2.75)  # two segments are all it may hold
+    assert len(log.shown) == 4
+
+
+def test_buffered_segments_are_replaced_by_better_ones_in_time():
+    """A slow second, then a fast link: what waits in the buffer is fetched again, the first one is on the screen."""
+    quick = {"policy": "paper", "buffer_s": 4.0, "loops": 4}
     m = tiny_manifest()
-    rules = SessionSettings(policy, 1, buffer_s, loops=5)
-    a, b = (simulate(m, 1000, link(rates, rtt=0.08, headers=350), rules) for _ in range(2))
+    kept = simulate(m, 1000, link([3e4, 8e6], [0, 2], 1000), SessionSettings(**(BARE | quick)))
+    better = simulate(m, 1000, link([3e4, 8e6], [0, 2], 1000), SessionSettings(**(BARE | quick | {"replace": True})))
+    replaced = [f for f in better.fetches if f.kind == "better"]
+    assert replaced and mean_quality(better) > mean_quality(kept)
+    for f in replaced:
+        shown = better.shown[f.position]
+        assert f.arrival_s <= shown.start_s and shown.rung == f.rung
+    assert metrics(better)["wasted"] > 0 == metrics(kept)["wasted"]
+
+
+def test_a_better_key_serves_the_rest_of_its_group():
+    """Six segments in one group; the first comes with the coarse key, a later one brings the fine one."""
+    m = segmented(tiny_manifest(groups=(60,)), 6)
+    log = simulate(m, 1000, link([2.4e4, 8e6], [0, 1.2], 1000), SessionSettings("robust-mpc", **BARE))
+    qualities = [log.catalogue.rungs[s.rung][0] for s in log.shown]
+    assert qualities[0] == 1 and qualities[-1] == 0 and qualities == sorted(qualities, reverse=True)
+    keys = [f for f in log.fetches if f.kind == "group"]
+    assert len(keys) == 2 and metrics(log)["bytes"]["key"] == 1500 + 4000
+
+
+def test_a_download_that_would_come_too_late_is_given_up():
+    """The link collapses in the middle of a large segment; whole files of it are kept."""
+    slow = link([8e4, 4e3, 8e4], [0, 1.0, 9.0], 1000)
+    patient = simulate(tiny_manifest(), 1000, slow, fixed(0))
+    hasty = simulate(tiny_manifest(), 1000, slow, replace(fixed(0), policy="paper", abandon=True))
+    assert metrics(patient)["abandoned"] == 0 and metrics(hasty)["abandoned"] >= 1
+    assert metrics(hasty)["stall_s"] < metrics(patient)["stall_s"]
+    given_up = next(f for f in hasty.fetches if "abandoned" in f.reason)
+    assert given_up.arrival_s - given_up.request_s >= 0.5 and 0 < given_up.wasted <= given_up.bytes
+
+
+def test_missing_and_corrupt_files_cost_their_rung_and_no_more():
+    m = tiny_manifest()
+    whole = simulate(m, 1000, link([8e6]), fixed(0))
+    missing = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults={"state/L0/1.m4s": "missing"})
+    assert [log_rung(missing, i) for i in (0, 1)] == ["Q0+L1", "Q0+L0"]
+    assert "state/L0/1.m4s" in missing.lost[0] and metrics(missing)["lost_frames"] == 0
+    assert metrics(missing)["bytes"]["state"] == 3000 and metrics(whole)["bytes"]["state"] == 4000
+    corrupt = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults={"state/L0/1.m4s": "the SHA-256 differs"})
+    assert corrupt.fetches[1].bytes == missing.fetches[1].bytes + 2000  # it travels before it can be found wrong
+    assert corrupt.fetches[1].wasted > missing.fetches[1].wasted
+
+
+def test_without_its_key_a_group_is_lost_and_the_next_one_is_not():
+    m = tiny_manifest()
+    log = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults={"key/T0/1.bin": "missing"})
+    assert [s.rung is None for s in log.shown] == [True, False]
+    assert metrics(log)["lost_frames"] == 10 and log_rung(log, 1) == "Q0+L0"
+    assert "frames 0-9" in log.lost[-1] and metrics(log)["psnr_mean"] == 40.0
+    assert log.shown[1].start_s == pytest.approx(log.shown[0].start_s + 1)  # the last picture stands for its time
+    assert "lost" in format_metrics(log)
+    nothing = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults=dict.fromkeys(m.files, "missing"))
+    assert all(s.rung is None for s in nothing.shown) and metrics(nothing)["psnr_mean"] is None
+    assert session_bound(nothing) is None
+
+
+def log_rung(log, index):
+    return log.catalogue.names[log.shown[index].rung]
+
+
+rates = st.lists(st.sampled_from([0.0, 1e4, 5e4, 2e5, 5e6]), min_size=1, max_size=12).filter(any)
+policies = st.sampled_from(["paper", "paper-literal", "throughput", "bola", "robust-mpc", "oracle-frame", "fixed:1"])
+
+
+@settings(deadline=None, max_examples=120)
+@given(
+    rates=rates,
+    policy=policies,
+    buffer_s=st.sampled_from([0.5, 2.0, 10.0]),
+    extras=st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.5, 2.5])),
+    split=st.booleans(),
+    bad=st.sampled_from([None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin"]),
+)
+def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, buffer_s, extras, split, bad):
+    m = segmented(tiny_manifest(groups=(30,))) if split else tiny_manifest()
+    faults = {bad: "missing"} if bad in m.files else {}
+    again, give_up, wait = extras
+    rules = SessionSettings(
+        policy, buffer_s, loops=3, replace=again, abandon=give_up, startup_s=wait, resume_s=wait, decode_frame_s=0.01
+    )
+    over = link(rates, rtt=0.08)
+    a, b = (simulate(m, 1000, over, rules, 350, faults) for _ in range(2))
     assert (a.fetches, a.shown, metrics(a)) == (b.fetches, b.shown, metrics(b))
     for first, second in itertools.pairwise(a.fetches):
         assert first.request_s <= first.arrival_s <= second.request_s
     for s in a.shown:
-        assert s.ready_s <= s.start_s
+        assert s.ready_s <= s.start_s + 1e-9
     ends = [s.start_s + s.frames / 10 for s in a.shown]
     for end, later in zip(ends, a.shown[1:], strict=False):
         assert later.stall_s >= 0 and later.start_s == pytest.approx(end + later.stall_s)
-    payload = sum(a.bytes_by_kind.values())
-    assert payload <= metrics(a)["wire_bytes"]
-    used = a.link.trace.bits_until(a.fetches[-1].arrival_s)
-    assert 8 * metrics(a)["wire_bytes"] <= used * (1 + 1e-9) + 1e-3  # nothing travels that the trace does not carry
+    assert sum(a.bytes_by_kind.values()) <= metrics(a)["wire_bytes"]
+    assert all(0 <= f.wasted <= f.bytes for f in a.fetches)
+    used = over.bytes_between(0.0, a.fetches[-1].arrival_s)
+    assert metrics(a)["wire_bytes"] <= used * (1 + 1e-9) + len(a.fetches)  # nothing travels that the trace lacks
+    bound = session_bound(a)
+    if bound is not None:
+        assert bound >= mean_quality(a) - 1e-6
+
+
+def segmented(m, count=3):
+    """The one group of a tiny manifest in `count` segments."""
+    part = m.frames // count
+    segments, files = [], dict(m.files)
+    for i in range(count):
+        levels = [replace(v, number=i + 1, frame_bytes=v.frame_bytes[:part]) for v in m.segments[0].levels]
+        segments.append(replace(m.segments[0], start=i * part, stop=(i + 1) * part, levels=levels))
+    for path, entry in m.files.items():
+        if path.startswith("state/") and not path.endswith("init.mp4"):
+            head, _, tail = path.rpartition("/1.")
+            files |= {f"{head}/{n}.{tail}": entry for n in range(2, count + 1)}
+    return replace(m, segments=segments, files=files)
 
 
 def test_a_report_is_written(tmp_path):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import TransportError
 from airgs_codec.play.link import Link
-from airgs_codec.play.trace import Trace, read_trace
+from airgs_codec.play.trace import Trace, open_trace, read_trace
 from tests.scenes import FOX
 
 RACA = (
@@ -116,6 +116,10 @@ def test_mahimahi_counts_packets_in_each_millisecond(tmp_path):
         ("\n\n", "empty"),
         (b"\xff\xfe\x00garbage", "cannot read"),
         ("hello\nworld\n", "expected Raca CSV"),
+        ("[1, 2]", "expected Raca CSV"),
+        ('[{"duration_ms": 500}]', "bandwidth_kbps"),
+        ("[]", "expected Raca CSV"),
+        ("[{", "expected Raca CSV"),
         ("time_s,mbps\n", "no rows"),
         ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
         ("0,1\n1,fast\n", "expected Raca CSV"),
@@ -146,7 +150,47 @@ def test_missing_files_and_folders(tmp_path):
             read_trace(path)
 
 
-def test_a_batch_pays_one_round_trip_and_a_header_a_file():
-    link = Link(trace([8e6]), rtt_s=0.1, header_bytes=350)
-    assert link.wire_bytes([1000, 2000]) == 3700
-    assert link.arrival_s([1000, 2000], 1.0) == pytest.approx(1.1037)
+def test_a_batch_pays_one_round_trip():
+    link = Link(trace([8e6]), rtt_s=0.1)
+    assert link.arrival_s(3700, 1.0) == pytest.approx(1.1037)
+    assert link.bytes_between(1.0, 1.5) == pytest.approx(500_000)
+    assert link.bytes_between(1.5, 1.0) == 0
+
+
+def test_what_follows_the_end():
+    t = trace([8e6, 4e6])
+    assert t.arrival_s(2_000_000, 0.0) == pytest.approx(2.5)  # 1 MB and 0.5 MB, then 0.5 MB again at the first rate
+    assert t.ending("hold").arrival_s(2_000_000, 0.0) == pytest.approx(3.0)
+    assert t.ending("hold").bits_until(3.0) == pytest.approx(16e6)
+    assert (t.rate_at(2.5), t.ending("hold").rate_at(2.5), t.ending("error").rate_at(2.5)) == (8e6, 4e6, 0.0)
+    assert t.ending("error").arrival_s(1_500_000, 0.0) == pytest.approx(2.0)
+    with pytest.raises(TransportError, match="with 500000 bytes still to come"):
+        t.ending("error").arrival_s(2_000_000, 0.0)
+    with pytest.raises(TransportError, match="ends after 2 s"):  # a rate of zero for ever is an error, not a hang
+        trace([8e6, 0]).ending("hold").arrival_s(2_000_000, 0.0)
+    with pytest.raises(TransportError, match="expected an end"):
+        t.ending("begin")
+
+
+def test_sabre_periods_and_their_latency(tmp_path):
+    t = read_trace(
+        written(
+            tmp_path,
+            '[{"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 20},\n'
+            ' {"duration_ms": 1500, "bandwidth_kbps": 4000, "latency_ms": 40}]',
+        )
+    )
+    assert (t.starts_s.tolist(), t.rates_bps.tolist(), t.duration_s) == ([0, 0.5], [2e6, 4e6], 2.0)
+    assert t.rtt_s == pytest.approx(0.03)
+    assert t.cut(0.7).rtt_s == t.rtt_s
+
+
+def test_constant_and_synthetic_traces():
+    assert open_trace("const:5").arrival_s(625_000, 0.0) == pytest.approx(1.0)
+    a, b, c = open_trace("markov:1"), open_trace("markov:1"), open_trace("markov:2:3")
+    assert a.rates_bps.tolist() == b.rates_bps.tolist() and a.starts_s.tolist() == b.starts_s.tolist()
+    assert a.mean_bps == pytest.approx(8e6) and c.mean_bps == pytest.approx(3e6)
+    assert (a.rates_bps == 0).any() and a.duration_s == 300
+    for bad in ("const:", "const:x", "const:1:2", "markov:x", "markov:1:2:3", "const:0", "const:-1", "const:nan"):
+        with pytest.raises(TransportError):
+            open_trace(bad)

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from airgs_codec.cli.common import run_command
+from airgs_codec.cli.common import Bar, run_command
+from airgs_codec.decode import decode_frame
+from airgs_codec.errors import ConfigError
 from airgs_codec.inspection import bytes_by_attribute, format_attributes, format_summary, plot_ladder, summarise
-from airgs_codec.package import open_package
+from airgs_codec.measure import measured_views
+from airgs_codec.package import Package, open_package
+from airgs_codec.play.dense import dense_table, format_dense, measure_dense, plot_dense
+from airgs_codec.render import read_cameras
+from airgs_codec.render.views import orbit_views
+from airgs_codec.sequence import open_sequence
 from airgs_codec.validate import validate
 
 
@@ -20,6 +28,9 @@ def _parser() -> argparse.ArgumentParser:
     inspect.add_argument("package", type=Path)
     inspect.add_argument("--json", action="store_true", help="the same as JSON")
     inspect.add_argument("--plot", type=Path, metavar="FILE.png", help="picture of the ladder and of bytes over time")
+    inspect.add_argument("--ladder", action="store_true", help="measure the dense level space (minutes)")
+    inspect.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original, for --ladder (default: L0)")
+    inspect.add_argument("--views", type=Path, metavar="FILE", help="cameras, for --ladder (default: generated)")
     check = commands.add_parser("validate", help="exit 0, or 1 with one line a finding")
     check.add_argument("package", type=Path)
     check.add_argument("--json", action="store_true", help="findings as JSON")
@@ -35,6 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _inspect(args: argparse.Namespace) -> int:
     package = open_package(args.package)
     m = package.manifest
+    if args.ladder:
+        return _ladder(package, args)
     if args.plot:
         plot_ladder(m, package.manifest_bytes, args.plot)
     if args.json:
@@ -45,6 +58,22 @@ def _inspect(args: argparse.Namespace) -> int:
         print(format_attributes(package))
         if args.plot:
             print(f"picture: {args.plot}")
+    return 0
+
+
+def _ladder(package: Package, args: argparse.Namespace) -> int:
+    original = open_sequence(args.against) if args.against else None
+    if original is not None and len(original) != package.manifest.frames:
+        raise ConfigError(f"{args.against}: expected {package.manifest.frames} frames, got {len(original)}")
+    cameras = read_cameras(args.views) if args.views else list(original.cameras) if original else []
+    cameras = cameras or orbit_views(decode_frame(package, 0))
+    training = [c for c in cameras if c.split != "test"] or cameras
+    bar = Bar(args.json)
+    points = measure_dense(package, measured_views(cameras), training, original, os.cpu_count() or 1, bar)
+    bar.close()
+    if args.plot:
+        plot_dense(points, package.manifest.frames, args.plot)
+    print(json.dumps(dense_table(points)) if args.json else format_dense(points, package.manifest.frames))
     return 0
 
 

@@ -1,9 +1,11 @@
-"""airgs-play: a package over a bandwidth trace."""
+"""airgs-play: a package over a bandwidth trace, one session or a study of many."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,34 +15,63 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.measure import measured_views
 from airgs_codec.package import Package, open_package
 from airgs_codec.picture import write_png
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.check import find_faults, measure_decoding
+from airgs_codec.play.closed_loop import adaptive, closed_loop_table, run_closed_loop
+from airgs_codec.play.frames import CHOOSERS, frame_table, simulate_frames
 from airgs_codec.play.link import DEFAULT_RTT_S, Link
-from airgs_codec.play.policy import parse_policy
+from airgs_codec.play.policy import NAMES, make_policy
 from airgs_codec.play.report import format_metrics, write_report
-from airgs_codec.play.screen import film, still
-from airgs_codec.play.session import SessionLog, SessionSettings, metrics, simulate
-from airgs_codec.play.trace import read_trace
+from airgs_codec.play.screen import film, first_shown, still
+from airgs_codec.play.session import SESSION_S, SessionLog, SessionSettings, metrics, simulate
+from airgs_codec.play.study import StudySettings, run_study
+from airgs_codec.play.study_report import format_study, write_study
+from airgs_codec.play.trace import ENDS, open_trace
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.render.views import orbit_views
+from airgs_codec.sequence import open_sequence
+
+MODES = ("segments", "frames", "closed-loop")
+COMPARED = ("robust-mpc", "paper", "paper-literal", "throughput", "bola", "oracle-frame")
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="airgs-play", description="Simulate a viewer of a package over a trace.")
+    parser = argparse.ArgumentParser(
+        prog="airgs-play",
+        description="Simulate a viewer of a package over a bandwidth trace, or compare policies over many.",
+    )
     parser.add_argument("package", type=Path)
-    parser.add_argument("--trace", type=Path, required=True, help="Raca CSV, time_s,mbps CSV or mahimahi")
-    parser.add_argument("--policy", default="paper", help="paper (Algorithm 1) or fixed:J (level J) (default: paper)")
-    parser.add_argument("--rtt", type=float, default=1e3 * DEFAULT_RTT_S, metavar="MS", help="round trip (default: 80)")
-    parser.add_argument(
-        "--offset", type=float, default=0.0, metavar="S", help="where in the trace to begin (default: 0)"
-    )
-    parser.add_argument(
-        "--scale", type=float, default=1.0, help="factor on the trace's rates (default: 1, as measured)"
-    )
-    parser.add_argument("--buffer", type=float, default=10.0, metavar="S", help="most media ahead (default: 10)")
-    parser.add_argument("--loops", type=int, help="times the sequence is played (default: about 30 s of play)")
-    parser.add_argument("--views", type=Path, metavar="FILE", help="cameras to look from (default: generated)")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write pictures and a page of the session")
-    parser.add_argument("--video", type=Path, metavar="OUT.mp4", help="film what was on the screen")
-    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    traces = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
+    parser.add_argument("--trace", metavar="TRACE", help=traces)
+    parser.add_argument("--mode", choices=MODES, default="segments", help="frames, closed-loop: as the paper streams")
+    names = f"{', '.join(NAMES)}, fixed:J (level J) or fixed:RUNG (default: paper)"
+    parser.add_argument("--policy", default="paper", help=names)
+    link = parser.add_argument_group("link")
+    link.add_argument("--rtt", type=float, metavar="MS", help=f"round trip (default: the trace's, else {80})")
+    link.add_argument("--offset", type=float, default=0.0, metavar="S", help="where in the trace to begin (default: 0)")
+    link.add_argument("--scale", type=float, default=1.0, help="factor on the trace's rates (default: 1, as measured)")
+    link.add_argument("--end", choices=ENDS, default="loop", help="what follows the trace's last second")
+    player = parser.add_argument_group("player")
+    player.add_argument("--buffer", type=float, default=10.0, metavar="S", help="most media ahead (default: 10)")
+    player.add_argument("--startup", type=float, default=0.0, metavar="S", help="media at hand before the start")
+    player.add_argument("--resume", type=float, default=0.5, metavar="S", help="the same after a stall (default: 0.5)")
+    player.add_argument("--decode-ms", default="4", metavar="MS", help="a frame, or measure (default: 4)")
+    player.add_argument("--no-replace", action="store_true", help="never fetch a better rung for what is buffered")
+    player.add_argument("--no-abandon", action="store_true", help="never give up a download")
+    player.add_argument("--loops", type=int, help="times the sequence is played (default: about 30 s of play)")
+    study = parser.add_argument_group("study")
+    study.add_argument("--compare", action="store_true", help="policies against each other on --traces")
+    study.add_argument("--traces", nargs="+", default=[], metavar="DIR|TRACE", help="folders of traces, or traces")
+    study.add_argument("--offsets", type=int, default=8, help="starts in each trace, drawn from --seed (default: 8)")
+    study.add_argument("--policies", default=",".join(COMPARED), help=f"default: {','.join(COMPARED)}")
+    study.add_argument("--seed", type=int, default=1)
+    study.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
+    out = parser.add_argument_group("output")
+    out.add_argument("--views", type=Path, metavar="FILE", help="cameras to look from (default: generated)")
+    out.add_argument("--original", type=Path, metavar="SEQUENCE", help="shown beside the screen in --video")
+    out.add_argument("--report", type=Path, metavar="DIR", help="write pictures and a page")
+    out.add_argument("--video", type=Path, metavar="OUT.mp4", help="film what was on the screen")
+    out.add_argument("--json", action="store_true", help="print the figures as JSON")
     return parser
 
 
@@ -52,37 +83,156 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(args: argparse.Namespace) -> int:
     package = open_package(args.package)
-    policy, level = parse_policy(args.policy, len(package.manifest.levels))
-    link = Link(read_trace(args.trace).cut(args.offset, args.scale), args.rtt / 1e3)
-    settings = SessionSettings(policy, level, args.buffer, loops=args.loops)
-    log = simulate(package.manifest, package.manifest_bytes, link, settings)
-    cameras = _cameras(package, args) if args.report or args.video else []
+    if args.report and args.report.exists() and not args.report.is_dir():
+        raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
+    if args.compare:
+        return _compare(package, args)
+    if not args.trace:
+        raise ConfigError("expected --trace, or --compare with --traces")
+    if args.rtt is not None and not (math.isfinite(args.rtt) and args.rtt >= 0):
+        raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {args.rtt:g}")
+    trace = open_trace(args.trace).cut(args.offset, args.scale).ending(args.end)
+    rtt = args.rtt / 1e3 if args.rtt is not None else trace.rtt_s
+    link = Link(trace, DEFAULT_RTT_S if rtt is None else rtt)
+    if args.mode == "frames":
+        return _frames(package, link, args)
+    if args.mode == "closed-loop":
+        return _closed_loop(package, link, args)
+    return _session(package, link, args)
+
+
+def _settings(package: Package, args: argparse.Namespace) -> SessionSettings:
+    if args.decode_ms == "measure":
+        decode_s = measure_decoding(package)
+    else:
+        try:
+            decode_s = float(args.decode_ms) / 1e3
+        except ValueError as error:
+            raise ConfigError(f"--decode-ms: expected milliseconds or measure, got {args.decode_ms}") from error
+    return SessionSettings(
+        args.policy,
+        args.buffer,
+        args.startup,
+        args.resume,
+        decode_s,
+        not args.no_replace,
+        not args.no_abandon,
+        args.loops,
+    )
+
+
+def _session(package: Package, link: Link, args: argparse.Namespace) -> int:
+    original = open_sequence(args.original) if args.original else None
+    settings, faults = _settings(package, args), find_faults(package)
+    log = simulate(Catalogue(package.manifest), package.manifest_bytes, link, settings, faults)
+    cameras = _cameras(package, log, args) if args.report or args.video else []
     if args.report:
-        _report(package, log, cameras, args.report)
+        args.report.mkdir(parents=True, exist_ok=True)
+        write_png(args.report / "screen.png", still(package, log, cameras[0]))
+        write_report(log, args.report)
     if args.video:
         bar = Bar(args.json)
-        film(package, log, cameras, args.video, bar)
+        film(package, log, cameras, args.video, original, bar)
         bar.close()
-    result = metrics(log) | {"policy": args.policy}
-    print(json.dumps(result) if args.json else _as_words(log, args))
+    print(json.dumps(metrics(log) | {"policy": args.policy}) if args.json else _as_words(log, args))
     return 0
 
 
-def _cameras(package: Package, args: argparse.Namespace) -> list[Camera]:
+def _cameras(package: Package, log: SessionLog, args: argparse.Namespace) -> list[Camera]:
     if args.views:
         return measured_views(read_cameras(args.views))
-    return orbit_views(decode_frame(package, 0), size=320)
-
-
-def _report(package: Package, log: SessionLog, cameras: Sequence[Camera], directory: Path) -> None:
-    if directory.exists() and not directory.is_dir():
-        raise ConfigError(f"{directory}: expected a folder for the report, got a file")
-    directory.mkdir(parents=True, exist_ok=True)
-    write_png(directory / "screen.png", still(package, log, cameras[0]))
-    write_report(log, directory)
+    shown = first_shown(package, log)
+    if shown is None:
+        raise ConfigError(f"{args.package}: nothing can be shown: {'; '.join(log.lost)}")
+    return orbit_views(shown, size=320)
 
 
 def _as_words(log: SessionLog, args: argparse.Namespace) -> str:
     report = f"\n{'report':<22}{args.report / 'index.html'}" if args.report else ""
     film_line = f"\n{'film':<22}{args.video}" if args.video else ""
     return format_metrics(log) + report + film_line
+
+
+def _loops(package: Package, args: argparse.Namespace) -> int:
+    m = package.manifest
+    return int(args.loops or max(1, round(SESSION_S * float(m.fps) / m.frames)))
+
+
+def _frames(package: Package, link: Link, args: argparse.Namespace) -> int:
+    c = Catalogue(package.manifest)
+    tables = {name: frame_table(simulate_frames(c, link, name, _loops(package, args))) for name in CHOOSERS}
+    if args.json:
+        print(json.dumps(tables | {"trace": link.trace.name, "scale": link.trace.scale}))
+        return 0
+    print(f"{link.trace.name}: mean {link.trace.mean_bps / 1e6:.2f} Mbit/s, rates x{link.trace.scale:g}; state only")
+    print("ms a frame: bits over the rate of that moment (as the paper counts), and over the link one after another")
+    print(f"{'':14}{'kB/frame':>9}{'PSNR':>7}{'mean':>7}{'95 %':>7}{'worst':>8} |{'mean':>7}{'95 %':>7}{'worst':>8}"
+          f"{'late':>7}{'no fit':>8}{'skipped':>9}")  # fmt: skip
+    for name, t in tables.items():
+        print(
+            f"{name:14}{t['kb_frame']:9.2f}{t['psnr']:7.2f}{t['paper_mean_ms']:7.1f}{t['paper_p95_ms']:7.1f}"
+            f"{t['paper_max_ms']:8.1f} |{t['link_mean_ms']:7.1f}{t['link_p95_ms']:7.1f}{t['link_max_ms']:8.1f}"
+            f"{100 * t['late']:6.1f}%{100 * t['infeasible']:7.1f}%{100 * t['skipped']:8.1f}%"
+        )
+    return 0
+
+
+def _closed_loop(package: Package, link: Link, args: argparse.Namespace) -> int:
+    cameras = read_cameras(args.views) if args.views else orbit_views(decode_frame(package, 0))
+    training = [c for c in cameras if c.split != "test"] or cameras
+    bar = Bar(args.json)
+    loops = _loops(package, args)
+    sent = run_closed_loop(package, training, measured_views(cameras), adaptive, link, loops, progress=bar)
+    bar.close()
+    table = closed_loop_table(sent)
+    if args.json:
+        print(json.dumps(table | {"trace": link.trace.name, "scale": link.trace.scale}))
+        return 0
+    m = package.manifest
+    state = [m.bytes_of(m.state_files(i, 0)) for i in range(len(m.segments))]
+    trace = link.trace
+    print(
+        f"closed loop over {trace.name}, mean {trace.mean_bps / 1e6:.2f} Mbit/s, rates x{trace.scale:g}:\n"
+        f"{table['kb_frame']:.2f} kB/frame of state, worst frame {table['worst_kb']:.2f} kB, "
+        f"{100 * table['pruned']:.0f} % pruned on average, {100 * table['skipped']:.1f} % of frames skipped\n"
+        f"{table['psnr_to_top']:.2f} dB to the top rung, {100 * table['stale']:.1f} % of the moving rows stale, "
+        f"drift {table['drift_steps']} steps\n"
+        f"the package's level 0, for every viewer: {sum(state) / m.frames / 1e3:.2f} kB/frame"
+    )
+    return 0
+
+
+def _compare(package: Package, args: argparse.Namespace) -> int:
+    if not args.traces:
+        raise ConfigError("--compare: expected --traces with folders of traces, or traces")
+    traces: list[str] = []
+    for text in args.traces:
+        folder = Path(text)
+        found = sorted(str(p) for p in folder.iterdir() if p.is_file()) if folder.is_dir() else [text]
+        if not found:
+            raise ConfigError(f"{folder}: expected a folder with traces, got an empty one")
+        traces += found
+    c = Catalogue(package.manifest)
+    policies = tuple(name for name in args.policies.split(",") if name)
+    for name in policies:
+        make_policy(name, c, Link(open_trace("const:1")))
+    settings = StudySettings(
+        policies,
+        tuple(traces),
+        args.offsets,
+        args.scale,
+        args.end,
+        None if args.rtt is None else args.rtt / 1e3,
+        args.seed,
+        _settings(package, args),
+        args.jobs,
+    )
+    bar = Bar(args.json)
+    study = run_study(args.package, settings, bar)
+    bar.close()
+    if args.report:
+        write_study(study, args.report)
+    print(format_study(study, args.json))
+    if args.report and not args.json:
+        print(f"report: {args.report / 'index.html'}")
+    return 0

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.session import SessionLog, metrics, screen_ticks
+from airgs_codec.play.session import SessionLog, frame_times, mean_quality, metrics, screen_ticks, session_bound
 
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
 
@@ -53,19 +53,18 @@ def plot_session(log: SessionLog, path: Path) -> None:
 
 def _end(log: SessionLog) -> float:
     last = log.shown[-1]
-    return last.start_s + last.frames / float(log.manifest.fps)
+    return last.start_s + last.frames / log.catalogue.fps
 
 
 def _throughput(axis: Any, log: SessionLog) -> None:
     trace = log.link.trace
     grid = np.linspace(0, _end(log), 1500)
-    at = np.searchsorted(trace.starts_s, grid % trace.duration_s, side="right") - 1
-    axis.fill_between(grid, trace.rates_bps[at] / 1e6, color=_BLUE, alpha=0.25, linewidth=0, label="trace")
+    axis.fill_between(grid, [trace.rate_at(t) / 1e6 for t in grid], color=_BLUE, alpha=0.25, linewidth=0, label="trace")
     times = [f.request_s for f in log.fetches]
     axis.step(times, [f.throughput_bps / 1e6 for f in log.fetches], where="post", color=_BLUE, label="estimate")
     axis.set(ylabel="Mbit/s", title=f"Throughput: {trace.name}, mean {trace.mean_bps / 1e6:.1f} Mbit/s", ylim=(0, None))
     sizes = axis.twinx()
-    for kind, marker, color in (("group", "s", _ORANGE), ("state", "o", _GREEN)):
+    for kind, marker, color in (("group", "s", _ORANGE), ("state", "o", _GREEN), ("better", "^", _RED)):
         batch = [f for f in log.fetches if f.kind == kind]
         if not batch:
             continue
@@ -91,17 +90,19 @@ def _throughput(axis: Any, log: SessionLog) -> None:
 
 
 def _rungs(axis: Any, log: SessionLog) -> None:
-    m = log.manifest
-    names = [f"{q.id} + {v.id}" for q in m.qualities for v in m.levels]
+    names = [*log.catalogue.names, "lost"]
     for s in log.shown:
-        y = s.quality * len(m.levels) + s.level
-        axis.plot([s.start_s, s.start_s + s.frames / float(m.fps)], [y, y], color=_GREEN, linewidth=5)
+        y = len(names) - 1 if s.rung is None else s.rung
+        color = _GREEN if s.rung is not None else _RED
+        axis.plot([s.start_s, s.start_s + s.frames / log.catalogue.fps], [y, y], color=color, linewidth=5)
+    if all(s.rung is not None for s in log.shown):
+        names.pop()
     axis.set_yticks(range(len(names)), names, fontsize=8)
-    axis.set(title="Chosen key quality and level", ylim=(len(names) - 0.5, -0.5))
+    axis.set(title="Rung shown: key quality and level", ylim=(len(names) - 0.5, -0.5))
 
 
 def _buffer(axis: Any, log: SessionLog) -> None:
-    fps = float(log.manifest.fps)
+    fps = log.catalogue.fps
     ready = [0.0, *np.cumsum([s.frames / fps for s in log.shown])]
     grid = np.linspace(0, _end(log), 1500)
     starts, arrivals = np.array([s.start_s for s in log.shown]), np.array([s.ready_s for s in log.shown])
@@ -116,17 +117,17 @@ def _buffer(axis: Any, log: SessionLog) -> None:
 
 def _psnr(axis: Any, log: SessionLog) -> None:
     values = [log.shown[i].psnr for i, _ in screen_ticks(log)]
-    if any(v is None for v in values):
+    if all(v is None for v in values):
         axis.text(0.5, 0.5, "quality was not measured", ha="center", transform=axis.transAxes)
     else:
-        fps = float(log.manifest.fps)
+        fps = log.catalogue.fps
         times = log.shown[0].start_s + np.arange(len(values)) / fps
         axis.step(times, np.array(values, np.float64), where="post", color=_BLUE)
     axis.set(ylabel="dB", title="PSNR of what was on the screen (measured a segment; a frozen picture keeps its own)")
 
 
 def _arrivals(axis: Any, log: SessionLog) -> None:
-    fps = float(log.manifest.fps)
+    fps = log.catalogue.fps
     displays = np.concatenate([s.start_s + np.arange(s.frames) / fps for s in log.shown])
     arrivals = np.concatenate([np.full(s.frames, s.ready_s) for s in log.shown])
     frames = np.arange(len(displays))
@@ -139,11 +140,11 @@ def _arrivals(axis: Any, log: SessionLog) -> None:
 def _transfers(axis: Any, log: SessionLog) -> None:
     """The paper's transmission time: request to arrival of a batch, shared by the frames it shows."""
     batches = [f for f in log.fetches if f.kind != "manifests"]
-    frames = np.array([log.shown[f.segment].frames for f in batches])
+    frames = np.array([log.shown[f.position].frames for f in batches])
     took = 1e3 * np.array([f.arrival_s - f.request_s for f in batches]) / np.maximum(frames, 1)
-    axis.axhline(1e3 / float(log.manifest.fps), color=_GREY, linestyle="--", label="a frame on the screen")
+    axis.axhline(1e3 / log.catalogue.fps, color=_GREY, linestyle="--", label="a frame on the screen")
     axis.plot([f.arrival_s for f in batches], took, ".", color=_GREEN, label="a frame on its way")
-    every = np.repeat(took, frames)
+    every = 1e3 * frame_times(log)
     title = "Time a frame was on its way, its share of round trip and key included"
     if len(every):
         title += f": mean {every.mean():.0f} ms, 95 % under {np.percentile(every, 95):.0f} ms"
@@ -158,23 +159,37 @@ def format_metrics(log: SessionLog) -> str:
 
 def _readable(log: SessionLog) -> list[tuple[str, str]]:
     r: dict[str, Any] = metrics(log)
+    bound = session_bound(log) if log.catalogue.measured else None
     notes = [f"from {r['trace_offset_s']:g} s"] * (r["trace_offset_s"] > 0)
-    notes += [f"rates x{r['trace_scale']:g}"] * (r["trace_scale"] != 1) + ["repeated"] * r["trace_looped"]
+    notes += [f"rates x{r['trace_scale']:g}"] * (r["trace_scale"] != 1)
+    notes += [{"loop": "repeated", "hold": "last rate held", "error": ""}[r["trace_end"]]] * r["trace_ended"]
     quality = "not measured"
     if r["psnr_mean"] is not None:
         quality = f"mean {r['psnr_mean']:.2f} dB, 5th percentile {r['psnr_p5']:.2f} dB"
     wire = ", ".join(f"{kind} {size / 1e3:.1f}" for kind, size in r["bytes"].items())
-    return [
-        ("policy", log.settings.policy if log.settings.policy == "paper" else f"fixed:{log.settings.fixed_level}"),
+    rows = [
+        ("policy", log.settings.policy),
         ("trace", f"{r['trace']}, mean {r['trace_mean_bps'] / 1e6:.2f} Mbit/s" + "".join(f", {n}" for n in notes)),
         ("played", f"{r['frames']} frames, {r['played_s']:.2f} s"),
         ("start-up", f"{r['startup_s']:.3f} s"),
         ("stalls", f"{r['stalls']}, {r['stall_s']:.3f} s, {100 * r['stall_ratio']:.2f} %"),
         ("PSNR on screen", quality),
         ("rungs", ", ".join(f"{name} x{count}" for name, count in r["rungs"].items())),
-        ("switches", str(r["switches"])),
+        ("switches", f"{r['switches']}, mean change {r['change_db']:.2f} dB"),
         ("fetched, kB", f"{wire}; {r['bytes_per_frame'] / 1e3:.2f} a frame"),
-    ]  # fmt: skip
+        ("wire", f"{r['wire_bytes'] / 1e3:.1f} kB with headers, {100 * r['utilisation']:.0f} % of what could pass"),
+        ("wasted", f"{100 * r['wasted']:.1f} %: {r['replaced']} replacements, {r['abandoned']} abandoned"),
+        ("frame on its way", f"mean {r['frame_ms_mean']:.0f} ms, 95 % under {r['frame_ms_p95']:.0f} ms"),
+        ("choices without fit", f"{100 * r['infeasible']:.0f} %"),
+    ]
+    if r["qoe"] is not None:
+        rows.append(("QoE", f"{r['qoe']:.2f} dB: quality - changes - 20 dB for a second of waiting"))
+    if bound is not None:
+        regret = f"regret {bound - mean_quality(log):.2f} dB"
+        rows.append(("best possible", f"at most {bound:.2f} dB at the same moments, mean of segments: {regret}"))
+    if log.lost:
+        rows.append(("lost", f"{r['lost_frames']} frames; {'; '.join(log.lost)}"))
+    return rows
 
 
 def _page(log: SessionLog, directory: Path) -> str:

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.decode import decode_canonical, decode_segment
+from airgs_codec.errors import FormatError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.package import Package
 from airgs_codec.picture import label, to_bytes
+from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.session import SessionLog, screen_ticks
 from airgs_codec.render import Camera, render
 from airgs_codec.render.views import camera_path
+from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.video import write_movie
 
 SECONDS_BETWEEN_CAMERAS = 4.0
@@ -29,18 +32,47 @@ def viewer_path(cameras: Sequence[Camera], ticks: int, fps: float) -> list[Camer
     return camera_path(stops, legs * per_leg + 1)[:ticks]
 
 
-def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians, int]]:
-    """(Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up."""
+def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians | None, int]]:
+    """(Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
+
+    In a lost segment the last Gaussians stay; None before the first that could be shown.
+    """
     shown_at = -1
     frames: list[Gaussians] = []
+    last: Gaussians | None = None
     for entry, frame in screen_ticks(log):
-        if entry != shown_at:
-            shown_at = entry
-            s = log.shown[entry]
-            group = package.manifest.segments[s.segment].group
-            base = decode_canonical(package, group, s.quality, log.manifest.levels[s.level].tiers)
-            frames = list(decode_segment(package, s.segment, base, s.level, 0, s.frames))
-        yield frames[frame], entry
+        s = log.shown[entry]
+        if entry != shown_at and s.rung is not None:
+            frames = _segment(package, s.segment, *log.catalogue.rungs[s.rung])
+        shown_at = entry
+        if s.rung is not None:
+            last = frames[frame]
+        yield last, entry
+
+
+def _segment(package: Package, index: int, quality: int, level: int) -> list[Gaussians]:
+    m = package.manifest
+    segment = m.segments[index]
+    base = decode_canonical(package, segment.group, quality, m.levels[level].tiers)
+    return list(decode_segment(package, index, base, level, 0, segment.stop - segment.start))
+
+
+def _best(package: Package, c: Catalogue, segment: int) -> tuple[list[Gaussians], str]:
+    """Frames of a segment at the first rung whose files are whole, and what to call it."""
+    for name, rung in zip(c.names, c.rungs, strict=True):
+        try:
+            return _segment(package, segment, *rung), f"best rung: {name}"
+        except FormatError:
+            continue
+    return [], "no rung can be had"
+
+
+def first_shown(package: Package, log: SessionLog) -> Gaussians | None:
+    """The first frame that the viewer saw, None if there was none."""
+    for s in log.shown:
+        if s.rung is not None:
+            return _segment(package, s.segment, *log.catalogue.rungs[s.rung])[0]
+    return None
 
 
 def film(
@@ -48,42 +80,88 @@ def film(
     log: SessionLog,
     cameras: Sequence[Camera],
     path: Path,
+    original: GaussianSequence | None = None,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> None:
-    """An H.264 film of the session, rung and stalls written on the picture. Raises CodecError."""
-    fps = float(log.manifest.fps)
-    ticks = len(screen_ticks(log))
-    write_movie(path, _pictures(package, log, viewer_path(cameras, ticks, fps), progress), log.manifest.fps)
+    """An H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting; beside it
+    the same moment of the original, or of the best rung where there is no `original`.
+
+    Raises CodecError.
+    """
+    ticks = screen_ticks(log)
+    cameras = viewer_path(cameras, len(ticks), log.catalogue.fps)
+    write_movie(path, _pictures(package, log, ticks, cameras, original, progress), log.catalogue.manifest.fps)
 
 
 def _pictures(
-    package: Package, log: SessionLog, path: list[Camera], progress: Callable[[str, int, int], None]
+    package: Package,
+    log: SessionLog,
+    ticks: list[tuple[int, int]],
+    cameras: list[Camera],
+    original: GaussianSequence | None,
+    progress: Callable[[str, int, int], None],
 ) -> Iterator[NDArray[np.uint8]]:
-    m = log.manifest
-    left = [s.frames for s in log.shown]
+    c = log.catalogue
+    best: dict[int, tuple[list[Gaussians], str]] = {}
+    beside: Gaussians | None
+    seen = [0] * len(log.shown)
+    at = log.shown[0].start_s
     for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
-        progress("rendering the screen", tick, len(path))
-        s = log.shown[entry]
-        waits = left[entry] == 0
-        left[entry] -= not waits
-        text = f"{m.qualities[s.quality].id} + {m.levels[s.level].id}" + (
-            "" if s.psnr is None else f"  {s.psnr:.1f} dB"
+        progress("rendering the screen", tick, len(ticks))
+        s, frame, camera = log.shown[entry], ticks[tick][1], cameras[tick]
+        waits = seen[entry] == s.frames
+        seen[entry] += not waits
+        picture = (
+            np.zeros((camera.height, camera.width, 3), np.uint8)
+            if gaussians is None
+            else to_bytes(render(gaussians, camera).rgb)
         )
-        picture = label(to_bytes(render(gaussians, path[tick]).rgb), text)
-        yield label(picture, "waiting for data", 1) if waits else picture
+        words = "lost" if s.rung is None else c.names[s.rung]
+        picture = label(picture, words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
+        if waits:
+            picture = label(picture, "waiting for data", 1)
+        picture = buffer_bar(picture, buffered_s(log, at), log.settings.buffer_s, waits)
+        if original is not None:
+            beside, name = original.read(c.manifest.segments[s.segment].start + frame), "original"
+        else:
+            if s.segment not in best:
+                best = {s.segment: _best(package, c, s.segment)}
+            frames, name = best[s.segment]
+            beside = frames[frame] if frames else None
+        shown = np.zeros_like(picture) if beside is None else to_bytes(render(beside, camera).rgb)
+        yield np.concatenate([picture, label(shown, name)], axis=1)
+        at += 1 / c.fps
+
+
+def buffered_s(log: SessionLog, at_s: float) -> float:
+    """Media at hand and not yet shown at a moment."""
+    fps = log.catalogue.fps
+    at_hand = sum(s.frames / fps for s in log.shown if s.ready_s <= at_s)
+    played = sum(min(max(at_s - s.start_s, 0.0), s.frames / fps) for s in log.shown)
+    return max(0.0, at_hand - played)
+
+
+def buffer_bar(picture: NDArray[np.uint8], seconds: float, limit: float, waits: bool) -> NDArray[np.uint8]:
+    """(H, W, 3) with a bar along the lower edge: green as long as the buffer is full, red while the viewer waits."""
+    out = picture.copy()
+    height, width = picture.shape[:2]
+    thick = max(4, height // 60)
+    filled = round(width * min(1.0, seconds / limit))
+    out[-thick:] = (150, 40, 30) if waits else (60, 60, 60)
+    out[-thick:, :filled] = (70, 170, 95)
+    return out
 
 
 def still(package: Package, log: SessionLog, camera: Camera) -> NDArray[np.uint8]:
     """(H, W, 3) the first frame of the worst segment shown: at the package's best rung, and as it was shown."""
-    m = log.manifest
-    worst = min(log.shown, key=lambda s: s.psnr if s.psnr is not None else -s.level)
+    c = log.catalogue
+    shown = [s for s in log.shown if s.rung is not None]
+    if not shown:
+        return label(np.zeros((camera.height, camera.width, 3), np.uint8), "nothing could be shown")
+    worst = min(shown, key=lambda s: s.psnr if s.psnr is not None else -(s.rung or 0))
     pictures = []
-    for what, quality, level in (("best", 0, 0), ("worst shown", worst.quality, worst.level)):
-        segment = m.segments[worst.segment]
-        base = decode_canonical(package, segment.group, quality, m.levels[level].tiers)
-        gaussians = next(decode_segment(package, worst.segment, base, level, 0, 1))
-        text = f"{what}: {m.qualities[quality].id} + {m.levels[level].id}"
-        if segment.levels[level].psnr:
-            text += f"  {segment.levels[level].psnr[quality]:.1f} dB"
-        pictures.append(label(to_bytes(render(gaussians, camera).rgb), text))
+    worst_frames = _segment(package, worst.segment, *c.rungs[worst.rung or 0])
+    text = f"worst shown: {c.names[worst.rung or 0]}" + ("" if worst.psnr is None else f"  {worst.psnr:.1f} dB")
+    for frames, words in (_best(package, c, worst.segment), (worst_frames, text)):
+        pictures.append(label(to_bytes(render(frames[0], camera).rgb), words))
     return np.concatenate(pictures, axis=1)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from airgs_codec.errors import ConfigError
@@ -112,3 +112,52 @@ def select(ladder: Ladder, budget_bytes: float) -> Decision:
         return Decision(last.level, False, f"nothing fits {budget:.0f} B, taking the smallest", last.size_bytes)
     chosen = points[at]
     return Decision(chosen.level, True, f"{chosen.size_bytes} B fit {budget:.0f} B", chosen.size_bytes)
+
+
+def select_literal(points: Sequence[Point], budget_bytes: float, beta: float = DEFAULT_BETA) -> int | None:
+    """Algorithm 1 as it is printed, over points in the order of their levels; None where it leaves p undefined.
+
+    Divisions are IEEE (x / 0 is infinite, 0 / 0 no number and never above beta), so that no case stops a player. It
+    answers with the cliff's level, whatever its size, when nothing fits; see the module for what `select` does.
+    Raises ConfigError without points.
+    """
+    if not points:
+        raise ConfigError("Algorithm 1: expected at least one level, got none")
+    kept, answer = [0], None
+    previous = _minus(points[0].quality, points[1].quality) if len(points) > 1 else 0.0
+    for i in range(1, len(points)):
+        drop = _minus(points[i - 1].quality, points[i].quality)
+        if _ratio(drop, previous) > beta:
+            answer = i
+            break
+        kept.append(i)
+        previous = drop
+    low, high = 0, len(kept) - 1
+    while low <= high:
+        middle = (low + high) // 2
+        if points[kept[middle]].size_bytes <= budget_bytes:
+            answer, high = kept[middle], middle - 1
+        else:
+            low = middle + 1
+    return answer
+
+
+def _minus(a: float, b: float) -> float:
+    return a - b if math.isfinite(a) or math.isfinite(b) else math.nan
+
+
+def _ratio(a: float, b: float) -> float:
+    if b:
+        return a / b
+    return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, a)
+
+
+def frame_budget(bandwidth_bps: float, fps: float, overhead_bytes: float = 0.0, share: float = 1.0) -> float:
+    """Bytes a frame may have: the paper's C = B / R with its units, `share` of it spent, less what a request costs.
+
+    A bandwidth that is negative or no number counts as 0 (12). Raises ConfigError unless fps > 0.
+    """
+    if not fps > 0:
+        raise ConfigError(f"frame rate: expected more than 0, got {fps}")
+    usable = bandwidth_bps if bandwidth_bps > 0 else 0.0
+    return max(0.0, share * usable / (8 * fps) - overhead_bytes)

@@ -1,10 +1,13 @@
 """A viewer over a link: requests, arrivals, choices, stalls. Event-driven, deterministic, no clock.
 
-One batch is on the way at a time: a state segment, and before it in the same batch those key units of its group that
-its level needs and that are not at hand, in tier order. Where the group begins, key quality and level are chosen
-together; the quality then stays. The sequence
-may be played `loops` times, as if it were longer: keys and states are fetched again, init segments and manifests are
-not. Times are seconds from the first request.
+One batch is on the way at a time: those key units of the chosen rung that are not at hand, in tier order, then the
+state segment. When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it better
+keys of its group) as long as it will be there in time. A download that would come too late is abandoned when a
+smaller one would come sooner; whole files that have arrived are kept. A segment none of whose rungs can be had is
+lost: the last picture stands for its time, and the session goes on.
+
+The sequence may be played `loops` times, as if it were longer: keys and states are fetched again, init segments and
+manifests are not. Times are seconds from the first request.
 """
 
 from __future__ import annotations
@@ -12,29 +15,44 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.manifest import Manifest
+from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
-from airgs_codec.play.policy import Download, PlayerState, budget_bytes, choose_fixed, choose_paper, estimate_throughput
+from airgs_codec.play.optimum import Horizon, Unit, solve_horizon
+from airgs_codec.play.policy import (
+    SAFETY,
+    STALL_DB,
+    Download,
+    PlayerState,
+    Policy,
+    budget_bytes,
+    estimate_throughput,
+    make_policy,
+)
 from airgs_codec.play.select import Decision, Point
 
 SHORTEST_S = 1e-9  # a download that rounds to no time still has a rate
 SESSION_S = 30.0  # what `loops` aims at when it is not given
+CHECK_S = 0.5  # a download is looked at so often, and given so long before the first look
+REPLACE_GAIN_DB = 0.5  # least gain that a replacement must bring
 
 
 @dataclass(frozen=True, slots=True)
 class SessionSettings:
     """Rules of the player."""
 
-    policy: str = "paper"  # "paper" or "fixed"
-    fixed_level: int = 0
+    policy: str = "paper"
     buffer_s: float = 10.0  # most media time ahead of the playhead
+    startup_s: float = 0.0  # media at hand before playing begins; one segment at least
+    resume_s: float = 0.5  # the same after a stall
     decode_frame_s: float = 0.004  # time to decode and apply a frame
+    replace: bool = True  # buffered segments by better ones
+    abandon: bool = True
     loops: int | None = None  # default: about SESSION_S of play
 
 
@@ -42,24 +60,26 @@ class SessionSettings:
 class Fetch:
     """One batch on the wire."""
 
-    kind: str  # manifests, group (key units and state), state
-    segment: int  # position in the session, counted over loops
-    bytes: int
+    kind: str  # manifests, group (keys and state), state, better (a replacement)
+    position: int  # of the segment in the session
+    rung: int
+    bytes: int  # with headers; of an abandoned batch, what had passed
+    wasted: int  # of them: abandoned, too late or replaced later
     request_s: float
     arrival_s: float
     budget_bytes: float
     throughput_bps: float  # the estimate at the request
+    fits: bool
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Shown:
-    """One segment on the screen."""
+    """One segment on the screen; `rung` None: lost, the last picture stands."""
 
     segment: int  # in the manifest
     loop: int
-    quality: int  # key quality
-    level: int
+    rung: int | None
     ready_s: float
     start_s: float  # of its display
     frames: int
@@ -71,77 +91,118 @@ class Shown:
 class SessionLog:
     """Everything that happened; metrics are derived from it."""
 
-    manifest: Manifest
+    catalogue: Catalogue
     link: Link
     settings: SessionSettings
     fetches: tuple[Fetch, ...]
     shown: tuple[Shown, ...]
-    bytes_by_kind: dict[str, int]
+    bytes_by_kind: Mapping[str, int]
+    lost: tuple[str, ...]  # what could not be had, one line each
+
+
+@dataclass(slots=True)
+class _Segment:
+    """A segment at hand or on the screen."""
+
+    position: int
+    rung: int | None
+    ready_s: float
+    fetch: int = -1  # which batch brought it
+    start_s: float = math.inf  # unknown while the player waits for more
+    stall_s: float = 0.0
 
 
 @dataclass(slots=True, eq=False)
 class _Player:
-    manifest: Manifest
+    catalogue: Catalogue
     link: Link
     settings: SessionSettings
+    end: int
+    faults: Mapping[str, str]
     now_s: float = 0.0
     history: list[Download] = field(default_factory=list)
     fetches: list[Fetch] = field(default_factory=list)
-    shown: list[Shown] = field(default_factory=list)
-    fetched_once: set[str] = field(default_factory=set)
+    line: list[_Segment] = field(default_factory=list)  # by position
+    first_waiting: int = 0  # of `line`: those from here on have no start yet
+    keys: dict[tuple[int, int], dict[int, int]] = field(default_factory=dict)  # (loop, group) -> quality -> tiers
+    once: set[str] = field(default_factory=set)  # init segments at hand
     bytes_by_kind: Counter[str] = field(default_factory=Counter)
+    lost: list[str] = field(default_factory=list)
+    given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for there again
+    bad: set[str] = field(default_factory=set)  # files found missing or corrupt
+
+    def seconds(self, position: int) -> float:
+        return self.catalogue.seconds[position % len(self.catalogue.seconds)]
+
+    def group(self, position: int) -> tuple[int, int]:
+        segments = self.catalogue.manifest.segments
+        loop, index = divmod(position, len(segments))
+        return loop, segments[index].group
+
+    def held(self, position: int) -> dict[int, int]:
+        return self.keys.setdefault(self.group(position), {})
 
     def end_s(self) -> float:
-        """When what is at hand will have been shown; now, before anything is."""
-        if not self.shown:
-            return self.now_s
-        last = self.shown[-1]
-        return last.start_s + last.frames / float(self.manifest.fps)
-
-    def fetch(self, kind: str, position: int, sizes: list[int], decision: Decision, budget: float) -> None:
-        """Request a batch now and wait for it."""
-        wire = self.link.wire_bytes(sizes)
-        arrival = self.link.arrival_s(sizes, self.now_s)
-        estimate = estimate_throughput(self.history)
-        self.fetches.append(Fetch(kind, position, wire, self.now_s, arrival, budget, estimate, decision.reason))
-        seconds = max(arrival - self.now_s - self.link.rtt_s, SHORTEST_S)
-        self.history.append(Download(wire, seconds))
-        self.now_s = arrival
-
-    def count(self, kind: str, size: int) -> None:
-        """Book payload bytes."""
-        self.bytes_by_kind[kind] += size
+        """When what is at hand will have been shown; while it waits, as if it went on now."""
+        waiting = sum(self.seconds(s.position) for s in self.line[self.first_waiting :])
+        if self.first_waiting == 0:
+            return self.now_s + waiting
+        last = self.line[self.first_waiting - 1]
+        return max(last.start_s + self.seconds(last.position), self.now_s if waiting else -math.inf) + waiting
 
 
-def simulate(manifest: Manifest, manifest_bytes: int, link: Link, settings: SessionSettings) -> SessionLog:
-    """Play the package once over the link. Raises ConfigError for settings that cannot work."""
-    m = manifest
-    _check(m, link, settings)
-    player = _Player(m, link, settings)
-    player.fetch("manifests", 0, [manifest_bytes], Decision(0, True, "start", manifest_bytes), 0.0)
-    player.count("manifests", manifest_bytes)
-    duration = float(m.frames / m.fps)
+def simulate(
+    catalogue: Catalogue,
+    manifest_bytes: int,
+    link: Link,
+    settings: SessionSettings,
+    faults: Mapping[str, str] | None = None,
+) -> SessionLog:
+    """Play the package over the link. `faults`: files that cannot be used, and what is wrong with them.
+
+    Raises ConfigError for settings that cannot work, TransportError for a trace that ends too soon.
+    """
+    c = catalogue
+    choose = make_policy(settings.policy, c, link)
+    _check(c, link, settings)
+    duration = sum(c.seconds)
     loops = settings.loops or max(1, round(SESSION_S / duration))
-    quality, tiers, group = 0, 0, (-1, -1)
-    for position, (loop, index) in enumerate(_positions(m, loops)):
-        segment = m.segments[index]
-        _wait_for_room(player, float((segment.stop - segment.start) / m.fps))
-        if (loop, segment.group) != group:
-            group, tiers = (loop, segment.group), 0
-        quality, level = _fetch_segment(player, position, index, [quality] if tiers else range(len(m.qualities)), tiers)
-        tiers = max(tiers, m.levels[level].tiers)
-        _show(player, loop, index, quality, level)
-    return SessionLog(m, link, settings, tuple(player.fetches), tuple(player.shown), dict(player.bytes_by_kind))
+    player = _Player(c, link, settings, loops * len(c.seconds), faults or {})
+    wire = c.wire_bytes([manifest_bytes])
+    _pass(player, wire)
+    player.fetches.append(Fetch("manifests", 0, 0, wire, 0, 0.0, player.now_s, 0.0, 0.0, True, "start"))
+    player.bytes_by_kind["manifests"] += manifest_bytes
+    replaces = settings.replace and not settings.policy.startswith(("fixed", "oracle"))
+    for position in range(player.end):
+        room = _room_s(player, position)
+        while replaces and player.now_s < room and _replace(player):
+            pass
+        player.now_s = max(player.now_s, room)
+        while not _fetch_next(player, position, choose):
+            pass
+    while replaces and _replace(player):
+        pass
+    return SessionLog(
+        c,
+        link,
+        settings,
+        tuple(player.fetches),
+        tuple(_shown(player)),
+        dict(player.bytes_by_kind),
+        tuple(player.lost),
+    )
 
 
-def _check(m: Manifest, link: Link, settings: SessionSettings) -> None:
-    measured = all(level.psnr for segment in m.segments for level in segment.levels)
-    if settings.policy == "paper" and not measured:
-        raise ConfigError("policy paper: the package has no measured quality, encode it without --measure-frames 0")
-    if not 0 <= settings.fixed_level < len(m.levels):
-        raise ConfigError(f"level: expected 0 to {len(m.levels) - 1}, got {settings.fixed_level}")
+def _check(c: Catalogue, link: Link, settings: SessionSettings) -> None:
+    if not settings.policy.startswith("fixed") and not c.measured:
+        raise ConfigError(
+            f"policy {settings.policy}: the package has no measured quality, encode it without --measure-frames 0"
+        )
     if not 0 < settings.buffer_s < math.inf:
         raise ConfigError(f"buffer: expected more than 0 s, got {settings.buffer_s:g}")
+    for name, value in (("start-up", settings.startup_s), ("resume", settings.resume_s)):
+        if not 0 <= value < math.inf:
+            raise ConfigError(f"{name}: expected 0 s or more, got {value:g}")
     if not 0 <= settings.decode_frame_s < math.inf:
         raise ConfigError(f"decoding: expected 0 s a frame or more, got {settings.decode_frame_s:g}")
     if settings.loops is not None and settings.loops < 1:
@@ -150,85 +211,295 @@ def _check(m: Manifest, link: Link, settings: SessionSettings) -> None:
         raise ConfigError(f"round trip: expected 0 s or more, got {link.rtt_s:g}")
 
 
-def _positions(m: Manifest, loops: int) -> Iterator[tuple[int, int]]:
-    for loop in range(loops):
-        for index in range(len(m.segments)):
-            yield loop, index
+def _pass(player: _Player, wire: int) -> None:
+    """Request so many bytes now and wait for the last of them."""
+    arrival = player.link.arrival_s(wire, player.now_s)
+    player.history.append(Download(wire, max(arrival - player.now_s - player.link.rtt_s, SHORTEST_S)))
+    player.now_s = arrival
 
 
-def _wait_for_room(player: _Player, segment_s: float) -> None:
-    """Let time pass until the next segment fits the buffer: media ahead of the playhead + segment <= buffer_s."""
-    fps = float(player.manifest.fps)
-    ahead = segment_s
-    for shown in reversed(player.shown):
-        length = shown.frames / fps
+def _room_s(player: _Player, position: int) -> float:
+    """When the segment fits the buffer: media ahead of the playhead and the segment <= buffer_s. In the past if now."""
+    ahead = player.seconds(position)
+    for segment in reversed(player.line):
+        length = player.seconds(segment.position)
         if ahead + length > player.settings.buffer_s:
-            room = max(0.0, player.settings.buffer_s - ahead)  # seconds of this one that may still lie ahead
-            player.now_s = max(player.now_s, shown.start_s + length - room)
-            return
+            if segment.start_s == math.inf:  # it waits to resume with a full buffer: it need not
+                _resume(player)
+            return segment.start_s + length - max(0.0, player.settings.buffer_s - ahead)
         ahead += length
+    return -math.inf
 
 
-def _fetch_segment(player: _Player, position: int, index: int, qualities: Iterable[int], tiers: int) -> tuple[int, int]:
-    """Choose among the rungs with those key qualities and fetch; gives key quality and level.
+def _fetch_next(player: _Player, position: int, choose: Policy) -> bool:
+    """Choose a rung of the next segment and fetch it; False: it was abandoned or broken, choose again."""
+    state = _state(player, position)
+    if not state.options:
+        segment = player.catalogue.manifest.segments[state.segment]
+        frames = f"frames {segment.start}-{segment.stop - 1}"
+        player.lost.append(f"{frames} at {player.now_s:.2f} s: no rung can be had, the last picture stands")
+        _line_up(player, _Segment(position, None, player.now_s))
+        return True
+    return _fetch(player, state, choose(state))
 
-    `tiers` of the group's keys are at hand, none where it begins.
-    """
-    m, s = player.manifest, player.manifest.segments[index]
-    rungs = [(q, j) for q in qualities for j in range(len(m.levels))]
-    batches = []
-    for q, j in rungs:
-        keys = [path for t in range(tiers, m.levels[j].tiers) for path in m.key_files(s.group, t, q)]
-        batches.append(keys + m.state_files(index, j))
-    measured = [s.levels[j].psnr[q] if s.levels[j].psnr else 0.0 for q, j in rungs]
-    options = tuple(Point(i, m.bytes_of(batches[i]), measured[i], m.levels[j].pruned) for i, (_, j) in enumerate(rungs))
-    state = PlayerState(
+
+def _state(player: _Player, position: int) -> PlayerState:
+    c, held = player.catalogue, player.held(position)
+    segment = position % len(c.seconds)
+    options = c.options(segment, held)
+    if player.given_up[0] == position:
+        options = tuple(p for p in options if p.size_bytes < player.given_up[1])
+    if player.bad:
+        options = tuple(p for p in options if not player.bad.intersection(c.files(segment, p.level, held)))
+    before = player.line[-1] if player.line else None
+    quality = None if before is None or before.rung is None else float(c.quality[_index(player, before), before.rung])
+    return PlayerState(
+        catalogue=c,
+        position=position,
+        end=player.end,
+        held=held,
+        options=options,
         now_s=player.now_s,
         deadline_s=player.end_s() - player.settings.decode_frame_s,
-        segment_s=float((s.stop - s.start) / m.fps),
+        buffer_limit_s=player.settings.buffer_s,
         rtt_s=player.link.rtt_s,
-        history=tuple(player.history),
-        files=max(len(batch) for batch in batches),
-        options=options,
+        decode_s=player.settings.decode_frame_s,
+        shown_quality=quality,
+        history=tuple(player.history[-24:]),
     )
-    fixed = rungs.index((rungs[0][0], player.settings.fixed_level))
-    decision = choose_paper(state) if player.settings.policy == "paper" else choose_fixed(state, fixed)
-    quality, level = rungs[decision.level]
-    if batches[decision.level]:  # else nothing moves in this segment: the canonical space is at hand
-        kind = "state" if tiers else "group"
-        _fetch_files(player, kind, position, (quality, level), batches[decision.level], decision, budget_bytes(state))
-    return quality, level
 
 
-def _fetch_files(
-    player: _Player,
-    kind: str,
-    position: int,
-    rung: tuple[int, int],
-    files: list[str],
-    decision: Decision,
-    budget: float,
-) -> None:
+def _index(player: _Player, segment: _Segment) -> int:
+    return segment.position % len(player.catalogue.seconds)
+
+
+def _fetch(player: _Player, state: PlayerState, decision: Decision) -> bool:
+    """Fetch a rung of the next segment; False when it did not come whole."""
+    files = _files(player, state.position, decision.level)
+    kind = "state" if not any(path.startswith("key/") for path in files) else "group"
+    began = player.now_s
+    if files:  # else nothing moves in this segment: the canonical space is at hand
+        estimate, budget = estimate_throughput(player.history), budget_bytes(state)
+        fixed = player.settings.policy.startswith("fixed") or not player.settings.abandon
+        stop_s = None if fixed else _abandoned_s(player, state, decision, files)
+        if stop_s is not None:
+            player.given_up = state.position, decision.size_bytes
+        whole = _receive(player, files, stop_s)
+        wire = player.history[-1].bytes if stop_s is None else round(player.link.bytes_between(began, stop_s))
+        kept = player.catalogue.wire_bytes([player.catalogue.manifest.files[f].bytes for f in whole])
+        wasted = 0 if len(whole) == len(files) else max(0, wire - kept)
+        reason = decision.reason if stop_s is None else f"{decision.reason}; abandoned after {stop_s - began:.2f} s"
+        player.fetches.append(
+            Fetch(
+                kind,
+                state.position,
+                decision.level,
+                wire,
+                wasted,
+                began,
+                player.now_s,
+                budget,
+                estimate,
+                decision.fits,
+                reason,
+            )
+        )
+        if len(whole) < len(files):
+            return False
+    _line_up(player, _Segment(state.position, decision.level, player.now_s, len(player.fetches) - 1))
+    return True
+
+
+def _files(player: _Player, position: int, rung: int) -> list[str]:
+    """What a rung of a segment still needs, each init segment before the first of its files."""
+    c = player.catalogue
+    files = c.files(position % len(c.seconds), rung, player.held(position))
     folders = {path.rpartition("/")[0] for path in files}
-    inits = [path for path in player.manifest.init_files(*rung) if path.rpartition("/")[0] in folders]
-    new = [path for path in inits if path not in player.fetched_once]
-    player.fetched_once.update(new)
-    sizes = player.manifest.files
-    player.count("init", sum(sizes[path].bytes for path in new))
-    for path in files:
-        player.count("sidecars" if path.endswith(".bin") else path.split("/")[0], sizes[path].bytes)
-    player.fetch(kind, position, [sizes[path].bytes for path in new + files], decision, budget)
+    inits = [p for p in c.manifest.init_files(*c.rungs[rung]) if p.rpartition("/")[0] in folders]
+    return [path for path in inits if path not in player.once] + files
 
 
-def _show(player: _Player, loop: int, index: int, quality: int, level: int) -> None:
-    """The segment plays after the one before it, or when its first frame is decoded, whichever is later."""
-    s = player.manifest.segments[index]
+def _receive(player: _Player, files: list[str], stop_s: float | None) -> list[str]:
+    """Wait for a batch, or until `stop_s`; gives the files that came whole and are what they should be."""
+    manifest, link = player.catalogue.manifest, player.link
+    sizes = [0 if player.faults.get(f) == "missing" else manifest.files[f].bytes for f in files]
+    wire = player.catalogue.wire_bytes(sizes)
+    if stop_s is None:
+        _pass(player, wire)
+        came = files
+    else:
+        first = player.now_s + link.rtt_s
+        passed = link.bytes_between(first, stop_s)
+        player.history.append(Download(max(1, round(passed)), max(stop_s - first, SHORTEST_S)))
+        ends = itertools.accumulate(size + player.catalogue.header_bytes for size in sizes)
+        came = [f for f, end in zip(files, ends, strict=True) if end <= passed]
+        player.now_s = stop_s
+    whole = []
+    for path in came:
+        if path in player.faults:
+            player.bad.add(path)
+            player.lost.append(f"{path} at {player.now_s:.2f} s: {player.faults[path]}")
+            continue
+        whole.append(path)
+        _keep(player, path)
+    return whole
+
+
+def _keep(player: _Player, path: str) -> None:
+    """Book a file; kinds are init, key, state and sidecars."""
+    kind = "init" if path.endswith("init.mp4") else "sidecars" if path.endswith(".bin") else path.split("/")[0]
+    player.bytes_by_kind[kind] += player.catalogue.manifest.files[path].bytes
+    if kind == "init":
+        player.once.add(path)
+
+
+def _abandoned_s(player: _Player, state: PlayerState, decision: Decision, files: list[str]) -> float | None:
+    """When the download now to be requested is given up, None if it is not.
+
+    Looked at every CHECK_S: it is given up if, at the rate so far, it comes after its deadline and the smallest rung,
+    asked for now, would come sooner.
+    """
+    link = player.link
+    wire = player.catalogue.wire_bytes([player.catalogue.manifest.files[f].bytes for f in files])
+    arrival = link.arrival_s(wire, player.now_s)
+    smallest = min(p.size_bytes for p in state.options)
+    first = player.now_s + link.rtt_s
+    deadline = max(state.deadline_s, player.now_s)
+    for look in itertools.count(1):
+        at = first + CHECK_S * look
+        if at >= arrival:
+            return None
+        passed = link.bytes_between(first, at)
+        rate = max(passed, 1.0) / (at - first)
+        left = (wire - passed) / rate
+        if at + left > deadline and left > link.rtt_s + smallest / rate and smallest < decision.size_bytes:
+            return at
+    return None
+
+
+def _line_up(player: _Player, segment: _Segment) -> None:
+    """A segment is at hand; playing begins or goes on when enough is."""
+    first_frame = player.settings.decode_frame_s if segment.rung is not None else 0.0
+    segment.ready_s += first_frame
+    player.line.append(segment)
+    if segment.rung is not None:
+        c, m = player.catalogue, player.catalogue.manifest
+        quality, level = c.rungs[segment.rung]
+        held = player.held(segment.position)
+        held[quality] = max(held.get(quality, 0), m.levels[level].tiers)
+    waiting = player.line[player.first_waiting :]
+    before = player.line[player.first_waiting - 1] if player.first_waiting else None
+    due = before.start_s + player.seconds(before.position) if before else -math.inf
+    if len(waiting) == 1 and segment.ready_s <= due:
+        segment.start_s = due
+        player.first_waiting += 1
+        return
+    wanted = player.settings.resume_s if before else player.settings.startup_s
+    last = segment.position == player.end - 1
+    if last or sum(player.seconds(s.position) for s in waiting) >= wanted:
+        _resume(player)
+
+
+def _resume(player: _Player) -> None:
+    """Show what waits, one segment after another, from the moment the last of it was ready."""
+    waiting = player.line[player.first_waiting :]
+    before = player.line[player.first_waiting - 1] if player.first_waiting else None
+    due = before.start_s + player.seconds(before.position) if before else -math.inf
+    at = max(due, waiting[-1].ready_s)
+    waiting[0].stall_s = at - due if before else 0.0
+    for segment in waiting:
+        segment.start_s = at
+        at += player.seconds(segment.position)
+    player.first_waiting = len(player.line)
+
+
+def _replace(player: _Player) -> bool:
+    """Fetch the replacement that gains most for its bytes, if any will be in time; False if there is none."""
+    rate = SAFETY * estimate_throughput(player.history)
+    best: tuple[float, _Segment, Point] | None = None
+    for segment in player.line:
+        if segment.start_s <= player.now_s or segment.rung is None or segment.start_s == math.inf:
+            continue
+        index = _index(player, segment)
+        here = float(player.catalogue.quality[index, segment.rung])
+        for option in player.catalogue.options(index, player.held(segment.position)):
+            gain = option.quality - here
+            arrival = player.now_s + player.link.rtt_s + 8 * option.size_bytes / rate
+            if gain < REPLACE_GAIN_DB or arrival + player.settings.decode_frame_s > segment.start_s:
+                continue
+            worth = gain * player.seconds(segment.position) / option.size_bytes
+            if best is None or worth > best[0]:
+                files = player.catalogue.files(index, option.level, player.held(segment.position))
+                if not player.bad.intersection(files):
+                    best = (worth, segment, option)
+    if best is None:
+        return False
+    _, segment, option = best
+    files = _files(player, segment.position, option.level)
+    began, estimate = player.now_s, estimate_throughput(player.history)
+    whole = _receive(player, files, None)
     ready = player.now_s + player.settings.decode_frame_s
-    due = player.end_s() if player.shown else ready
-    start = max(due, ready)
-    measured = s.levels[level].psnr
-    psnr = measured[quality] if measured else None
-    player.shown.append(Shown(index, loop, quality, level, ready, start, s.stop - s.start, start - due, psnr))
+    late = ready > segment.start_s
+    wire = player.history[-1].bytes
+    reason = (
+        f"{option.quality:.1f} dB in place of {player.catalogue.quality[_index(player, segment), segment.rung]:.1f}"
+    )
+    player.fetches.append(
+        Fetch(
+            "better",
+            segment.position,
+            option.level,
+            wire,
+            wire if late or len(whole) < len(files) else 0,
+            began,
+            player.now_s,
+            0.0,
+            estimate,
+            True,
+            reason + "; too late" * late,
+        )
+    )
+    if len(whole) == len(files) and not late:
+        _improve(player, segment, option.level, ready)
+    return True
+
+
+def _improve(player: _Player, segment: _Segment, rung: int, ready_s: float) -> None:
+    """Put a better rung in place; its keys serve every later segment of the group that they are in time for."""
+    c = player.catalogue
+    replaced = player.fetches[segment.fetch]
+    index = _index(player, segment)
+    state = int(c.state_bytes[index, c.rungs[segment.rung or 0][1]])
+    if c.rungs[rung][1] != c.rungs[segment.rung or 0][1]:
+        player.fetches[segment.fetch] = replace(replaced, wasted=replaced.wasted + state)
+    segment.rung, segment.fetch = rung, len(player.fetches) - 1
+    quality, level = c.rungs[rung]
+    held = player.held(segment.position)
+    held[quality] = max(held.get(quality, 0), c.manifest.levels[level].tiers)
+    for other in player.line:
+        if other.rung is None or player.group(other.position) != player.group(segment.position):
+            continue
+        q, j = c.rungs[other.rung]
+        if quality < q and other.start_s >= ready_s and held[quality] >= c.manifest.levels[j].tiers:
+            other.rung = c.rungs.index((quality, j))
+
+
+def _shown(player: _Player) -> Iterator[Shown]:
+    c = player.catalogue
+    for segment in player.line:
+        loop, index = divmod(segment.position, len(c.seconds))
+        entry = c.manifest.segments[index]
+        measured = None if segment.rung is None else entry.levels[c.rungs[segment.rung][1]].psnr
+        yield Shown(
+            index,
+            loop,
+            segment.rung,
+            segment.ready_s,
+            segment.start_s,
+            entry.stop - entry.start,
+            segment.stall_s,
+            measured[c.rungs[segment.rung or 0][0]] if measured else None,
+        )
 
 
 def screen_ticks(log: SessionLog) -> list[tuple[int, int]]:
@@ -236,42 +507,108 @@ def screen_ticks(log: SessionLog) -> list[tuple[int, int]]:
 
     While the player waits, the last frame stays.
     """
-    fps = float(log.manifest.fps)
     ticks: list[tuple[int, int]] = []
     for i, shown in enumerate(log.shown):
         if i:
-            ticks += [(i - 1, log.shown[i - 1].frames - 1)] * round(shown.stall_s * fps)
+            ticks += [(i - 1, log.shown[i - 1].frames - 1)] * round(shown.stall_s * log.catalogue.fps)
         ticks += [(i, frame) for frame in range(shown.frames)]
     return ticks
 
 
 def metrics(log: SessionLog) -> dict[str, object]:
-    """What the session was like. PSNR counts every display tick, frozen ones with the picture that stood."""
-    m, shown = log.manifest, log.shown
-    played = sum(s.frames for s in shown) / float(m.fps)
+    """What the session was like. PSNR counts every display tick, frozen ones with the picture that stood.
+
+    Frames of lost segments have no measured quality; they are counted apart and not in PSNR.
+    """
+    c, shown = log.catalogue, log.shown
+    frames = sum(s.frames for s in shown)
+    played = frames / c.fps
     stalls = [s.stall_s for s in shown if s.stall_s > 1e-9]
+    stall = math.fsum(stalls)
     per_tick = [shown[i].psnr for i, _ in screen_ticks(log)]
     psnr = np.array([p for p in per_tick if p is not None])
-    rungs = [(s.quality, s.level) for s in shown]
-    names = Counter(f"{m.qualities[q].id}+{m.levels[j].id}" for q, j in rungs)
+    quality = [s.psnr for s in shown if s.psnr is not None]
+    changes = [abs(b - a) for a, b in itertools.pairwise(quality)]
+    rungs = [s.rung for s in shown]
+    wire = sum(f.bytes for f in log.fetches)
+    choices = [f for f in log.fetches if f.kind in ("group", "state")]
+    end = max(f.arrival_s for f in log.fetches)
+    took = frame_times(log)
     return {
-        "frames": sum(s.frames for s in shown),
+        "frames": frames,
         "played_s": played,
         "startup_s": shown[0].start_s,
         "stalls": len(stalls),
-        "stall_s": math.fsum(stalls),
-        "stall_ratio": math.fsum(stalls) / (played + math.fsum(stalls)),
+        "stall_s": stall,
+        "stall_ratio": stall / (played + stall),
         "switches": sum(a != b for a, b in itertools.pairwise(rungs)),
         "psnr_mean": float(psnr.mean()) if len(psnr) else None,
         "psnr_p5": float(np.percentile(psnr, 5)) if len(psnr) else None,
+        "change_db": float(np.mean(changes)) if changes else 0.0,
+        "qoe": (sum(quality) - sum(changes) - STALL_DB * stall) / len(quality) if quality else None,
         "bytes": dict(log.bytes_by_kind),
-        "bytes_per_frame": sum(log.bytes_by_kind.values()) / sum(s.frames for s in shown),
-        "wire_bytes": sum(f.bytes for f in log.fetches),
-        "rungs": dict(names.most_common()),
+        "bytes_per_frame": sum(log.bytes_by_kind.values()) / frames,
+        "wire_bytes": wire,
+        "wasted": sum(f.wasted for f in log.fetches) / wire,
+        "utilisation": wire / max(1.0, log.link.bytes_between(0.0, end)),
+        "replaced": sum(f.kind == "better" for f in log.fetches),
+        "abandoned": sum("abandoned" in f.reason for f in log.fetches),
+        "infeasible": sum(not f.fits for f in choices) / max(1, len(choices)),
+        "lost_frames": sum(s.frames for s in shown if s.rung is None),
+        "frame_ms_mean": float(1e3 * took.mean()) if len(took) else 0.0,
+        "frame_ms_p95": float(1e3 * np.percentile(took, 95)) if len(took) else 0.0,
+        "frame_ms_max": float(1e3 * took.max()) if len(took) else 0.0,
+        "rungs": {"lost" if r is None else c.names[r]: count for r, count in Counter(rungs).most_common()},
         "trace": log.link.trace.name,
         "trace_mean_bps": log.link.trace.mean_bps,
         "trace_scale": log.link.trace.scale,
         "trace_offset_s": log.link.trace.offset_s,
-        "trace_looped": log.fetches[-1].arrival_s > log.link.trace.duration_s,
+        "trace_end": log.link.trace.end,
+        "trace_ended": end > log.link.trace.duration_s,
         "rtt_s": log.link.rtt_s,
     }
+
+
+def frame_times(log: SessionLog) -> np.ndarray:
+    """Seconds that every frame shown was on its way: its share of the batch that brought it."""
+    took = {f.position: f.arrival_s - f.request_s for f in log.fetches if f.kind != "manifests"}
+    frames = [log.shown[p].frames for p in took]
+    return np.repeat([t / n for t, n in zip(took.values(), frames, strict=True)], frames)
+
+
+def session_bound(log: SessionLog, integer: bool = False) -> float | None:
+    """dB: no player could have shown better at the same moments, see `optimum`. None when segments were lost."""
+    units = []
+    manifest_s = log.fetches[0].arrival_s
+    c, link, limit = log.catalogue, log.link, log.settings.buffer_s
+    fronts = np.cumsum([0.0, *(s.frames / c.fps for s in log.shown)])  # media time at which each begins
+    for k, shown in enumerate(log.shown):
+        if shown.rung is None:
+            return None
+        release = manifest_s
+        wanted = float(fronts[k + 1]) - limit  # media that must have been shown before the request
+        if wanted > 0:
+            i = int(np.searchsorted(fronts, wanted, side="right")) - 1
+            release = max(release, log.shown[i].start_s + wanted - float(fronts[i]))
+        opens = (
+            k == 0
+            or shown.loop != log.shown[k - 1].loop
+            or (c.manifest.segments[shown.segment].group != c.manifest.segments[log.shown[k - 1].segment].group)
+        )
+        deadline = shown.start_s - log.settings.decode_frame_s
+        units.append(
+            Unit(
+                shown.segment,
+                opens,
+                link.bytes_between(0.0, release + link.rtt_s),
+                link.bytes_between(0.0, deadline),
+            )
+        )
+    plan = solve_horizon(Horizon(c, tuple(units), {}), integer)
+    return None if plan is None else plan.quality
+
+
+def mean_quality(log: SessionLog) -> float:
+    """dB over media time, as `session_bound` counts it."""
+    known = [(s.psnr, s.frames) for s in log.shown if s.psnr is not None]
+    return sum(p * n for p, n in known) / sum(n for _, n in known)

@@ -1,11 +1,13 @@
-"""Bandwidth over time: piecewise constant, integrated exactly, repeated from the start when it ends."""
+"""Bandwidth over time: piecewise constant, integrated exactly."""
 
 from __future__ import annotations
 
 import csv
+import json
 import math
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from itertools import accumulate, pairwise
 from pathlib import Path
@@ -16,12 +18,20 @@ from numpy.typing import NDArray
 from airgs_codec.errors import TransportError
 
 MAHIMAHI_PACKET_BYTES = 1500  # one delivery opportunity
+CONSTANT_S = 3600.0
+MARKOV_S, MARKOV_DWELL_S, MARKOV_OUTAGE_S, MARKOV_MEAN_BPS = 300.0, 3.0, 1.5, 8e6  # of synthetic traces
 MAHIMAHI_MAX_MS = 86_400_000  # a day; a file with larger numbers is something else
+
+
+ENDS = ("loop", "hold", "error")  # what follows the last second: the first one, the last rate, or nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """rates_bps[i] holds from starts_s[i] to the next start, the last to duration_s; then it begins again."""
+    """rates_bps[i] holds from starts_s[i] to the next start, the last to duration_s; then what `end` says.
+
+    Raises TransportError for times, rates or an end that cannot be.
+    """
 
     name: str
     starts_s: NDArray[np.float64]  # (K,) ascending from 0
@@ -29,6 +39,10 @@ class Trace:
     duration_s: float
     scale: float = 1.0  # what the measured rates were multiplied by
     offset_s: float = 0.0  # where in the measurement it begins
+    end: str = "loop"  # of ENDS
+    rtt_s: float | None = None  # round trip, where the measurement has one
+    _starts: list[float] = field(init=False, repr=False)
+    _totals: list[float] = field(init=False, repr=False)  # (K + 1,) bits delivered up to each start, and to the end
 
     def __post_init__(self) -> None:
         steps = np.diff(self.starts_s, append=self.duration_s)
@@ -38,36 +52,57 @@ class Trace:
             raise TransportError(f"{self.name}: expected finite rates of 0 or more")
         if not self.rates_bps.any():
             raise TransportError(f"{self.name}: the rate is zero all the time, nothing would ever arrive")
+        if self.end not in ENDS:
+            raise TransportError(f"{self.name}: expected an end of {', '.join(ENDS)}, got {self.end}")
+        object.__setattr__(self, "_starts", self.starts_s.tolist())
+        object.__setattr__(self, "_totals", list(accumulate((self.rates_bps * steps).tolist(), initial=0.0)))
 
     @property
     def mean_bps(self) -> float:
         """Mean rate over the whole trace."""
-        return self._totals()[-1] / self.duration_s
+        return self._totals[-1] / self.duration_s
 
-    def _totals(self) -> list[float]:
-        """Bits delivered up to each start, and up to the end."""
-        steps = np.diff(self.starts_s, append=self.duration_s)
-        return list(accumulate((self.rates_bps * steps).tolist(), initial=0.0))
+    def rate_at(self, at_s: float) -> float:
+        """bit/s at a time, 0 after the end of a trace that ends."""
+        if at_s >= self.duration_s and self.end != "loop":
+            return float(self.rates_bps[-1]) if self.end == "hold" else 0.0
+        return float(self.rates_bps[bisect_right(self._starts, at_s % self.duration_s) - 1])
 
     def bits_until(self, at_s: float) -> float:
         """Integral of the rate from 0 to `at_s`."""
-        totals = self._totals()
         rounds, rest = divmod(at_s, self.duration_s)
-        i = int(np.searchsorted(self.starts_s, rest, side="right")) - 1
-        return rounds * totals[-1] + totals[i] + float(self.rates_bps[i]) * (rest - float(self.starts_s[i]))
+        if rounds > 0 and self.end != "loop":
+            return self._totals[-1] + self.rate_at(at_s) * (at_s - self.duration_s)
+        i = bisect_right(self._starts, rest) - 1
+        return rounds * self._totals[-1] + self._totals[i] + float(self.rates_bps[i]) * (rest - self._starts[i])
 
-    def arrival_s(self, size_bytes: int, at_s: float) -> float:
-        """When `size_bytes` have passed, the first bit at `at_s`: the inverse of the integral."""
-        totals = self._totals()
+    def arrival_s(self, size_bytes: float, at_s: float) -> float:
+        """When `size_bytes` have passed, the first bit at `at_s`: the inverse of the integral.
+
+        Raises TransportError when the trace ends before, or holds a rate of zero for ever.
+        """
+        totals = self._totals
         target = self.bits_until(at_s) + 8 * size_bytes
+        if target > totals[-1] and self.end != "loop":
+            rate = self.rate_at(math.inf)
+            if rate <= 0:
+                raise TransportError(
+                    f"{self.name}: ends after {self.duration_s:g} s ({self.end}) with {(target - totals[-1]) / 8:.0f} "
+                    "bytes still to come"
+                )
+            return max(at_s, self.duration_s + (target - totals[-1]) / rate)
         rounds = math.floor(target / totals[-1])
         rest = target - rounds * totals[-1]
         if rest <= 0 and rounds > 0:  # done exactly at the end of a round: when its last bit came
             rounds, rest = rounds - 1, totals[-1]
-        i = max(0, int(np.searchsorted(totals, rest, side="left")) - 1)
+        i = max(0, bisect_left(totals, rest) - 1)
         rate = float(self.rates_bps[i])
         inside = (rest - totals[i]) / rate if rate > 0 else 0.0
-        return max(at_s, rounds * self.duration_s + float(self.starts_s[i]) + inside)
+        return max(at_s, rounds * self.duration_s + self._starts[i] + inside)
+
+    def ending(self, end: str) -> Trace:
+        """The same with another end."""
+        return replace(self, end=end)
 
     def cut(self, offset_s: float = 0.0, scale: float = 1.0) -> Trace:
         """The trace begun at `offset_s` (what lies before comes last), its rates times `scale`."""
@@ -81,11 +116,48 @@ class Trace:
         rates = np.concatenate([self.rates_bps[first:], self.rates_bps[: first + 1]]) * scale
         kept = starts < self.duration_s
         begins = (self.offset_s + offset_s) % self.duration_s
-        return Trace(self.name, starts[kept], rates[kept], self.duration_s, self.scale * scale, begins)
+        return replace(self, starts_s=starts[kept], rates_bps=rates[kept], scale=self.scale * scale, offset_s=begins)
+
+
+def open_trace(text: str) -> Trace:
+    """const:MBPS, markov:SEED[:MEAN_MBPS], or the path of a file that `read_trace` reads. Raises TransportError."""
+    kind, _, rest = text.partition(":")
+    numbers = rest.split(":")
+    if kind not in ("const", "markov"):
+        return read_trace(Path(text))
+    try:
+        if kind == "const" and len(numbers) == 1:
+            return Trace(text, np.zeros(1), np.array([1e6 * float(rest)]), CONSTANT_S)
+        if kind == "markov" and len(numbers) <= 2:
+            return markov_trace(int(numbers[0]), 1e6 * float(numbers[1]) if len(numbers) > 1 else MARKOV_MEAN_BPS)
+    except ValueError:
+        pass
+    raise TransportError(f"{text}: expected const:MBPS or markov:SEED[:MEAN_MBPS]")
+
+
+def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS, duration_s: float = MARKOV_S) -> Trace:
+    """A seeded chain over rates a factor of two apart, with outages; a state lasts about MARKOV_DWELL_S.
+
+    Neighbouring rates follow each other, one change in ten falls into an outage of about MARKOV_OUTAGE_S.
+    """
+    random = np.random.default_rng(seed)
+    starts: list[float] = []
+    rates: list[float] = []
+    at, state = 0.0, 2
+    while at < duration_s:
+        out = bool(starts) and random.random() < 0.1
+        starts.append(at)
+        rates.append(0.0 if out else 2.0**state * random.uniform(0.8, 1.25))
+        at += random.exponential(MARKOV_OUTAGE_S if out else MARKOV_DWELL_S) + 0.05
+        state = int(np.clip(state + random.choice((-1, 0, 1)), 0, 4))
+    lengths = np.diff(np.array(starts), append=duration_s)
+    scaled = np.array(rates) * mean_bps * duration_s / float(np.dot(rates, lengths))
+    return Trace(f"markov:{seed}:{mean_bps / 1e6:g}", np.array(starts), scaled, duration_s)
 
 
 def read_trace(path: Path) -> Trace:
-    """A trace file: Raca et al. CSV (DL_bitrate), CSV of `time_s,mbps`, or mahimahi (a delivery time in ms a line).
+    """A trace file: Raca et al. CSV (DL_bitrate), sabre JSON, rows of seconds and Mbit/s (CSV, or Pensieve's with
+    blanks), or mahimahi (a delivery time in ms a line).
 
     Raises TransportError for a file that is none of these, is empty, or carries nothing.
     """
@@ -98,11 +170,13 @@ def read_trace(path: Path) -> Trace:
     try:
         if "DL_bitrate" in lines[0]:
             return _read_raca(path.name, lines)
+        if lines[0].lstrip().startswith("["):
+            return _read_sabre(path.name, json.loads("\n".join(lines)))
         if all(line.strip().isdigit() for line in lines):
             return _read_mahimahi(path.name, [int(line) for line in lines])
         return _read_plain(path.name, lines)
-    except (ValueError, KeyError, IndexError) as error:
-        expected = "expected Raca CSV, time_s,mbps CSV or mahimahi"
+    except (ValueError, KeyError, IndexError, TypeError) as error:
+        expected = "expected Raca CSV, sabre JSON, rows of seconds and Mbit/s, or mahimahi"
         raise TransportError(f"{path}: {expected}: {error}") from error
 
 
@@ -134,6 +208,15 @@ def _read_plain(name: str, lines: Sequence[str]) -> Trace:
     times = [float(row[0]) for row in rows]
     last = times[-1] - times[-2] if len(times) > 1 else 1.0
     return _trace(name, [t - times[0] for t in times], [1e6 * float(row[1]) for row in rows], last)
+
+
+def _read_sabre(name: str, periods: list[dict[str, float]]) -> Trace:
+    """Periods of `duration_ms`, `bandwidth_kbps` and `latency_ms`, whose mean is taken for the round trip."""
+    lengths = [float(period["duration_ms"]) / 1e3 for period in periods]
+    rtts = [float(period["latency_ms"]) / 1e3 for period in periods if "latency_ms" in period]
+    starts = list(accumulate(lengths[:-1], initial=0.0))
+    trace = _trace(name, starts, [1e3 * float(period["bandwidth_kbps"]) for period in periods], lengths[-1])
+    return replace(trace, rtt_s=math.fsum(rtts) / len(rtts)) if rtts else trace
 
 
 def _is_number(text: str) -> bool:
