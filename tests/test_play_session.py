@@ -18,7 +18,7 @@ from airgs_codec.play.session import SessionSettings, mean_quality, metrics, scr
 from airgs_codec.play.trace import Trace
 from tests.manifests import tiny_manifest
 
-BARE = {"decode_frame_s": 0.0, "loops": 1, "resume_s": 0.0, "replace": False, "abandon": False}
+BARE = {"startup_s": 0.0, "decode_frame_s": 0.0, "loops": 1, "resume_s": 0.0, "replace": False, "abandon": False}
 
 
 def link(rates, starts=None, duration=None, rtt=0.0, end="loop"):

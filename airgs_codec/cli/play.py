@@ -53,7 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     link.add_argument("--end", choices=ENDS, default="loop", help="what follows the trace's last second")
     player = parser.add_argument_group("player")
     player.add_argument("--buffer", type=float, default=10.0, metavar="S", help="most media ahead (default: 10)")
-    player.add_argument("--startup", type=float, default=0.0, metavar="S", help="media at hand before the start")
+    player.add_argument("--startup", type=float, default=1.0, metavar="S", help="at hand at the start (default: 1)")
     player.add_argument("--resume", type=float, default=0.5, metavar="S", help="the same after a stall (default: 0.5)")
     player.add_argument("--decode-ms", default="4", metavar="MS", help="a frame, or measure (default: 4)")
     player.add_argument("--no-replace", action="store_true", help="never fetch a better rung for what is buffered")

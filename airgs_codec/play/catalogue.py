@@ -28,6 +28,10 @@ class Catalogue:
     header_bytes: int = HEADER_BYTES
 
     @cached_property
+    def _options(self) -> dict[tuple[int, tuple[tuple[int, int], ...]], tuple[Point, ...]]:
+        return {}
+
+    @cached_property
     def rungs(self) -> list[tuple[int, int]]:
         """(key quality, level) of every rung."""
         return [(q, j) for q in range(len(self.manifest.qualities)) for j in range(len(self.manifest.levels))]
@@ -102,10 +106,14 @@ class Catalogue:
         ]
 
     def options(self, segment: int, held: Held) -> tuple[Point, ...]:
-        """Every rung of a segment, by number."""
-        levels, quality = self.manifest.levels, self.quality[segment]
-        sizes = self.sizes(segment, held)
-        return tuple(Point(r, sizes[r], float(quality[r]), levels[j].pruned) for r, (_, j) in enumerate(self.rungs))
+        """Every rung of a segment, by number; kept, since a session asks for few combinations over and over."""
+        key = segment, tuple(sorted(held.items()))
+        if key not in self._options:
+            levels, quality, sizes = self.manifest.levels, self.quality[segment], self.sizes(segment, held)
+            self._options[key] = tuple(
+                Point(r, sizes[r], float(quality[r]), levels[j].pruned) for r, (_, j) in enumerate(self.rungs)
+            )
+        return self._options[key]
 
     def files(self, segment: int, rung: int, held: Held) -> list[str]:
         """What is fetched for a rung, keys first."""

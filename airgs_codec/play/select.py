@@ -66,15 +66,15 @@ class Ladder:
             raise ConfigError(f"cliff multiplier: expected more than 1, got {beta}")
         front = _pareto([_checked(p) for p in points])
         kept = front[:1]
-        drops: list[float] = []
+        dropped = 0.0  # sum over the levels kept
         for previous, point in itertools.pairwise(front):
             drop = _drop_per_tenth(previous, point)
-            reference = max(eps_db, sum(drops) / len(drops)) if drops else None
+            reference = max(eps_db, dropped / (len(kept) - 1)) if len(kept) > 1 else None
             past = drop > cliff_db if reference is None else drop / reference > beta
             if past or (min_quality is not None and point.quality < min_quality):
                 break
             kept.append(point)
-            drops.append(drop)
+            dropped += drop
         return Ladder(tuple(kept))
 
 

@@ -48,7 +48,7 @@ class SessionSettings:
 
     policy: str = "paper"
     buffer_s: float = 10.0  # most media time ahead of the playhead
-    startup_s: float = 0.0  # media at hand before playing begins; one segment at least
+    startup_s: float = 1.0  # media at hand before playing begins; one segment at least
     resume_s: float = 0.5  # the same after a stall
     decode_frame_s: float = 0.004  # time to decode and apply a frame
     replace: bool = True  # buffered segments by better ones
@@ -401,11 +401,11 @@ def _line_up(player: _Player, segment: _Segment) -> None:
 
 
 def _resume(player: _Player) -> None:
-    """Show what waits, one segment after another, from the moment the last of it was ready."""
+    """Show what waits, one segment after another, from the moment all of it was ready."""
     waiting = player.line[player.first_waiting :]
     before = player.line[player.first_waiting - 1] if player.first_waiting else None
     due = before.start_s + player.seconds(before.position) if before else -math.inf
-    at = max(due, waiting[-1].ready_s)
+    at = max(due, *(segment.ready_s for segment in waiting))
     waiting[0].stall_s = at - due if before else 0.0
     for segment in waiting:
         segment.start_s = at
@@ -553,9 +553,11 @@ def metrics(log: SessionLog) -> dict[str, object]:
         "utilisation": wire / max(1.0, log.link.bytes_between(0.0, end)),
         "replaced": sum(f.kind == "better" for f in log.fetches),
         "abandoned": sum("abandoned" in f.reason for f in log.fetches),
+        "late": sum(s.stall_s > 1e-9 for s in shown) / len(shown),
         "infeasible": sum(not f.fits for f in choices) / max(1, len(choices)),
         "lost_frames": sum(s.frames for s in shown if s.rung is None),
         "frame_ms_mean": float(1e3 * took.mean()) if len(took) else 0.0,
+        "frame_ms_p50": float(1e3 * np.percentile(took, 50)) if len(took) else 0.0,
         "frame_ms_p95": float(1e3 * np.percentile(took, 95)) if len(took) else 0.0,
         "frame_ms_max": float(1e3 * took.max()) if len(took) else 0.0,
         "rungs": {"lost" if r is None else c.names[r]: count for r, count in Counter(rungs).most_common()},

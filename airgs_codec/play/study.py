@@ -39,12 +39,15 @@ FIGURES = (
     "wasted",
     "utilisation",
     "infeasible",
+    "late",
     "regret",
     "qoe",
     "frame_ms_mean",
+    "frame_ms_p50",
     "frame_ms_p95",
     "frame_ms_max",
 )
+KINDS = ("key", "state", "sidecars", "init", "manifests")  # of bytes
 Row = dict[str, Any]
 
 
@@ -151,6 +154,8 @@ def _one_trace(task: tuple[Path, str, StudySettings]) -> tuple[list[Row], list[R
             bound = session_bound(log)
             row = start | {"policy": policy, "feasible": feasible} | metrics(log)
             row |= {"bound": bound, "regret": None if bound is None else bound - mean_quality(log)}
+            shown = sum(s.frames for s in log.shown)
+            row |= {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / shown / 1e3 for kind in KINDS}
             row["frame_ms_percentiles"] = (1e3 * np.percentile(frame_times(log), PERCENTILES)).round(3).tolist()
             rows.append(row)
         for chooser in CHOOSERS:
@@ -186,7 +191,7 @@ def summarise(study: Study, feasible: bool | None = None) -> list[Row]:
     traces = [r["trace"] for r in wanted if r["policy"] == first]
     for policy in study.settings.policies:
         row: Row = {"policy": policy, "sessions": len(traces)}
-        for figure in FIGURES:
+        for figure in (*FIGURES, *(f"{kind}_kb_frame" for kind in KINDS)):
             values = study.of(policy, figure, feasible)
             row[figure] = interval(values, traces)
             row[f"{figure}_difference"] = interval(values - study.of(first, figure, feasible), traces)

@@ -28,6 +28,16 @@ COLUMNS = (  # figure, heading, factor, digits
     ("qoe", "QoE", 1, 2),
     ("frame_ms_p95", "95 % ms", 1, 0),
 )
+MORE_COLUMNS = (  # on the page alone
+    ("frame_ms_p50", "median ms", 1, 0),
+    ("frame_ms_max", "worst ms", 1, 0),
+    ("late", "late %", 100, 1),
+    ("key_kb_frame", "key kB", 1, 2),
+    ("state_kb_frame", "state kB", 1, 2),
+    ("sidecars_kb_frame", "sidecars kB", 1, 2),
+    ("init_kb_frame", "init kB", 1, 2),
+    ("manifests_kb_frame", "manifests kB", 1, 2),
+)
 FRAME_COLUMNS = (
     ("kb_frame", "kB/frame", 1, 2),
     ("psnr", "PSNR dB", 1, 2),
@@ -170,7 +180,7 @@ def _page(study: Study) -> str:
         f"<table><tr><th></th>{head}</tr>{body}</table>",
     ]
     style = (
-        "body{font:15px/1.5 system-ui,sans-serif;max-width:1320px;margin:2rem auto;padding:0 1rem;color:#222}"
+        "body{font:15px/1.5 system-ui,sans-serif;max-width:1700px;margin:2rem auto;padding:0 1rem;color:#222}"
         "table{border-collapse:collapse;font-size:13px}td,th{padding:.2rem .6rem;text-align:right}"
         "th:first-child{text-align:left}tr:nth-child(even){background:#f4f4f6}small{color:#777;display:block}"
         "img{max-width:100%;margin-top:1rem}"
@@ -183,11 +193,11 @@ def _page(study: Study) -> str:
 
 
 def _table(rows: list[Row], suffix: str) -> str:
-    head = "".join(f"<th>{h}</th>" for _, h, _, _ in COLUMNS)
+    head = "".join(f"<th>{h}</th>" for _, h, _, _ in (*COLUMNS, *MORE_COLUMNS))
     body = ""
     for row in rows:
         cells = ""
-        for name, _, factor, digits in COLUMNS:
+        for name, _, factor, digits in (*COLUMNS, *MORE_COLUMNS):
             mean, low, high = (factor * v for v in row[name + suffix])
             words = (
                 "-" if math.isnan(mean) else f"{mean:.{digits}f}<small>{low:.{digits}f} to {high:.{digits}f}</small>"
