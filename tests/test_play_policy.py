@@ -12,8 +12,10 @@ from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.policy import (
     NAMES,
+    RESERVE_S,
     STALL_DB,
     SWITCH_DB,
+    THIN_DB,
     Download,
     PlayerState,
     budget_bytes,
@@ -123,6 +125,7 @@ def best_total(s, rate, horizon, first=None):
             quality = c.quality[segment, rung]
             total += quality - STALL_DB * max(0.0, took - buffer) - SWITCH_DB * abs(quality - before)
             buffer, before = min(max(0.0, buffer - took) + 1.0, s.buffer_limit_s), quality
+            total -= THIN_DB * max(0.0, RESERVE_S - buffer)
         best = max(best, total)
     return best
 

@@ -27,11 +27,11 @@ SAFETY = 0.9  # share of the estimated throughput that is spent
 HALF_LIVES_S = (3.0, 8.0)  # of the two throughput averages; the smaller one counts (as in dash.js)
 BUFFER_SHARE = 0.5  # of the buffered time that one segment may use
 STALL_DB = 20.0  # quality that a second of waiting is worth (Puffer's coefficient)
-SWITCH_DB = 0.25  # and a change of quality by 1 dB from one segment to the next, to robust-mpc; chosen on other traces
+SWITCH_DB = 0.25  # to robust-mpc: a change of quality by 1 dB from one segment to the next
+THIN_DB, RESERVE_S = 1.0, 3.0  # to the same: every second that the buffer is short of the reserve, while it is
 MPC_HORIZON_S, MPC_MOST = 8.0, 12  # looked ahead, and the most segments
 MPC_BINS = 80  # of the buffer
 MPC_PAST = 3  # downloads whose worst error discounts the estimate
-BOLA_RESERVE_S = 3.0  # buffer below which BOLA takes the smallest rung
 
 Policy = Callable[["PlayerState"], Decision]
 
@@ -136,7 +136,7 @@ def choose_bola(state: PlayerState) -> Decision:
     """BOLA-BASIC: the rung with the largest (V (u + g) - Q) / size.
 
     u is quality in nepers above the smallest rung, Q the buffer in seconds. V and g are such that the smallest rung is
-    left at BOLA_RESERVE_S (a third of a smaller buffer) and the best one scores nothing when the buffer is full.
+    left at RESERVE_S (a third of a smaller buffer) and the best one scores nothing when the buffer is full.
     """
     points = _ladder(state).points
     if len(points) == 1:
@@ -144,7 +144,7 @@ def choose_bola(state: PlayerState) -> Decision:
     utility = [(p.quality - points[-1].quality) * math.log(10) / 20 for p in points]
     smallest = points[-1].size_bytes
     limit = max(state.buffer_limit_s - state.segment_s, state.segment_s)
-    reserve = min(BOLA_RESERVE_S, limit / 3)
+    reserve = min(RESERVE_S, limit / 3)
     bend = max(u * smallest / (p.size_bytes - smallest) for u, p in zip(utility, points[:-1], strict=False))
     v = (limit - reserve) / (utility[0] + bend)
     g = bend + reserve / v
@@ -171,10 +171,11 @@ def _harmonic(rates: Sequence[float]) -> float:
 
 
 def choose_robust_mpc(state: PlayerState) -> Decision:
-    """The first of the rungs that maximise quality - changes - STALL_DB * stalls over the next segments.
+    """The first of the rungs that maximise quality - changes - stalls - want of a reserve over the next segments.
 
     Dynamic programming backwards over (rung before, buffer), the buffer on a grid of MPC_BINS, true sizes and
-    qualities, at a constant discounted rate. Quality counts in dB times its share of MPC_HORIZON_S.
+    qualities, at a constant discounted rate. In dB times seconds: the coefficients were chosen on the Ghent 4G traces,
+    none of which is in the studies of the README.
     """
     rate = discounted_throughput(state.history)
     if rate <= 0:
@@ -197,7 +198,8 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
     stall = np.maximum(took - max(0.0, state.deadline_s - state.now_s), 0)
     left = np.minimum(np.maximum(state.buffer_s - took, 0) + state.segment_s, state.buffer_limit_s)
     after = np.array([np.interp(b, grid, value[r]) for b, r in zip(left, levels, strict=True)])
-    total = state.segment_s * (quality - SWITCH_DB * change) - STALL_DB * stall + after
+    thin = THIN_DB * np.maximum(RESERVE_S - left, 0)
+    total = state.segment_s * (quality - SWITCH_DB * change - thin) - STALL_DB * stall + after
     best = int(np.lexsort((sizes, -total))[0])
     reason = f"{rate / 1e6:.2f} Mbit/s, buffer {state.buffer_s:.2f} s, {max(1, taken)} segments ahead"
     return Decision(int(levels[best]), bool(stall[best] <= 0), reason, int(sizes[best]))
@@ -222,6 +224,7 @@ def _mpc_step(
     part = place - at
     rung = np.arange(len(quality))[None, :, None]
     gained = seconds * quality[None, :, None] + STALL_DB * np.minimum(buffer, 0)
+    gained = gained - seconds * THIN_DB * np.maximum(RESERVE_S - left, 0)
     gained = gained + value[rung, at] * (1 - part) + value[rung, at + 1] * part
     changes = seconds * SWITCH_DB * np.abs(quality[None, :] - before[:, None])  # (R, R)
     return np.asarray((gained - changes[:, :, None]).max(axis=1))
