@@ -1,9 +1,11 @@
 """The dense level space of a package: quality and bytes of 0-100 % pruning in 10 % steps, by rendering.
 
 Updates of a share of the moving rows are withheld (`hold`: the rows keep their canonical state) or those rows are not
-drawn at all (`drop`). Both send the same bytes: the other rows' states are coded here as a level of their own. The
-top rung of the package is the source; its own error is added where the original is not given, which takes the two
-errors as independent.
+drawn at all (`drop`). Both send the same bytes: those of the other rows' states, coded here as a level of their own.
+
+The source is the top rung of the package, as decoded. At its own steps that is what a viewer would see; for a step
+factor f the states are coded again with steps of sqrt(f^2 - 1), so that both codings together err as one with f would.
+Where the original is not given, the top rung's measured error is added. All of this takes errors as independent.
 """
 
 from __future__ import annotations
@@ -93,7 +95,7 @@ def measure_dense(
         ]
         with ThreadPoolExecutor(jobs) as pool:
             kept = [kept_rows(scores[name], share) for name, share, _ in plans]
-            tasks = [pool.submit(job.code, rows, plan[2]) for rows, plan in zip(kept, plans, strict=True)]
+            tasks = [pool.submit(job.trial, rows, plan[2]) for rows, plan in zip(kept, plans, strict=True)]
             for done, (plan, rows, task) in enumerate(zip(plans, kept, tasks, strict=True)):
                 progress(f"segment {index + 1} of {len(m.segments)}", done, len(tasks))
                 points += job.measure(*plan, rows, *task.result())
@@ -138,8 +140,6 @@ class _Job:
         values: list[NDArray[np.float32]],
     ) -> list[DensePoint]:
         """Points of a level of `coded` bytes that decodes to `values` in the measured frames."""
-        if kept.all() and factor == 1:  # level 0 itself
-            values = [self._values[t] for t in self._frames]
         size = round(self._size * coded / self._full)
         held = [self._states.show(v) for v in values]
         out = [self._point(name, HOLD, share, factor, size, held)]
@@ -160,6 +160,13 @@ class _Job:
         return DensePoint(
             self._index, name, semantics, share, factor, size, squared, float(np.mean(likeness)) - self._floor[1]
         )
+
+    def trial(self, kept: NDArray[np.bool_], factor: float) -> tuple[int, list[NDArray[np.float32]]]:
+        """Bytes of a level, and the (10 + C, n) that its viewers have in the measured frames."""
+        size, _ = self.code(kept, factor)
+        if factor == 1:
+            return size, [np.where(kept, self._values[t], np.float32(0)) for t in self._frames]
+        return size, self.code(kept, math.sqrt(factor**2 - 1))[1]
 
     def code(self, kept: NDArray[np.bool_], factor: float) -> tuple[int, list[NDArray[np.float32]]]:
         """Bytes of a segment that carries the kept rows, and the (10 + C, n) it decodes to in the measured frames."""
