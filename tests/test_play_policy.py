@@ -55,7 +55,6 @@ def state(
         deadline_s=100.0 + buffer_s,
         buffer_limit_s=limit,
         rtt_s=rtt,
-        decode_s=0.0,
         shown_quality=shown,
         history=(Download(max(1, round(rate / 8)), 1.0),) * 4 if rate else (),
     )

@@ -118,6 +118,7 @@ def test_a_study_repeats_exactly(measured):
         (["--compare", "--traces", "const:1", "--policies", "paper,paper"], "policies"),
         (["--compare", "--traces", "const:1", "--offsets", "0"], "offset"),
         ([], "--trace"),
+        (["--trace", "const:1", "--mode", "frames", "--report", "never"], "--mode frames"),
         (["--trace", "const:1", "--decode-ms", "fast"], "--decode-ms"),
         (["--trace", "markov:1:1", "--end", "error", "--loops", "3000"], "ends after"),
     ],

@@ -94,6 +94,8 @@ def _run(args: argparse.Namespace) -> int:
     trace = open_trace(args.trace).cut(args.offset, args.scale).ending(args.end)
     rtt = args.rtt / 1e3 if args.rtt is not None else trace.rtt_s
     link = Link(trace, DEFAULT_RTT_S if rtt is None else rtt)
+    if args.mode != "segments" and (args.report or args.video):
+        raise ConfigError(f"--mode {args.mode}: prints a table, expected no --report and no --video")
     if args.mode == "frames":
         return _frames(package, link, args)
     if args.mode == "closed-loop":

@@ -57,7 +57,6 @@ class PlayerState:
     deadline_s: float  # when it must be there to be shown in time; in the past when the player waits
     buffer_limit_s: float
     rtt_s: float
-    decode_s: float  # a segment
     shown_quality: float | None  # dB of the segment before it
     history: tuple[Download, ...]  # oldest first
 

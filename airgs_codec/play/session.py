@@ -263,7 +263,6 @@ def _state(player: _Player, position: int) -> PlayerState:
         deadline_s=player.end_s() - player.settings.decode_frame_s,
         buffer_limit_s=player.settings.buffer_s,
         rtt_s=player.link.rtt_s,
-        decode_s=player.settings.decode_frame_s,
         shown_quality=quality,
         history=tuple(player.history[-24:]),
     )
@@ -284,8 +283,8 @@ def _fetch(player: _Player, state: PlayerState, decision: Decision) -> bool:
         stop_s = None if fixed else _abandoned_s(player, state, decision, files)
         if stop_s is not None:
             player.given_up = state.position, decision.size_bytes
-        whole = _receive(player, files, stop_s)
-        wire = player.history[-1].bytes if stop_s is None else round(player.link.bytes_between(began, stop_s))
+        whole = _receive(player, state.position, decision.level, files, stop_s)
+        wire = player.history[-1].bytes
         kept = player.catalogue.wire_bytes([player.catalogue.manifest.files[f].bytes for f in whole])
         wasted = 0 if len(whole) == len(files) else max(0, wire - kept)
         reason = decision.reason if stop_s is None else f"{decision.reason}; abandoned after {stop_s - began:.2f} s"
@@ -319,8 +318,11 @@ def _files(player: _Player, position: int, rung: int) -> list[str]:
     return [path for path in inits if path not in player.once] + files
 
 
-def _receive(player: _Player, files: list[str], stop_s: float | None) -> list[str]:
-    """Wait for a batch, or until `stop_s`; gives the files that came whole and are what they should be."""
+def _receive(player: _Player, position: int, rung: int, files: list[str], stop_s: float | None) -> list[str]:
+    """Wait for a batch, or until `stop_s`; gives the files of it that are at hand.
+
+    Those came whole and are what they should be; a state without the rest of its batch is of no use and is dropped.
+    """
     manifest, link = player.catalogue.manifest, player.link
     sizes = [0 if player.faults.get(f) == "missing" else manifest.files[f].bytes for f in files]
     wire = player.catalogue.wire_bytes(sizes)
@@ -334,23 +336,36 @@ def _receive(player: _Player, files: list[str], stop_s: float | None) -> list[st
         ends = itertools.accumulate(size + player.catalogue.header_bytes for size in sizes)
         came = [f for f, end in zip(files, ends, strict=True) if end <= passed]
         player.now_s = stop_s
-    whole = []
     for path in came:
         if path in player.faults:
             player.bad.add(path)
             player.lost.append(f"{path} at {player.now_s:.2f} s: {player.faults[path]}")
-            continue
-        whole.append(path)
-        _keep(player, path)
+    whole = [path for path in came if path not in player.faults]
+    if len(whole) < len(files):
+        whole = [path for path in whole if path.startswith("key/") or path.endswith("init.mp4")]
+    for path in whole:
+        kind = "init" if path.endswith("init.mp4") else "sidecars" if path.endswith(".bin") else path.split("/")[0]
+        player.bytes_by_kind[kind] += manifest.files[path].bytes
+    player.once.update(path for path in whole if path.endswith("init.mp4"))
+    held, (quality, level) = player.held(position), player.catalogue.rungs[rung]
+    while (tier := held.get(quality, 0)) < manifest.levels[level].tiers:
+        if not set(manifest.key_files(player.group(position)[1], tier, quality)) <= set(whole):
+            break
+        held[quality] = tier + 1
+    _use_keys(player, position, quality)
     return whole
 
 
-def _keep(player: _Player, path: str) -> None:
-    """Book a file; kinds are init, key, state and sidecars."""
-    kind = "init" if path.endswith("init.mp4") else "sidecars" if path.endswith(".bin") else path.split("/")[0]
-    player.bytes_by_kind[kind] += player.catalogue.manifest.files[path].bytes
-    if kind == "init":
-        player.once.add(path)
+def _use_keys(player: _Player, position: int, quality: int) -> None:
+    """Show what is buffered of a group with its best keys, where they are decoded in time."""
+    c, held = player.catalogue, player.held(position)
+    ready_s = player.now_s + player.settings.decode_frame_s
+    for segment in player.line:
+        if segment.rung is None or player.group(segment.position) != player.group(position):
+            continue
+        q, j = c.rungs[segment.rung]
+        if quality < q and segment.start_s >= ready_s and held.get(quality, 0) >= c.manifest.levels[j].tiers:
+            segment.rung = c.rungs.index((quality, j))
 
 
 def _abandoned_s(player: _Player, state: PlayerState, decision: Decision, files: list[str]) -> float | None:
@@ -382,11 +397,6 @@ def _line_up(player: _Player, segment: _Segment) -> None:
     first_frame = player.settings.decode_frame_s if segment.rung is not None else 0.0
     segment.ready_s += first_frame
     player.line.append(segment)
-    if segment.rung is not None:
-        c, m = player.catalogue, player.catalogue.manifest
-        quality, level = c.rungs[segment.rung]
-        held = player.held(segment.position)
-        held[quality] = max(held.get(quality, 0), m.levels[level].tiers)
     waiting = player.line[player.first_waiting :]
     before = player.line[player.first_waiting - 1] if player.first_waiting else None
     due = before.start_s + player.seconds(before.position) if before else -math.inf
@@ -418,70 +428,78 @@ def _replace(player: _Player) -> bool:
     rate = SAFETY * estimate_throughput(player.history)
     best: tuple[float, _Segment, Point] | None = None
     for segment in player.line:
-        if segment.start_s <= player.now_s or segment.rung is None or segment.start_s == math.inf:
+        if segment.rung is None or segment.start_s <= player.now_s or segment.start_s == math.inf:
             continue
-        index = _index(player, segment)
-        here = float(player.catalogue.quality[index, segment.rung])
-        for option in player.catalogue.options(index, player.held(segment.position)):
-            gain = option.quality - here
+        here = float(player.catalogue.quality[_index(player, segment), segment.rung])
+        for option in _better(player, segment):
             arrival = player.now_s + player.link.rtt_s + 8 * option.size_bytes / rate
+            gain = option.quality - here
             if gain < REPLACE_GAIN_DB or arrival + player.settings.decode_frame_s > segment.start_s:
                 continue
-            worth = gain * player.seconds(segment.position) / option.size_bytes
+            worth = gain * player.seconds(segment.position) / max(1, option.size_bytes)
             if best is None or worth > best[0]:
-                files = player.catalogue.files(index, option.level, player.held(segment.position))
-                if not player.bad.intersection(files):
-                    best = (worth, segment, option)
+                best = (worth, segment, option)
     if best is None:
         return False
     _, segment, option = best
-    files = _files(player, segment.position, option.level)
+    files = _replacement(player, segment, option.level)
+    before = float(player.catalogue.quality[_index(player, segment), segment.rung or 0])
     began, estimate = player.now_s, estimate_throughput(player.history)
-    whole = _receive(player, files, None)
+    whole = _receive(player, segment.position, option.level, files, None)
     ready = player.now_s + player.settings.decode_frame_s
     late = ready > segment.start_s
+    useless = late or len(whole) < len(files)
     wire = player.history[-1].bytes
-    reason = (
-        f"{option.quality:.1f} dB in place of {player.catalogue.quality[_index(player, segment), segment.rung]:.1f}"
-    )
+    reason = f"{option.quality:.1f} dB in place of {before:.1f}" + "; too late" * late
     player.fetches.append(
         Fetch(
             "better",
             segment.position,
             option.level,
             wire,
-            wire if late or len(whole) < len(files) else 0,
+            wire if useless else 0,
             began,
             player.now_s,
             0.0,
             estimate,
             True,
-            reason + "; too late" * late,
+            reason,
         )
     )
-    if len(whole) == len(files) and not late:
-        _improve(player, segment, option.level, ready)
+    if not useless:
+        _improve(player, segment, option.level)
     return True
 
 
-def _improve(player: _Player, segment: _Segment, rung: int, ready_s: float) -> None:
-    """Put a better rung in place; its keys serve every later segment of the group that they are in time for."""
+def _better(player: _Player, segment: _Segment) -> Iterator[Point]:
+    """Rungs that a buffered segment could have instead; its state is at hand where only the keys would be better."""
+    c, index, held = player.catalogue, _index(player, segment), player.held(segment.position)
+    _, level = c.rungs[segment.rung or 0]
+    for option in c.options(index, held):
+        size = option.size_bytes
+        if c.rungs[option.level][1] == level:
+            size -= int(c.state_bytes[index, level])
+        if not player.bad or not player.bad.intersection(_replacement(player, segment, option.level)):
+            yield Point(option.level, size, option.quality, option.pruned)
+
+
+def _replacement(player: _Player, segment: _Segment, rung: int) -> list[str]:
+    """What it takes to show another rung of a buffered segment."""
+    files = _files(player, segment.position, rung)
+    same = player.catalogue.rungs[rung][1] == player.catalogue.rungs[segment.rung or 0][1]
+    return [path for path in files if not (same and path.startswith("state/"))]
+
+
+def _improve(player: _Player, segment: _Segment, rung: int) -> None:
+    """Put a better rung in place."""
     c = player.catalogue
-    replaced = player.fetches[segment.fetch]
-    index = _index(player, segment)
-    state = int(c.state_bytes[index, c.rungs[segment.rung or 0][1]])
-    if c.rungs[rung][1] != c.rungs[segment.rung or 0][1]:
+    old = c.rungs[segment.rung or 0][1]
+    if c.rungs[rung][1] != old:
+        replaced = player.fetches[segment.fetch]
+        state = int(c.state_bytes[_index(player, segment), old])
         player.fetches[segment.fetch] = replace(replaced, wasted=replaced.wasted + state)
-    segment.rung, segment.fetch = rung, len(player.fetches) - 1
-    quality, level = c.rungs[rung]
-    held = player.held(segment.position)
-    held[quality] = max(held.get(quality, 0), c.manifest.levels[level].tiers)
-    for other in player.line:
-        if other.rung is None or player.group(other.position) != player.group(segment.position):
-            continue
-        q, j = c.rungs[other.rung]
-        if quality < q and other.start_s >= ready_s and held[quality] >= c.manifest.levels[j].tiers:
-            other.rung = c.rungs.index((quality, j))
+        segment.fetch = len(player.fetches) - 1
+    segment.rung = rung
 
 
 def _shown(player: _Player) -> Iterator[Shown]:

@@ -82,11 +82,13 @@ def _conditions(study: Study) -> str:
     means = {r["trace"]: r["mean_bps"] for r in study.rows}
     rates = [bps / 1e6 for bps in means.values()]
     scale = "unscaled" if s.scale == 1 else f"rates x{s.scale:g}"
+    trips = sorted({round(1e3 * r["rtt_s"]) for r in study.rows})
+    trip = f"{trips[0]}" if len(trips) == 1 else f"{trips[0]}-{trips[-1]}"
     frames, seconds = study.rows[0]["frames"], study.rows[0]["played_s"]
     return (
         f"{study.package}: {frames} frames ({seconds:.1f} s) over {len(means)} traces, {s.offsets} offsets each "
         f"(seed {s.seed}), {scale}, means {min(rates):.1f}-{max(rates):.1f} Mbit/s (median {np.median(rates):.1f}), "
-        f"after the end: {s.end}, round trip {1e3 * study.rows[0]['rtt_s']:.0f} ms, buffer {s.session.buffer_s:g} s"
+        f"after the end: {s.end}, round trip {trip} ms, buffer {s.session.buffer_s:g} s"
     )
 
 
