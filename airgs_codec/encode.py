@@ -21,6 +21,7 @@ from airgs_codec import __version__, escapes
 from airgs_codec import canonical as space
 from airgs_codec import manifest as tables
 from airgs_codec.atlas import assemble, choose_layout, fit_atlas, picture_size, read_codes
+from airgs_codec.bounds import Sent
 from airgs_codec.canonical import Canonical
 from airgs_codec.errors import SceneError
 from airgs_codec.gaussians import Gaussians
@@ -39,7 +40,6 @@ from airgs_codec.video import (
     STATE_QP,
     Clip,
     CodecSettings,
-    Stream,
     check_stream,
     decode_clip,
     encode_stream,
@@ -132,6 +132,7 @@ def _code_keys(plan: GroupPlan, cameras: Sequence[Camera], settings: EncodeSetti
     spare = spare_key_planes(plan, cameras, settings.byte_price)
     for tier in range(len(settings.tiers)):
         atlases, samples, bases = [], [], []
+        sent: list[Sent | None] = []
         rows = plan.tier_rows(tier)
         for factor in settings.key_factors:
             codes = to_codes(plan.key_values[None, :, rows], steps * factor, gain)
@@ -139,8 +140,10 @@ def _code_keys(plan: GroupPlan, cameras: Sequence[Camera], settings: EncodeSetti
             centred = (codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes]
             luma, base = escapes.split(centred)
             atlases.append(atlas)
+            sent.append(Sent.of(plan.key_values[None, :, rows], atlas, steps * factor / gain) if atlas.rows else None)
             samples.append(luma[0])
             bases.append(base[0])
+        plan.key_sent.append(sent)
         plan.key_atlases.append(atlases)
         plan.key_samples.append(samples)
         plan.key_bases.append(bases)
@@ -180,20 +183,22 @@ def _encode_keys(
             )
             for plan in used
         ]
-        return Coded(_encode_checked(lambda: clips, size, fps, timescale, codec) if used else None, size)
+        return _encode_checked(lambda: clips, size, fps, timescale, codec) if used else Coded(None, size, [])
 
     pairs = [(t, q) for t in range(len(settings.tiers)) for q in range(len(settings.key_factors))]
     streams = _parallel(settings.jobs, [functools.partial(encode, *pair) for pair in pairs], "key pictures", progress)
     count = len(settings.key_factors)
+    for plan in plans:
+        for (tier, quality), coded in zip(pairs, streams, strict=True):
+            plan.bound_key(tier, quality, [coded.differences[n - 1] for n in plan.numbers[tier : tier + 1] if n])
     return [streams[t * count : (t + 1) * count] for t in range(len(settings.tiers))]
 
 
 def _encode_checked(
     clips: Callable[[], Iterable[Clip]], size: tuple[int, int], fps: Fraction, timescale: int, codec: CodecSettings
-) -> Stream:
+) -> Coded:
     stream = encode_stream(clips(), size, fps, timescale, codec)
-    check_stream(stream, clips(), codec)
-    return stream
+    return Coded(stream, size, check_stream(stream, clips(), codec))
 
 
 def _common_size(atlases: list[Atlas]) -> tuple[int, int]:
@@ -281,10 +286,12 @@ def _code_states(
         rows = (plan.depths != STATIC) & (plan.depths >= level)
         if not rows.any():
             plan.levels.append(Atlas(0, [0] * len(steps), [], 0, 0))
+            plan.level_sent.append(None)
             continue
         codes = to_codes(values[:, :, rows], steps * factor, gain)
         atlas = fit_atlas(codes, gain / 2, spare)
         plan.levels.append(atlas)
+        plan.level_sent.append(Sent.of(values[:, :, rows], atlas, steps * factor / gain))
         if not atlas.planes:
             continue
         centred = (codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes]
@@ -323,12 +330,17 @@ def _encode_states(
     def encode(level: int) -> Coded:
         size = _common_size([plan.levels[level] for plan in plans if plan.levels[level].planes])
         if not any(row[level] for group in fetched for row in group):
-            return Coded(None, (0, 0))
+            return Coded(None, (0, 0), [])
         clips = functools.partial(_state_clips, plans, spans, fetched, level, size, ticks, scratch)
-        return Coded(_encode_checked(clips, size, fps, timescale, codec), size)
+        return _encode_checked(clips, size, fps, timescale, codec)
 
     tasks = [functools.partial(encode, level) for level in range(len(settings.levels))]
-    return _parallel(settings.jobs, tasks, "state pictures", progress)
+    streams = _parallel(settings.jobs, tasks, "state pictures", progress)
+    for level, coded in enumerate(streams):
+        differences = iter(coded.differences)
+        for g, plan in enumerate(plans):
+            plan.bound_level(level, [next(differences) for row in fetched[g] if row[level]])
+    return streams
 
 
 def _state_clips(

@@ -29,6 +29,8 @@ MAX_FILE_BYTES = 1 << 31
 MAX_CHOICES = 64  # tiers, qualities, levels
 STATE_ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity", "sh_dc", "sh_rest")
 KEY_ATTRIBUTES = STATE_ATTRIBUTES[1:]  # canonical means travel in the sidecar
+KEY_BOUNDS = ("log_scales", "quaternions", "opacity", "colour")  # attributes of `max_error`, in channel order
+STATE_BOUNDS = ("means", *KEY_BOUNDS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +126,7 @@ class Atlas:
     planes: list[int]  # channels that have a plane, ascending; the others are constant at their centre
     plane_width: int  # samples, a multiple of 16
     columns: int  # planes side by side
+    max_error: list[float] = dataclasses.field(default_factory=list)  # of KEY_BOUNDS or STATE_BOUNDS, channel units
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,11 +13,13 @@ from typing import Any
 from airgs_codec.errors import FormatError
 from airgs_codec.manifest import (
     JSON_NAME,
+    KEY_BOUNDS,
     MAX_CHOICES,
     MAX_COUNT,
     MAX_FILE_BYTES,
     MAX_FRAMES,
     MAX_SIDE,
+    STATE_BOUNDS,
     VERSION,
     Atlas,
     Group,
@@ -153,18 +155,23 @@ def _group_ranges(m: Manifest, group: Group) -> Iterator[tuple[str, float, float
     for t, tier in enumerate(group.tiers):
         for q, atlas in enumerate(tier.qualities):
             yield f"tiers[{t}].qualities[{q}].rows", atlas.rows, tier.count, tier.count
-            yield from _atlas_ranges(f"tiers[{t}].qualities[{q}]", atlas, key_channels, m.key_pictures[t][q])
+            yield from _atlas_ranges(
+                f"tiers[{t}].qualities[{q}]", atlas, key_channels, len(KEY_BOUNDS), m.key_pictures[t][q]
+            )
     for j, atlas in enumerate(group.levels):
         yield f"levels[{j}].rows", atlas.rows, 0, group.count - group.static
-        yield from _atlas_ranges(f"levels[{j}]", atlas, state_channels, m.state_pictures[j])
+        yield from _atlas_ranges(f"levels[{j}]", atlas, state_channels, len(STATE_BOUNDS), m.state_pictures[j])
 
 
 def _atlas_ranges(
-    where: str, atlas: Atlas, channels: int, picture: Picture
+    where: str, atlas: Atlas, channels: int, bounds: int, picture: Picture
 ) -> Iterator[tuple[str, float, float, float]]:
     yield f"len({where}.centres)", len(atlas.centres), channels, channels
     for centre in atlas.centres:
         yield f"{where}.centres", centre, -MAX_CENTRE, MAX_CENTRE
+    yield f"len({where}.max_error)", len(atlas.max_error), bounds, bounds
+    for error in atlas.max_error:
+        yield f"{where}.max_error", error, 0, 1e38
     for i, plane in enumerate(atlas.planes):
         yield f"{where}.planes[{i}]", plane, atlas.planes[i - 1] + 1 if i else 0, channels - 1
     if atlas.planes:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec import canonical as space
 from airgs_codec import manifest as tables
 from airgs_codec import transforms as tf
+from airgs_codec.bounds import Sent, max_error
 from airgs_codec.errors import SceneError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.leaveout import Needed, Removal, importance
@@ -63,9 +64,11 @@ class GroupPlan:
     key_atlases: list[list[Atlas]] = field(default_factory=list)  # tier x quality
     key_samples: list[list[NDArray[np.uint8]]] = field(default_factory=list)  # (P, n)
     key_bases: list[list[NDArray[np.int32]]] = field(default_factory=list)
+    key_sent: list[list[Sent | None]] = field(default_factory=list)  # tier x quality
     depths: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, np.uint8))
     numbers: list[int] = field(default_factory=list)  # of the key unit in each tier; 0: no rows
     levels: list[Atlas] = field(default_factory=list)
+    level_sent: list[Sent | None] = field(default_factory=list)
     left_out: list[LeftOut] = field(default_factory=list)
 
     def weights(self) -> NDArray[np.float64]:
@@ -78,6 +81,18 @@ class GroupPlan:
         steps = StateSteps(1.0, *(getattr(self.key_steps, name) for name in tables.KEY_ATTRIBUTES))
         transform = tables.unpack_matrix(self.transform, len(self.key_values) - space.KEY_FIXED)
         return channel_weights(self.classes, self.sensitivity, steps, transform)[3:]
+
+    def bound_key(self, tier: int, quality: int, differences: list[NDArray[np.uint8]]) -> None:
+        """Fill in the errors of a key atlas whose picture decodes that far off."""
+        atlas, sent = self.key_atlases[tier][quality], self.key_sent[tier][quality]
+        errors = max_error(atlas, sent, differences, False) if sent else [0.0] * len(tables.KEY_BOUNDS)
+        self.key_atlases[tier][quality] = replace(atlas, max_error=errors)
+
+    def bound_level(self, level: int, differences: list[NDArray[np.uint8]]) -> None:
+        """The same for the segments of a level; where none is sent, there is no error to speak of."""
+        atlas, sent = self.levels[level], self.level_sent[level]
+        errors = max_error(atlas, sent, differences, True) if sent and differences else [0.0] * len(tables.STATE_BOUNDS)
+        self.levels[level] = replace(atlas, max_error=errors)
 
     def leave_out(self, what: str, count: int, error: float, size: float) -> None:
         """Note a decision."""

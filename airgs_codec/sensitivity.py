@@ -94,5 +94,7 @@ def _squares(g: Gaussians, camera: Camera, signs: NDArray[np.float32]) -> NDArra
     # A rotation by a small w after q adds (0, w) q / 2: the derivative by w is the inner product with that.
     turns = [tf.multiply(np.eye(4)[axis] / 2, active.quaternions.astype(np.float64)) for axis in (1, 2, 3)]
     rotation = np.stack([np.einsum("ni,ni->n", turn, quaternions) for turn in turns], axis=1)
-    columns = (means, rotation, scales * active.scales, opacity[:, None], sh[:, 0], sh[:, 1:].reshape(len(g), -1))
+    # An infinite scale is not drawn and pulls at nothing: 0, where 0 * inf would be no number.
+    sizes = np.multiply(scales, active.scales, out=np.zeros_like(scales), where=scales != 0)
+    columns = (means, rotation, sizes, opacity[:, None], sh[:, 0], sh[:, 1:].reshape(len(g), -1))
     return np.stack([np.einsum("ni,ni->n", c, c) for c in (c.astype(np.float64) for c in columns)])

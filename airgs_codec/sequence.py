@@ -123,7 +123,7 @@ def repair(frames: list[Gaussians], where: str) -> Repaired:
         frames = [frame.take(finite) for frame in frames]
     if not finite.any():
         raise SceneError(f"{where}: expected finite Gaussians, all {len(finite)} have NaN or Inf in some frame")
-    zero = [np.linalg.norm(frame.quaternions, axis=1) < QUATERNION_MIN_NORM for frame in frames]
+    zero = [np.linalg.norm(frame.quaternions.astype(np.float64), axis=1) < QUATERNION_MIN_NORM for frame in frames]
     if count := int(np.logical_or.reduce(zero).sum()):
         notes.append(f"{where}: {count} Gaussians with zero quaternions were given identity")
     frames = [_with_unit_quaternions(f, z) for f, z in zip(frames, zero, strict=True)]

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from airgs_codec import escapes
 from airgs_codec import manifest as tables
 from airgs_codec.manifest import FileEntry, Group, GroupTier, Picture, Segment
@@ -22,6 +25,7 @@ class Coded:
 
     stream: Stream | None
     size: tuple[int, int]
+    differences: list[NDArray[np.uint8]]  # (H, W) largest luma error over each clip, see `video.check_stream`
 
     def picture(self) -> Picture:
         """Its entry in the tables."""

@@ -25,8 +25,8 @@ def tiny_manifest(
     nothing to fetch.
     """
     tiers, qualities, levels = len(key_bytes), len(key_bytes[0]), len(state_bytes)
-    still, moving = (mf.Atlas(10, [0] * 13, [0], 16, 1), mf.Atlas(10, [0] * 13, [0], 16, 1))
-    key = mf.Atlas(10, [0] * 10, [0], 16, 1)
+    still, moving = (mf.Atlas(10, [0] * 13, [0], 16, 1, [0.1] * 5), mf.Atlas(10, [0] * 13, [0], 16, 1, [0.1] * 5))
+    key = mf.Atlas(10, [0] * 10, [0], 16, 1, [0.1] * 4)
     picture = mf.Picture(64, 64, "avc1.64000A")
     spans = [(sum(groups[:i]), sum(groups[: i + 1])) for i in range(len(groups))]
     files: dict[str, int] = {}

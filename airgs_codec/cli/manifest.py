@@ -15,6 +15,7 @@ from airgs_codec.inspection import bytes_by_attribute, format_attributes, format
 from airgs_codec.measure import measured_views
 from airgs_codec.package import Package, open_package
 from airgs_codec.play.dense import dense_table, format_dense, measure_dense, plot_dense
+from airgs_codec.remeasure import format_errors, measure_errors
 from airgs_codec.render import read_cameras
 from airgs_codec.render.views import orbit_views
 from airgs_codec.sequence import open_sequence
@@ -33,6 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     inspect.add_argument("--views", type=Path, metavar="FILE", help="cameras, for --ladder (default: generated)")
     check = commands.add_parser("validate", help="exit 0, or 1 with one line a finding")
     check.add_argument("package", type=Path)
+    check.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original: measure the errors again")
     check.add_argument("--json", action="store_true", help="findings as JSON")
     return parser
 
@@ -78,7 +80,8 @@ def _ladder(package: Package, args: argparse.Namespace) -> int:
 
 
 def _validate(args: argparse.Namespace) -> int:
-    findings = validate(args.package)
+    against = open_sequence(args.against) if args.against else None
+    findings = validate(args.package, against)
     if args.json:
         print(json.dumps([{"reason": f.reason, "where": f.where, "detail": f.detail} for f in findings]))
     elif findings:
@@ -86,4 +89,6 @@ def _validate(args: argparse.Namespace) -> int:
     else:
         m = open_package(args.package).manifest
         print(f"valid: {m.frames} frames, {len(m.groups)} groups, {len(m.segments)} segments, {len(m.files)} files")
+        if against is not None:
+            print(format_errors(list(measure_errors(open_package(args.package), against))))
     return 1 if findings else 0
