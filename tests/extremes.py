@@ -5,11 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from airgs_codec.author import author_package
 from airgs_codec.decode import decode_frames
@@ -24,7 +26,12 @@ from tests.scenes import random_gaussians, write_sequence
 
 PLAIN = EncodeSettings(preset="ultrafast", keep_all=True, jobs=1)
 Frames = list[Gaussians]
-TINY = np.finfo(np.float32).smallest_subnormal
+TINY = float(np.finfo(np.float32).smallest_subnormal)
+
+
+def f32(values: Sequence[float]) -> NDArray[np.float32]:
+    """As .ply files hold them."""
+    return np.array(values, np.float32)
 
 
 def swing(g: Gaussians, frames: int = 4, size: float = 0.1) -> Frames:
@@ -52,13 +59,13 @@ def changed(name: str, value: np.ndarray | float, rows: slice = slice(None), **o
 
 def _stretched() -> Frames:
     g = ball()
-    g.log_scales[:] = np.log(np.float32([1e-6, 1e-3, 1.0]))
+    g.log_scales[:] = np.log(f32([1e-6, 1e-3, 1.0]))
     return swing(g)
 
 
 def _collinear() -> Frames:
     g = ball()
-    g.means[:] = np.linspace(-1, 1, len(g), dtype=np.float32)[:, None] * np.float32([1, 0, 0])
+    g.means[:] = np.linspace(-1, 1, len(g), dtype=np.float32)[:, None] * f32([1, 0, 0])
     return swing(g)
 
 
@@ -89,7 +96,7 @@ def _jump(every: int) -> Frames:
 
 
 def _all_jump(tracked: bool) -> Frames:
-    """Every channel of every row jumps every frame; `tracked`: the second frame as a whole, so that it stays a group."""
+    """Every channel of every row jumps every frame; `tracked`: the second frame as a whole, which keeps it a group."""
     random = np.random.default_rng(1)
     g = ball(60, 1)
     frames = []
@@ -125,6 +132,10 @@ def _broken(name: str, value: float) -> Callable[[], Frames]:
     return build
 
 
+def _sized(count: int) -> Frames:
+    return swing(ball(count), 2)
+
+
 def _hopeless() -> Frames:
     g = ball(20)
     g.means[:] = np.nan
@@ -147,15 +158,13 @@ CASES = [
     Case("scale ratios of 1e6", _stretched),
     Case("log-scales of -30", changed("log_scales", -30.0)),
     Case("log-scales of +30", changed("log_scales", 30.0)),
-    Case(
-        "log-scales of -30, 0 and 30 in one Gaussian", changed("log_scales", np.float32([-30, 0, 30])), refused="codes"
-    ),
-    Case("opacity logits of -100 and +100", changed("opacity_logits", np.float32([-100, 100] * 100))),
-    Case("opacity logits of -inf and +inf", changed("opacity_logits", np.float32([-np.inf, np.inf] * 100))),
+    Case("log-scales of -30, 0 and 30 in one Gaussian", changed("log_scales", f32([-30, 0, 30])), refused="codes"),
+    Case("opacity logits of -100 and +100", changed("opacity_logits", f32([-100, 100] * 100))),
+    Case("opacity logits of -inf and +inf", changed("opacity_logits", f32([-np.inf, np.inf] * 100))),
     Case("zero quaternions", changed("quaternions", 0.0, slice(0, 50)), repaired="zero quaternions"),
     Case("quaternions of length 1e-30", changed("quaternions", 1e-30, slice(0, 50)), repaired="zero quaternions"),
-    Case("quaternions of length 1e30", changed("quaternions", np.float32([0, 1e30, 0, 0]))),
-    Case("half turns", changed("quaternions", np.float32([0, 1, 0, 0]))),
+    Case("quaternions of length 1e30", changed("quaternions", f32([0, 1e30, 0, 0]))),
+    Case("half turns", changed("quaternions", f32([0, 1, 0, 0]))),
     Case("all at one point", _coincident, repaired="do not correspond"),
     Case("all on one line", _collinear),
     Case("all Gaussians equal", _equal),
@@ -169,10 +178,10 @@ CASES = [
     Case("the same from the second frame on: not tracked", lambda: _all_jump(False), repaired="do not correspond"),
     Case("opacity a checkerboard in time", _checkerboard),
     Case("SH DC of 1000", changed("sh_dc", 1e3)),
-    Case("SH rest of 1000, alternating", changed("sh_rest", np.float32([1e3, -1e3, 1e3]), degree=3)),
+    Case("SH rest of 1000, alternating", changed("sh_rest", f32([1e3, -1e3, 1e3]), degree=3)),
     Case("constant channels", _constant),
     Case("subnormal SH and quaternions", changed("sh_dc", TINY)),
-    *(Case(f"{n} Gaussians", lambda n=n: swing(ball(n), 2)) for n in (15, 17, 255, 256, 257, 4095, 4096, 4097)),
+    *(Case(f"{n} Gaussians", partial(_sized, n)) for n in (15, 17, 255, 256, 257, 4095, 4096, 4097)),
     Case("64 levels", lambda: swing(ball()), replace(PLAIN, levels=LEVELS)),
     Case("64 key tiers", lambda: swing(ball()), replace(PLAIN, tiers=(1 / 64,) * 64)),
     Case("more tiers than Gaussians", lambda: swing(ball(3)), replace(PLAIN, tiers=(1 / 16,) * 16)),

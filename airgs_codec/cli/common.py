@@ -28,7 +28,8 @@ def run_command(name: str, work: Callable[[], int]) -> int:
         sys.stderr.close()
         return 0
     except OSError as error:
-        print(f"{name}: {error.filename or 'file system'}: {error.strerror or error}", file=sys.stderr)
+        what = error.strerror or f"{error} (is the disk full?)"  # numpy counts bytes instead of asking
+        print(f"{name}: {error.filename or 'file system'}: {what}", file=sys.stderr)
         return 2
 
 
