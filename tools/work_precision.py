@@ -1,0 +1,462 @@
+"""Error against run time, of everything that trades one for the other, on the embedded scene.
+
+    python -m tools.work_precision -o OUT [--quick]
+
+Writes OUT/work_precision.csv (a row a measurement), .json (the same with machine, versions and command) and .png (log
+error over log seconds, a curve a method). --quick takes two minutes on two cores, the whole about ten.
+
+encode: x264 presets x quality factors. decode: stages, levels. planes: ordering and escapes on and off. render: tile
+rasteriser and plain float32 against the float64 definition. loss: the fused kernel against float64.
+train: the first frame, the next by direct, MLP and hybrid deltas, temporal weights, a keyframe warm and from scratch.
+select: regret of policies. left out: with and without. scale: synthetic scenes, seconds and memory over N.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+import math
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import numba
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from airgs_codec import escapes
+from airgs_codec.atlas import assemble, fit_atlas, picture_size, read_codes
+from airgs_codec.author import author_package
+from airgs_codec.decode import decode_canonical, decode_frames, decode_segment, decode_state
+from airgs_codec.gaussians import Gaussians
+from airgs_codec.inspection import pooled_quality
+from airgs_codec.metrics import mse
+from airgs_codec.package import Package, open_package
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.link import Link
+from airgs_codec.play.policy import NAMES
+from airgs_codec.play.session import SessionSettings, mean_quality, session_bound, simulate
+from airgs_codec.play.trace import markov_trace
+from airgs_codec.ply import read_ply, write_ply
+from airgs_codec.quantize import from_codes, to_codes
+from airgs_codec.rangecoder import encode_columns
+from airgs_codec.render import Camera, read_cameras, render
+from airgs_codec.render.autograd import rasterize
+from airgs_codec.render.cpu import activate
+from airgs_codec.render.reference import render_reference
+from airgs_codec.sequence import open_sequence
+from airgs_codec.settings import EncodeSettings
+from airgs_codec.states import load_states
+from airgs_codec.train.loop import train
+from airgs_codec.train.losses import photometric, windowed_ssim
+from airgs_codec.train.readers import open_scene
+from airgs_codec.train.scene import with_held_out
+from airgs_codec.train.settings import TrainSettings
+from airgs_codec.train.target import Target
+from airgs_codec.train.temporal import Temporal
+from airgs_codec.video import Clip, decode_clip, encode_stream, library_versions, state_codec
+
+DATA = Path(__file__).parent.parent / "tests" / "data"
+KEYFRAME = 3  # of the embedded views: the cake appears
+SCENE, VIEWS = DATA / "fox", DATA / "fox_views"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One measurement; `error` in the unit named, `bytes` a frame where there are any."""
+
+    section: str
+    method: str  # a curve
+    setting: str  # a point on it
+    seconds: float
+    error: float
+    unit: str
+    bytes: float = math.nan
+    note: str = ""
+
+
+def timed(work: Callable[[], object], repeats: int = 5) -> float:
+    """Median seconds of a call, after one that compiles."""
+    work()
+    runs = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        runs.append(time.perf_counter() - began)
+    return float(np.median(runs))
+
+
+def rmse_of(decibels: float) -> float:
+    """Of samples in 0..1."""
+    return 10 ** (-decibels / 20)
+
+
+def measure_encode(folder: Path, quick: bool) -> Iterator[Row]:
+    """Presets x quality factors."""
+    sequence = open_sequence(SCENE)
+    presets = ("ultrafast", "medium", "veryslow") if quick else ("ultrafast", "veryfast", "medium", "slow", "veryslow")
+    for preset in presets:
+        for factor in (0.5, 1.0, 2.0) if quick else (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8):
+            target = folder / f"{preset}-{factor}"
+            settings = EncodeSettings(preset=preset, quality=factor, levels=((0.0, 1.0),), key_factors=(1.0,))
+            report = author_package(sequence, target, settings, calibrated=False, measure_frames=2)
+            m = report.manifest
+            quality = pooled_quality(m, 0, 0)
+            assert quality is not None
+            means = max(g.levels[0].max_error[0] for g in m.groups)
+            size = m.bytes_of(m.rung_files(0, 0)) / m.frames
+            note = f"{quality[0]:.2f} dB, largest error of means {means:.2g} motion units"
+            yield Row(
+                "encode", preset, f"x{factor:g}", report.encode_s / m.frames, rmse_of(quality[0]), "RMSE", size, note
+            )
+
+
+def measure_decode(package: Package) -> Iterator[Row]:
+    """Stages of a frame of level 0, then whole frames of every level."""
+    m = package.manifest
+    frames = m.frames
+    stages: dict[str, Callable[[], object]] = {
+        "H.264 to codes": lambda: [
+            list(decode_state(package, i, 0, 0, s.stop - s.start))
+            for i, s in enumerate(m.segments)
+            if m.state_files(i, 0)
+        ],
+        "canonical space": lambda: [decode_canonical(package, g, 0) for g in range(len(m.groups))],
+        "all": lambda: list(decode_frames(package, 0, frames)),
+    }
+    for name, work in stages.items():
+        yield Row("decode", "stages", name, timed(work) / frames, math.nan, "")
+    for j, level in enumerate(m.levels):
+        quality = pooled_quality(m, j, 0)
+        assert quality is not None
+        took = timed(lambda j=j: list(decode_frames(package, 0, frames, j))) / frames  # type: ignore[misc]
+        size = sum(m.bytes_of(m.state_files(i, j)) for i in range(len(m.segments))) / frames
+        yield Row("decode", "levels", level.id, took, rmse_of(quality[0]), "RMSE", size, f"{quality[0]:.2f} dB")
+
+
+def measure_planes(package: Package) -> Iterator[Row]:
+    """The states of the first group coded as they are, in random order, and with clipping in place of escapes."""
+    m = package.manifest
+    states = load_states(package, 0)
+    values = states.values.astype(np.float64)
+    camera = read_cameras(SCENE / "transforms.json")[0]
+    truth = [render(states.show(v.astype(np.float32)), camera).rgb for v in states.values]
+    shuffled = np.random.default_rng(0).permutation(values.shape[2])
+    jumps = values.copy()
+    jumps[1::2, 0, ::7] += 400 * states.steps[0]  # every seventh row leaves 8 bits every second frame
+    for method, data, order, clip in (
+        ("Morton order, escapes", values, None, False),
+        ("random order", values, shuffled, False),
+        ("clipped", values, None, True),
+        ("with jumps, escapes", jumps, None, False),
+        ("with jumps, clipped", jumps, None, True),
+    ):
+        wanted = truth
+        if data is jumps:
+            wanted = [render(states.show(v.astype(np.float32)), camera).rgb for v in jumps]
+        began = time.perf_counter()
+        size, decoded = code_planes(data if order is None else data[:, :, order], states.steps, m.state_gain, clip)
+        seconds = time.perf_counter() - began
+        if order is not None:
+            restored = np.empty_like(decoded)
+            restored[:, :, order] = decoded
+            decoded = restored
+        error = np.mean([mse(render(states.show(v), camera).rgb, w) for v, w in zip(decoded, wanted, strict=True)])
+        yield Row("planes", method, "L0", seconds / len(data), math.sqrt(error), "RMSE", size / len(data))
+
+
+def code_planes(
+    values: NDArray[np.float64], steps: NDArray[np.float64], gain: float, clip: bool
+) -> tuple[int, NDArray[np.float32]]:
+    """Bytes and decoded values of (T, channels, n); `clip` as codecs without escapes do."""
+    codes = to_codes(values, steps, gain)
+    atlas = fit_atlas(codes, gain / 2)
+    centres = np.array(atlas.centres, np.int32)[:, None]
+    centred = (codes - centres)[:, atlas.planes]
+    if clip:
+        samples, bases = (np.clip(centred, -128, 127) + 128).astype(np.uint8), np.zeros_like(centred)
+        extra = 0
+    else:
+        samples, bases = escapes.split(centred)
+        extra = len(encode_columns(escapes.columns(bases)))
+    size = picture_size(atlas)
+    clip_ = Clip(assemble(samples, atlas, *size), 0, 1000)
+    stream = encode_stream([clip_], size, Fraction(24), 24000, state_codec("medium"))
+    out = [
+        from_codes(read_codes(picture, atlas, bases[t]), steps, gain)
+        for t, picture in enumerate(decode_clip(stream.init, stream.media[0], "planes"))
+    ]
+    return len(stream.media[0]) + extra, np.stack(out)
+
+
+def reference(c: list[torch.Tensor], camera: Camera) -> torch.Tensor:
+    """The picture by the definition, in the precision of the columns."""
+    return render_reference(c[0], c[1], c[2], c[3], c[4], camera)[0]
+
+
+def measure_render(quick: bool) -> Iterator[Row]:
+    """Pictures of the embedded scene of several sizes, against float64."""
+    g = read_ply(SCENE / "000005.ply")
+    whole = next(c for c in read_cameras(SCENE / "transforms.json") if c.split == "test")
+    a = activate(g)
+    columns = [torch.from_numpy(getattr(a, n)) for n in ("means", "quaternions", "scales", "opacities", "sh")]
+    for side in (16, 32, 48) if quick else (16, 32, 64, 96):
+        scale = side / whole.width
+        camera = Camera(
+            "bench", side, side, whole.fx * scale, whole.fy * scale, whole.cx * scale, whole.cy * scale,
+            whole.world_to_camera,
+        )  # fmt: skip
+        exact = [c.double() for c in columns]
+        truth = reference(exact, camera)
+        methods: dict[str, Callable[[Camera], torch.Tensor]] = {
+            "tiles": lambda view: rasterize(columns[0], columns[1], columns[2], columns[3], columns[4], view)[0],
+            "definition, float32": lambda view: reference(columns, view),
+            "definition, float64": lambda view, c=exact: reference(c, view),  # type: ignore[misc]
+        }
+        for name, draw in methods.items():
+            error = float((draw(camera).double() - truth).abs().mean())
+            took = timed(lambda d=draw, v=camera: d(v), 3)  # type: ignore[misc]
+            yield Row("render", name, f"{side}²", took, error, "mean |error|")
+
+
+def measure_loss(quick: bool) -> Iterator[Row]:
+    """Value of 1 - SSIM by the fused kernel and by float32 convolutions, against float64."""
+    random = np.random.default_rng(0)
+    for side in (64, 256) if quick else (64, 128, 256, 512):
+        pictures = [torch.from_numpy(random.random((side, side, 3), np.float32)) for _ in range(2)]
+        target = Target(pictures[1].numpy())
+        truth = float(windowed_ssim(pictures[0].double(), pictures[1].double()))
+        fused = photometric(pictures[0], target).ssim
+        plain = float(windowed_ssim(*pictures))
+        works: dict[str, tuple[float, Callable[[], object]]] = {
+            "fused kernel with gradient": (fused, lambda p=pictures, t=target: photometric(p[0], t)),  # type: ignore[misc]
+            "convolutions, float32": (plain, lambda p=pictures: windowed_ssim(*p)),  # type: ignore[misc]
+        }
+        for name, (value, work) in works.items():
+            yield Row("loss", name, f"{side}²", timed(work), abs(value - truth), "|SSIM error|")
+
+
+def measure_train(folder: Path, quick: bool) -> Iterator[Row]:
+    """Held-out error of fits of several lengths on the embedded views."""
+    scene = with_held_out(open_scene(VIEWS), None)
+    base = TrainSettings(budget=4000, capacity=8000)
+    lengths = (100, 300) if quick else (100, 200, 400, 800, 1600)
+    frames = scene.frames
+
+    def run(method: str, settings: TrainSettings, count: int, setting: str, at: int) -> Row:
+        part = replace(scene, frames=frames[:count])
+        target = folder / f"{method}-{setting}".replace(" ", "")
+        model = train(part, target, settings)
+        record = model.record.frames[at]
+        quality = record.held_out_psnr
+        assert quality is not None
+        still = f", means static {100 * record.static['means']:.0f} %" if record.static else ""
+        note = f"{quality:.2f} dB, {record.gaussians} Gaussians{still}"
+        return Row("train", method, setting, record.seconds, rmse_of(quality), "RMSE", math.nan, note)
+
+    for count in lengths:
+        yield run("first frame", replace(base, first_iterations=count), 1, f"{count}", 0)
+    start = replace(base, first_iterations=lengths[-1], tau=1.0, drop=math.inf)  # no frame starts a group
+    for deltas in ("direct", "mlp", "mlp+residual"):
+        for count in (30, 100) if quick else (30, 100, 300):
+            yield run(deltas, replace(start, deltas=deltas, frame_iterations=count), 2, f"{count}", 1)
+    for weight in (0.0, 8e-4, 8e-3):
+        settings = replace(start, frame_iterations=100, temporal=Temporal(weight=weight))
+        yield run(f"temporal {weight:g}", settings, 2, "100", 1)
+    for count in (50, 150) if quick else (50, 150, 500, 1500):
+        part = replace(scene, frames=frames[KEYFRAME - 1 : KEYFRAME + 1])
+        for method, settings in (
+            ("keyframe warm", replace(start, key_iterations=count, frame_iterations=5, tau=99.0)),
+            ("keyframe from scratch", replace(start, first_iterations=count, method="naive3dgs")),
+        ):
+            model = train(part, folder / f"{method}{count}".replace(" ", ""), settings)
+            record = model.record.frames[-1]
+            assert record.held_out_psnr is not None
+            note = f"{record.held_out_psnr:.2f} dB, {record.gaussians} Gaussians"
+            yield Row(
+                "train", method, f"{count}", record.seconds, rmse_of(record.held_out_psnr), "RMSE", math.nan, note
+            )
+
+
+def measure_select(package: Package, quick: bool) -> Iterator[Row]:
+    """Mean regret over seeded links, and seconds of a choice."""
+    c = Catalogue(package.manifest)
+    rate = 20 * package.manifest.bytes_of(package.manifest.rung_files(0, 0)) / sum(c.seconds)  # 2.5 times its own
+    for name in NAMES:
+        regrets, took, choices = [], 0.0, 0
+        for seed in range(4 if quick else 12):
+            link = Link(markov_trace(seed, rate))
+            rules = SessionSettings(name, loops=max(1, round(20 / sum(c.seconds))))
+            began = time.perf_counter()
+            log = simulate(c, package.manifest_bytes, link, rules)
+            took += time.perf_counter() - began
+            choices += len(log.fetches) - 1
+            bound = session_bound(log)
+            assert bound is not None
+            regrets.append(bound - mean_quality(log))
+        yield Row("select", name, "", took / choices, float(np.mean(regrets)), "dB of regret")
+
+
+def measure_left_out(folder: Path) -> Iterator[Row]:
+    """The default package with and without what the scene can do without."""
+    sequence = open_sequence(SCENE)
+    for name, keep in (("as the scene needs", False), ("--keep-all", True)):
+        report = author_package(sequence, folder / name, EncodeSettings(keep_all=keep), measure_frames=2)
+        m = report.manifest
+        quality = pooled_quality(m, 0, 0)
+        assert quality is not None
+        size = m.bytes_of(m.rung_files(0, 0)) / m.frames
+        yield Row(
+            "left out", name, "", report.encode_s / m.frames, rmse_of(quality[0]), "RMSE", size, f"{quality[0]:.2f} dB"
+        )
+
+
+def measure_scale(quick: bool) -> Iterator[Row]:
+    """Synthetic scenes of ten frames, each in processes of their own: seconds, memory and bytes over N."""
+    for count in (1000, 10_000) if quick else (10_000, 100_000, 1_000_000):
+        with tempfile.TemporaryDirectory() as folder:
+            for step in ("make", "encode", "decode"):
+                words = [sys.executable, "-m", "tools.work_precision", "--step", step, str(count), folder]
+                done = subprocess.run(words, check=True, capture_output=True, text=True)
+                if step != "make":
+                    got = json.loads(done.stdout)
+                    yield Row(
+                        "scale", step, f"{count}", got["seconds"] / 10, math.nan, "", got["bytes"] / 10, got["note"]
+                    )
+
+
+def scale_step(step: str, count: int, folder: Path) -> None:
+    """One process of `measure_scale`: a ball of Gaussians of which a tenth swings."""
+    if step == "make":
+        random = np.random.default_rng(0)
+        means = random.normal(size=(count, 3))
+        size = math.log(1.5 / count ** (1 / 3))
+        columns = [
+            random.normal(size=(count, 4)), size + 0.3 * random.normal(size=(count, 3)), 2 * random.normal(size=count),
+            0.5 * random.normal(size=(count, 3)), np.zeros((count, 0, 3)),
+        ]  # fmt: skip
+        moves = (np.arange(count) % 10 == 0)[:, None] * [0.1, 0.02, 0.0]
+        (folder / "scene").mkdir()
+        for t in range(10):
+            moved = [means + math.sin(0.6 * t) * moves, *columns]
+            write_ply(folder / "scene" / f"{t:06d}.ply", Gaussians(*(np.asarray(c, np.float32) for c in moved)))
+        return
+    began = time.perf_counter()
+    if step == "encode":
+        sequence = open_sequence(folder / "scene")
+        settings = EncodeSettings(preset="veryfast", levels=((0.0, 1.0), (0.5, 2.0)))
+        author_package(sequence, folder / "out", settings, measure_frames=0, calibrated=False)
+        package = open_package(folder / "out")
+        m = package.manifest
+        size = m.bytes_of(m.rung_files(0, 0))
+        note = ""
+    else:
+        package = open_package(folder / "out")
+        m = package.manifest
+        base, size = decode_canonical(package, 0, 0), 0
+        before = peak_bytes()
+        for index, s in enumerate(m.segments):
+            for frame in decode_segment(package, index, base, 0, 0, s.stop - s.start):
+                size = sum(getattr(frame, name).nbytes for name in frame.__slots__) * (s.stop - s.start)
+        above = peak_bytes() - before
+        note = f"{above / 1e6:.1f} MB over the canonical space, {above / size:.2f} x one decoded segment; "
+    seconds = time.perf_counter() - began
+    print(json.dumps({"seconds": seconds, "bytes": size, "note": f"{note}{peak_bytes() / 1e6:.0f} MB at most"}))
+
+
+def peak_bytes() -> int:
+    """Most memory this process had (Linux; getrusage would begin with what its parent had)."""
+    status = Path("/proc/self/status").read_text()
+    return 1024 * int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1])
+
+
+def plot(rows: list[Row], path: Path) -> None:
+    """Log error over log seconds, a panel a section and a curve a method."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(15, 8.5), layout="constrained")
+    axes = figure.subplots(2, 3).ravel()
+    for axis, section in zip(axes, ("encode", "render", "loss", "train", "select", "scale"), strict=True):
+        some = [r for r in rows if r.section == section]
+        for method in dict.fromkeys(r.method for r in some):
+            points = [r for r in some if r.method == method]
+            x = [int(r.setting) for r in points] if section == "scale" else [r.seconds for r in points]
+            y = [r.seconds for r in points] if section == "scale" else [max(r.error, 1e-9) for r in points]
+            axis.plot(x, y, "o-", label=method, markersize=4)
+        axis.set_xscale("log")
+        axis.set_yscale("log")
+        words = ("Gaussians", "seconds a frame") if section == "scale" else ("seconds", some[0].unit if some else "")
+        axis.set(xlabel=words[0], ylabel=words[1], title=section)
+        axis.grid(alpha=0.3, which="both")
+        axis.legend(fontsize=7)
+    figure.savefig(path, dpi=100)
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, default=Path("build/work_precision"))
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--step", nargs=3, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.step:
+        scale_step(args.step[0], int(args.step[1]), Path(args.step[2]))
+        return
+    torch.set_num_threads(1)
+    args.output.mkdir(parents=True, exist_ok=True)
+    rows: list[Row] = []
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        author_package(open_sequence(SCENE), folder / "fox", EncodeSettings(), measure_frames=2)
+        package = open_package(folder / "fox")
+        parts: list[Callable[[], Iterator[Row]]] = [
+            lambda: measure_encode(folder, args.quick),
+            lambda: measure_decode(package),
+            lambda: measure_planes(package),
+            lambda: measure_render(args.quick),
+            lambda: measure_loss(args.quick),
+            lambda: measure_train(folder, args.quick),
+            lambda: measure_select(package, args.quick),
+            lambda: measure_left_out(folder),
+            lambda: measure_scale(args.quick),
+        ]
+        for part in parts:
+            for row in part():
+                rows.append(row)
+                size = "" if math.isnan(row.bytes) else f"{row.bytes:10.0f} B"
+                error = "" if math.isnan(row.error) else f"{row.error:.3g} {row.unit}"
+                words = f"{row.section:<9}{row.method:<28}{row.setting:<16}{1e3 * row.seconds:11.3f} ms"
+                print(f"{words}  {error:<24}{size:>12}  {row.note}", flush=True)
+    with (args.output / "work_precision.csv").open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(asdict(rows[0])))
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+    versions = library_versions() | {"numpy": np.__version__, "numba": numba.__version__, "torch": torch.__version__}
+    machine = {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
+    record = {
+        "command": " ".join(sys.argv),
+        "seconds": time.perf_counter() - began,
+        "machine": machine,
+        "versions": versions,
+    }
+    plain = [{k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(r).items()} for r in rows]
+    text = json.dumps(record | {"rows": plain}, indent=1, allow_nan=False)
+    (args.output / "work_precision.json").write_text(text + "\n")
+    plot(rows, args.output / "work_precision.png")
+    print(f"{time.perf_counter() - began:.0f} s, {args.output / 'work_precision.png'}")
+
+
+if __name__ == "__main__":
+    main()
