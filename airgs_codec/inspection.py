@@ -11,10 +11,20 @@ from numpy.typing import NDArray
 
 from airgs_codec.atlas import extract
 from airgs_codec.errors import ConfigError
-from airgs_codec.manifest import STATE_ATTRIBUTES, Atlas, LeftOut, Manifest, key_init_path, state_init_path
+from airgs_codec.manifest import (
+    STATE_ATTRIBUTES,
+    STATE_BOUNDS,
+    Atlas,
+    LeftOut,
+    Manifest,
+    key_init_path,
+    state_init_path,
+)
 from airgs_codec.metrics import psnr
 from airgs_codec.package import Package
 from airgs_codec.video import decode_clip
+
+ERROR_HEADS = ("means, units", "ln scale", "rotation, rad", "opacity", "colour, steps")
 
 
 def channel_attribute(channel: int, state: bool) -> str:
@@ -63,6 +73,9 @@ def summarise(m: Manifest, manifest_bytes: int) -> dict[str, Any]:
                 "peak_bps": float(rates.max()),
                 "psnr": measured[0] if measured else None,
                 "ssim": measured[1] if measured else None,
+                "max_error": {
+                    name: max(group.levels[j].max_error[k] for group in m.groups) for k, name in enumerate(STATE_BOUNDS)
+                },
             }
         )
     keys = []
@@ -261,6 +274,9 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
     ]
     lines += ["", "levels, without keys; PSNR and SSIM with every key in Q0:"]
     lines += [*_table(["level", "Gaussians", "pruned", "steps", "kB/frame", "Mbit/s", "peak", "PSNR dB", "SSIM"], rows)]
+    lines += ["", "largest error of what a level carries (max_error), in the units of its channels:"]
+    rows = [[v["id"], *(f"{v['max_error'][name]:.3g}" for name in STATE_BOUNDS)] for v in s["levels"]]
+    lines += _table(["level", *ERROR_HEADS], rows)
     rows = [
         [
             f"{r['key']} + {r['state']}",

@@ -2,8 +2,8 @@
 
     python -m tools.work_precision -o OUT [--quick]
 
-Writes OUT/work_precision.csv (a row a measurement), .json (the same with machine, versions and command) and .png (log
-error over log seconds, a curve a method). --quick takes two minutes on two cores, the whole about ten.
+Writes OUT/work_precision.csv (a row a measurement), .json (the same with machine, versions and command), codec.png and
+parts.png (log error over log seconds, a curve a method). --quick takes two minutes on two cores, the whole about ten.
 
 encode: x264 presets x quality factors. decode: stages, levels. planes: ordering and escapes on and off. render: tile
 rasteriser and plain float32 against the float64 definition. loss: the fused kernel against float64.
@@ -381,22 +381,25 @@ def peak_bytes() -> int:
     return 1024 * int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1])
 
 
-def plot(rows: list[Row], path: Path) -> None:
+PICTURES = {"codec.png": ("encode", "decode", "scale"), "parts.png": ("render", "train", "select")}
+
+
+def plot(rows: list[Row], path: Path, sections: tuple[str, ...]) -> None:
     """Log error over log seconds, a panel a section and a curve a method."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(15, 8.5), layout="constrained")
-    axes = figure.subplots(2, 3).ravel()
-    for axis, section in zip(axes, ("encode", "render", "loss", "train", "select", "scale"), strict=True):
-        some = [r for r in rows if r.section == section]
+    figure = Figure(figsize=(5 * len(sections), 4.4), layout="constrained")
+    for axis, section in zip(figure.subplots(1, len(sections)), sections, strict=True):
+        scale = section == "scale"
+        some = [r for r in rows if r.section == section and (scale or r.error > 0)]
         for method in dict.fromkeys(r.method for r in some):
             points = [r for r in some if r.method == method]
-            x = [int(r.setting) for r in points] if section == "scale" else [r.seconds for r in points]
-            y = [r.seconds for r in points] if section == "scale" else [max(r.error, 1e-9) for r in points]
+            x = [float(r.setting) if scale else r.seconds for r in points]
+            y = [r.seconds if scale else r.error for r in points]
             axis.plot(x, y, "o-", label=method, markersize=4)
         axis.set_xscale("log")
         axis.set_yscale("log")
-        words = ("Gaussians", "seconds a frame") if section == "scale" else ("seconds", some[0].unit if some else "")
+        words = ("Gaussians", "seconds a frame") if scale else ("seconds", some[0].unit if some else "")
         axis.set(xlabel=words[0], ylabel=words[1], title=section)
         axis.grid(alpha=0.3, which="both")
         axis.legend(fontsize=7)
@@ -454,8 +457,9 @@ def main() -> None:
     plain = [{k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(r).items()} for r in rows]
     text = json.dumps(record | {"rows": plain}, indent=1, allow_nan=False)
     (args.output / "work_precision.json").write_text(text + "\n")
-    plot(rows, args.output / "work_precision.png")
-    print(f"{time.perf_counter() - began:.0f} s, {args.output / 'work_precision.png'}")
+    for name, sections in PICTURES.items():
+        plot(rows, args.output / name, sections)
+    print(f"{time.perf_counter() - began:.0f} s, {args.output}")
 
 
 if __name__ == "__main__":
