@@ -387,6 +387,7 @@ PICTURES = {"codec.png": ("encode", "decode", "scale"), "parts.png": ("render", 
 def plot(rows: list[Row], path: Path, sections: tuple[str, ...]) -> None:
     """Log error over log seconds, a panel a section and a curve a method."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
 
     figure = Figure(figsize=(5 * len(sections), 4.4), layout="constrained")
     for axis, section in zip(figure.subplots(1, len(sections)), sections, strict=True):
@@ -399,6 +400,10 @@ def plot(rows: list[Row], path: Path, sections: tuple[str, ...]) -> None:
             axis.plot(x, y, "o-", label=method, markersize=4)
         axis.set_xscale("log")
         axis.set_yscale("log")
+        for side in (axis.xaxis, axis.yaxis):
+            side.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=6))
+            side.set_major_formatter("{x:g}")
+            side.set_minor_formatter(NullFormatter())
         words = ("Gaussians", "seconds a frame") if scale else ("seconds", some[0].unit if some else "")
         axis.set(xlabel=words[0], ylabel=words[1], title=section)
         axis.grid(alpha=0.3, which="both")

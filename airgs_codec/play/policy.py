@@ -243,7 +243,7 @@ def choose_oracle_frame(state: PlayerState, link: Link) -> Decision:
 
 
 def choose_oracle_lp(state: PlayerState, link: Link) -> Decision:
-    """The best rung within the bytes that the linear programme over all that comes gives this segment.
+    """The rung that the linear programme over all that comes gives most of this segment to.
 
     It knows the trace; the round trip of every segment is taken off the capacity at the trace's mean rate.
     """
@@ -252,7 +252,11 @@ def choose_oracle_lp(state: PlayerState, link: Link) -> Decision:
     plan = solve_horizon(horizon)
     if plan is None:
         return select(_ladder(state), 0.0)
-    return select(_ladder(state), plan.first_bytes)
+    wanted = int(plan.rungs[0].argmax())
+    chosen = next((p for p in state.options if p.level == wanted), None)
+    if chosen is None:
+        return select(_ladder(state), plan.first_bytes)
+    return Decision(wanted, True, f"planned for {len(horizon.units)} segments", chosen.size_bytes)
 
 
 SIMPLE: dict[str, Policy] = {
