@@ -21,10 +21,11 @@ demo: .venv/installed
 	$(BIN)/airgs-manifest inspect $(OUT)/fox.airgs --plot $(OUT)/ladder.png
 	$(BIN)/airgs-manifest validate $(OUT)/fox.airgs
 	$(BIN)/airgs-play $(OUT)/fox.airgs --trace $(SCENE)/trace.csv --views $(SCENE)/transforms.json --report $(OUT)/report --video $(OUT)/screen.mp4
+	$(BIN)/airgs-play $(OUT)/fox.airgs --compare --traces $(SCENE)/trace.csv markov:1 --offsets 4 --report $(OUT)/study
 	$(BIN)/airgs-train $(VIEWS) -o $(OUT)/trained --iterations 1000,600,150 --resume --report $(OUT)/training
 	$(BIN)/airgs-encode $(OUT)/trained -o $(OUT)/trained.airgs
 	$(BIN)/airgs-play $(OUT)/trained.airgs --trace $(SCENE)/trace.csv --views $(OUT)/trained/transforms.json --report $(OUT)/trained-report
-	@echo "Pictures: $(OUT)/ladder.png, $(OUT)/report/index.html, $(OUT)/training/index.html; what the viewer saw: $(OUT)/screen.mp4"
+	@echo "Pictures: $(OUT)/ladder.png, $(OUT)/report/index.html, $(OUT)/study/index.html, $(OUT)/training/index.html; what the viewer saw: $(OUT)/screen.mp4"
 
 test: .venv/installed
 	$(BIN)/ruff check .

@@ -118,6 +118,17 @@ def test_behind_the_camera_nothing_is_drawn_and_nothing_pulls():
     assert (transmittance == 1).all() and not any(g.any() for g in gradients.values())
 
 
+@pytest.mark.parametrize("depth", [0.0, 1e-30, 0.01, np.nextafter(0.01, 1), 0.010001])
+def test_on_the_near_plane_and_inside_a_gaussian_everything_is_finite(depth):
+    """Means on the plane where drawing begins, and large Gaussians around the camera."""
+    view = camera(0.0, turn=0.0)
+    for size in (1e-4, 0.1, 10.0):
+        means = np.tile([1e-3, 2e-3, depth], (200, 1))
+        (rgb, _, gradients), (expected, _, _) = both(inputs(means=means, scales=np.full((200, 3), size)), view)
+        assert np.isfinite(rgb).all() and all(np.isfinite(g).all() for g in gradients.values())
+        assert np.abs(rgb - expected).max() <= MAX_ERROR
+
+
 # 1e30 is finite and means something as a scale, an opacity past the clamp or the length of a quaternion.
 BAD = [(n, v) for n in NAMES for v in (np.nan, np.inf, -np.inf)] + [("means", 1e30), ("sh", 1e30)]
 
