@@ -24,6 +24,8 @@ from airgs_codec.metrics import psnr
 from airgs_codec.package import Package
 from airgs_codec.video import decode_clip
 
+FEW = 4  # groups that are listed one by one
+MOST_GROUPS = 12  # in the table of groups
 ERROR_HEADS = ("means, units", "ln scale", "rotation, rad", "opacity", "colour, steps")
 
 
@@ -163,18 +165,25 @@ def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) ->
 
 
 def left_out(m: Manifest) -> list[str]:
-    """What was not written and why, one line each."""
-    lines = [_words(entry) for entry in m.left_out]
+    """What was not written and why, one line each; what concerns more than FEW groups alike in one."""
+    lines: list[str] = []
+    for what in dict.fromkeys(entry.what for entry in m.left_out):
+        some = [entry for entry in m.left_out if entry.what == what]
+        lines += [_words(some)] if len(some) > FEW else [_words([entry]) for entry in some]
+    groups: dict[str, list[int]] = {}
     for i, group in enumerate(m.groups):
-        where = f"group {i}"
-        lines += [f"{where}: key tier T{t}: it has no rows" for t, tier in enumerate(group.tiers) if not tier.number]
+        for t, tier in enumerate(group.tiers):
+            if not tier.number:
+                groups.setdefault(f"key tier T{t}: it has no rows", []).append(i)
         for name, atlas, state in _top_atlases(m, i):
             missing = Counter(
                 channel_attribute(c, state) for c in range(len(atlas.centres)) if c not in set(atlas.planes)
             )
             if atlas.rows and missing:
                 what = ", ".join(f"{count} {attribute}" for attribute, count in missing.items())
-                lines.append(f"{where}: planes of {name}: {what} (constant within half a step)")
+                groups.setdefault(f"planes of {name}: {what} (constant within half a step)", []).append(i)
+    for text, where in groups.items():
+        lines += [f"{len(where)} groups: {text}"] if len(where) > FEW else [f"group {i}: {text}" for i in where]
     quiet = sum(not s.levels[0].number for s in m.segments)
     if quiet:
         lines.append(f"{quiet} state segments: nothing moves in them by more than half a step")
@@ -183,11 +192,16 @@ def left_out(m: Manifest) -> list[str]:
     return lines
 
 
-def _words(entry: LeftOut) -> str:
-    what = {"gaussians": "Gaussians", "updates": "rows are never updated", "sh bands": "SH bands"}
-    alone = f"{psnr(entry.error):.1f} dB if nothing else were wrong" if entry.error > 0 else "no error"
-    saved = f"{entry.bytes / 1e3:.2f} kB/frame saved"
-    return f"group {entry.group}: {entry.count} {what.get(entry.what, entry.what)}: {alone}, {saved}"
+def _words(some: list[LeftOut]) -> str:
+    """A line about one group, or about many: ranges, and the largest error."""
+    names = {"gaussians": "Gaussians", "updates": "rows are never updated", "sh bands": "SH bands"}
+    error = max(entry.error for entry in some)
+    alone = f"{psnr(error):.1f} dB if nothing else were wrong" if error > 0 else "no error"
+    saved = f"{np.mean([entry.bytes for entry in some]) / 1e3:.2f} kB/frame saved"
+    count = _span([min(entry.count for entry in some), max(entry.count for entry in some)])
+    where = f"group {some[0].group}" if len(some) == 1 else f"{len(some)} groups"
+    worst = "at worst " if len(some) > 1 and error > 0 else ""
+    return f"{where}: {count} {names.get(some[0].what, some[0].what)}: {worst}{alone}, {saved}"
 
 
 def _top_atlases(m: Manifest, group: int) -> list[tuple[str, Atlas, bool]]:
@@ -253,6 +267,8 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         [str(i), f"{g['frames'][0]}-{g['frames'][1] - 1}", str(g["gaussians"]), str(g["static"]), str(g["segments"])]
         for i, g in enumerate(s["groups"])
     ]
+    if len(rows) > MOST_GROUPS:
+        rows = [*rows[: MOST_GROUPS - 2], ["…"] * 5, rows[-1]]
     lines += _table(["group", "frames", "Gaussians", "static", "segments"], rows)
     rows = [
         [k["tier"], k["quality"], _span(k["gaussians"]), f"x{k['factor']:g}", f"{k['bytes_per_frame'] / 1e3:.2f}"]

@@ -167,3 +167,16 @@ def test_the_ladder_is_the_convex_hull():
     assert best == {("Q0", "L0"), ("Q1", "L0"), ("Q1", "L2")}
     assert format_summary(m, MANIFESTS).count("*") == 1 + len(best)
     assert not any(r["best"] for r in rungs(tiny_manifest(psnr=None), MANIFESTS))
+
+
+def test_what_many_groups_leave_out_alike_is_one_line():
+    m = tiny_manifest(groups=(10,) * 6)
+    entries = [LeftOut("gaussians", g, 5 + g, 1e-5 * (g + 1), 100.0) for g in range(6)]
+    lines = left_out(dataclasses.replace(m, left_out=entries))
+    assert lines[0] == "6 groups: 5-10 Gaussians: at worst 42.2 dB if nothing else were wrong, 0.10 kB/frame saved"
+    assert not any(line.startswith("group") for line in lines)
+    few = left_out(dataclasses.replace(m, left_out=entries[:2]))
+    assert few[:2] == [
+        "group 0: 5 Gaussians: 50.0 dB if nothing else were wrong, 0.10 kB/frame saved",
+        "group 1: 6 Gaussians: 47.0 dB if nothing else were wrong, 0.10 kB/frame saved",
+    ]
