@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import glob
 import hashlib
 import os
 import shutil
@@ -77,20 +79,56 @@ def staged(target: Path) -> Iterator[Path]:
     """A folder beside `target` that takes its place when the block ends without an error.
 
     An existing package is moved aside before and deleted after; any other existing folder with files in it is
-    refused (ConfigError), so that nothing foreign is ever lost.
+    refused (ConfigError), so that nothing foreign is ever lost. What killed runs left beside `target` is put right
+    first: a package moved aside comes back, unfinished folders go.
     """
-    if target.exists() and not target.is_dir():
-        raise ConfigError(f"{target}: expected a folder for the package, got a file")
-    if target.is_dir() and any(target.iterdir()) and not (target / MPD_NAME).is_file():
-        raise ConfigError(f"{target}: expected a new folder or an existing package, got a folder with other files")
     target.parent.mkdir(parents=True, exist_ok=True)
-    stage = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".stage", dir=target.parent))
-    stage.chmod(0o755)
+    with _locked(target.parent):
+        _mend(target)
+        if target.exists() and not target.is_dir():
+            raise ConfigError(f"{target}: expected a folder for the package, got a file")
+        if target.is_dir() and any(target.iterdir()) and not (target / MPD_NAME).is_file():
+            raise ConfigError(f"{target}: expected a new folder or an existing package, got a folder with other files")
+        stage = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".stage", dir=target.parent))
+        stage.chmod(0o755)
+        lock = os.open(stage, os.O_RDONLY)
+        fcntl.flock(lock, fcntl.LOCK_EX)
     try:
         yield stage
-        _swap(stage, target)
+        with _locked(target.parent):
+            _swap(stage, target)
     finally:
+        os.close(lock)
         shutil.rmtree(stage, ignore_errors=True)
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Alone among those who lock this folder; the kernel lets a lock go when its process dies."""
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
+
+
+def _mend(target: Path) -> None:
+    name = glob.escape(target.name)
+    for old in target.parent.glob(f".{name}.*.old"):
+        if (old / MPD_NAME).is_file() and not target.exists():
+            old.rename(target)
+        else:
+            shutil.rmtree(old, ignore_errors=True)
+    for stage in target.parent.glob(f".{name}.*.stage"):
+        lock = os.open(stage, os.O_RDONLY)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(stage, ignore_errors=True)
+        except BlockingIOError:  # somebody is at work there
+            pass
+        finally:
+            os.close(lock)
 
 
 def _swap(stage: Path, target: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from airgs_codec.decode import decode_frame
 from airgs_codec.errors import FormatError
-from airgs_codec.package import open_package
+from airgs_codec.package import open_package, staged
 from airgs_codec.validate import validate
 from tests.scenes import FOX, moving_frames, write_sequence
 
@@ -98,3 +98,17 @@ def test_a_kill_in_the_middle_leaves_the_old_package(scene, tmp_path):
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert validate(target) == [] and open_package(target).manifest.frames == 3
+    with staged(target):  # another run at work
+        command("encode", scene, "-o", target, *ENCODE, check=True)
+        assert len(list(tmp_path.glob(".out.airgs.*.stage"))) == 1  # its folder stays, that of the killed run is gone
+    assert not list(tmp_path.glob(".out.airgs.*"))
+
+
+def test_a_package_that_was_moved_aside_comes_back(scene, tmp_path):
+    """Killed between the two renames that put a new package in the place of an old one."""
+    target = tmp_path / "out.airgs"
+    command("encode", scene, "-o", target, *ENCODE, check=True)
+    target.rename(tmp_path / ".out.airgs.abcd.old")
+    done = command("encode", scene, "-o", target, *ENCODE, "--quality", "high", limit=4000)  # and the disk is full
+    assert done.returncode == 2 and validate(target) == []
+    assert [p.name for p in tmp_path.iterdir()] == ["out.airgs"]
