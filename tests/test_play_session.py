@@ -18,7 +18,8 @@ from airgs_codec.play.session import SessionSettings, mean_quality, metrics, scr
 from airgs_codec.play.trace import Trace
 from tests.manifests import tiny_manifest
 
-BARE = {"startup_s": 0.0, "decode_frame_s": 0.0, "loops": 1, "resume_s": 0.0, "replace": False, "abandon": False}
+BARE = {"startup_s": 0.0, "resume_s": 0.0, "decode_frame_s": 0.0, "loops": 1}
+BARE |= {"ahead": False, "replace": False, "abandon": False}
 
 
 def link(rates, starts=None, duration=None, rtt=0.0, end="loop"):
@@ -237,6 +238,16 @@ def test_missing_and_corrupt_files_cost_their_rung_and_no_more():
     assert corrupt.fetches[1].wasted > missing.fetches[1].wasted
 
 
+def test_asking_ahead_hides_the_round_trip():
+    """As by hand, with a round trip of 0.1 s: paid once for the manifests and once for the first batch."""
+    log = simulate(tiny_manifest(), 1000, link([8e4], rtt=0.1), fixed(0, ahead=True))
+    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.2, 0.945, 1.575])
+    assert [f.request_s for f in log.fetches] == pytest.approx([0, 0.2, 0.845])
+    full = simulate(tiny_manifest(), 1000, link([8e9], rtt=0.1), fixed(0, ahead=True, loops=20, buffer_s=3.0))
+    for i, fetch in enumerate(full.fetches[5:], 4):  # a full buffer lets nobody ask before there is room
+        assert fetch.arrival_s >= full.shown[0].start_s + i + 1 - 3.0 + 0.1 - 1e-6
+
+
 def test_without_its_key_a_group_is_lost_and_the_next_one_is_not():
     m = tiny_manifest()
     log = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults={"key/T0/1.bin": "missing"})
@@ -265,20 +276,20 @@ policies = st.sampled_from(["paper", "paper-literal", "throughput", "bola", "rob
     buffer_s=st.sampled_from([0.5, 2.0, 10.0]),
     extras=st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.5, 2.5])),
     split=st.booleans(),
+    ahead=st.booleans(),
     bad=st.sampled_from([None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin"]),
 )
-def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, buffer_s, extras, split, bad):
+def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, buffer_s, extras, split, ahead, bad):
     m = segmented(tiny_manifest(groups=(30,))) if split else tiny_manifest()
     faults = {bad: "missing"} if bad in m.files else {}
     again, give_up, wait = extras
-    rules = SessionSettings(
-        policy, buffer_s, loops=3, replace=again, abandon=give_up, startup_s=wait, resume_s=wait, decode_frame_s=0.01
-    )
+    rules = SessionSettings(policy, buffer_s, wait, wait, 0.01, again, give_up, ahead, loops=3)
     over = link(rates, rtt=0.08)
     a, b = (simulate(m, 1000, over, rules, 350, faults) for _ in range(2))
     assert (a.fetches, a.shown, metrics(a)) == (b.fetches, b.shown, metrics(b))
     for first, second in itertools.pairwise(a.fetches):
-        assert first.request_s <= first.arrival_s <= second.request_s
+        assert first.request_s <= first.arrival_s <= second.request_s + over.rtt_s * ahead + 1e-9
+        assert first.arrival_s <= second.arrival_s
     for s in a.shown:
         assert s.ready_s <= s.start_s + 1e-9
     ends = [s.start_s + s.frames / 10 for s in a.shown]

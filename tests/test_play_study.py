@@ -53,7 +53,7 @@ def test_offsets_are_seeded_and_a_traces_own():
 
 def test_feasible_means_that_the_smallest_rungs_keep_up():
     c = Catalogue(tiny_manifest(), 0)
-    rules = SessionSettings(decode_frame_s=0.0)
+    rules = SessionSettings(decode_frame_s=0.0, ahead=False)
     assert is_feasible(c, 1000, constant(8 * 2300), rules, 10)  # exactly what a second of Q1+L2 takes
     assert not is_feasible(c, 1000, constant(8 * 2000), rules, 30)
 

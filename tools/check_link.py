@@ -3,8 +3,9 @@
     python -m tools.check_link PACKAGE TRACE [TRACE ...] [--seconds S] [--policy NAME]
 
 A session is simulated; then a real client asks a real HTTP/1.1 server for as many bytes at the same times, a request a
-batch on one connection. The server holds every answer back by the round trip and writes no byte earlier than the trace
-lets it pass (a token bucket without depth). Prints, for each trace, how far real arrivals were from the simulated ones.
+batch on one connection, pipelined. The server holds every answer back until a round trip after its request and writes
+no byte earlier than the trace lets it pass (a token bucket without depth). Prints, for each trace, how far real
+arrivals were from the simulated ones.
 """
 
 from __future__ import annotations
@@ -43,7 +44,8 @@ class ShapedServer:
 
             def do_GET(self) -> None:
                 size = int(self.path.strip("/"))
-                time.sleep(shaped.link.rtt_s)
+                asked = shaped.zero + float(self.headers["X-Asked"])
+                time.sleep(max(0.0, asked + shaped.link.rtt_s - time.monotonic()))
                 shaped.begin()
                 head = f"HTTP/1.1 200 OK\r\nContent-Length: {size}\r\nX-Pad: "
                 pad = "x" * (HEADER_BYTES - len(head) - 4)
@@ -84,6 +86,15 @@ class ShapedServer:
         self._server.server_close()
 
 
+def ask(client: socket.socket, log: SessionLog, zero: float) -> None:
+    """Send every request at its time, whether the answer before it is there or not."""
+    for fetch in log.fetches:
+        time.sleep(max(0.0, fetch.request_s - (time.monotonic() - zero)))
+        asked = time.monotonic() - zero
+        lines = f"GET /{fetch.bytes - HEADER_BYTES} HTTP/1.1\r\nHost: x\r\nX-Asked: {asked:.6f}\r\n\r\n"
+        client.sendall(lines.encode())
+
+
 def replay(log: SessionLog) -> list[float]:
     """Ask for every batch of a session at its simulated time; gives seconds of arrival."""
     server = ShapedServer(log.link)
@@ -91,9 +102,9 @@ def replay(log: SessionLog) -> list[float]:
     with socket.create_connection(("127.0.0.1", server.port)) as client:
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         server.start()
+        asking = threading.Thread(target=ask, args=(client, log, server.zero), daemon=True)
+        asking.start()
         for fetch in log.fetches:
-            time.sleep(max(0.0, fetch.request_s - (time.monotonic() - server.zero)))
-            client.sendall(f"GET /{fetch.bytes - HEADER_BYTES} HTTP/1.1\r\nHost: x\r\n\r\n".encode())
             left = fetch.bytes
             while left:
                 left -= len(client.recv(min(left, 1 << 16)))

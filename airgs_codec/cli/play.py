@@ -58,6 +58,7 @@ def _parser() -> argparse.ArgumentParser:
     player.add_argument("--decode-ms", default="4", metavar="MS", help="a frame, or measure (default: 4)")
     player.add_argument("--no-replace", action="store_true", help="never fetch a better rung for what is buffered")
     player.add_argument("--no-abandon", action="store_true", help="never give up a download")
+    player.add_argument("--no-ahead", action="store_true", help="ask for a segment only when the last has come")
     player.add_argument("--loops", type=int, help="times the sequence is played (default: about 30 s of play)")
     study = parser.add_argument_group("study")
     study.add_argument("--compare", action="store_true", help="policies against each other on --traces")
@@ -119,6 +120,7 @@ def _settings(package: Package, args: argparse.Namespace) -> SessionSettings:
         decode_s,
         not args.no_replace,
         not args.no_abandon,
+        not args.no_ahead,
         args.loops,
     )
 

@@ -1,10 +1,11 @@
 """A viewer over a link: requests, arrivals, choices, stalls. Event-driven, deterministic, no clock.
 
-One batch is on the way at a time: those key units of the chosen rung that are not at hand, in tier order, then the
-state segment. When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it better
-keys of its group) as long as it will be there in time. A download that would come too late is abandoned when a
-smaller one would come sooner; whole files that have arrived are kept. A segment none of whose rungs can be had is
-lost: the last picture stands for its time, and the session goes on.
+One batch passes at a time: those key units of the chosen rung that are not at hand, in tier order, then the state
+segment. With `ahead` the next batch is asked for a round trip before the last byte of the one before, so that the link
+does not stand idle; the choice then knows one download less. When nothing more fits the buffer, a buffered segment may
+be replaced by a better rung (with it better keys of its group) as long as it will be there in time. A download that
+would come too late is abandoned when a smaller one would come sooner; whole files that have arrived are kept. A segment
+none of whose rungs can be had is lost: the last picture stands for its time, and the session goes on.
 
 The sequence may be played `loops` times, as if it were longer: keys and states are fetched again, init segments and
 manifests are not. Times are seconds from the first request.
@@ -53,6 +54,7 @@ class SessionSettings:
     decode_frame_s: float = 0.004  # time to decode and apply a frame
     replace: bool = True  # buffered segments by better ones
     abandon: bool = True
+    ahead: bool = True  # ask for the next segment a round trip before the last batch is there, knowing so much less
     loops: int | None = None  # default: about SESSION_S of play
 
 
@@ -128,6 +130,7 @@ class _Player:
     once: set[str] = field(default_factory=set)  # init segments at hand
     bytes_by_kind: Counter[str] = field(default_factory=Counter)
     lost: list[str] = field(default_factory=list)
+    trip_s: float = 0.0  # of the round trip of the next batch, what is left when the one before is there
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for there again
     bad: set[str] = field(default_factory=set)  # files found missing or corrupt
 
@@ -167,7 +170,7 @@ def simulate(
     _check(c, link, settings)
     duration = sum(c.seconds)
     loops = settings.loops or max(1, round(SESSION_S / duration))
-    player = _Player(c, link, settings, loops * len(c.seconds), faults or {})
+    player = _Player(c, link, settings, loops * len(c.seconds), faults or {}, trip_s=link.rtt_s)
     wire = c.wire_bytes([manifest_bytes])
     _pass(player, wire)
     player.fetches.append(Fetch("manifests", 0, 0, wire, 0, 0.0, player.now_s, 0.0, 0.0, True, "start"))
@@ -177,9 +180,12 @@ def simulate(
         room = _room_s(player, position)
         while replaces and player.now_s < room and _replace(player):
             pass
+        if settings.ahead and position and room < player.now_s:
+            player.trip_s = max(0.0, link.rtt_s - (player.now_s - room))
         player.now_s = max(player.now_s, room)
         while not _fetch_next(player, position, choose):
-            pass
+            player.trip_s = link.rtt_s
+        player.trip_s = link.rtt_s
     while replaces and _replace(player):
         pass
     return SessionLog(
@@ -213,8 +219,8 @@ def _check(c: Catalogue, link: Link, settings: SessionSettings) -> None:
 
 def _pass(player: _Player, wire: int) -> None:
     """Request so many bytes now and wait for the last of them."""
-    arrival = player.link.arrival_s(wire, player.now_s)
-    player.history.append(Download(wire, max(arrival - player.now_s - player.link.rtt_s, SHORTEST_S)))
+    arrival = player.link.trace.arrival_s(wire, player.now_s + player.trip_s)
+    player.history.append(Download(wire, max(arrival - player.now_s - player.trip_s, SHORTEST_S)))
     player.now_s = arrival
 
 
@@ -262,9 +268,9 @@ def _state(player: _Player, position: int) -> PlayerState:
         now_s=player.now_s,
         deadline_s=player.end_s() - player.settings.decode_frame_s,
         buffer_limit_s=player.settings.buffer_s,
-        rtt_s=player.link.rtt_s,
+        rtt_s=player.trip_s,
         shown_quality=quality,
-        history=tuple(player.history[-24:]),
+        history=tuple(player.history[-24:] if player.trip_s == player.link.rtt_s else player.history[-25:-1]),
     )
 
 
@@ -276,7 +282,7 @@ def _fetch(player: _Player, state: PlayerState, decision: Decision) -> bool:
     """Fetch a rung of the next segment; False when it did not come whole."""
     files = _files(player, state.position, decision.level)
     kind = "state" if not any(path.startswith("key/") for path in files) else "group"
-    began = player.now_s
+    began = player.now_s - (player.link.rtt_s - player.trip_s)
     if files:  # else nothing moves in this segment: the canonical space is at hand
         estimate, budget = estimate_throughput(player.history), budget_bytes(state)
         fixed = player.settings.policy.startswith("fixed") or not player.settings.abandon
@@ -330,7 +336,7 @@ def _receive(player: _Player, position: int, rung: int, files: list[str], stop_s
         _pass(player, wire)
         came = files
     else:
-        first = player.now_s + link.rtt_s
+        first = player.now_s + player.trip_s
         passed = link.bytes_between(first, stop_s)
         player.history.append(Download(max(1, round(passed)), max(stop_s - first, SHORTEST_S)))
         ends = itertools.accumulate(size + player.catalogue.header_bytes for size in sizes)
@@ -376,9 +382,9 @@ def _abandoned_s(player: _Player, state: PlayerState, decision: Decision, files:
     """
     link = player.link
     wire = player.catalogue.wire_bytes([player.catalogue.manifest.files[f].bytes for f in files])
-    arrival = link.arrival_s(wire, player.now_s)
+    first = player.now_s + player.trip_s
+    arrival = link.trace.arrival_s(wire, first)
     smallest = min(p.size_bytes for p in state.options)
-    first = player.now_s + link.rtt_s
     deadline = max(state.deadline_s, player.now_s)
     for look in itertools.count(1):
         at = first + CHECK_S * look
@@ -608,7 +614,7 @@ def session_bound(log: SessionLog, integer: bool = False) -> float | None:
         release = manifest_s
         wanted = float(fronts[k + 1]) - limit  # media that must have been shown before the request
         if wanted > 0:
-            i = int(np.searchsorted(fronts, wanted, side="right")) - 1
+            i = int(np.searchsorted(fronts, wanted - SHORTEST_S)) - 1  # before a stall, if one follows just there
             release = max(release, log.shown[i].start_s + wanted - float(fronts[i]))
         opens = (
             k == 0

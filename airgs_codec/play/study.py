@@ -104,8 +104,10 @@ def is_feasible(c: Catalogue, manifest_bytes: int, link: Link, settings: Session
     first = c.wire_bytes([c.manifest.files[path].bytes for path in inits])
     for position in range(loops * len(c.seconds)):
         segment = position % len(c.seconds)
-        begin = max(at, due + c.seconds[segment] - settings.buffer_s)
-        at = link.arrival_s(int(c.openings[segment].min()) + (0 if position else first), begin)
+        room = due + c.seconds[segment] - settings.buffer_s
+        asked = max(at - link.rtt_s if settings.ahead and position else at, room)
+        size = int(c.openings[segment].min()) + (0 if position else first)
+        at = link.trace.arrival_s(size, max(at, asked + link.rtt_s))
         if at + settings.decode_frame_s > due:
             return False
         due += c.seconds[segment]
