@@ -284,7 +284,7 @@ def _fetch(player: _Player, state: PlayerState, decision: Decision) -> bool:
     kind = "state" if not any(path.startswith("key/") for path in files) else "group"
     began = player.now_s - (player.link.rtt_s - player.trip_s)
     if files:  # else nothing moves in this segment: the canonical space is at hand
-        estimate, budget = estimate_throughput(player.history), budget_bytes(state)
+        estimate, budget = estimate_throughput(state.history), budget_bytes(state)
         fixed = player.settings.policy.startswith("fixed") or not player.settings.abandon
         stop_s = None if fixed else _abandoned_s(player, state, decision, files)
         if stop_s is not None:
