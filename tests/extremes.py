@@ -19,7 +19,7 @@ from airgs_codec.errors import AirgsError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.package import open_package
 from airgs_codec.remeasure import measure_errors
-from airgs_codec.sequence import open_sequence, repair
+from airgs_codec.sequence import open_sequence
 from airgs_codec.settings import EncodeSettings
 from airgs_codec.validate import validate
 from tests.scenes import random_gaussians, write_sequence
@@ -248,8 +248,3 @@ def measure_case(case: Case, folder: Path) -> Outcome:
         "; ".join(m.repairs),
         finite,
     )
-
-
-def repaired(frames: Frames) -> Frames:
-    """After the documented repairs."""
-    return repair(frames, "").frames

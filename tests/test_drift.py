@@ -11,8 +11,10 @@ from airgs_codec.decode import decode_canonical, decode_segment
 from airgs_codec.package import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
+from airgs_codec.play.outcome import screen_ticks
+from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.screen import screen_frames
-from airgs_codec.play.session import SessionSettings, screen_ticks, simulate
+from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import open_trace
 from airgs_codec.remeasure import measure_errors
 from airgs_codec.sequence import open_sequence

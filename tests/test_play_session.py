@@ -13,8 +13,9 @@ from airgs_codec.parse import parse_manifest
 from airgs_codec.play import session
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
+from airgs_codec.play.outcome import mean_quality, metrics, screen_ticks, session_bound
+from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.report import format_metrics, write_report
-from airgs_codec.play.session import SessionSettings, mean_quality, metrics, screen_ticks, session_bound
 from airgs_codec.play.trace import Trace
 from tests.manifests import tiny_manifest
 

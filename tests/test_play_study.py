@@ -15,14 +15,15 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.package import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.check import find_faults, measure_decoding
-from airgs_codec.play.closed_loop import SHARES, Server, adaptive, always, closed_loop_table, run_closed_loop
+from airgs_codec.play.closed_loop import Server, adaptive, always, closed_loop_table, run_closed_loop
 from airgs_codec.play.dense import DROP, HOLD, MEASURED, cliff, measure_dense, pruning_levels, saving_levels
 from airgs_codec.play.link import Link
-from airgs_codec.play.session import SessionSettings, simulate
+from airgs_codec.play.player import SessionSettings
+from airgs_codec.play.session import simulate
 from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.render.views import orbit_views
-from airgs_codec.states import load_states, score_rows
+from airgs_codec.states import SHARES, load_states, score_rows
 from tests.manifests import tiny_manifest
 from tests.scenes import FOX
 from tools.check_link import replay

@@ -19,9 +19,11 @@ import numpy as np
 from airgs_codec.package import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
+from airgs_codec.play.outcome import session_bound
+from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.policy import NAMES
 from airgs_codec.play.select import Ladder, Point, select
-from airgs_codec.play.session import SessionSettings, session_bound, simulate
+from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import open_trace
 
 LEVELS = (4, 11, 100, 1000, 10_000)

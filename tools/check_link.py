@@ -22,7 +22,8 @@ import numpy as np
 from airgs_codec.package import open_package
 from airgs_codec.play.catalogue import HEADER_BYTES, Catalogue
 from airgs_codec.play.link import Link
-from airgs_codec.play.session import SessionLog, SessionSettings, simulate
+from airgs_codec.play.player import SessionSettings
+from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.trace import open_trace
 
 TICK_S = 0.001  # between two looks at the bucket

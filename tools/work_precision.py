@@ -45,8 +45,10 @@ from airgs_codec.metrics import mse
 from airgs_codec.package import Package, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
+from airgs_codec.play.outcome import mean_quality, session_bound
+from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.policy import NAMES
-from airgs_codec.play.session import SessionSettings, mean_quality, session_bound, simulate
+from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import markov_trace
 from airgs_codec.ply import read_ply, write_ply
 from airgs_codec.quantize import from_codes, to_codes

@@ -19,11 +19,13 @@ from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.check import find_faults, measure_decoding
 from airgs_codec.play.closed_loop import adaptive, closed_loop_table, run_closed_loop
 from airgs_codec.play.frames import CHOOSERS, frame_table, simulate_frames
-from airgs_codec.play.link import DEFAULT_RTT_S, Link
+from airgs_codec.play.link import Link
+from airgs_codec.play.outcome import metrics
+from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.policy import NAMES, make_policy
 from airgs_codec.play.report import format_metrics, write_report
 from airgs_codec.play.screen import film, first_shown, still
-from airgs_codec.play.session import SESSION_S, SessionLog, SessionSettings, metrics, simulate
+from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.study_report import format_study, write_study
 from airgs_codec.play.trace import ENDS, open_trace
@@ -93,8 +95,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.rtt is not None and not (math.isfinite(args.rtt) and args.rtt >= 0):
         raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {args.rtt:g}")
     trace = open_trace(args.trace).cut(args.offset, args.scale).ending(args.end)
-    rtt = args.rtt / 1e3 if args.rtt is not None else trace.rtt_s
-    link = Link(trace, DEFAULT_RTT_S if rtt is None else rtt)
+    link = Link.over(trace, None if args.rtt is None else args.rtt / 1e3)
     if args.mode != "segments" and (args.report or args.video):
         raise ConfigError(f"--mode {args.mode}: prints a table, expected no --report and no --video")
     if args.mode == "frames":
@@ -157,14 +158,9 @@ def _as_words(log: SessionLog, args: argparse.Namespace) -> str:
     return format_metrics(log) + report + film_line
 
 
-def _loops(package: Package, args: argparse.Namespace) -> int:
-    m = package.manifest
-    return int(args.loops or max(1, round(SESSION_S * float(m.fps) / m.frames)))
-
-
 def _frames(package: Package, link: Link, args: argparse.Namespace) -> int:
     c = Catalogue(package.manifest)
-    tables = {name: frame_table(simulate_frames(c, link, name, _loops(package, args))) for name in CHOOSERS}
+    tables = {name: frame_table(simulate_frames(c, link, name, c.loops(args.loops))) for name in CHOOSERS}
     if args.json:
         print(json.dumps(tables | {"trace": link.trace.name, "scale": link.trace.scale}))
         return 0
@@ -185,7 +181,7 @@ def _closed_loop(package: Package, link: Link, args: argparse.Namespace) -> int:
     cameras = read_cameras(args.views) if args.views else orbit_views(decode_frame(package, 0))
     training = [c for c in cameras if c.split != "test"] or cameras
     bar = Bar(args.json)
-    loops = _loops(package, args)
+    loops = Catalogue(package.manifest).loops(args.loops)
     sent = run_closed_loop(package, training, measured_views(cameras), adaptive, link, loops, progress=bar)
     bar.close()
     table = closed_loop_table(sent)

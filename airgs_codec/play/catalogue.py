@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec.manifest import Manifest
 from airgs_codec.play.select import Point
 
+SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
 Held = Mapping[int, int]  # key quality -> tiers of it that are at hand, from the first on
 
@@ -124,10 +125,18 @@ class Catalogue:
 
     def ahead(self, position: int, count: int, end: int) -> Iterator[tuple[int, bool]]:
         """(segment, whether it begins a group) of the next positions, before `end`."""
-        segments = self.manifest.segments
         for p in range(position, min(position + count, end)):
-            s = p % len(segments)
-            yield s, s == 0 or segments[s].group != segments[s - 1].group
+            segment = p % len(self.seconds)
+            yield segment, self.opens(segment)
+
+    def opens(self, segment: int) -> bool:
+        """Whether a segment begins a group, so that no key of it is at hand."""
+        segments = self.manifest.segments
+        return segment == 0 or segments[segment].group != segments[segment - 1].group
+
+    def loops(self, wanted: int | None = None) -> int:
+        """How often the sequence is played: as wanted, else for about SESSION_S."""
+        return wanted or max(1, round(SESSION_S / sum(self.seconds)))
 
     def wire_bytes(self, sizes: Sequence[int]) -> int:
         """Bytes of files with their headers."""

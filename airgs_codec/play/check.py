@@ -7,8 +7,7 @@ import time
 from airgs_codec.decode import decode_canonical, decode_segment
 from airgs_codec.errors import FormatError
 from airgs_codec.package import Package
-
-MISSING = "missing"
+from airgs_codec.play.player import MISSING
 
 
 def find_faults(package: Package) -> dict[str, str]:

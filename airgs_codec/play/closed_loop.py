@@ -20,9 +20,7 @@ from airgs_codec.play.link import Link
 from airgs_codec.play.select import frame_budget
 from airgs_codec.rangecoder import encode_columns
 from airgs_codec.render import Camera, render
-from airgs_codec.states import GroupStates, kept_rows, load_states, score_rows
-
-SHARES = tuple(i / 10 for i in range(11))  # pruned; 1: nothing is sent
+from airgs_codec.states import SHARES, GroupStates, kept_rows, load_states, score_rows
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,10 +35,9 @@ from airgs_codec.rangecoder import encode_columns
 from airgs_codec.render import Camera, render
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.sequence import repair
-from airgs_codec.states import MEASURED, GroupStates, kept_rows, load_states, score_rows
+from airgs_codec.states import MEASURED, SHARES, GroupStates, kept_rows, load_states, score_rows
 from airgs_codec.video import Clip, decode_clip, encode_stream, state_codec
 
-SHARES = tuple(i / 10 for i in range(11))  # pruned; 1: nothing is sent
 FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the steps
 HOLD, DROP = "hold", "drop"
 PRESET = "medium"  # x264's, for bytes as shares of level 0

@@ -16,6 +16,12 @@ class Link:
     trace: Trace
     rtt_s: float = DEFAULT_RTT_S
 
+    @staticmethod
+    def over(trace: Trace, rtt_s: float | None = None) -> Link:
+        """With the round trip that is given, else the trace's own, else DEFAULT_RTT_S."""
+        known = trace.rtt_s if rtt_s is None else rtt_s
+        return Link(trace, DEFAULT_RTT_S if known is None else known)
+
     def arrival_s(self, wire_bytes: float, at_s: float) -> float:
         """When the last byte of a batch requested at `at_s` is there."""
         return self.trace.arrival_s(wire_bytes, at_s + self.rtt_s)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.session import SessionLog, frame_times, mean_quality, metrics, screen_ticks, session_bound
+from airgs_codec.play.outcome import frame_times, mean_quality, metrics, screen_ticks, session_bound
+from airgs_codec.play.session import SessionLog
 
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
 

@@ -14,7 +14,8 @@ from airgs_codec.gaussians import Gaussians
 from airgs_codec.package import Package
 from airgs_codec.picture import label, to_bytes
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.session import SessionLog, screen_ticks
+from airgs_codec.play.outcome import screen_ticks
+from airgs_codec.play.session import SessionLog
 from airgs_codec.render import Camera, render
 from airgs_codec.render.views import camera_path
 from airgs_codec.sequence import Sequence as GaussianSequence

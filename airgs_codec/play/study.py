@@ -21,8 +21,10 @@ from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.frames import CHOOSERS, frame_table, simulate_frames
-from airgs_codec.play.link import DEFAULT_RTT_S, Link
-from airgs_codec.play.session import SessionSettings, frame_times, mean_quality, metrics, session_bound, simulate
+from airgs_codec.play.link import Link
+from airgs_codec.play.outcome import frame_times, mean_quality, metrics, session_bound
+from airgs_codec.play.player import SessionSettings
+from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import Trace, open_trace
 
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
@@ -140,12 +142,11 @@ def _one_trace(task: tuple[Path, str, StudySettings]) -> tuple[list[Row], list[R
     package = open_package(path)
     c = Catalogue(package.manifest)
     whole = open_trace(name)
-    loops = settings.session.loops or max(1, round(30.0 / sum(c.seconds)))
+    loops = c.loops(settings.session.loops)
     rows, frame_rows = [], []
     for offset in offsets_of(whole, settings.offsets, settings.seed):
         trace = whole.cut(offset, settings.scale).ending(settings.end)
-        rtt = settings.rtt_s if settings.rtt_s is not None else trace.rtt_s
-        link = Link(trace, DEFAULT_RTT_S if rtt is None else rtt)
+        link = Link.over(trace, settings.rtt_s)
         try:
             feasible = is_feasible(c, package.manifest_bytes, link, settings.session, loops)
         except TransportError:
