@@ -4,25 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec import canonical as space
-from airgs_codec import escapes
 from airgs_codec import manifest as tables
-from airgs_codec.atlas import assemble, fit_atlas, picture_size, read_codes
 from airgs_codec.canonical import Canonical
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.manifest import KeySteps
 from airgs_codec.plan import colour_transform, fit_grid, world_steps
-from airgs_codec.quantize import from_codes, to_codes
-from airgs_codec.rangecoder import encode_columns
 from airgs_codec.sensitivity import Sensitivity, channel_weights, withheld_error
 from airgs_codec.settings import StepSettings
 from airgs_codec.sidecar import KeySidecar, pack_key_sidecar
-from airgs_codec.video import Clip, CodecSettings, decode_clip, encode_stream, key_codec, quantiser, state_codec
+from airgs_codec.trial import code_planes
+from airgs_codec.video import key_codec, state_codec
 
 BLOCK_ROWS = 256
 PRESET = "fast"
@@ -99,7 +95,7 @@ class Sample:
         if chosen.any():
             step = space.key_steps(key_steps, colours)[chosen] * factor
             codec = key_codec(PRESET)
-            sizes, decoded = _code(values[None, chosen], step, codec)
+            sizes, decoded = code_planes(values[None, chosen], step, codec)
             channels[chosen] = decoded[0]
             size += sizes[0]
         grid = fit_grid(key.means, self.classes, cell)
@@ -144,27 +140,7 @@ class Sample:
             return 0.0, errors
         values = states[1:, channels[:, None], moving]
         codec = state_codec(PRESET)
-        sizes, decoded = _code(values, np.full(len(channels), factor), codec)
+        sizes, decoded = code_planes(values, np.full(len(channels), factor), codec)
         errors[:, channels[:, None], moving] = decoded - values
         others = float(np.mean(sizes[1:])) if len(sizes) > 1 else 0.0
         return self.scale * (sizes[0] + (self.segment - 1) * others) / self.segment, errors
-
-
-def _code(
-    values: NDArray[np.float64], steps: NDArray[np.float64], codec: CodecSettings
-) -> tuple[list[int], NDArray[np.float64]]:
-    """(T, c, n) values -> bytes of each picture (escapes in the first) and what they decode to."""
-    gain = quantiser(codec.qp)
-    codes = to_codes(values, steps, gain)
-    atlas = fit_atlas(codes, gain / 2)
-    if not atlas.planes:
-        centres = np.array(atlas.centres, np.int32)[:, None]
-        return [0] * len(codes), np.broadcast_to(from_codes(centres, steps, gain), values.shape).astype(np.float64)
-    luma, bases = escapes.split((codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes])
-    size = picture_size(atlas)
-    stream = encode_stream([Clip(assemble(luma, atlas, *size), 0, 1)], size, Fraction(30), 30, codec)
-    sizes = list(stream.picture_bytes[0])
-    sizes[0] += len(encode_columns(escapes.columns(bases)))
-    pictures = decode_clip(stream.init, stream.media[0], "a sample")
-    decoded = [from_codes(read_codes(p, atlas, b), steps, gain) for p, b in zip(pictures, bases, strict=True)]
-    return sizes, np.stack(decoded).astype(np.float64)

@@ -19,13 +19,11 @@ import json
 import math
 import os
 import platform
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
-from fractions import Fraction
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -36,10 +34,8 @@ import torch
 from numpy.typing import NDArray
 
 from airgs_codec import escapes
-from airgs_codec.atlas import assemble, fit_atlas, picture_size, read_codes
 from airgs_codec.author import author_package
-from airgs_codec.decode import decode_canonical, decode_frames, decode_segment, decode_state
-from airgs_codec.gaussians import Gaussians
+from airgs_codec.decode import decode_canonical, decode_frames, decode_state
 from airgs_codec.inspection import pooled_quality
 from airgs_codec.metrics import mse
 from airgs_codec.package import Package, open_package
@@ -50,9 +46,7 @@ from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.policy import NAMES
 from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import markov_trace
-from airgs_codec.ply import read_ply, write_ply
-from airgs_codec.quantize import from_codes, to_codes
-from airgs_codec.rangecoder import encode_columns
+from airgs_codec.ply import read_ply
 from airgs_codec.render import Camera, read_cameras, render
 from airgs_codec.render.autograd import rasterize
 from airgs_codec.render.cpu import activate
@@ -67,7 +61,9 @@ from airgs_codec.train.scene import with_held_out
 from airgs_codec.train.settings import TrainSettings
 from airgs_codec.train.target import Target
 from airgs_codec.train.temporal import Temporal
-from airgs_codec.video import Clip, decode_clip, encode_stream, library_versions, state_codec
+from airgs_codec.trial import code_planes
+from airgs_codec.video import library_versions, state_codec
+from tools.bench_scale import COUNTS, FRAMES, measure_scale
 
 DATA = Path(__file__).parent.parent / "tests" / "data"
 KEYFRAME = 3  # of the embedded views: the cake appears
@@ -157,49 +153,30 @@ def measure_planes(package: Package) -> Iterator[Row]:
     shuffled = np.random.default_rng(0).permutation(values.shape[2])
     jumps = values.copy()
     jumps[1::2, 0, ::7] += 400 * states.steps[0]  # every seventh row leaves 8 bits every second frame
-    for method, data, order, clip in (
-        ("Morton order, escapes", values, None, False),
-        ("random order", values, shuffled, False),
-        ("clipped", values, None, True),
-        ("with jumps, escapes", jumps, None, False),
-        ("with jumps, clipped", jumps, None, True),
+    units = states.steps / m.state_gain
+    jumped = [render(states.show(v.astype(np.float32)), camera).rgb for v in jumps]
+    for method, data, order, wanted in (
+        ("Morton order, escapes", values, None, truth),
+        ("random order", values[:, :, shuffled], shuffled, truth),
+        ("clipped", clipped(values, units), None, truth),
+        ("with jumps, escapes", jumps, None, jumped),
+        ("with jumps, clipped", clipped(jumps, units), None, jumped),
     ):
-        wanted = truth
-        if data is jumps:
-            wanted = [render(states.show(v.astype(np.float32)), camera).rgb for v in jumps]
         began = time.perf_counter()
-        size, decoded = code_planes(data if order is None else data[:, :, order], states.steps, m.state_gain, clip)
-        seconds = time.perf_counter() - began
+        sizes, coded = code_planes(data, states.steps, state_codec("medium"))
+        seconds, decoded = time.perf_counter() - began, coded.astype(np.float32)
         if order is not None:
             restored = np.empty_like(decoded)
             restored[:, :, order] = decoded
             decoded = restored
         error = np.mean([mse(render(states.show(v), camera).rgb, w) for v, w in zip(decoded, wanted, strict=True)])
-        yield Row("planes", method, "L0", seconds / len(data), math.sqrt(error), "RMSE", size / len(data))
+        yield Row("planes", method, "L0", seconds / len(data), math.sqrt(error), "RMSE", sum(sizes) / len(data))
 
 
-def code_planes(
-    values: NDArray[np.float64], steps: NDArray[np.float64], gain: float, clip: bool
-) -> tuple[int, NDArray[np.float32]]:
-    """Bytes and decoded values of (T, channels, n); `clip` as codecs without escapes do."""
-    codes = to_codes(values, steps, gain)
-    atlas = fit_atlas(codes, gain / 2)
-    centres = np.array(atlas.centres, np.int32)[:, None]
-    centred = (codes - centres)[:, atlas.planes]
-    if clip:
-        samples, bases = (np.clip(centred, -128, 127) + 128).astype(np.uint8), np.zeros_like(centred)
-        extra = 0
-    else:
-        samples, bases = escapes.split(centred)
-        extra = len(encode_columns(escapes.columns(bases)))
-    size = picture_size(atlas)
-    clip_ = Clip(assemble(samples, atlas, *size), 0, 1000)
-    stream = encode_stream([clip_], size, Fraction(24), 24000, state_codec("medium"))
-    out = [
-        from_codes(read_codes(picture, atlas, bases[t]), steps, gain)
-        for t, picture in enumerate(decode_clip(stream.init, stream.media[0], "planes"))
-    ]
-    return len(stream.media[0]) + extra, np.stack(out)
+def clipped(values: NDArray[np.float64], units: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(T, channels, n) within what 8 bits around each channel's median hold, `units` (channels,) a code."""
+    middle, reach = np.median(values, axis=(0, 2))[:, None], (escapes.LIMIT - 1) * units[:, None]
+    return np.clip(values, middle - reach, middle + reach)
 
 
 def reference(c: list[torch.Tensor], camera: Camera) -> torch.Tensor:
@@ -324,65 +301,6 @@ def measure_left_out(folder: Path) -> Iterator[Row]:
         )
 
 
-def measure_scale(quick: bool) -> Iterator[Row]:
-    """Synthetic scenes of ten frames, each in processes of their own: seconds, memory and bytes over N."""
-    for count in (1000, 10_000) if quick else (10_000, 100_000, 1_000_000):
-        with tempfile.TemporaryDirectory() as folder:
-            for step in ("make", "encode", "decode"):
-                words = [sys.executable, "-m", "tools.work_precision", "--step", step, str(count), folder]
-                done = subprocess.run(words, check=True, capture_output=True, text=True)
-                if step != "make":
-                    got = json.loads(done.stdout)
-                    yield Row(
-                        "scale", step, f"{count}", got["seconds"] / 10, math.nan, "", got["bytes"] / 10, got["note"]
-                    )
-
-
-def scale_step(step: str, count: int, folder: Path) -> None:
-    """One process of `measure_scale`: a ball of Gaussians of which a tenth swings."""
-    if step == "make":
-        random = np.random.default_rng(0)
-        means = random.normal(size=(count, 3))
-        size = math.log(1.5 / count ** (1 / 3))
-        columns = [
-            random.normal(size=(count, 4)), size + 0.3 * random.normal(size=(count, 3)), 2 * random.normal(size=count),
-            0.5 * random.normal(size=(count, 3)), np.zeros((count, 0, 3)),
-        ]  # fmt: skip
-        moves = (np.arange(count) % 10 == 0)[:, None] * [0.1, 0.02, 0.0]
-        (folder / "scene").mkdir()
-        for t in range(10):
-            moved = [means + math.sin(0.6 * t) * moves, *columns]
-            write_ply(folder / "scene" / f"{t:06d}.ply", Gaussians(*(np.asarray(c, np.float32) for c in moved)))
-        return
-    began = time.perf_counter()
-    if step == "encode":
-        sequence = open_sequence(folder / "scene")
-        settings = EncodeSettings(preset="veryfast", levels=((0.0, 1.0), (0.5, 2.0)))
-        author_package(sequence, folder / "out", settings, measure_frames=0, calibrated=False)
-        package = open_package(folder / "out")
-        m = package.manifest
-        size = m.bytes_of(m.rung_files(0, 0))
-        note = ""
-    else:
-        package = open_package(folder / "out")
-        m = package.manifest
-        base, size = decode_canonical(package, 0, 0), 0
-        before = peak_bytes()
-        for index, s in enumerate(m.segments):
-            for frame in decode_segment(package, index, base, 0, 0, s.stop - s.start):
-                size = sum(getattr(frame, name).nbytes for name in frame.__slots__) * (s.stop - s.start)
-        above = peak_bytes() - before
-        note = f"{above / 1e6:.1f} MB over the canonical space, {above / size:.2f} x one decoded segment; "
-    seconds = time.perf_counter() - began
-    print(json.dumps({"seconds": seconds, "bytes": size, "note": f"{note}{peak_bytes() / 1e6:.0f} MB at most"}))
-
-
-def peak_bytes() -> int:
-    """Most memory this process had (Linux; getrusage would begin with what its parent had)."""
-    status = Path("/proc/self/status").read_text()
-    return 1024 * int(next(line for line in status.splitlines() if line.startswith("VmHWM")).split()[1])
-
-
 PICTURES = {"codec.png": ("encode", "decode", "scale"), "parts.png": ("render", "train", "select")}
 
 
@@ -418,11 +336,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=Path("build/work_precision"))
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--step", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
-    if args.step:
-        scale_step(args.step[0], int(args.step[1]), Path(args.step[2]))
-        return
     torch.set_num_threads(1)
     args.output.mkdir(parents=True, exist_ok=True)
     rows: list[Row] = []
@@ -440,7 +354,10 @@ def main() -> None:
             lambda: measure_train(folder, args.quick),
             lambda: measure_select(package, args.quick),
             lambda: measure_left_out(folder),
-            lambda: measure_scale(args.quick),
+            lambda: (
+                Row("scale", step, str(count), seconds / FRAMES, math.nan, "", size / FRAMES, note)
+                for count, step, seconds, size, note in measure_scale((1000, 10_000) if args.quick else COUNTS)
+            ),
         ]
         for part in parts:
             for row in part():

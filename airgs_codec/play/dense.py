@@ -21,8 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec import escapes
-from airgs_codec.atlas import assemble, fit_atlas, picture_size, read_codes
 from airgs_codec.errors import ConfigError
 from airgs_codec.gaussians import Gaussians
 from airgs_codec.manifest import Manifest
@@ -30,13 +28,12 @@ from airgs_codec.measure import measured_frames
 from airgs_codec.metrics import mse, psnr, ssim
 from airgs_codec.package import Package
 from airgs_codec.play.select import Ladder, Point
-from airgs_codec.quantize import from_codes, to_codes
-from airgs_codec.rangecoder import encode_columns
 from airgs_codec.render import Camera, render
 from airgs_codec.sequence import Sequence as GaussianSequence
 from airgs_codec.sequence import repair
 from airgs_codec.states import MEASURED, SHARES, GroupStates, kept_rows, load_states, score_rows
-from airgs_codec.video import Clip, decode_clip, encode_stream, state_codec
+from airgs_codec.trial import code_planes
+from airgs_codec.video import state_codec
 
 FACTORS = (1.0, 1.5, 2.0, 3.0, 4.0)  # of the steps
 HOLD, DROP = "hold", "drop"
@@ -114,9 +111,8 @@ class _Job:
     ) -> None:
         m = package.manifest
         segment = m.segments[index]
-        self._index, self._states, self._cameras, self._gain = index, states, cameras, m.state_gain
+        self._index, self._states, self._cameras = index, states, cameras
         self._size = m.bytes_of(m.state_files(index, 0))
-        self._rate, self._timescale, self._ticks = m.fps, m.timescale, m.frame_ticks
         self._values = states.values[segment.start - states.start : segment.stop - states.start]
         numbers = measured_frames(segment.start, segment.stop, FRAMES)
         self._frames = [n - segment.start for n in numbers]
@@ -172,23 +168,11 @@ class _Job:
         out = [np.zeros_like(self._values[0]) for _ in self._frames]
         if not kept.any() or not self._size:
             return 0, out
-        steps = self._states.steps * factor
-        codes = to_codes(self._values[:, :, kept].astype(np.float64), steps, self._gain)
-        atlas = fit_atlas(codes, self._gain / 2)
-        centres = np.array(atlas.centres, np.int32)[:, None]
-        if not atlas.planes:
-            for values in out:
-                values[:, kept] = from_codes(centres, steps, self._gain)
-            return 0, out
-        samples, bases = escapes.split((codes - centres)[:, atlas.planes])
-        size = picture_size(atlas)
-        clip = Clip(assemble(samples, atlas, *size), 0, self._ticks)
-        stream = encode_stream([clip], size, self._rate, self._timescale, state_codec(PRESET))
-        for t, picture in enumerate(decode_clip(stream.init, stream.media[0], "a trial level")):
-            if t in self._frames:
-                codes = read_codes(picture, atlas, bases[t])
-                out[self._frames.index(t)][:, kept] = from_codes(codes, steps, self._gain)
-        return len(stream.media[0]) + len(encode_columns(escapes.columns(bases))), out
+        values = self._values[:, :, kept].astype(np.float64)
+        sizes, decoded = code_planes(values, self._states.steps * factor, state_codec(PRESET))
+        for held, t in zip(out, self._frames, strict=True):
+            held[:, kept] = decoded[t]
+        return sum(sizes), out
 
 
 def pool_segments(points: Sequence[DensePoint], m: Manifest) -> list[DensePoint]:
