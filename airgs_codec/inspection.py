@@ -22,6 +22,7 @@ from airgs_codec.manifest import (
 )
 from airgs_codec.metrics import psnr
 from airgs_codec.package import Package
+from airgs_codec.text import table
 from airgs_codec.video import decode_clip
 
 FEW = 4  # groups that are listed one by one
@@ -269,12 +270,12 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
     ]
     if len(rows) > MOST_GROUPS:
         rows = [*rows[: MOST_GROUPS - 2], ["…"] * 5, rows[-1]]
-    lines += _table(["group", "frames", "Gaussians", "static", "segments"], rows)
+    lines += table(["group", "frames", "Gaussians", "static", "segments"], rows)
     rows = [
         [k["tier"], k["quality"], _span(k["gaussians"]), f"x{k['factor']:g}", f"{k['bytes_per_frame'] / 1e3:.2f}"]
         for k in s["keys"]
     ]
-    lines += ["", *_table(["key tier", "quality", "Gaussians", "steps", "kB/frame"], rows)]
+    lines += ["", *table(["key tier", "quality", "Gaussians", "steps", "kB/frame"], rows)]
     rows = [
         [
             v["id"],
@@ -289,10 +290,10 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         for v in s["levels"]
     ]
     lines += ["", "levels, without keys; PSNR and SSIM with every key in Q0:"]
-    lines += [*_table(["level", "Gaussians", "pruned", "steps", "kB/frame", "Mbit/s", "peak", "PSNR dB", "SSIM"], rows)]
+    lines += [*table(["level", "Gaussians", "pruned", "steps", "kB/frame", "Mbit/s", "peak", "PSNR dB", "SSIM"], rows)]
     lines += ["", "largest error of what a level carries (max_error), in the units of its channels:"]
     rows = [[v["id"], *(f"{v['max_error'][name]:.3g}" for name in STATE_BOUNDS)] for v in s["levels"]]
-    lines += _table(["level", *ERROR_HEADS], rows)
+    lines += table(["level", *ERROR_HEADS], rows)
     rows = [
         [
             f"{r['key']} + {r['state']}",
@@ -304,7 +305,7 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         for r in s["rungs"]
     ]
     lines += ["", "everything a viewer fetches (*: the ladder; the others are beaten by a mixture of two on it):"]
-    lines += _table(["rung", "kB/frame", "Mbit/s", "PSNR dB", "SSIM", ""], rows)
+    lines += table(["rung", "kB/frame", "Mbit/s", "PSNR dB", "SSIM", ""], rows)
     kinds = [f"{kind} {size / frames / 1e3:.2f}" for kind, size in s["top_rung_bytes"].items()]
     lines += ["", f"top rung, kB/frame: {', '.join(kinds)}"]
     lines += [f"left out: {line}" for line in s["left_out"]] + [f"repaired: {line}" for line in m.repairs]
@@ -326,11 +327,6 @@ def _quality_cells(entry: dict[str, Any]) -> list[str]:
 
 def _span(bounds: list[int]) -> str:
     return str(bounds[0]) if bounds[0] == bounds[1] else f"{bounds[0]}-{bounds[1]}"
-
-
-def _table(head: list[str], rows: list[list[str]]) -> list[str]:
-    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
-    return ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
 
 
 def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:

@@ -36,6 +36,12 @@ class Package:
         entry = self.manifest.files.get(relative)
         if entry is None:
             raise FormatError("missing_entry", relative, f"no entry in {JSON_NAME}")
+        data = self._load(relative, entry.bytes)
+        if hashlib.sha256(data).hexdigest() != entry.sha256:
+            raise FormatError("hash_mismatch", relative, "the SHA-256 differs from the one in airgs.json")
+        return data
+
+    def _load(self, relative: str, expected: int) -> bytes:
         path = self.path
         for part in Path(relative).parts:
             path = path / part
@@ -44,12 +50,9 @@ class Package:
         if not path.is_file():
             raise FormatError("missing_file", relative, "expected a file, got nothing")
         size = path.stat().st_size
-        if size != entry.bytes:
-            raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {size}")
-        data = path.read_bytes()
-        if hashlib.sha256(data).hexdigest() != entry.sha256:
-            raise FormatError("hash_mismatch", relative, "the SHA-256 differs from the one in airgs.json")
-        return data
+        if size != expected:
+            raise FormatError("size_mismatch", relative, f"expected {expected} bytes, got {size}")
+        return path.read_bytes()
 
 
 def open_package(path: Path) -> Package:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
@@ -16,8 +16,7 @@ from airgs_codec.gaussians import Gaussians
 from airgs_codec.manifest import JSON_NAME, MPD_NAME, expected_files, key_init_path, state_init_path
 from airgs_codec.mpd import check_mpd
 from airgs_codec.package import MAX_JSON_BYTES, Package, open_package
-from airgs_codec.remeasure import measure_errors
-from airgs_codec.sequence import Sequence as GaussianSequence
+from airgs_codec.remeasure import Measured
 from airgs_codec.video import decode_clip
 
 
@@ -33,11 +32,8 @@ class Finding:
         return f"{self.where}: {self.detail} [{self.reason}]"
 
 
-def validate(path: Path, against: GaussianSequence | None = None) -> list[Finding]:
+def validate(path: Path) -> list[Finding]:
     """Everything that is wrong with the package in folder `path`; empty for a good one. Never raises for a bad one.
-
-    With `against`, the sequence it was made of, also every `max_error` that is exceeded. Raises ConfigError for a
-    sequence of another length.
 
     Checks the tables, the MPD against them, every file's length and digest, foreign files, and that every key unit
     and every segment of every level decodes to the promised pictures and to finite numbers.
@@ -51,13 +47,16 @@ def validate(path: Path, against: GaussianSequence | None = None) -> list[Findin
     findings += _attempt(MPD_NAME, partial(_check_mpd, package))
     if not findings:  # broken files would only repeat themselves
         findings = list(_check_decoding(package))
-    if not findings and against is not None:
-        findings = [
-            Finding("bound_exceeded", m.where, f"{m.attribute}: max_error {m.bound:g}, measured {m.error:g}")
-            for m in measure_errors(package, against)
-            if m.error > m.bound
-        ]
     return findings
+
+
+def exceeded(measured: Iterable[Measured]) -> list[Finding]:
+    """Every `max_error` that a comparison with the original (`remeasure.measure_errors`) found too small."""
+    return [
+        Finding("bound_exceeded", m.where, f"{m.attribute}: max_error {m.bound:g}, measured {m.error:g}")
+        for m in measured
+        if m.error > m.bound
+    ]
 
 
 def _finding(error: FormatError) -> Finding:

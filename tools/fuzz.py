@@ -22,7 +22,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from types import FrameType
@@ -32,8 +32,9 @@ import numpy as np
 
 from airgs_codec.decode import decode_canonical, decode_key, decode_segment, decode_state
 from airgs_codec.errors import AirgsError, FormatError
-from airgs_codec.manifest import JSON_NAME, MPD_NAME, FileEntry, Manifest
+from airgs_codec.manifest import JSON_NAME, MPD_NAME, FileEntry
 from airgs_codec.mpd import check_mpd
+from airgs_codec.package import Package
 from airgs_codec.parse import parse_manifest
 
 VALID = Path(__file__).parent.parent / "manifests" / "valid"
@@ -47,24 +48,17 @@ NUMBERS = (b"\x00\x00\x00\x00", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x80
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Memory:
-    """A package that lies in memory; stands for `package.Package` in decoding."""
+class Memory(Package):
+    """A package that lies in memory."""
 
-    manifest: Manifest
-    files: dict[str, bytes]
+    contents: dict[str, bytes] = field(default_factory=dict)
 
-    def read(self, relative: str) -> bytes:
-        """As Package.read."""
-        entry = self.manifest.files.get(relative)
-        if entry is None:
-            raise FormatError("missing_entry", relative, "no entry")
-        data = self.files.get(relative)
+    def _load(self, relative: str, expected: int) -> bytes:
+        data = self.contents.get(relative)
         if data is None:
             raise FormatError("missing_file", relative, "expected a file, got nothing")
-        if len(data) != entry.bytes:
-            raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {len(data)}")
-        if hashlib.sha256(data).hexdigest() != entry.sha256:
-            raise FormatError("hash_mismatch", relative, "the SHA-256 differs")
+        if len(data) != expected:
+            raise FormatError("size_mismatch", relative, f"expected {expected} bytes, got {len(data)}")
         return data
 
 
@@ -87,7 +81,7 @@ def decode_all(files: dict[str, bytes]) -> bytes:
     """Open, check and decode a package in memory; the digest of all codes. Raises AirgsError for a bad one."""
     manifest = parse_manifest(files[JSON_NAME])
     check_mpd(files[MPD_NAME], manifest)
-    package: Any = Memory(manifest, files)
+    package = Memory(VALID, manifest, 0, files)
     digest = hashlib.sha256()
     with np.errstate(all="ignore"):
         for group in range(len(manifest.groups)):

@@ -19,7 +19,7 @@ from airgs_codec.remeasure import format_errors, measure_errors
 from airgs_codec.render import read_cameras
 from airgs_codec.render.views import orbit_views
 from airgs_codec.sequence import open_sequence
-from airgs_codec.validate import validate
+from airgs_codec.validate import exceeded, validate
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -81,7 +81,10 @@ def _ladder(package: Package, args: argparse.Namespace) -> int:
 
 def _validate(args: argparse.Namespace) -> int:
     against = open_sequence(args.against) if args.against else None
-    findings = validate(args.package, against)
+    findings, measured = validate(args.package), []
+    if not findings and against is not None:
+        measured = list(measure_errors(open_package(args.package), against))
+        findings = exceeded(measured)
     if args.json:
         print(json.dumps([{"reason": f.reason, "where": f.where, "detail": f.detail} for f in findings]))
     elif findings:
@@ -89,6 +92,6 @@ def _validate(args: argparse.Namespace) -> int:
     else:
         m = open_package(args.package).manifest
         print(f"valid: {m.frames} frames, {len(m.groups)} groups, {len(m.segments)} segments, {len(m.files)} files")
-        if against is not None:
-            print(format_errors(list(measure_errors(open_package(args.package), against))))
+        if measured:
+            print(format_errors(measured))
     return 1 if findings else 0

@@ -26,8 +26,8 @@ from airgs_codec.play.policy import NAMES, make_policy
 from airgs_codec.play.report import format_metrics, write_report
 from airgs_codec.play.screen import film, first_shown, still
 from airgs_codec.play.session import SessionLog, simulate
-from airgs_codec.play.study import StudySettings, run_study
-from airgs_codec.play.study_report import format_study, write_study
+from airgs_codec.play.study import StudySettings, plain, run_study
+from airgs_codec.play.study_report import format_study, frame_lines, write_study
 from airgs_codec.play.trace import ENDS, open_trace
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.render.views import orbit_views
@@ -160,20 +160,13 @@ def _as_words(log: SessionLog, args: argparse.Namespace) -> str:
 
 def _frames(package: Package, link: Link, args: argparse.Namespace) -> int:
     c = Catalogue(package.manifest)
-    tables = {name: frame_table(simulate_frames(c, link, name, c.loops(args.loops))) for name in CHOOSERS}
+    runs = {name: frame_table(simulate_frames(c, link, name, c.loops(args.loops))) for name in CHOOSERS}
     if args.json:
-        print(json.dumps(tables | {"trace": link.trace.name, "scale": link.trace.scale}))
+        print(json.dumps(plain(runs | {"trace": link.trace.name, "scale": link.trace.scale})))
         return 0
     print(f"{link.trace.name}: mean {link.trace.mean_bps / 1e6:.2f} Mbit/s, rates x{link.trace.scale:g}; state only")
-    print("ms a frame: bits over the rate of that moment (as the paper counts), and over the link one after another")
-    print(f"{'':14}{'kB/frame':>9}{'PSNR':>7}{'mean':>7}{'95 %':>7}{'worst':>8} |{'mean':>7}{'95 %':>7}{'worst':>8}"
-          f"{'late':>7}{'no fit':>8}{'skipped':>9}")  # fmt: skip
-    for name, t in tables.items():
-        print(
-            f"{name:14}{t['kb_frame']:9.2f}{t['psnr']:7.2f}{t['paper_mean_ms']:7.1f}{t['paper_p95_ms']:7.1f}"
-            f"{t['paper_max_ms']:8.1f} |{t['link_mean_ms']:7.1f}{t['link_p95_ms']:7.1f}{t['link_max_ms']:8.1f}"
-            f"{100 * t['late']:6.1f}%{100 * t['infeasible']:7.1f}%{100 * t['skipped']:8.1f}%"
-        )
+    print("ms a frame by bits over the rate of that moment, as the paper counts; then over the link, one after another")
+    print("\n".join(frame_lines([{"chooser": name} | table for name, table in runs.items()])))
     return 0
 
 

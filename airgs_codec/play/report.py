@@ -13,6 +13,7 @@ import numpy as np
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.outcome import frame_times, mean_quality, metrics, screen_ticks, session_bound
 from airgs_codec.play.session import SessionLog
+from airgs_codec.text import page
 
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
 
@@ -28,11 +29,10 @@ def write_report(log: SessionLog, directory: Path) -> Path:
         }
         (directory / "session.json").write_text(json.dumps(record, indent=1) + "\n")
         plot_session(log, directory / "session.png")
-        page = directory / "index.html"
-        page.write_text(_page(log, directory), encoding="utf-8")
+        (directory / "index.html").write_text(_page(log, directory), encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{directory}: cannot write the report: {error}") from error
-    return page
+    return directory / "index.html"
 
 
 def plot_session(log: SessionLog, path: Path) -> None:
@@ -200,12 +200,5 @@ def _page(log: SessionLog, directory: Path) -> str:
         if (directory / "screen.png").exists()
         else ""
     )
-    style = (
-        "body{font:15px/1.5 system-ui,sans-serif;max-width:1120px;margin:2rem auto;padding:0 1rem;color:#222}"
-        "th{text-align:left;padding-right:2rem;font-weight:600}img{max-width:100%;margin-top:1rem}"
-    )
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>airgs-play</title><style>{style}</style>'
-        f"<h1>airgs-play</h1><table>{rows}</table>{extra}"
-        f'<img src="session.png" alt="throughput, rungs, buffer, quality and arrivals over time"></html>\n'
-    )
+    picture = '<img src="session.png" alt="throughput, rungs, buffer, quality and arrivals over time">'
+    return page("airgs-play", f"<table>{rows}</table>{extra}{picture}")

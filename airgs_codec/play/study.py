@@ -82,7 +82,6 @@ class Study:
 
     settings: StudySettings
     package: str
-    manifest_bytes: int
     rows: tuple[Row, ...]
     frame_rows: tuple[Row, ...]
 
@@ -122,7 +121,6 @@ def run_study(
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> Study:
     """Every policy on every link. Raises TransportError, ConfigError, FormatError."""
-    opened = open_package(package)
     for trace in settings.traces:
         open_trace(trace)  # one that cannot be read is told before minutes of work
     rows: list[Row] = []
@@ -134,7 +132,7 @@ def run_study(
             rows += some
             frame_rows += frames
             progress("sessions", done, len(tasks))
-    return Study(settings, package.name, opened.manifest_bytes, tuple(rows), tuple(frame_rows))
+    return Study(settings, package.name, tuple(rows), tuple(frame_rows))
 
 
 def _one_trace(task: tuple[Path, str, StudySettings]) -> tuple[list[Row], list[Row]]:
@@ -205,10 +203,10 @@ def summarise(study: Study, feasible: bool | None = None) -> list[Row]:
     return out
 
 
-def frame_summary(study: Study) -> list[Row]:
-    """One row a chooser of frame mode: means over runs, the largest of maxima, the worst frame against unpruned."""
+def frame_summary(frame_rows: Sequence[Row]) -> list[Row]:
+    """One row a chooser of frame mode: means over its runs, and the worst frame as a share of the unpruned one's."""
     out: list[Row] = []
-    by_chooser = {name: [r for r in study.frame_rows if r["chooser"] == name] for name in CHOOSERS}
+    by_chooser = {name: [r for r in frame_rows if r["chooser"] == name] for name in CHOOSERS}
     for name, rows in by_chooser.items():
         row: Row = {"chooser": name, "runs": len(rows)}
         for figure in rows[0]:
@@ -230,6 +228,12 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def study_record(study: Study) -> Row:
+    """All tables as JSON wants them."""
+    record = {"package": study.package, "all": summarise(study), "feasible": summarise(study, True)}
+    return dict(plain(record | {"frame_mode": frame_summary(study.frame_rows)}))
+
+
 def write_rows(study: Study, folder: Path) -> None:
     """sessions.csv, frames.csv and study.json. Raises ConfigError."""
     try:
@@ -241,8 +245,6 @@ def write_rows(study: Study, folder: Path) -> None:
                     writer = csv.DictWriter(file, list(kept[0]))
                     writer.writeheader()
                     writer.writerows(kept)
-        record: Row = {"package": study.package, "all": summarise(study), "feasible": summarise(study, True)}
-        record["frame_mode"] = frame_summary(study)
-        (folder / "study.json").write_text(json.dumps(plain(record), indent=1, allow_nan=False) + "\n")
+        (folder / "study.json").write_text(json.dumps(study_record(study), indent=1, allow_nan=False) + "\n")
     except OSError as error:
         raise ConfigError(f"{folder}: cannot write the study: {error}") from error

@@ -5,13 +5,15 @@ from __future__ import annotations
 import html
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.study import FEASIBLE_START_S, Row, Study, frame_summary, plain, summarise, write_rows
+from airgs_codec.play.study import FEASIBLE_START_S, Row, Study, frame_summary, summarise, write_rows
+from airgs_codec.text import page, table
 
 COLUMNS = (  # figure, heading, factor, digits
     ("psnr_mean", "PSNR dB", 1, 2),
@@ -57,8 +59,7 @@ FRAME_COLUMNS = (
 def format_study(study: Study, as_json: bool = False) -> str:
     """Both tables, all links and those whose smallest rungs are feasible, and frame mode."""
     if as_json:
-        record = {"all": summarise(study), "feasible": summarise(study, True), "frame_mode": frame_summary(study)}
-        return json.dumps(plain(record))
+        return json.dumps(study_record(study))
     s = study.settings
     rows = [r for r in study.rows if r["policy"] == s.policies[0]]
     feasible = sum(r["feasible"] for r in rows)
@@ -71,10 +72,16 @@ def format_study(study: Study, as_json: bool = False) -> str:
             cells = [
                 [r["policy"], *(_cell(r[name], f, d) for name, _, f, d in COLUMNS)] for r in summarise(study, wanted)
             ]
-            lines += [f"{title}:", *_text(["policy", *(h for _, h, _, _ in COLUMNS)], cells), ""]
-    cells = [[r["chooser"], *(f"{f * r[name]:.{d}f}" for name, _, f, d in FRAME_COLUMNS)] for r in frame_summary(study)]
+            lines += [f"{title}:", *table(["policy", *(h for _, h, _, _ in COLUMNS)], cells), ""]
     lines += ["the paper's frame mode, state only (see --mode frames):"]
-    return "\n".join(lines + _text(["choice", *(h for _, h, _, _ in FRAME_COLUMNS)], cells))
+    return "\n".join(lines + frame_lines(study.frame_rows))
+
+
+def frame_lines(frame_rows: Sequence[Row]) -> list[str]:
+    """The table of frame mode: ms by the rate of the moment, then over the link one frame after another."""
+    rows = frame_summary(frame_rows)
+    cells = [[r["chooser"], *(f"{f * r[name]:.{d}f}" for name, _, f, d in FRAME_COLUMNS)] for r in rows]
+    return table(["choice", *(h for _, h, _, _ in FRAME_COLUMNS)], cells)
 
 
 def _conditions(study: Study) -> str:
@@ -96,25 +103,15 @@ def _cell(value: tuple[float, float, float], factor: float, digits: int) -> str:
     return "-" if math.isnan(value[0]) else f"{factor * value[0]:.{digits}f}"
 
 
-def _text(head: list[str], rows: list[list[str]]) -> list[str]:
-    widths = [max(len(row[i]) for row in [head, *rows]) for i in range(len(head))]
-    cells = [
-        [row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]
-        for row in [head, *rows]
-    ]
-    return ["  ".join(row).rstrip() for row in cells]
-
-
 def write_study(study: Study, folder: Path) -> Path:
     """sessions.csv, frames.csv, study.json, study.png and index.html; gives the page. Raises ConfigError."""
     write_rows(study, folder)
     try:
         plot_study(study, folder / "study.png")
-        page = folder / "index.html"
-        page.write_text(_page(study), encoding="utf-8")
+        (folder / "index.html").write_text(_page(study), encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{folder}: cannot write the study: {error}") from error
-    return page
+    return folder / "index.html"
 
 
 def plot_study(study: Study, path: Path) -> None:
@@ -173,7 +170,7 @@ def _page(study: Study) -> str:
         f"<tr><th>{r['chooser']}</th>"
         + "".join(f"<td>{f * r[name]:.{d}f}</td>" for name, _, f, d in FRAME_COLUMNS)
         + "</tr>"
-        for r in frame_summary(study)
+        for r in frame_summary(study.frame_rows)
     )
     parts += [
         "<h2>The paper's frame mode</h2><p>State only; a frame is pushed at t / R with the true rate of that moment as "
@@ -182,16 +179,10 @@ def _page(study: Study) -> str:
         f"<table><tr><th></th>{head}</tr>{body}</table>",
     ]
     style = (
-        "body{font:15px/1.5 system-ui,sans-serif;max-width:1700px;margin:2rem auto;padding:0 1rem;color:#222}"
         "table{border-collapse:collapse;font-size:13px}td,th{padding:.2rem .6rem;text-align:right}"
         "th:first-child{text-align:left}tr:nth-child(even){background:#f4f4f6}small{color:#777;display:block}"
-        "img{max-width:100%;margin-top:1rem}"
     )
-    return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>airgs-play --compare</title>'
-        f"<style>{style}</style>"
-        f"<h1>Policies compared</h1>{''.join(parts)}</html>\n"
-    )
+    return page("Policies compared", "".join(parts), "1700px", style)
 
 
 def _table(rows: list[Row], suffix: str) -> str:

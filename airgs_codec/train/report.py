@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import ConfigError
 from airgs_codec.picture import label, to_bytes, write_png
 from airgs_codec.render import cpu
+from airgs_codec.text import page
 from airgs_codec.train.record import FrameRecord, Model
 from airgs_codec.train.scene import Pictures
 
@@ -124,11 +125,6 @@ def _page(model: Model, shown: dict[int, str]) -> str:
     rows = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in facts.items())
     settings = html.escape(str(model.record.settings))
     pictures = "".join(f'<h2>Frame {frame}</h2><img src="{name}" alt="frame {frame}">' for frame, name in shown.items())
-    return f"""<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>Training of {html.escape(model.folder.name)}</title>
-<style>body{{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#222}}
-img{{max-width:100%}} th{{text-align:left;padding-right:2rem;font-weight:500}} code{{overflow-wrap:anywhere}}</style>
-<h1>Training of {html.escape(model.folder.name)}</h1><table>{rows}</table>
-<img src="training.png" alt="PSNR, Gaussians, static updates and seconds a frame">
-{pictures}<h2>Settings</h2><p><code>{settings}</code></p></html>
-"""
+    curves = '<img src="training.png" alt="PSNR, Gaussians, static updates and seconds a frame">'
+    body = f"<table>{rows}</table>{curves}{pictures}<h2>Settings</h2><p><code>{settings}</code></p>"
+    return page(f"Training of {model.folder.name}", body, style="code{overflow-wrap:anywhere}")
