@@ -190,7 +190,8 @@ def _encode_keys(
     count = len(settings.key_factors)
     for plan in plans:
         for (tier, quality), coded in zip(pairs, streams, strict=True):
-            plan.bound_key(tier, quality, [coded.differences[n - 1] for n in plan.numbers[tier : tier + 1] if n])
+            number = plan.numbers[tier]
+            plan.bound_key(tier, quality, [coded.differences[number - 1]] if number else [])
     return [streams[t * count : (t + 1) * count] for t in range(len(settings.tiers))]
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.study import FEASIBLE_START_S, Row, Study, frame_summary, summarise, write_rows
+from airgs_codec.play.study import FEASIBLE_START_S, Row, Study, frame_summary, study_record, summarise, write_rows
 from airgs_codec.text import page, table
 
 COLUMNS = (  # figure, heading, factor, digits
