@@ -67,7 +67,7 @@ def read_model(folder: Path) -> tuple[list[Posed], Points]:
     found = list(model.points3D.values())
     positions = np.array([point.xyz for point in found], np.float32).reshape(-1, 3)
     colours = np.array([point.color for point in found], np.float32).reshape(-1, 3) / np.float32(255)
-    return posed, Points(positions, colours, "COLMAP points")
+    return posed, Points(positions, colours)
 
 
 def _posed(folder: Path, name: str, camera: object, pose: NDArray[np.float64]) -> Posed:

@@ -80,9 +80,7 @@ def triangulate(views: Sequence[View]) -> Points:
             seen = [views[view_of[m]].target.rgb[tuple(places[m][::-1].astype(int))] for m in members]
             colours.append(np.median(seen, axis=0))
     shape = (-1, 3)
-    return Points(
-        np.array(positions, np.float32).reshape(shape), np.array(colours, np.float32).reshape(shape), "SIFT tracks"
-    )
+    return Points(np.array(positions, np.float32).reshape(shape), np.array(colours, np.float32).reshape(shape))
 
 
 def _neighbours(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
@@ -155,7 +153,7 @@ def _with_random(points: Points, count: int, views: Sequence[View], rng: np.rand
         colours = np.concatenate([points.colours, _seen_colours(random, views)])
     if not len(positions):
         raise SceneError("expected training views that look at a common place: no point to start from was found")
-    return Points(positions, colours, f"{points.origin} and {len(random)} random points")
+    return Points(positions, colours)
 
 
 def _looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:

@@ -273,13 +273,13 @@ def _given_points(folder: Path) -> Points | None:
         if not path.is_file():
             continue
         if path.suffix == ".ply":
-            return Points(*read_points(path), f"given points ({name})")
+            return Points(*read_points(path))
         try:
             table = np.load(path, allow_pickle=False).astype(np.float32)
             positions, colours = table[:, :3], table[:, 3:6] if table.shape[1] >= 6 else None
         except (OSError, ValueError, IndexError) as error:
             raise SceneError(f"{path}: expected rows of x, y, z [, r, g, b]: {error}") from error
-        return Points(positions, colours, f"given points ({name})")
+        return Points(positions, colours)
     return None
 
 

@@ -66,7 +66,6 @@ class Points:
 
     positions: NDArray[np.float32]  # (P, 3) world units
     colours: NDArray[np.float32] | None  # (P, 3) RGB of [0, 1]
-    origin: str  # for the record
 
 
 @dataclass(frozen=True, slots=True, eq=False)
