@@ -1,24 +1,36 @@
-"""Heavy libraries stay where they belong, and imports go down only."""
+"""The tree tells the path: folders import only from those before them, and heavy libraries stay where they belong."""
 
 import ast
 import subprocess
 import sys
-from pathlib import Path
+from graphlib import TopologicalSorter
 
 import pytest
 
-PACKAGE = Path(__file__).parent.parent / "airgs_codec"
+from tests.support.paths import PACKAGE
+
+ROOT = "the root"
+ORDER = (
+    ROOT, "media", "scene", "render", "package", "analysis", "coding", "decoder", "train", "play", "encoder", "inspect",
+    "cli",
+)  # fmt: skip
 MAY_IMPORT = {
-    "torch": {"render/autograd.py", "render/cuda.py", "render/reference.py", "train"},
+    "torch": {"render/absgrad.py", "render/differentiable.py", "render/cuda.py", "render/reference.py", "train"},
     "gsplat": {"render/cuda.py"},
-    "pycolmap": {"train/colmap.py"},
-    "av": {"video.py"},
-    "cv2": {"picture.py"},
-    "colour": {"color.py"},
-    "numba": {"rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "train/loss_kernels.py"},
-    "plyfile": {"ply.py"},
+    "pycolmap": {"train/data/colmap.py"},
+    "av": {"media/video.py"},
+    "cv2": {"media/image.py"},
+    "colour": {"media/color.py"},
+    "numba": {"coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "train/loss/kernels.py"},
+    "plyfile": {"scene/ply.py"},
 }
-MODULES = sorted(PACKAGE.rglob("*.py"))
+MODULES = {path.relative_to(PACKAGE).as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}
+
+
+def path_of(name):
+    """The key in MODULES of a dotted module of this package, or None."""
+    stem = name.removeprefix("airgs_codec.").replace(".", "/")
+    return next((key for key in (f"{stem}.py", f"{stem}/__init__.py") if key in MODULES), None)
 
 
 def imports_of(path):
@@ -26,33 +38,66 @@ def imports_of(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
-            yield node.module
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield inner if path_of(inner) else node.module
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: p.relative_to(PACKAGE).as_posix())
-def test_heavy_libraries_stay_in_their_module(path):
-    name = path.relative_to(PACKAGE).as_posix()
-    for module in imports_of(path):
-        library = module.split(".")[0]
+def modules_of(path):
+    """Modules of this package that a file imports, as keys of MODULES."""
+    return {key for name in imports_of(path) if name.startswith("airgs_codec.") and (key := path_of(name))}
+
+
+def folder_of(module):
+    return module.split("/")[0] if "/" in module else ROOT
+
+
+def test_every_folder_has_its_place_in_the_order_and_the_root_is_small():
+    assert {folder_of(module) for module in MODULES} == set(ORDER)
+    assert len([module for module in MODULES if folder_of(module) == ROOT]) <= 7
+
+
+@pytest.mark.parametrize("folder", ORDER)
+def test_a_folder_imports_only_from_those_before_it(folder):
+    for module, path in MODULES.items():
+        if folder_of(module) == folder and module != "__init__.py":  # the root's is the API: it may name everything
+            upward = {used for used in modules_of(path) if ORDER.index(folder_of(used)) > ORDER.index(folder)}
+            assert not upward, f"{module} imports {sorted(upward)}"
+
+
+def test_no_imports_go_round_in_circles():
+    TopologicalSorter({module: set(modules_of(path)) - {module} for module, path in MODULES.items()}).prepare()
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_heavy_libraries_stay_in_their_module(module):
+    for name in imports_of(MODULES[module]):
+        library = name.split(".")[0]
         if library in MAY_IMPORT:
-            assert any(name == home or name.startswith(f"{home}/") for home in MAY_IMPORT[library]), f"{name}: {module}"
+            homes = MAY_IMPORT[library]
+            assert any(module == home or module.startswith(f"{home}/") for home in homes), f"{module}: {name}"
 
 
-def test_encode_and_decode_do_not_import_each_other_and_nothing_below_imports_commands():
-    for path in MODULES:
-        names = set(imports_of(path))
-        relative = path.relative_to(PACKAGE).as_posix()
-        if relative in ("encode.py", "plan.py"):
-            assert "airgs_codec.decode" not in names
-        if relative == "decode.py":
-            assert not names & {"airgs_codec.encode", "airgs_codec.plan", "airgs_codec.settings"}
-        if not relative.startswith("cli/"):
-            assert not any(name.startswith("airgs_codec.cli") for name in names), relative
-        if not relative.startswith(("cli/", "play/")):
-            assert not any(name.startswith("airgs_codec.play") for name in names), relative
+def test_the_decoder_knows_nothing_of_the_encoder():
+    decoder = [path for module, path in MODULES.items() if folder_of(module) == "decoder"]
+    assert decoder
+    assert not any(folder_of(used) == "encoder" for path in decoder for used in modules_of(path))
 
 
-@pytest.mark.parametrize("module", ["decode", "encode", "play.session", "cli.decode", "cli.play", "cli.encode"])
+TORCHLESS = [
+    "decoder.decode", "encoder.encode", "play.session", "inspect.validate", "cli.decode", "cli.play", "cli.encode"
+]
+    "decoder.decode",
+    "encoder.encode",
+    "play.session",
+    "inspect.validate",
+    "cli.decode",
+    "cli.play",
+    "cli.encode",
+]
+
+
+@pytest.mark.parametrize("module", TORCHLESS)
 def test_torch_is_never_loaded(module):
     code = f"import sys, airgs_codec.{module}; sys.exit('torch' in sys.modules or 'colour' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -16,8 +16,9 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.gaussians import Gaussians
-from airgs_codec.transforms import colours, split_colours, to_opacity
+from airgs_codec.coding.attributes import to_opacity
+from airgs_codec.coding.colour import colours, split_colours
+from airgs_codec.scene.gaussians import Gaussians
 
 RANGE_BYTES = 8  # two float32 for each range that is sent
 

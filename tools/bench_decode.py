@@ -18,10 +18,10 @@ from pathlib import Path
 
 import av
 
-from airgs_codec.decode import decode_frame, decode_frames
-from airgs_codec.manifest import key_init_path, state_init_path
-from airgs_codec.package import Package, open_package
-from airgs_codec.video import library_versions
+from airgs_codec.decoder.decode import decode_frame, decode_frames
+from airgs_codec.media.video import library_versions
+from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.tables import key_init_path, state_init_path
 
 
 def plain_decode(data: bytes, stop: int | None) -> None:

@@ -18,8 +18,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from airgs_codec.sequence import open_sequence
-from airgs_codec.video import library_versions
+from airgs_codec.media.video import library_versions
+from airgs_codec.scene.sequence import open_sequence
 
 STAGES = ("training views", "calibration", "encoding", "measuring")
 

@@ -21,16 +21,16 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import torch
 
-from airgs_codec.gaussians import Gaussians
-from airgs_codec.metrics import mse, psnr
-from airgs_codec.ply import read_ply
+from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import render
-from airgs_codec.train.readers import open_scene
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.ply import read_ply
+from airgs_codec.train.data.multiview import Pictures, View, with_held_out
+from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.fit.temporal import Temporal
 from airgs_codec.train.record import RECORD_NAME
-from airgs_codec.train.scene import Pictures, View, with_held_out
 from airgs_codec.train.settings import TrainSettings
 from airgs_codec.train.stages import make_trainer
-from airgs_codec.train.temporal import Temporal
 
 WARM = (25, 50, 100, 200, 400, 800, 1500)  # iterations
 SCRATCH = (200, 300, 400, 500, 600, 800, 1200, 2500)

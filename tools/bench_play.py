@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.package import open_package
+from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.ladder import Ladder, Point, select
 from airgs_codec.play.link import Link
-from airgs_codec.play.outcome import session_bound
+from airgs_codec.play.metrics import session_bound
 from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.policy import NAMES
-from airgs_codec.play.select import Ladder, Point, select
 from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import open_trace
 

@@ -29,22 +29,21 @@ import cv2
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from airgs_codec.author import author_package
-from airgs_codec.decode import decode_frames
+from airgs_codec._sampling import evenly_spaced
+from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.coding.morton import morton_encode
+from airgs_codec.decoder.decode import decode_frames
+from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.rate_target import PSNR, Goal
+from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError, SceneError
-from airgs_codec.gaussians import Gaussians
-from airgs_codec.grouping import plan_groups
-from airgs_codec.metrics import mse, psnr
-from airgs_codec.ordering import morton_encode
-from airgs_codec.package import open_package
-from airgs_codec.ply import read_ply, write_ply
+from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.media.video import library_versions
+from airgs_codec.package.store import open_package
 from airgs_codec.render import Camera, read_cameras, render
-from airgs_codec.search import PSNR, Goal
-from airgs_codec.sequence import Sequence as GaussianSequence
-from airgs_codec.sequence import open_sequence, repair
-from airgs_codec.settings import EncodeSettings
-from airgs_codec.spread import spread
-from airgs_codec.video import library_versions
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.ply import read_ply, write_ply
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tools.baselines import mpeg_anchor_layout, v3_layout
 
 TARGETS = "47,45.5,44,42.5,41,39.5"  # dB, of our packages
@@ -117,12 +116,12 @@ def open_bench(sequence: GaussianSequence, cameras: list[Camera], count: int, vi
     """Read everything once; `count` frames are measured, first and last among them."""
     groups = []
     for start, stop in plan_groups(sequence).spans:
-        frames = repair([sequence.read(i) for i in range(start, stop)], f"frames {start}-{stop - 1}").frames
+        frames = sequence.load(range(start, stop)).frames
         means = frames[len(frames) // 2].means.astype(np.float64)
         low, extent = means.min(axis=0), float(np.ptp(means, axis=0).max()) or 1.0
         order = np.argsort(morton_encode(((means - low) / extent * (2**16 - 1)).astype(np.int64)), kind="stable")
         groups.append((start, [frame.take(order) for frame in frames]))
-    measured = spread(len(sequence), count)
+    measured = evenly_spaced(len(sequence), count)
     references = {}
     for start, frames in groups:
         for i, frame in enumerate(frames, start):

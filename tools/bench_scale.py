@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.author import author_package
-from airgs_codec.decode import decode_canonical, decode_segment
-from airgs_codec.gaussians import Gaussians
-from airgs_codec.package import open_package
-from airgs_codec.ply import write_ply
-from airgs_codec.sequence import open_sequence
-from airgs_codec.settings import EncodeSettings
+from airgs_codec.decoder.decode import decode_canonical, decode_segment
+from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.sequence import open_sequence
 
 COUNTS = (10_000, 100_000, 1_000_000)
 FRAMES = 10

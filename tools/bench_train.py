@@ -19,19 +19,19 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numpy as np
 
-from airgs_codec.author import author_package
 from airgs_codec.cli.train import parse_frames
-from airgs_codec.decode import decode_frame
-from airgs_codec.gaussians import Gaussians
-from airgs_codec.manifest import JSON_NAME, MPD_NAME
-from airgs_codec.metrics import mse, psnr, ssim
-from airgs_codec.package import open_package
+from airgs_codec.decoder.decode import decode_frame
+from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.media.metrics import mse, psnr, ssim
+from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import JSON_NAME, MPD_NAME
 from airgs_codec.render import render
-from airgs_codec.sequence import open_sequence
-from airgs_codec.settings import EncodeSettings
-from airgs_codec.train.loop import train
-from airgs_codec.train.readers import open_scene
-from airgs_codec.train.scene import Pictures, Scene, with_held_out
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.train.data.multiview import Pictures, Scene, with_held_out
+from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.run import train
 from airgs_codec.train.settings import METHODS, TrainSettings
 
 COLUMNS = (

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.package import open_package
+from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import HEADER_BYTES, Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.player import SessionSettings

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.color import delta_e
-from airgs_codec.metrics import mse, psnr, ssim
+from airgs_codec.media.color import delta_e
+from airgs_codec.media.metrics import mse, psnr, ssim
 from airgs_codec.render import read_cameras, render
-from airgs_codec.sequence import open_sequence, repair
+from airgs_codec.scene.sequence import open_sequence
 
 
 def main() -> None:
@@ -32,7 +32,7 @@ def main() -> None:
     frames = [int(f) for f in args.frames.split(",")] if args.frames else range(len(original))
     squared, similarity, colour = [], [], []
     for frame in frames:
-        a, b = repair([original.read(frame)], "original").frames[0], decoded.read(frame)
+        a, b = original.load([frame]).frames[0], decoded.read(frame)
         for camera in cameras:
             pictures = render(a, camera).rgb, render(b, camera).rgb
             squared.append(mse(*pictures))

@@ -30,12 +30,12 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.decode import decode_canonical, decode_key, decode_segment, decode_state
+from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
 from airgs_codec.errors import AirgsError, FormatError
-from airgs_codec.manifest import JSON_NAME, MPD_NAME, FileEntry
-from airgs_codec.mpd import check_mpd
-from airgs_codec.package import Package
-from airgs_codec.parse import parse_manifest
+from airgs_codec.package.mpd import check_mpd
+from airgs_codec.package.parse import parse_manifest
+from airgs_codec.package.store import Package
+from airgs_codec.package.tables import JSON_NAME, MPD_NAME, FileEntry
 
 VALID = Path(__file__).parent.parent / "manifests" / "valid"
 MEMORY = 4 << 30

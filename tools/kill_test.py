@@ -21,7 +21,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from airgs_codec.validate import validate
+from airgs_codec.inspect.validate import validate
 
 DATA = Path(__file__).parent.parent / "tests" / "data"
 ENCODE = ["airgs_codec.cli.encode", str(DATA / "fox"), "--preset", "ultrafast", "--steps", "default", "--json"]

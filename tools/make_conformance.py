@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.author import author_package
-from airgs_codec.gaussians import Gaussians
-from airgs_codec.package import open_package
-from airgs_codec.ply import write_ply
-from airgs_codec.sequence import open_sequence
-from airgs_codec.settings import EncodeSettings
-from airgs_codec.sidecar import pack_key_sidecar, unpack_key_sidecar
+from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
+from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.sequence import open_sequence
 
 CORPUS = Path(__file__).parent.parent / "manifests"
 KEY_SIDECAR, KEY_PICTURE, STATE_SIDECAR = "key/T0/1.bin", "key/T0/Q0/1.m4s", "state/L0/1.bin"

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.ply import write_ply
+from airgs_codec.analysis.usage import measure_usage
 from airgs_codec.render import read_cameras
-from airgs_codec.sequence import open_sequence
-from airgs_codec.usage import measure_usage
+from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.sequence import open_sequence
 
 FIRST, KEYFRAME, LAST = 7, 12, 16  # frames of the full sequence, last included
 COUNT = 5_000  # Gaussians of the first group; the second keeps the same rows and what was added

@@ -8,7 +8,7 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
-from tests.extremes import CASES, Outcome, measure_case
+from tests.support.extremes import CASES, Outcome, measure_case
 
 PAGE = Path(__file__).parent.parent / "docs" / "extremes.md"
 HEAD = """# Extreme sequences

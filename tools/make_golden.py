@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.author import author_package
-from airgs_codec.decode import decode_key, decode_state
-from airgs_codec.package import Package, open_package
-from airgs_codec.ply import write_ply
-from airgs_codec.sequence import open_sequence
-from airgs_codec.settings import EncodeSettings, StepSettings
+from airgs_codec.coding.steps import StepSettings
+from airgs_codec.decoder.decode import decode_key, decode_state
+from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.package.store import Package, open_package
+from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.sequence import open_sequence
 
 GOLDEN = Path(__file__).parent.parent / "tests" / "golden"
 FOX = Path(__file__).parent.parent / "tests" / "data" / "fox"

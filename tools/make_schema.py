@@ -1,4 +1,4 @@
-"""Write manifests/airgs.schema.json from the dataclasses of airgs_codec.manifest, which are the schema.
+"""Write manifests/airgs.schema.json from the dataclasses of airgs_codec.package.tables, which are the schema.
 
 python tools/make_schema.py
 """
@@ -11,7 +11,7 @@ import typing
 from pathlib import Path
 from typing import Any
 
-from airgs_codec.manifest import VERSION, Manifest
+from airgs_codec.package.tables import VERSION, Manifest
 
 SCHEMA = Path(__file__).parent.parent / "manifests" / "airgs.schema.json"
 _PLAIN = {int: "integer", float: "number", str: "string"}

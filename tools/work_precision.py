@@ -33,36 +33,36 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from airgs_codec import escapes
-from airgs_codec.author import author_package
-from airgs_codec.decode import decode_canonical, decode_frames, decode_state
-from airgs_codec.inspection import pooled_quality
-from airgs_codec.metrics import mse
-from airgs_codec.package import Package, open_package
+from airgs_codec.coding import escapes
+from airgs_codec.coding.roundtrip import encode_and_decode
+from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_state
+from airgs_codec.decoder.group_states import load_states
+from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.media.metrics import mse
+from airgs_codec.media.video import library_versions, state_codec
+from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.tables import pooled_quality
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
-from airgs_codec.play.outcome import mean_quality, session_bound
+from airgs_codec.play.metrics import mean_quality, session_bound
 from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.policy import NAMES
 from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import markov_trace
-from airgs_codec.ply import read_ply
 from airgs_codec.render import Camera, read_cameras, render
-from airgs_codec.render.autograd import rasterize
 from airgs_codec.render.cpu import activate
+from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.reference import render_reference
-from airgs_codec.sequence import open_sequence
-from airgs_codec.settings import EncodeSettings
-from airgs_codec.states import load_states
-from airgs_codec.train.loop import train
-from airgs_codec.train.losses import photometric, windowed_ssim
-from airgs_codec.train.readers import open_scene
-from airgs_codec.train.scene import with_held_out
+from airgs_codec.scene.ply import read_ply
+from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.train.data.multiview import with_held_out
+from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.fit.temporal import Temporal
+from airgs_codec.train.loss.losses import photometric, windowed_ssim
+from airgs_codec.train.loss.target import Target
+from airgs_codec.train.run import train
 from airgs_codec.train.settings import TrainSettings
-from airgs_codec.train.target import Target
-from airgs_codec.train.temporal import Temporal
-from airgs_codec.trial import code_planes
-from airgs_codec.video import library_versions, state_codec
 from tools.bench_scale import COUNTS, FRAMES, measure_scale
 
 DATA = Path(__file__).parent.parent / "tests" / "data"
@@ -163,7 +163,7 @@ def measure_planes(package: Package) -> Iterator[Row]:
         ("with jumps, clipped", clipped(jumps, units), None, jumped),
     ):
         began = time.perf_counter()
-        sizes, coded = code_planes(data, states.steps, state_codec("medium"))
+        sizes, coded = encode_and_decode(data, states.steps, state_codec("medium"))
         seconds, decoded = time.perf_counter() - began, coded.astype(np.float32)
         if order is not None:
             restored = np.empty_like(decoded)

@@ -1,1 +1,1 @@
-"""The commands: parse, one library call, report."""
+"""The commands: parse arguments, call the library once, print."""

@@ -39,16 +39,16 @@ class Bar:
     def __init__(self, quiet: bool = False) -> None:
         self._quiet = quiet or not sys.stderr.isatty()
         self._bar: tqdm | None = None
-        self._what = ""
+        self._stage = ""
 
-    def __call__(self, what: str, done: int, total: int) -> None:
-        """`done` of `total` steps of stage `what` are finished."""
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """`done` of `total` parts of a stage are finished."""
         if self._quiet:
             return
-        if what != self._what:
+        if stage != self._stage:
             self.close()
-            self._what = what
-            self._bar = tqdm(total=total, desc=what, leave=False)
+            self._stage = stage
+            self._bar = tqdm(total=total, desc=stage, leave=False)
         if self._bar is not None:
             self._bar.update(done - self._bar.n)
 

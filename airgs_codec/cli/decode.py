@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from airgs_codec.cli.common import Bar, level_number, parse_range, run_command
-from airgs_codec.decode import decode_frames
+from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
-from airgs_codec.package import open_package
-from airgs_codec.ply import write_ply
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.ply import write_ply
 
 
 def _parser() -> argparse.ArgumentParser:

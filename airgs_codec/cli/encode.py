@@ -8,19 +8,18 @@ from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 
-from airgs_codec.author import AuthorReport, author_package
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.cli.train import default_model, default_settings, pick_device, require_torch, run_training
+from airgs_codec.encoder.publish import AuthorReport, author_package
+from airgs_codec.encoder.quality import DEFAULT_FRAMES
+from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal
+from airgs_codec.encoder.settings import DEFAULT_LEVELS, PAPER_LEVELS, QUALITY_FACTORS, RANKS, EncodeSettings
 from airgs_codec.errors import ConfigError, SceneError
-from airgs_codec.inspection import format_summary
-from airgs_codec.measure import DEFAULT_FRAMES
-from airgs_codec.search import PSNR, SIZE, Goal
-from airgs_codec.sequence import Sequence as GaussianSequence
-from airgs_codec.sequence import open_sequence
-from airgs_codec.settings import DEFAULT_LEVELS, PAPER_LEVELS, QUALITY_FACTORS, RANKS, EncodeSettings
-from airgs_codec.train.readers import is_multiview
-from airgs_codec.usage import MEASURES
-from airgs_codec.video import DEFAULT_PRESET, PRESETS
+from airgs_codec.inspect.inspection import format_summary
+from airgs_codec.media.video import DEFAULT_PRESET, PRESETS
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from airgs_codec.scene.usage import MEASURES
+from airgs_codec.train.data.readers import is_multiview
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -174,8 +173,8 @@ def _run(args: argparse.Namespace) -> int:
 def _trained(args: argparse.Namespace) -> Path:
     """The model of a multi-view scene, trained as far as it is not yet."""
     require_torch()
-    from airgs_codec.train.readers import open_scene
-    from airgs_codec.train.scene import with_held_out
+    from airgs_codec.train.data.multiview import with_held_out
+    from airgs_codec.train.data.readers import open_scene
 
     folder = default_model(args.scene)
     scene = with_held_out(open_scene(args.scene, fps=args.fps), None)

@@ -9,17 +9,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from airgs_codec.cli.common import Bar, run_command
-from airgs_codec.decode import decode_frame
+from airgs_codec.decoder.decode import decode_frame
+from airgs_codec.encoder.quality import measured_views
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspection import bytes_by_attribute, format_attributes, format_summary, plot_ladder, summarise
-from airgs_codec.measure import measured_views
-from airgs_codec.package import Package, open_package
-from airgs_codec.play.dense import dense_table, format_dense, measure_dense, plot_dense
-from airgs_codec.remeasure import format_errors, measure_errors
+from airgs_codec.inspect.dense import dense_table, format_dense, measure_dense, plot_dense
+from airgs_codec.inspect.errors import format_errors, measure_errors
+from airgs_codec.inspect.inspection import bytes_by_attribute, format_attributes, format_summary, plot_ladder, summarise
+from airgs_codec.inspect.validate import exceeded, validate
+from airgs_codec.package.store import Package, open_package
 from airgs_codec.render import read_cameras
-from airgs_codec.render.views import orbit_views
-from airgs_codec.sequence import open_sequence
-from airgs_codec.validate import exceeded, validate
+from airgs_codec.scene.orbits import orbit_views
+from airgs_codec.scene.sequence import open_sequence
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -10,28 +10,28 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from airgs_codec.cli.common import Bar, run_command
-from airgs_codec.decode import decode_frame
+from airgs_codec.decoder.decode import decode_frame
+from airgs_codec.encoder.quality import measured_views
 from airgs_codec.errors import ConfigError
-from airgs_codec.measure import measured_views
-from airgs_codec.package import Package, open_package
-from airgs_codec.picture import write_png
+from airgs_codec.media.image import write_png
+from airgs_codec.package.store import Package, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.check import find_faults, measure_decoding
 from airgs_codec.play.closed_loop import adaptive, closed_loop_table, run_closed_loop
-from airgs_codec.play.frames import CHOOSERS, frame_table, simulate_frames
+from airgs_codec.play.frame_mode import CHOOSERS, frame_table, simulate_frames
 from airgs_codec.play.link import Link
-from airgs_codec.play.outcome import metrics
+from airgs_codec.play.metrics import metrics
 from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.policy import NAMES, make_policy
-from airgs_codec.play.report import format_metrics, write_report
-from airgs_codec.play.screen import film, first_shown, still
+from airgs_codec.play.report.film import film, first_shown, still
+from airgs_codec.play.report.session import format_metrics, write_report
+from airgs_codec.play.report.study import format_study, frame_lines, write_study
 from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.study import StudySettings, plain, run_study
-from airgs_codec.play.study_report import format_study, frame_lines, write_study
 from airgs_codec.play.trace import ENDS, open_trace
 from airgs_codec.render import Camera, read_cameras
-from airgs_codec.render.views import orbit_views
-from airgs_codec.sequence import open_sequence
+from airgs_codec.scene.orbits import orbit_views
+from airgs_codec.scene.sequence import open_sequence
 
 MODES = ("segments", "frames", "closed-loop")
 COMPARED = ("robust-mpc", "paper", "paper-literal", "throughput", "bola", "oracle-frame")

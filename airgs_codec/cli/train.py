@@ -105,9 +105,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(args: argparse.Namespace) -> int:
     require_torch()
-    from airgs_codec.train.readers import open_scene
+    from airgs_codec.train.data.multiview import Pictures, with_held_out, with_near
+    from airgs_codec.train.data.readers import open_scene
     from airgs_codec.train.report import write_report
-    from airgs_codec.train.scene import Pictures, with_held_out, with_near
 
     if args.fps is not None and not 0 < args.fps <= 1000:
         raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
@@ -144,7 +144,7 @@ def default_model(scene: Path) -> Path:
 
 def run_training(scene: Any, folder: Path, settings: TrainSettings, resume: bool, device: str, *, quiet: bool) -> Model:
     """Train with a bar and a line a frame."""
-    from airgs_codec.train.loop import train
+    from airgs_codec.train.run import train
 
     bar = Bar(quiet)
 

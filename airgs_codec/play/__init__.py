@@ -1,1 +1,1 @@
-"""Playing a package over a bandwidth trace: a deterministic simulation, and what the viewer saw."""
+"""A viewer over a network: traces, links, policies, the session and what came of it."""

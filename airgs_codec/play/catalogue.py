@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.manifest import Manifest
-from airgs_codec.play.select import Point
+from airgs_codec.package.tables import Manifest
+from airgs_codec.play.ladder import Point
 
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 
-from airgs_codec.decode import decode_canonical, decode_segment
+from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import FormatError
-from airgs_codec.package import Package
+from airgs_codec.package.store import Package
 from airgs_codec.play.player import MISSING
 
 

@@ -14,13 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.metrics import mse, psnr
-from airgs_codec.package import Package
+from airgs_codec.coding.rangecoder import encode_columns
+from airgs_codec.decoder.group_states import SHARES, GroupStates, kept_rows, load_states, score_rows
+from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.store import Package
+from airgs_codec.play.ladder import frame_budget
 from airgs_codec.play.link import Link
-from airgs_codec.play.select import frame_budget
-from airgs_codec.rangecoder import encode_columns
+from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
-from airgs_codec.states import SHARES, GroupStates, kept_rows, load_states, score_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +80,7 @@ def run_closed_loop(
     link: Link | None = None,
     loops: int = 1,
     measure: str = "hits",
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    progress: Progress = silent,
 ) -> list[Sent]:
     """Serve the package's sequence `loops` times. `choose(server, frame of the group, budget)` gives the pruned share.
 

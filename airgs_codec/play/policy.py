@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
+from airgs_codec.play.bound import Horizon, solve_horizon
 from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.ladder import Decision, Ladder, Point, frame_budget, select, select_literal
 from airgs_codec.play.link import Link
-from airgs_codec.play.optimum import Horizon, solve_horizon
-from airgs_codec.play.select import Decision, Ladder, Point, frame_budget, select, select_literal
 
 SAFETY = 0.9  # share of the estimated throughput that is spent
 HALF_LIVES_S = (3.0, 8.0)  # of the two throughput averages; the smaller one counts (as in dash.js)

@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.ladder import Decision, Point
 from airgs_codec.play.link import Link
 from airgs_codec.play.player import Buffered, Fetch, Player, SessionSettings
 from airgs_codec.play.policy import SAFETY, PlayerState, Policy, budget_bytes, estimate_throughput, make_policy
-from airgs_codec.play.select import Decision, Point
 
 CHECK_S = 0.5  # a download is looked at so often, and given so long before the first look
 REPLACE_GAIN_DB = 0.5  # least gain that a replacement must bring

@@ -8,7 +8,7 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,14 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package import open_package
+from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.frames import CHOOSERS, frame_table, simulate_frames
+from airgs_codec.play.frame_mode import CHOOSERS, frame_table, simulate_frames
 from airgs_codec.play.link import Link
-from airgs_codec.play.outcome import frame_times, mean_quality, metrics, session_bound
+from airgs_codec.play.metrics import frame_times, mean_quality, metrics, session_bound
 from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.progress import Progress, silent
 
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
 RESAMPLES = 2000
@@ -118,7 +119,7 @@ def is_feasible(c: Catalogue, manifest_bytes: int, link: Link, settings: Session
 def run_study(
     package: Path,
     settings: StudySettings,
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    progress: Progress = silent,
 ) -> Study:
     """Every policy on every link. Raises TransportError, ConfigError, FormatError."""
     for trace in settings.traces:

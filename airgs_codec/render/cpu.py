@@ -11,9 +11,9 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.gaussians import Gaussians
 from airgs_codec.render import cpu_kernels as kernels
-from airgs_codec.render.camera import Camera
+from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.gaussians import Gaussians
 
 FAR = 1e10  # world units along the view axis
 DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do

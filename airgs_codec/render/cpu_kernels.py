@@ -22,7 +22,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from airgs_codec.gaussians import SH_C0
+from airgs_codec.scene.gaussians import SH_C0
 
 TILE = 16
 TILE_PIXELS = TILE * TILE

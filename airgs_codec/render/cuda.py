@@ -9,9 +9,9 @@ from typing import Any
 
 import torch
 
-from airgs_codec.render.autograd import Background, Pull
-from airgs_codec.render.camera import Camera
+from airgs_codec.render.absgrad import Background, Pull
 from airgs_codec.render.cpu import DILATION, FAR
+from airgs_codec.scene.camera import Camera
 
 
 def missing() -> str | None:

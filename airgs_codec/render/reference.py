@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import torch
 
-from airgs_codec.gaussians import SH_C0
-from airgs_codec.render.camera import Camera
 from airgs_codec.render.cpu import DILATION, FAR
+from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.gaussians import SH_C0
 
 Picture = tuple[torch.Tensor, torch.Tensor]
 

@@ -1,1 +1,1 @@
-"""Training: dynamic scenes from multi-view video."""
+"""Multi-view video -> tracked Gaussian sequence (needs torch)."""

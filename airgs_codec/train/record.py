@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.errors import ConfigError, SceneError
-from airgs_codec.gaussians import Gaussians
-from airgs_codec.ply import read_ply, write_ply
-from airgs_codec.sequence import USAGE_NAME
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.ply import read_ply, write_ply
+from airgs_codec.scene.sequence import USAGE_NAME
 from airgs_codec.train.settings import TrainSettings
 
 RECORD_NAME = "training.json"

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._report import page
 from airgs_codec.errors import ConfigError
-from airgs_codec.picture import label, to_bytes, write_png
+from airgs_codec.media.image import label, to_bytes, write_png
 from airgs_codec.render import cpu
-from airgs_codec.text import page
+from airgs_codec.train.data.multiview import Pictures
 from airgs_codec.train.record import FrameRecord, Model
-from airgs_codec.train.scene import Pictures
 
 _BLUE, _ORANGE, _GREEN, _RED = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b"
 ERROR_GAIN = 5  # of the error maps

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.gaussians import SH_REST
-from airgs_codec.train.temporal import UNITS, Temporal
+from airgs_codec.scene.gaussians import SH_REST
+from airgs_codec.train.fit.temporal import UNITS, Temporal
 
 DELTAS = ("direct", "mlp", "mlp+residual")
 METHODS = ("airgs", "naive3dgs", "v3")

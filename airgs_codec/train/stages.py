@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from airgs_codec.gaussians import Gaussians
-from airgs_codec.train.deltas import Driven, Networks
-from airgs_codec.train.densify import Growth
-from airgs_codec.train.exposure import Tones
-from airgs_codec.train.fit import Free, Rates, Tick, match
-from airgs_codec.train.model import ATTRIBUTES, Parameters, from_gaussians, from_points, to_gaussians
-from airgs_codec.train.points import initial_points, scene_extent
-from airgs_codec.train.scene import Points, View
-from airgs_codec.train.seeds import residual_seeds
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.train.data.multiview import Points, View
+from airgs_codec.train.fit.deltas import Driven, Networks
+from airgs_codec.train.fit.densify import Growth
+from airgs_codec.train.fit.exposure import Tones
+from airgs_codec.train.fit.match import Free, Rates, Tick, match
+from airgs_codec.train.fit.parameters import ATTRIBUTES, Parameters, from_gaussians, from_points, to_gaussians
+from airgs_codec.train.fit.points import initial_points, scene_extent
+from airgs_codec.train.fit.seeds import residual_seeds
+from airgs_codec.train.fit.temporal import codec_steps
 from airgs_codec.train.settings import TrainSettings
-from airgs_codec.train.temporal import codec_steps
 
 START_OPACITY = 0.1
 RANDOM_SHARE = 0.3  # of the budget, points to begin with; random ones fill up

@@ -1,0 +1,1 @@
+"""What pictures say about a scene: groups, usage, sensitivity, importance."""

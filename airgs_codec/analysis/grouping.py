@@ -1,0 +1,72 @@
+"""Which frames share a canonical space."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from airgs_codec.scene.sequence import GaussianSequence
+
+DEFAULT_GROUP_FRAMES = 30
+UNTRACKED_RATIO = 0.5  # of the distance between unrelated rows; tracked scenes stay below 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Grouping:
+    """Spans [start, stop) that cover the sequence, and why they are what they are."""
+
+    spans: list[tuple[int, int]]
+    notes: list[str]
+
+
+def plan_groups(sequence: GaussianSequence, group_frames: int = DEFAULT_GROUP_FRAMES) -> Grouping:
+    """Given keyframes, else a new group where the count changes, else every `group_frames` frames.
+
+    A count that changes inside a given group starts another one, and a group whose rows clearly do not correspond
+    from frame to frame is coded all-intra (one frame a group); both are noted.
+    """
+    counts = [header.count for header in sequence.headers]
+    changes = [i for i in range(1, len(counts)) if counts[i] != counts[i - 1]]
+    notes = []
+    if sequence.keyframes is None:
+        starts = sorted({0, *changes})
+    else:
+        starts = sorted({*sequence.keyframes, *changes})
+        notes = [
+            f"frame {i}: the count changes inside a group, a new group starts"
+            for i in sorted({*changes} - {*sequence.keyframes})
+        ]
+    spans = []
+    for start, stop in zip(starts, [*starts[1:], len(counts)], strict=True):
+        if sequence.keyframes is None:
+            spans += [(i, min(i + group_frames, stop)) for i in range(start, stop, group_frames)]
+        else:
+            spans.append((start, stop))
+    return Grouping(*_split_untracked(sequence, spans, notes))
+
+
+def _split_untracked(
+    sequence: GaussianSequence, spans: list[tuple[int, int]], notes: list[str]
+) -> tuple[list[tuple[int, int]], list[str]]:
+    kept: list[tuple[int, int]] = []
+    for start, stop in spans:
+        if stop - start > 1 and _displacement_ratio(sequence, start) > UNTRACKED_RATIO:
+            notes = [*notes, f"frames {start}-{stop - 1}: rows do not correspond (untracked input), coded all-intra"]
+            kept += [(i, i + 1) for i in range(start, stop)]
+        else:
+            kept.append((start, stop))
+    return kept, notes
+
+
+def _displacement_ratio(sequence: GaussianSequence, start: int) -> float:
+    """Median move of a row from `start` to the next frame, over its median distance to an unrelated row."""
+    a, b = (sequence.read(i).means.astype(np.float64) for i in (start, start + 1))
+    finite = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    a, b = a[finite], b[finite]
+    if len(a) < 8:  # too few rows to tell
+        return 0.0
+    b = b - np.median(b - a, axis=0)  # a scene that moves as a whole is tracked
+    unrelated = np.random.default_rng(0).permutation(len(a))
+    distance = float(np.median(np.linalg.norm(b - a[unrelated], axis=1)))
+    return float(np.median(np.linalg.norm(b - a, axis=1))) / distance if distance > 0 else 0.0

@@ -1,0 +1,1 @@
+"""Numbers <-> pictures: attributes, channels, quantiser, escapes, atlases, sidecars. Encoder and decoder share it."""

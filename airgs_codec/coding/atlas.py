@@ -1,0 +1,103 @@
+"""Planes tiled into one picture. T frames, P planes, N rows; a plane holds one channel, one sample a row.
+
+Row i goes to the i-th cell of 16x16 blocks; cells of a block follow a Z-curve, blocks run row by row over the plane.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.coding import escapes
+from airgs_codec.package.tables import Atlas
+
+BLOCK = 16
+CELLS = BLOCK * BLOCK
+MIN_SIDE = 64  # smaller pictures trip encoders
+GREY = 128
+
+
+def choose_layout(rows: int, planes: int) -> tuple[int, int]:
+    """Plane width and columns that make the picture nearly square."""
+    blocks = -(-rows // CELLS)
+    wide = max(1, round(float(np.sqrt(blocks))))
+    high = -(-blocks // wide)
+    columns = max(1, min(planes, round(float(np.sqrt(planes * high / wide)))))
+    return wide * BLOCK, columns
+
+
+def plane_height(rows: int, plane_width: int) -> int:
+    """Samples."""
+    blocks = -(-rows // CELLS)
+    return BLOCK * -(-blocks // (plane_width // BLOCK))
+
+
+def picture_size(atlas: Atlas) -> tuple[int, int]:
+    """Least width and height that hold the atlas."""
+    height = plane_height(atlas.rows, atlas.plane_width) * -(-len(atlas.planes) // atlas.columns)
+    return max(MIN_SIDE, atlas.plane_width * atlas.columns), max(MIN_SIDE, height)
+
+
+def fit_atlas(codes: NDArray[np.int32], limit: float, spare: NDArray[np.bool_] | None = None) -> Atlas:
+    """Centres, planes and layout of (T, channels, n) codes; a channel within `limit` of its centre has no plane.
+
+    Neither has one of the (channels,) `spare`: its centre is its median.
+    """
+    low, high = codes.min(axis=(0, 2)).astype(np.int64), codes.max(axis=(0, 2)).astype(np.int64)
+    near_constant = high - low <= 2 * limit
+    median = np.rint(np.median(codes, axis=(0, 2))).astype(np.int64)
+    centres = np.where(near_constant, (low + high) // 2, median)
+    centres = np.where(near_constant & (np.maximum(np.abs(low), np.abs(high)) <= limit), 0, centres)
+    planes = np.flatnonzero(~near_constant if spare is None else ~near_constant & ~spare).tolist()
+    width, columns = choose_layout(codes.shape[2], len(planes)) if planes else (0, 0)
+    return Atlas(codes.shape[2], centres.tolist(), planes, width, columns)
+
+
+@lru_cache(maxsize=64)
+def sample_index(rows: int, plane_width: int, columns: int, planes: int, stride: int) -> NDArray[np.intp]:
+    """(P, N) flat index of each sample in a picture of `stride` samples a line."""
+    i = np.arange(rows)
+    block, cell = i // CELLS, i % CELLS
+    x, y = np.zeros(rows, np.intp), np.zeros(rows, np.intp)
+    for bit in range(4):
+        x |= ((cell >> (2 * bit)) & 1) << bit
+        y |= ((cell >> (2 * bit + 1)) & 1) << bit
+    blocks_wide = plane_width // BLOCK
+    x += block % blocks_wide * BLOCK
+    y += block // blocks_wide * BLOCK
+    plane = np.arange(planes)
+    height = plane_height(rows, plane_width)
+    corner = plane // columns * height * stride + plane % columns * plane_width
+    index = corner[:, None] + (y * stride + x)[None]
+    index.flags.writeable = False
+    return index
+
+
+def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) -> NDArray[np.uint8]:
+    """(T, P, N) samples -> (T, height, width) pictures; unused cells are 128."""
+    index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), width)
+    pictures = np.full((len(samples), height * width), GREY, np.uint8)
+    pictures[:, index.ravel()] = samples.reshape(len(samples), -1)
+    return pictures.reshape(-1, height, width)
+
+
+def extract(picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
+    """(height, width) picture -> (P, N) samples."""
+    index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), picture.shape[1])
+    return np.ascontiguousarray(picture).ravel().take(index)
+
+
+def read_codes(picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32] | None) -> NDArray[np.int32]:
+    """A picture and (P, n) escape bases -> (channels, n) codes; without a plane a channel is its centre.
+
+    No bases: there are no escapes.
+    """
+    centres = np.array(atlas.centres, np.int32)[:, None]
+    codes = np.empty((len(atlas.centres), atlas.rows), np.int32)
+    codes[:] = centres
+    codes[atlas.planes] = extract(picture, atlas) + (centres[atlas.planes] - GREY)
+    if bases is not None:
+        codes[atlas.planes] += escapes.UNIT * bases
+    return codes

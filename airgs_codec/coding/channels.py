@@ -1,0 +1,174 @@
+"""Attributes of Gaussians <-> channels of atlases, by way of the canonical space of a group.
+
+N rows of all decoded tiers, n rows of a level, T frames, C colour channels. `key_channels` and `dequantise_key`,
+`state_channels` and `StateApplier.apply` are inverse pairs up to quantisation. The order of channels is
+`package.layout`'s. The encoder works in float64, the decoder in float32 but for canonical means.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.coding.attributes import from_opacity, to_opacity
+from airgs_codec.coding.colour import colour_steps, colours, from_klt, split_colours, to_klt
+from airgs_codec.coding.grid import grid_means
+from airgs_codec.coding.motion import motion_units
+from airgs_codec.package.layout import COLOUR, KEY, STATE
+from airgs_codec.package.tables import Grid, KeySteps, StateSteps
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector
+
+_MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
+_OPACITY, _COLOUR = STATE.slice("opacity"), STATE.slice(COLOUR)
+LEAST_DRAWN = 1 / 255  # a Gaussian of less alpha is not drawn, by INRIA's renderer and every one after it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Canonical:
+    """The canonical space of a group as decoded from its key units; rows in file order."""
+
+    means: NDArray[np.float64]  # (N, 3) world units, in the middle of cells
+    motion_units: NDArray[np.float32]  # (N,) world units
+    quaternions: NDArray[np.float32]  # (N, 4) unit
+    log_scales: NDArray[np.float32]  # (N, 3) ln(world units)
+    opacity: NDArray[np.float32]  # (N,) alpha; may leave [0, 1] by coding error
+    colours: NDArray[np.float32]  # (N, C)
+    depths: NDArray[np.uint8]  # (N,) deepest level that carries the row; STATIC: none
+    transform: NDArray[np.float64]  # (C, C) KLT, as stored
+
+    def to_gaussians(self) -> Gaussians:
+        """The canonical space itself as a frame."""
+        return _to_gaussians(self.means, self.quaternions, self.log_scales, self.opacity, self.colours)
+
+
+def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps) -> NDArray[np.float64]:
+    """(7 + C, N) channels of the canonical frame."""
+    colour = colours(g.sh_dc, g.sh_rest).astype(np.float64)
+    parts = {
+        "log_scales": g.log_scales.astype(np.float64),
+        "quaternions": to_rotation_vector(g.quaternions.astype(np.float64)),
+        "opacity": to_opacity(g.opacity_logits.astype(np.float64))[:, None],
+        COLOUR: to_klt(colour / colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1]), transform),
+    }
+    return np.concatenate([parts[name] for name in KEY.attributes], axis=1).T
+
+
+def dequantise_key(
+    channels: NDArray[np.float32],
+    codes: NDArray[np.uint64],
+    classes: NDArray[np.int16],
+    depths: NDArray[np.uint8],
+    transform: NDArray[np.float64],
+    grid: Grid,
+    steps: KeySteps,
+) -> Canonical:
+    """Decoded (7 + C, N) key channels and the columns of the sidecar -> canonical space."""
+    colour = from_klt(channels[KEY.slice(COLOUR)].T, transform.astype(np.float32))
+    scale = colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1]).astype(np.float32)
+    return Canonical(
+        means=grid_means(codes, classes, grid),
+        motion_units=motion_units(classes),
+        quaternions=from_rotation_vector(np.ascontiguousarray(channels[KEY.slice("quaternions")].T)),
+        log_scales=np.ascontiguousarray(channels[KEY.slice("log_scales")].T),
+        opacity=channels[KEY.slice("opacity")][0],
+        colours=colour * scale,
+        depths=depths,
+        transform=transform,
+    )
+
+
+def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSteps) -> NDArray[np.float64]:
+    """(T, 10 + C, N) channels of frames whose rows are `base`'s, samples of undrawn Gaussians filled.
+
+    A Gaussian with alpha < 1/255 is not drawn, so its other channels hold their last drawn value (before the first
+    time it is drawn: that value; never drawn: 0).
+    """
+    inverse = conjugate(base.quaternions.astype(np.float64))
+    scale = colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1])
+    out = np.empty((len(frames), STATE.width(base.colours.shape[1]), len(base.means)))
+    drawn = np.empty((len(frames), len(base.means)), bool)
+    for t, g in enumerate(frames):
+        opacity = to_opacity(g.opacity_logits.astype(np.float64))
+        drawn[t] = opacity >= LEAST_DRAWN
+        out[t, _MEANS] = ((g.means - base.means) / base.motion_units[:, None]).T
+        out[t, _SCALES] = (g.log_scales.astype(np.float64) - base.log_scales).T
+        out[t, _ROTATION] = to_rotation_vector(multiply(g.quaternions.astype(np.float64), inverse)).T
+        out[t, _OPACITY] = opacity - base.opacity
+        colour = (colours(g.sh_dc, g.sh_rest) - base.colours.astype(np.float64)) / scale
+        out[t, _COLOUR] = to_klt(colour, base.transform).T
+    _fill_undrawn(out, drawn)
+    return out
+
+
+def _fill_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> None:
+    """Hold the last drawn value of every channel but opacity, in place; `drawn` is (T, N)."""
+    rows = np.flatnonzero(~drawn.all(axis=0))
+    others = np.setdiff1d(np.arange(channels.shape[1]), np.arange(channels.shape[1])[_OPACITY])
+    first = np.argmax(drawn[:, rows], axis=0)
+    last = np.where(drawn[:, rows].any(axis=0), channels[first[None], others[:, None], rows], 0.0)
+    for t in range(len(channels)):
+        last = np.where(drawn[t, rows], channels[t][np.ix_(others, rows)], last)
+        channels[t][np.ix_(others, rows)] = last
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StateApplier:
+    """Adds decoded states to the rows of one level; what every frame of a segment shares is gathered once."""
+
+    base: Canonical
+    rows: NDArray[np.intp]  # (n,) of the level
+    motion_units: NDArray[np.float32]  # (n,)
+    quaternions: NDArray[np.float32]  # (n, 4)
+    colour_steps: NDArray[np.float32]  # (C,)
+    transform: NDArray[np.float32]  # (C, C)
+    has_rotation: bool  # some rotation channel may differ from 0; this and the next only save work
+    has_colour: bool  # some colour channel may differ from 0
+
+    @staticmethod
+    def of(
+        base: Canonical, rows: NDArray[np.intp], steps: StateSteps, has_rotation: bool = True, has_colour: bool = True
+    ) -> StateApplier:
+        """Gather the rows."""
+        scale = colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1]).astype(np.float32)
+        transform = base.transform.astype(np.float32)
+        units, quaternions = base.motion_units[rows], base.quaternions[rows]
+        return StateApplier(base, rows, units, quaternions, scale, transform, has_rotation, has_colour)
+
+    def apply(self, channels: NDArray[np.float32]) -> Gaussians:
+        """The frame that decoded state channels (10 + C, n) make of the canonical space.
+
+        Columns are scattered one by one: twice as fast in numpy as rows.
+        """
+        base, rows = self.base, self.rows
+        means, log_scales, opacity = base.means.copy(), base.log_scales.copy(), base.opacity.copy()
+        quaternions, colour = base.quaternions, base.colours
+        shifts, growth = channels[_MEANS] * self.motion_units, channels[_SCALES]
+        for axis in range(3):
+            means[rows, axis] += shifts[axis]
+            log_scales[rows, axis] += growth[axis]
+        opacity[rows] += channels[_OPACITY][0]
+        if self.has_rotation:
+            quaternions = quaternions.copy()
+            turn = from_rotation_vector(np.ascontiguousarray(channels[_ROTATION].T))
+            quaternions[rows] = multiply(turn, self.quaternions)
+        if self.has_colour:
+            colour = colour.copy()
+            colour[rows] += from_klt(channels[_COLOUR].T, self.transform) * self.colour_steps
+        return _to_gaussians(means, quaternions, log_scales, opacity, colour)
+
+
+def _to_gaussians(
+    means: NDArray[np.float64],
+    quaternions: NDArray[np.float32],
+    log_scales: NDArray[np.float32],
+    opacity: NDArray[np.float32],
+    colour: NDArray[np.float32],
+) -> Gaussians:
+    """Decoded columns -> stored domain."""
+    dc, rest = split_colours(colour)
+    logits = from_opacity(opacity)
+    return Gaussians(means.astype(np.float32), quaternions, log_scales, logits, np.ascontiguousarray(dc), rest)

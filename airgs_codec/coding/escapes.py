@@ -1,0 +1,77 @@
+"""Escapes: changes of a channel's base value, so that what is left fits 8 bits. T frames, P planes, N rows.
+
+code = 128-centred luma level + UNIT * base; the base of a sample is 0 until an escape changes it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.coding.rangecoder import Column, Reader
+from airgs_codec.errors import FormatError
+
+UNIT = 128  # codes a base counts
+LIMIT = 108  # |code - UNIT * base| never exceeds it; 20 levels are left for the video codec's error
+
+
+def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """(T, P, N) codes -> luma samples around 128, and the bases (T, P, N). Nothing is clipped.
+
+    A base stays while any one value serves all frames since its last jump, so no other choice needs fewer jumps.
+    """
+    low, high = -((LIMIT - codes) // UNIT), (codes + LIMIT) // UNIT  # bases that serve a frame alone
+    first = np.zeros(codes.shape, np.bool_)  # does a new base start here
+    least, most = np.zeros(codes.shape[1:], np.int32), np.zeros(codes.shape[1:], np.int32)
+    for t in range(len(codes)):
+        least, most = np.maximum(least, low[t]), np.minimum(most, high[t])
+        first[t] = least > most
+        least, most = np.where(first[t], low[t], least), np.where(first[t], high[t], most)
+        low[t], high[t] = least, most
+    for t in range(len(codes) - 2, -1, -1):  # the last frame of a run knows what serves all of it
+        low[t] = np.where(first[t + 1], low[t], low[t + 1])
+        high[t] = np.where(first[t + 1], high[t], high[t + 1])
+    bases = np.empty_like(codes)
+    base = np.zeros(codes.shape[1:], np.int32)
+    for t in range(len(codes)):
+        base = np.where(first[t], np.clip(base, low[t], high[t]), base)
+        bases[t] = base
+    return (codes - UNIT * bases + 128).astype(np.uint8), bases
+
+
+def columns(bases: NDArray[np.int32]) -> list[Column]:
+    """Jumps of (T, P, N) bases: their count, the gaps between their flat indices, and their sizes in zigzag coding."""
+    jumps = np.diff(bases, axis=0, prepend=np.zeros_like(bases[:1])).ravel()
+    index = np.flatnonzero(jumps)
+    values = jumps[index].astype(np.int64)
+    zigzag = (values << 1) ^ (values >> 63)
+    return [(np.array([len(index)]), 0), (np.diff(index, prepend=0), 0), (zigzag, 1)]
+
+
+def read(reader: Reader, shape: tuple[int, int, int], where: str) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Inverse of `columns`: ascending flat indices into (T, P, N) and the jumps there.
+
+    Raises FormatError(bad_sidecar) when an index leaves the shape.
+    """
+    area = int(np.prod(shape, dtype=np.int64))
+    count = int(reader.column(1, 0)[0])
+    if count > area:
+        raise FormatError("bad_sidecar", where, f"expected at most {area} escapes, got {count}")
+    gaps = reader.column(count, 0)
+    zigzag = reader.column(count, 1)
+    if count and (int(gaps.max()) >= area or (gaps[1:] == 0).any() or int(gaps.sum()) >= area):
+        raise FormatError("bad_sidecar", where, "escapes are not in ascending order inside the segment")
+    if count and int(zigzag.max()) >= 1 << 32:
+        raise FormatError("bad_sidecar", where, "an escape jumps by more than 31 bits")
+    return np.cumsum(gaps), ((zigzag >> 1) ^ -(zigzag & 1)).astype(np.int32)
+
+
+def bases_at(
+    index: NDArray[np.int64], jumps: NDArray[np.int32], shape: tuple[int, int, int], frame: int
+) -> NDArray[np.int32]:
+    """(P, N) bases in force at `frame` of the segment."""
+    area = shape[1] * shape[2]
+    upto = np.searchsorted(index, (frame + 1) * area)
+    bases = np.zeros(area, np.int32)
+    np.add.at(bases, index[:upto] % area, jumps[:upto])
+    return bases.reshape(shape[1:])

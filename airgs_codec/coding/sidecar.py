@@ -1,0 +1,47 @@
+"""The sidecar of a key unit: what must be exact. N rows of one tier, in Morton order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.coding.grid import cell_bits
+from airgs_codec.coding.rangecoder import Reader, encode_columns, sum_gaps
+from airgs_codec.errors import FormatError
+from airgs_codec.package.tables import Grid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeySidecar:
+    """Canonical means, motion classes and depths of a tier."""
+
+    codes: NDArray[np.uint64]  # (N,) ascending Morton codes of the canonical means
+    classes: NDArray[np.int16]  # (N,) motion classes, -128..127
+    depths: NDArray[np.uint8]  # (N,)
+
+
+def pack_key_sidecar(sidecar: KeySidecar, grid: Grid) -> bytes:
+    """The bytes of key/T{k}/{n}.bin."""
+    low = (3 * cell_bits(sidecar.classes, grid)).astype(np.uint64)
+    before = np.concatenate([np.zeros(1, np.uint64), sidecar.codes[:-1]])
+    gaps = ((sidecar.codes >> low) - (before >> low)).astype(np.int64)
+    least = int(sidecar.classes.min())
+    carried = sidecar.depths + np.uint8(1)  # static rows, 255, become 0
+    columns = [(np.array([least + 128]), 0), (sidecar.classes - least, 1), (gaps, 0), (carried, 1)]
+    return encode_columns(columns)
+
+
+def unpack_key_sidecar(data: bytes, rows: int, grid: Grid, where: str) -> KeySidecar:
+    """Inverse of `pack_key_sidecar`. Raises FormatError(bad_sidecar)."""
+    reader = Reader(data, where)
+    classes = int(reader.column(1, 0)[0]) - 128 + reader.column(rows, 1)
+    gaps, carried = reader.column(rows, 0), reader.column(rows, 1)
+    reader.close()
+    if int(classes.max()) > 127 or int(carried.max()) > 255:
+        raise FormatError("bad_sidecar", where, "expected classes up to 127 and depths up to 255")
+    codes = np.empty(rows, np.uint64)
+    if not sum_gaps(gaps, 3 * cell_bits(classes.astype(np.int16), grid), 3 * grid.bits, codes):
+        raise FormatError("bad_sidecar", where, f"Morton codes leave {3 * grid.bits} bits")
+    return KeySidecar(codes, classes.astype(np.int16), (carried - 1).astype(np.uint8))

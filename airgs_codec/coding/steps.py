@@ -1,0 +1,33 @@
+"""The quantiser steps of a scene, before a quality factor and after it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES, KeySteps, StateSteps
+
+
+@dataclass(frozen=True, slots=True)
+class StepSettings:
+    """Quantiser steps at quality factor 1; lengths in motion units (see `motion.motion_units`).
+
+    Where calibration starts: between what the walking fox and the N3DV spinach scenes ask for.
+    """
+
+    key: KeySteps = field(
+        default_factory=lambda: KeySteps(quaternions=0.025, log_scales=0.08, opacity=0.014, sh_dc=0.036, sh_rest=0.04)
+    )
+    state: StateSteps = field(
+        default_factory=lambda: StateSteps(
+            means=0.0007, quaternions=0.03, log_scales=0.12, opacity=0.058, sh_dc=0.063, sh_rest=0.08
+        )
+    )
+    grid: float = 0.0007  # cells of canonical means, in motion units
+    rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) allowed by leaving out Gaussians
+
+
+def world_steps(steps: StepSettings, quality: float) -> tuple[KeySteps, StateSteps, float]:
+    """Steps of key and state, and the cells of the grid in motion units."""
+    key = KeySteps(*(getattr(steps.key, name) * quality for name in KEY_ATTRIBUTES))
+    state = StateSteps(*(getattr(steps.state, name) * quality for name in STATE_ATTRIBUTES))
+    return key, state, steps.grid * quality

@@ -1,0 +1,38 @@
+"""What an error in a channel costs in pictures, and what withholding updates does. N rows, T frames, C colours."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.analysis.sensitivity import Sensitivity
+from airgs_codec.coding.motion import motion_units
+from airgs_codec.package.layout import COLOUR, STATE
+from airgs_codec.package.tables import StateSteps
+
+
+def channel_weights(
+    classes: NDArray[np.int16], s: Sensitivity, steps: StateSteps, transform: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(10 + C, N) what a squared step in a state channel adds to the mean squared error of pictures.
+
+    Derivatives by the channels of an attribute count as equal. A colour channel, row k of the KLT `transform` (C, C),
+    changes DC and SH rest by its entries; errors of different channels count as independent.
+    """
+    unit = motion_units(classes).astype(np.float64) * steps.means
+    colours = len(transform)
+    dc, rest = (np.square(part).sum(axis=1) for part in (transform[:, :3], transform[:, 3:]))
+    weights = np.empty((STATE.width(colours), len(classes)))
+    weights[STATE.slice("means")] = s.means * unit**2 / 3
+    weights[STATE.slice("log_scales")] = s.log_scales * steps.log_scales**2 / 3
+    weights[STATE.slice("quaternions")] = s.quaternions * steps.quaternions**2 / 3
+    weights[STATE.slice("opacity")] = s.opacity * steps.opacity**2
+    weights[STATE.slice(COLOUR)] = np.outer(dc, s.sh_dc * steps.sh_dc**2 / 3)
+    if colours > 3:
+        weights[STATE.slice(COLOUR)] += np.outer(rest, s.sh_rest * steps.sh_rest**2 / (colours - 3))
+    return weights
+
+
+def withheld_error(changes: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(N,) mean squared error, over picture samples and frames, of leaving changes (T, 10 + C, N), in steps, undone."""
+    return np.einsum("tcn,tcn,cn->n", changes, changes, weights, optimize=True) / len(changes)

@@ -1,0 +1,169 @@
+"""Package -> Gaussians, top to bottom. N rows of a group, n rows of a level, P planes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.coding import escapes
+from airgs_codec.coding.atlas import read_codes
+from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key
+from airgs_codec.coding.quantize import from_codes
+from airgs_codec.coding.rangecoder import Reader
+from airgs_codec.coding.sidecar import KeySidecar, unpack_key_sidecar
+from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.media.video import decode_clip
+from airgs_codec.package.layout import COLOUR, KEY, STATE
+from airgs_codec.package.store import Package
+from airgs_codec.package.tables import STATIC, Atlas, Picture, key_init_path, state_init_path, unpack_matrix
+from airgs_codec.scene.gaussians import Gaussians
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A decoded frame of the sequence."""
+
+    number: int
+    gaussians: Gaussians
+
+
+def decode_frame(package: Package, frame: int, level: int = 0, quality: int = 0) -> Gaussians:
+    """One frame; decodes nothing but its key units and the start of its segment.
+
+    Raises FormatError for a broken package, ConfigError for a frame, level or quality that is not there.
+    """
+    for shown in decode_frames(package, frame, frame + 1, level, quality):
+        return shown.gaussians
+    raise ConfigError(f"frame {frame}: expected 0..{package.manifest.frames - 1}")
+
+
+def decode_frames(
+    package: Package, start: int, stop: int, level: int = 0, quality: int = 0, tiers: int | None = None
+) -> Iterator[Frame]:
+    """Frames [start, stop) with the first `tiers` key tiers (default: those that viewers of the level fetch).
+
+    Each key and segment is decoded once.
+    """
+    m = package.manifest
+    if not (0 <= start <= stop <= m.frames):
+        raise ConfigError(f"frames {start}:{stop}: expected a range inside 0:{m.frames}")
+    if not (0 <= level < len(m.levels) and 0 <= quality < len(m.qualities)):
+        expected = f"expected level 0..{len(m.levels) - 1} and key quality 0..{len(m.qualities) - 1}"
+        raise ConfigError(f"{expected}, got {level} and {quality}")
+    base: Canonical | None = None
+    group = -1
+    for index, segment in enumerate(m.segments):
+        if segment.stop <= start or segment.start >= stop:
+            continue
+        if segment.group != group:
+            group = segment.group
+            base = decode_canonical(package, group, quality, m.levels[level].tiers if tiers is None else tiers)
+        assert base is not None
+        first, last = max(start, segment.start), min(stop, segment.stop)
+        shown = decode_segment(package, index, base, level, first - segment.start, last - segment.start)
+        for number, gaussians in zip(range(first, last), shown, strict=True):
+            yield Frame(number, gaussians)
+
+
+def decode_canonical(package: Package, group: int, quality: int, tiers: int | None = None) -> Canonical:
+    """The canonical space of a group from its first `tiers` key tiers (default: all)."""
+    m = package.manifest
+    g = m.groups[group]
+    steps = KEY.steps(g.key_steps, m.colour_channels) * m.qualities[quality].factor
+    parts = [decode_key(package, group, t, quality) for t, tier in enumerate(g.tiers[:tiers]) if tier.number]
+    if not parts:
+        raise ConfigError(f"group {group}: expected at least one key tier with rows, got tiers={tiers}")
+    return dequantise_key(
+        np.concatenate([from_codes(codes, steps, m.key_gain) for codes, _ in parts], axis=1),
+        np.concatenate([sidecar.codes for _, sidecar in parts]),
+        np.concatenate([sidecar.classes for _, sidecar in parts]),
+        np.concatenate([sidecar.depths for _, sidecar in parts]),
+        unpack_matrix(g.colour_transform, m.colour_channels),
+        g.grid,
+        g.key_steps,
+    )
+
+
+def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
+    """(7 + C, n) codes of one key unit, and its sidecar."""
+    m = package.manifest
+    unit = m.groups[group].tiers[tier]
+    sidecar_path, media, escapes_path = m.key_files(group, tier, quality)
+    sidecar = unpack_key_sidecar(package.read(sidecar_path), unit.count, m.groups[group].grid, sidecar_path)
+    pictures = decode_clip(package.read(key_init_path(tier, quality)), package.read(media), media)
+    picture = next(pictures, None)
+    if picture is None:
+        raise FormatError("bad_picture", media, "expected one picture, got none")
+    _expect_size(picture, m.key_pictures[tier][quality], media)
+    atlas = unit.qualities[quality]
+    shape = (1, len(atlas.planes), atlas.rows)
+    reader = Reader(package.read(escapes_path), escapes_path)
+    bases = escapes.bases_at(*escapes.read(reader, shape, escapes_path), shape, 0)
+    reader.close()
+    return read_codes(picture, atlas, bases), sidecar
+
+
+def decode_state(package: Package, index: int, level: int, first: int, last: int) -> Iterator[NDArray[np.int32]]:
+    """(10 + C, n) codes of frames [first, last) of a segment that has files, counted from its start."""
+    m = package.manifest
+    segment = m.segments[index]
+    media, sidecar_path = m.state_files(index, level)
+    atlas = m.groups[segment.group].levels[level]
+    shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
+    reader = Reader(package.read(sidecar_path), sidecar_path)
+    escape_index, jumps = escapes.read(reader, shape, sidecar_path)
+    reader.close()
+    shown = 0
+    pictures = decode_clip(package.read(state_init_path(level)), package.read(media), media)
+    for shown, picture in enumerate(pictures, 1):
+        if shown > first:
+            _expect_size(picture, m.state_pictures[level], media)
+            yield read_codes(picture, atlas, escapes.bases_at(escape_index, jumps, shape, shown - 1))
+        if shown == last:
+            break
+    if shown < last:
+        raise FormatError("bad_picture", media, f"expected {shape[0]} pictures, got {shown}")
+
+
+def decode_segment(
+    package: Package, index: int, base: Canonical, level: int, first: int, last: int
+) -> Iterator[Gaussians]:
+    """Frames [first, last) of a segment, counted from its start, over a decoded canonical space.
+
+    With fewer tiers than the level asks for, the rows at hand are the first of every level (rows are in tier order).
+    """
+    m = package.manifest
+    files = m.state_files(index, level)
+    if not files:
+        frame = base.to_gaussians()
+        for _ in range(first, last):
+            yield frame
+        return
+    group = m.groups[m.segments[index].group]
+    atlas = group.levels[level]
+    rows = np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
+    complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
+    if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
+        detail = f"the sidecars give {len(rows)} rows, airgs.json {atlas.rows}"
+        raise FormatError("count_mismatch", files[0], detail)
+    steps = STATE.steps(group.state_steps, m.colour_channels) * m.levels[level].factor
+    varies = [_varies(atlas, STATE.slice(name)) for name in ("quaternions", COLOUR)]
+    applier = StateApplier.of(base, rows, group.state_steps, *varies)
+    for codes in decode_state(package, index, level, first, last):
+        channels = from_codes(codes[:, : len(rows)], steps, m.state_gain)
+        yield applier.apply(channels)
+
+
+def _varies(atlas: Atlas, channels: slice) -> bool:
+    """Whether any of these channels may decode to something else than 0."""
+    places = range(len(atlas.centres))[channels]
+    return any(p in places for p in atlas.planes) or any(atlas.centres[channels])
+
+
+def _expect_size(picture: NDArray[np.uint8], size: Picture, where: str) -> None:
+    if picture.shape != (size.height, size.width):
+        got = f"{picture.shape[1]}x{picture.shape[0]}"
+        raise FormatError("bad_picture", where, f"expected {size.width}x{size.height}, got {got}")

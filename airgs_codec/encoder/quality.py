@@ -1,0 +1,90 @@
+"""Rendered quality of every rung, measured on a written package against the original frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from airgs_codec._sampling import evenly_spaced
+from airgs_codec.decoder.decode import decode_canonical, decode_segment
+from airgs_codec.media.metrics import mse, psnr, ssim
+from airgs_codec.package.store import Package
+from airgs_codec.package.tables import Manifest, Segment, SegmentLevel
+from airgs_codec.progress import Progress, silent
+from airgs_codec.render import Camera, render
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.sequence import GaussianSequence
+
+MAX_VIEWS = 4
+DEFAULT_FRAMES = 6  # measured a segment
+
+
+def measured_views(cameras: Sequence[Camera]) -> list[Camera]:
+    """Held-out cameras if there are any, else all; at most MAX_VIEWS of them, spread evenly."""
+    chosen = [c for c in cameras if c.split == "test"] or list(cameras)
+    return [chosen[i] for i in evenly_spaced(len(chosen), MAX_VIEWS)]
+
+
+def measured_frames(start: int, stop: int, count: int) -> list[int]:
+    """At most `count` frames of [start, stop), each in the middle of an equal part.
+
+    First and last would be the furthest from the canonical frame, and make a segment look worse than it is.
+    """
+    parts = min(count, stop - start)
+    return [start + (2 * i + 1) * (stop - start) // (2 * parts) for i in range(parts)]
+
+
+@dataclass(slots=True)
+class _Sums:
+    squared: float = 0.0
+    similarity: float = 0.0
+    count: int = 0
+
+    def add(self, squared: float, similarity: float) -> None:
+        self.squared += squared
+        self.similarity += similarity
+        self.count += 1
+
+
+def measure_quality(
+    package: Package,
+    sequence: GaussianSequence,
+    cameras: Sequence[Camera],
+    frames: int = DEFAULT_FRAMES,
+    progress: Progress = silent,
+) -> Manifest:
+    """The package's tables with PSNR (pooled MSE) and mean SSIM of every segment, level and key quality.
+
+    Reference: the original Gaussians of `frames` frames a segment, after repairs, seen by `cameras`.
+    """
+    m = package.manifest
+    segments: list[Segment] = []
+    for index, segment in enumerate(m.segments):
+        progress("quality", index, len(m.segments))
+        numbers = measured_frames(segment.start, segment.stop, frames)
+        originals = sequence.load(numbers).frames
+        references = [[render(g, camera).rgb for camera in cameras] for g in originals]
+        sums = [[_Sums() for _ in m.qualities] for _ in m.levels]
+        for quality in range(len(m.qualities)):
+            for level, wanted in enumerate(m.levels):
+                base = decode_canonical(package, segment.group, quality, wanted.tiers)
+                shown = list(decode_segment(package, index, base, level, 0, segment.stop - segment.start))
+                for number, pictures in zip(numbers, references, strict=True):
+                    _compare(shown[number - segment.start], cameras, pictures, sums[level][quality])
+        levels = [_with_quality(level, row) for level, row in zip(segment.levels, sums, strict=True)]
+        segments.append(replace(segment, levels=levels))
+    return replace(m, segments=segments)
+
+
+def _compare(shown: Gaussians, cameras: Sequence[Camera], references: list, sums: _Sums) -> None:
+    for camera, reference in zip(cameras, references, strict=True):
+        picture = render(shown, camera).rgb
+        sums.add(mse(picture, reference), ssim(picture, reference))
+
+
+def _with_quality(level: SegmentLevel, row: list[_Sums]) -> SegmentLevel:
+    return replace(
+        level,
+        psnr=[round(psnr(s.squared / s.count), 3) for s in row],
+        ssim=[round(s.similarity / s.count, 5) for s in row],
+    )

@@ -1,0 +1,1 @@
+"""What is in a package, and whether it is what it claims to be."""

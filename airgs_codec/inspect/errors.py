@@ -1,0 +1,150 @@
+"""The errors of a package against the sequence it was made of, attribute by attribute, beside what it promises.
+
+The order of rows in a package is not stored: each of its rows is matched with the nearest original one, by means,
+log-scales, opacity and SH DC in three frames of the group. N rows of a group.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from airgs_codec.coding.channels import Canonical, key_channels, state_channels
+from airgs_codec.coding.quantize import from_codes
+from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
+from airgs_codec.errors import ConfigError
+from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.store import Package
+from airgs_codec.package.tables import STATIC, Group
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.sequence import GaussianSequence
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The largest error of an attribute in an atlas, in the units of its channels."""
+
+    where: str
+    attribute: str
+    bound: float  # `max_error` of the atlas
+    error: float
+    rows: int  # compared
+    ambiguous: int  # rows left out, whose original is not the nearest one of theirs alone
+
+
+def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Measured]:
+    """Every key atlas and every level of every group. Raises ConfigError, FormatError, SceneError."""
+    m = package.manifest
+    if len(sequence) != m.frames or sequence.sh_degree < m.sh_degree:
+        expected = f"{m.frames} frames of SH degree {m.sh_degree} or more"
+        raise ConfigError(f"{sequence.folder}: expected {expected}, got {len(sequence)} of {sequence.sh_degree}")
+    for index, group in enumerate(m.groups):
+        frames = [g.with_degree(m.sh_degree) for g in sequence.load(range(group.start, group.stop)).frames]
+        base = decode_canonical(package, index, 0)
+        rows, sure = _match(package, index, group, base, frames)
+        originals = [g.take(rows) for g in frames]
+        yield from _keys(package, index, group, base, originals[group.canonical - group.start], sure)
+        yield from _states(package, index, group, base, originals, sure)
+
+
+def _match(
+    package: Package, index: int, group: Group, base: Canonical, frames: list[Gaussians]
+) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """(N,) original of every row, and (N,) whether no more rows than there are such originals have it."""
+    m = package.manifest
+    picks = sorted({0, group.canonical - group.start, len(frames) - 1})
+    decoded = []
+    for pick in picks:
+        number = group.start + pick
+        segment = m.segment_at(number)
+        at = number - m.segments[segment].start
+        decoded += list(decode_segment(package, segment, base, 0, at, at + 1))
+    scale = float(np.median(base.motion_units)) * group.state_steps.means
+    features = np.hstack([_features(frames[pick], group, scale) for pick in picks])
+    _, rows = cKDTree(features).query(np.hstack([_features(g, group, scale) for g in decoded]), workers=-1)
+    _, twin, twins = np.unique(features, axis=0, return_inverse=True, return_counts=True)
+    twin = twin.ravel()  # equal originals are as good as one another
+    taken = np.bincount(twin[rows], minlength=len(twins))
+    return rows, (taken <= twins)[twin[rows]]
+
+
+def _features(g: Gaussians, group: Group, scale: float) -> NDArray[np.float64]:
+    """(N, 10) in steps."""
+    steps = group.state_steps
+    columns = [
+        g.means.astype(np.float64) / scale,
+        g.log_scales / steps.log_scales,
+        g.opacities()[:, None] / steps.opacity,
+        g.sh_dc / steps.sh_dc,
+    ]
+    return np.hstack(columns)
+
+
+def _keys(
+    package: Package, index: int, group: Group, base: Canonical, original: Gaussians, sure: NDArray[np.bool_]
+) -> Iterator[Measured]:
+    m = package.manifest
+    values = key_channels(original, base.transform, group.key_steps)
+    steps = KEY.steps(group.key_steps, m.colour_channels)
+    first = 0
+    for t, tier in enumerate(group.tiers):
+        part = slice(first, first + tier.count)
+        first += tier.count
+        for q, quality in enumerate(m.qualities):
+            if tier.number:
+                codes, _ = decode_key(package, index, t, q)
+                errors = np.abs(values[:, part] - from_codes(codes, steps * quality.factor, m.key_gain))
+                where = f"group {index} key T{t} {quality.id}"
+                yield from _measured(where, KEY, tier.qualities[q].max_error, errors[None], sure[part])
+
+
+def _states(
+    package: Package,
+    index: int,
+    group: Group,
+    base: Canonical,
+    originals: list[Gaussians],
+    sure: NDArray[np.bool_],
+) -> Iterator[Measured]:
+    m = package.manifest
+    values = state_channels(originals, base, group.state_steps)
+    steps = STATE.steps(group.state_steps, m.colour_channels)
+    for j, level in enumerate(m.levels):
+        rows = np.flatnonzero((base.depths >= j) & (base.depths != STATIC))
+        worst = np.zeros((1, len(steps), len(rows)))
+        sent = False
+        for s, segment in enumerate(m.segments):
+            if segment.group != index or not m.state_files(s, j):
+                continue
+            sent = True
+            for t, codes in enumerate(decode_state(package, s, j, 0, segment.stop - segment.start)):
+                wanted = values[segment.start - group.start + t][:, rows]
+                decoded = from_codes(codes, steps * level.factor, m.state_gain)
+                worst[0] = np.maximum(worst[0], np.abs(wanted - decoded))
+        if sent:
+            where = f"group {index} state {level.id}"
+            yield from _measured(where, STATE, group.levels[j].max_error, worst, sure[rows])
+
+
+def _measured(
+    where: str, layout: Layout, bounds: list[float], errors: NDArray[np.float64], sure: NDArray[np.bool_]
+) -> Iterator[Measured]:
+    places = layout.attribute_index(errors.shape[1])
+    for k, (name, bound) in enumerate(zip(layout.attributes, bounds, strict=True)):
+        error = float(errors[:, places == k][:, :, sure].max(initial=0.0))
+        yield Measured(where, name, bound, error, int(sure.sum()), int((~sure).sum()))
+
+
+def format_errors(measured: list[Measured]) -> str:
+    """A line an atlas: measured / promised for each attribute."""
+    lines = ["largest error, measured / max_error, in the units of the channels (FORMAT.md, section 5):"]
+    for where in dict.fromkeys(m.where for m in measured):
+        same = [m for m in measured if m.where == where]
+        cells = ", ".join(f"{m.attribute} {m.error:.3g} / {m.bound:.3g}" for m in same)
+        left = f" ({same[0].ambiguous} of {same[0].rows + same[0].ambiguous} rows ambiguous)" * bool(same[0].ambiguous)
+        lines.append(f"{where}: {cells}{left}")
+    return "\n".join(lines)

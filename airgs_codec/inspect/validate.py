@@ -1,0 +1,157 @@
+"""Is a package whole and does it decode? Findings instead of exceptions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from airgs_codec.coding.channels import Canonical
+from airgs_codec.decoder.decode import decode_canonical, decode_segment
+from airgs_codec.errors import AirgsError, FormatError
+from airgs_codec.inspect.errors import Measured
+from airgs_codec.media.video import decode_clip
+from airgs_codec.package.mpd import check_mpd
+from airgs_codec.package.store import MAX_JSON_BYTES, Package, open_package
+from airgs_codec.package.tables import JSON_NAME, MPD_NAME, expected_files, key_init_path, state_init_path
+from airgs_codec.scene.gaussians import Gaussians
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong; `reason` is a word of FORMAT.md's table of refusals."""
+
+    reason: str
+    where: str
+    detail: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.detail} [{self.reason}]"
+
+
+def validate(path: Path) -> list[Finding]:
+    """Everything that is wrong with the package in folder `path`; empty for a good one. Never raises for a bad one.
+
+    Checks the tables, the MPD against them, every file's length and digest, foreign files, and that every key unit
+    and every segment of every level decodes to the promised pictures and to finite numbers.
+    """
+    try:
+        package = open_package(path)
+    except FormatError as error:
+        return [_finding(error)]
+    findings = list(_check_files(package))
+    findings += _check_measures(package)
+    findings += _attempt(MPD_NAME, partial(_check_mpd, package))
+    if not findings:  # broken files would only repeat themselves
+        findings = list(_check_decoding(package))
+    return findings
+
+
+def exceeded(measured: Iterable[Measured]) -> list[Finding]:
+    """Every `max_error` that a comparison with the original (`remeasure.measure_errors`) found too small."""
+    return [
+        Finding("bound_exceeded", m.where, f"{m.attribute}: max_error {m.bound:g}, measured {m.error:g}")
+        for m in measured
+        if m.error > m.bound
+    ]
+
+
+def _finding(error: FormatError) -> Finding:
+    return Finding(error.reason, error.where, error.detail)
+
+
+def _attempt(where: str, work: Callable[[], None]) -> list[Finding]:
+    """The finding of a step that raises, or nothing."""
+    try:
+        work()
+    except FormatError as error:
+        return [_finding(error)]
+    except (AirgsError, OverflowError) as error:  # a group without keys; a number that fits no array
+        return [Finding("bad_value", where, str(error))]
+    return []
+
+
+def _check_mpd(package: Package) -> None:
+    path = package.path / MPD_NAME
+    if path.stat().st_size > MAX_JSON_BYTES:
+        raise FormatError("too_large", MPD_NAME, f"expected at most {MAX_JSON_BYTES} bytes")
+    check_mpd(path.read_bytes(), package.manifest)
+
+
+def _check_files(package: Package) -> Iterator[Finding]:
+    listed = set(package.manifest.files)
+    for relative in sorted(listed):
+        try:
+            package.read(relative)
+        except FormatError as error:
+            yield _finding(error)
+    for relative in sorted(listed - set(expected_files(package.manifest))):
+        yield Finding("foreign_file", relative, "listed, but no table refers to it")
+    for file in sorted(package.path.rglob("*")):
+        relative = file.relative_to(package.path).as_posix()
+        if file.is_symlink():
+            yield Finding("unsafe_path", relative, "expected plain files and folders, got a link")
+        elif not file.is_dir() and relative not in listed | {JSON_NAME, MPD_NAME}:
+            yield Finding("foreign_file", relative, f"not listed in {JSON_NAME}")
+
+
+def _check_measures(package: Package) -> Iterator[Finding]:
+    """Bytes of the frames of each segment against its file."""
+    m = package.manifest
+    for s, segment in enumerate(m.segments):
+        for j, level in enumerate(segment.levels):
+            size = m.bytes_of(m.state_files(s, j)[:1])
+            if sum(level.frame_bytes) > size:
+                detail = f"frame_bytes add up to {sum(level.frame_bytes)}, the file has {size}"
+                yield Finding("size_mismatch", f"{JSON_NAME}.segments[{s}].levels[{j}]", detail)
+
+
+def _check_decoding(package: Package) -> Iterator[Finding]:
+    m = package.manifest
+    for g in range(len(m.groups)):
+        for q in range(len(m.qualities)):
+            yield from _attempt(f"group {g}", partial(_decode_key, package, g, q))
+        try:
+            with np.errstate(all="ignore"):
+                base = decode_canonical(package, g, 0)
+        except (AirgsError, OverflowError):
+            continue  # found above
+        for s, segment in enumerate(m.segments):
+            for j in range(len(m.levels) if segment.group == g else 0):
+                yield from _attempt(f"segment {s}", partial(_decode_state, package, s, j, base))
+
+
+def _decode_key(package: Package, group: int, quality: int) -> None:
+    with np.errstate(all="ignore"):  # _expect_finite says it better
+        base = decode_canonical(package, group, quality)
+        _expect_finite(base.to_gaussians(), f"group {group} Q{quality}")
+    for t in range(package.manifest.tier_count):
+        files = package.manifest.key_files(group, t, quality)
+        if files:
+            _expect_pictures(package, key_init_path(t, quality), files[1], 1)
+
+
+def _decode_state(package: Package, index: int, level: int, base: Canonical) -> None:
+    segment = package.manifest.segments[index]
+    files = package.manifest.state_files(index, level)
+    length = segment.stop - segment.start
+    if files:
+        with np.errstate(all="ignore"):
+            for frame in decode_segment(package, index, base, level, 0, length):
+                _expect_finite(frame, files[0])
+        _expect_pictures(package, state_init_path(level), files[0], length)
+
+
+def _expect_pictures(package: Package, init: str, media: str, count: int) -> None:
+    got = sum(1 for _ in decode_clip(package.read(init), package.read(media), media))
+    if got != count:
+        raise FormatError("bad_picture", media, f"expected {count} pictures, got {got}")
+
+
+def _expect_finite(frame: Gaussians, where: str) -> None:
+    for field in fields(frame):
+        if not np.isfinite(getattr(frame, field.name)).all():
+            raise FormatError("bad_value", where, f"{field.name} decode to numbers that are not finite")

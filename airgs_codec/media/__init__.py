@@ -1,0 +1,1 @@
+"""Pictures and video files: reading, writing, H.264, comparing."""

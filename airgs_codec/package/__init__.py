@@ -1,0 +1,1 @@
+"""What a package is: its tables, paths, channel order, MPD and files on disk (FORMAT.md)."""

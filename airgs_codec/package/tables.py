@@ -1,0 +1,359 @@
+"""airgs.json: the normative tables of a package as frozen values, their paths and their JSON.
+
+T tiers, Q key qualities, L levels. Every number in `files` counts bytes. FORMAT.md says what each field means;
+`parse.parse_manifest` reads the JSON back and refuses what FORMAT.md does not name.
+"""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import json
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import FormatError
+from airgs_codec.media.metrics import psnr
+from airgs_codec.scene.gaussians import SH_REST
+
+VERSION = 1
+JSON_NAME = "airgs.json"
+MPD_NAME = "manifest.mpd"
+
+MAX_COUNT = 1 << 24  # Gaussians a group
+MAX_FRAMES = 1_000_000
+MAX_SIDE = 16384  # samples, either side of a picture
+MAX_FILE_BYTES = 1 << 31
+MAX_CHOICES = 64  # tiers, qualities, levels
+STATE_ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity", "sh_dc", "sh_rest")
+KEY_ATTRIBUTES = STATE_ATTRIBUTES[1:]  # canonical means travel in the sidecar
+STATIC = 255  # depth of a row that no level carries
+
+
+@dataclass(frozen=True, slots=True)
+class Generator:
+    """Who wrote the package and with what."""
+
+    version: str
+    libraries: dict[str, str]
+    settings: dict[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """Where usage and quality were measured."""
+
+    source: str  # "given" cameras or "generated" ones
+    usage: int  # cameras that usage was measured on
+    measured: int  # cameras that quality was measured on
+    width: int  # pixels, of the first measured camera
+    height: int
+    reference: str  # "original" (the unpruned input) or "none" (not measured)
+
+
+@dataclass(frozen=True, slots=True)
+class KeyQuality:
+    """A quality of the key: steps multiplied by `factor`."""
+
+    id: str
+    factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """A pruning level: which share of the moving rows is withheld at least, and the step factor of the others."""
+
+    id: str
+    pruned: float  # share of the moving rows, 0..1
+    factor: float
+    tiers: int  # key tiers that its viewers fetch; rows of later tiers have no state in it
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """The coded picture of a representation, the same in every segment; 0x0 when it has none."""
+
+    width: int
+    height: int
+    codecs: str  # RFC 6381, such as avc1.64000D
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Nested cubic cells of canonical means: a row of motion class c lies in the middle of a cell of step 2^k.
+
+    k = c - finest, from 0 to `bits`; a cell begins at origin + step * index, index 0 .. 2^bits - 1 with k low bits 0.
+    """
+
+    origin: list[float]  # (3,) world units
+    step: float  # world units
+    bits: int
+    finest: int  # motion class whose cells are one step wide
+
+
+@dataclass(frozen=True, slots=True)
+class KeySteps:
+    """Quantiser steps of the key at factor 1."""
+
+    quaternions: float  # radians
+    log_scales: float  # ln
+    opacity: float  # of [0, 1]
+    sh_dc: float
+    sh_rest: float
+
+
+@dataclass(frozen=True, slots=True)
+class StateSteps:
+    """Quantiser steps of the state at factor 1."""
+
+    means: float  # motion units of the row
+    quaternions: float  # radians
+    log_scales: float  # ln
+    opacity: float  # of [0, 1]
+    sh_dc: float
+    sh_rest: float
+
+
+@dataclass(frozen=True, slots=True)
+class Atlas:
+    """How one group's rows lie in the pictures of a representation."""
+
+    rows: int
+    centres: list[int]  # a code for every channel
+    planes: list[int]  # channels that have a plane, ascending; the others are constant at their centre
+    plane_width: int  # samples, a multiple of 16
+    columns: int  # planes side by side
+    max_error: list[float] = dataclasses.field(default_factory=list)  # an attribute of the `Layout`, in channel units
+
+
+@dataclass(frozen=True, slots=True)
+class GroupTier:
+    """One key tier of one group."""
+
+    count: int  # rows
+    number: int  # of its files; 0: no rows, no files
+    qualities: list[Atlas]
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Frames [start, stop) that share the canonical space of frame `canonical`."""
+
+    start: int
+    stop: int
+    canonical: int
+    count: int  # rows written, over all tiers
+    static: int  # rows of `count` that no level carries
+    unused: int  # Gaussians no view uses: not written
+    grid: Grid
+    key_steps: KeySteps
+    state_steps: StateSteps
+    colour_transform: str  # base64 of C x C little-endian int16, in 1/32767; row k makes channel k
+    tiers: list[GroupTier]
+    levels: list[Atlas]
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentLevel:
+    """One level of one segment."""
+
+    number: int  # of its files; 0: nothing to fetch, the canonical space is shown
+    frame_bytes: list[int]  # H.264 bytes of each frame, in display order
+    psnr: list[float]  # dB for each key quality; empty: not measured
+    ssim: list[float]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """Frames [start, stop) of group `group`, fetched and decoded together."""
+
+    group: int
+    start: int
+    stop: int
+    levels: list[SegmentLevel]
+
+
+@dataclass(frozen=True, slots=True)
+class FileEntry:
+    """Length and digest of a file of the package."""
+
+    bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Something that was not written because pictures hardly need it, with the two numbers that decided."""
+
+    what: str  # gaussians, updates, key planes, state planes, segments or sh bands
+    group: int
+    count: int  # of what was left out
+    error: float  # mean squared error of pictures that it makes, samples in 0..1
+    bytes: float  # a frame that it saves, estimated
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """Everything a decoder needs that is not pixels."""
+
+    version: int
+    generator: Generator
+    attribution: str
+    repairs: list[str]  # what was mended in the input before coding
+    frame_rate: list[int]  # numerator, denominator: frames a second
+    timescale: int  # ticks a second in the MP4 files and the MPD
+    frames: int
+    sh_degree: int
+    key_gain: float  # luma levels a step in key atlases
+    state_gain: float  # luma levels a step in state atlases
+    views: Views
+    qualities: list[KeyQuality]
+    levels: list[Level]
+    key_pictures: list[list[Picture]]  # T x Q
+    state_pictures: list[Picture]  # L
+    groups: list[Group]
+    segments: list[Segment]
+    left_out: list[LeftOut]
+    files: dict[str, FileEntry]
+
+    @property
+    def fps(self) -> Fraction:
+        """Frames a second, exact."""
+        return Fraction(*self.frame_rate)
+
+    @property
+    def frame_ticks(self) -> int:
+        """Duration of a frame in ticks of `timescale`."""
+        return self.timescale * self.frame_rate[1] // self.frame_rate[0]
+
+    @property
+    def colour_channels(self) -> int:
+        """Colour channels C of an atlas: three DC, then SH rest."""
+        return 3 * (1 + SH_REST[self.sh_degree])
+
+    @property
+    def tier_count(self) -> int:
+        """T."""
+        return len(self.key_pictures)
+
+    def key_files(self, group: int, tier: int, quality: int) -> list[str]:
+        """Sidecar, picture and escapes of one key unit; empty when the tier has no rows in that group."""
+        number = self.groups[group].tiers[tier].number
+        paths = (
+            key_sidecar_path(tier, number),
+            key_media_path(tier, quality, number),
+            key_escapes_path(tier, quality, number),
+        )
+        return list(paths) if number else []
+
+    def state_files(self, segment: int, level: int) -> list[str]:
+        """Files of one state segment without its init segment; empty when there is nothing to fetch."""
+        number = self.segments[segment].levels[level].number
+        return [state_media_path(level, number), state_sidecar_path(level, number)] if number else []
+
+    def init_files(self, quality: int, level: int) -> list[str]:
+        """Init segments of everything a viewer of one rung decodes."""
+        rows = self.key_pictures[: self.levels[level].tiers]
+        keys = [key_init_path(t, quality) for t, row in enumerate(rows) if row[quality].width]
+        return keys + ([state_init_path(level)] if self.state_pictures[level].width else [])
+
+    def bytes_of(self, paths: list[str]) -> int:
+        """Total length of files."""
+        return sum(self.files[path].bytes for path in paths)
+
+    def rung_files(self, quality: int, level: int) -> list[str]:
+        """Every file a viewer of one rung fetches from start to end, without the two manifests."""
+        paths = self.init_files(quality, level)
+        for group in range(len(self.groups)):
+            for tier in range(self.levels[level].tiers):
+                paths += self.key_files(group, tier, quality)
+        for segment in range(len(self.segments)):
+            paths += self.state_files(segment, level)
+        return paths
+
+    def segment_at(self, frame: int) -> int:
+        """Index of the segment that shows `frame`. Raises IndexError outside the sequence."""
+        for index, segment in enumerate(self.segments):
+            if segment.start <= frame < segment.stop:
+                return index
+        raise IndexError(f"frame {frame}: the sequence has frames 0..{self.frames - 1}")
+
+    def to_json(self) -> str:
+        """The text of airgs.json; `parse_manifest` gives the same value back."""
+        return json.dumps(dataclasses.asdict(self), separators=(",", ":"), allow_nan=False)
+
+
+def key_init_path(tier: int, quality: int) -> str:
+    """Init segment of a key representation."""
+    return f"key/T{tier}/Q{quality}/init.mp4"
+
+
+def key_media_path(tier: int, quality: int, number: int) -> str:
+    """Picture of a key unit."""
+    return f"key/T{tier}/Q{quality}/{number}.m4s"
+
+
+def key_sidecar_path(tier: int, number: int) -> str:
+    """Sidecar of a key unit, the same for all its qualities."""
+    return f"key/T{tier}/{number}.bin"
+
+
+def key_escapes_path(tier: int, quality: int, number: int) -> str:
+    """Escapes of the picture of a key unit."""
+    return f"key/T{tier}/Q{quality}/{number}.bin"
+
+
+def state_init_path(level: int) -> str:
+    """Init segment of a state representation."""
+    return f"state/L{level}/init.mp4"
+
+
+def state_media_path(level: int, number: int) -> str:
+    """Pictures of a state segment."""
+    return f"state/L{level}/{number}.m4s"
+
+
+def state_sidecar_path(level: int, number: int) -> str:
+    """Escapes of a state segment."""
+    return f"state/L{level}/{number}.bin"
+
+
+def pack_matrix(matrix: NDArray[np.float64]) -> str:
+    """Entries in -1..1 as base64 of little-endian int16 in 1/32767, row by row."""
+    return base64.b64encode(np.rint(matrix * 32767).astype("<i2").tobytes()).decode("ascii")
+
+
+def unpack_matrix(text: str, side: int) -> NDArray[np.float64]:
+    """Inverse of `pack_matrix`: (side, side). Raises FormatError(bad_value)."""
+    try:
+        raw = base64.b64decode(text, validate=True)
+        return np.frombuffer(raw, "<i2").reshape(side, side) / 32767.0
+    except ValueError as error:
+        raise FormatError(
+            "bad_value", f"{JSON_NAME} colour_transform", f"expected {side}x{side} int16: {error}"
+        ) from error
+
+
+def expected_files(m: Manifest) -> list[str]:
+    """Every file the tables refer to, each once, in the order of the package's folders."""
+    paths: dict[str, None] = {}
+    for quality in range(len(m.qualities)):
+        for level in range(len(m.levels)):
+            paths.update(dict.fromkeys(m.rung_files(quality, level)))
+    return sorted(paths)
+
+
+def pooled_quality(m: Manifest, level: int, quality: int) -> tuple[float, float] | None:
+    """PSNR (dB, of the mean squared error over frames) and mean SSIM of a rung; None when not measured."""
+    squared, similarity = 0.0, 0.0
+    for segment in m.segments:
+        measured = segment.levels[level]
+        if not measured.psnr or not measured.ssim:
+            return None
+        weight = (segment.stop - segment.start) / m.frames
+        squared += weight * 10.0 ** min(-measured.psnr[quality] / 10, 300.0)  # 300: a float, whatever a table claims
+        similarity += weight * measured.ssim[quality]
+    return psnr(squared), similarity

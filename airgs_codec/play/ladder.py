@@ -1,0 +1,163 @@
+"""The paper's level selection (arXiv 2512.20943, Algorithm 1), with its undefined cases defined.
+
+Where Algorithm 1 divides by zero, returns a level that does not fit or leaves its answer undefined, the comment names
+the case: first drop zero (1, 2), tiny (3), quality that rises when pruning (4), slow slides (5), the first level (6),
+nothing fits (7, 8), sizes that do not fall (9), one level or none (10), NaN and infinite quality (11), bad budgets
+(12), units (13: everything here is bytes), the level that sends nothing (14: not in a ladder), key units (15: chosen
+over the buffer, see session), level 0 (16: no different from the others).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.media.metrics import PSNR_CAP
+
+DEFAULT_BETA = 2.0  # the paper's cliff multiplier
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A choice: its place in the caller's list, what it costs, what it shows."""
+
+    level: int
+    size_bytes: int
+    quality: float  # dB
+    pruned: float  # share of updates withheld, 0..1
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """A choice with its reason."""
+
+    level: int
+    fits: bool
+    reason: str
+    size_bytes: int
+
+
+@dataclass(frozen=True, slots=True)
+class Ladder:
+    """Points whose size and quality both fall strictly, from the best down to the last before the cliff."""
+
+    points: tuple[Point, ...]
+
+    @staticmethod
+    def build(
+        points: Iterable[Point],
+        *,
+        beta: float = DEFAULT_BETA,
+        eps_db: float = 0.05,
+        cliff_db: float = 3.0,
+        min_quality: float | None = None,
+    ) -> Ladder:
+        """Pareto filter, then the cliff test. Drops are counted per 10 % pruned, the paper's spacing.
+
+        A level is past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least
+        `eps_db`), or, for the first level, `cliff_db`; or when its quality is under `min_quality`. O(n log n).
+        Raises ConfigError: no points (10), beta <= 1 (6), a size or quality that is no number (11).
+        """
+        if not beta > 1:
+            raise ConfigError(f"cliff multiplier: expected more than 1, got {beta}")
+        front = _pareto([_checked(p) for p in points])
+        kept = front[:1]
+        dropped = 0.0  # sum over the levels kept
+        for previous, point in itertools.pairwise(front):
+            drop = _drop_per_tenth(previous, point)
+            reference = max(eps_db, dropped / (len(kept) - 1)) if len(kept) > 1 else None
+            past = drop > cliff_db if reference is None else drop / reference > beta
+            if past or (min_quality is not None and point.quality < min_quality):
+                break
+            kept.append(point)
+            dropped += drop
+        return Ladder(tuple(kept))
+
+
+def _checked(point: Point) -> Point:
+    if math.isnan(point.quality) or point.size_bytes < 0:
+        raise ConfigError(f"level {point.level}: expected a size and a quality, got {point}")
+    return Point(point.level, point.size_bytes, min(point.quality, PSNR_CAP), point.pruned)
+
+
+def _pareto(points: list[Point]) -> list[Point]:
+    """Points that no other beats or equals at fewer bytes, best first (4, 9)."""
+    if not points:
+        raise ConfigError("ladder: expected at least one level, got none")
+    front: list[Point] = []
+    for point in sorted(points, key=lambda p: (p.size_bytes, -p.quality, p.level)):
+        if not front or point.quality > front[-1].quality:
+            front.append(point)
+    return front[::-1]
+
+
+def _drop_per_tenth(better: Point, worse: Point) -> float:
+    return (better.quality - worse.quality) / max(1.0, 10 * (worse.pruned - better.pruned))
+
+
+def select(ladder: Ladder, budget_bytes: float) -> Decision:
+    """The best level that fits; when none does, the smallest with fits=False (7, 8). O(log n).
+
+    A budget that is negative or no number counts as 0 (12).
+    """
+    budget = budget_bytes if budget_bytes > 0 else 0.0
+    points = ladder.points
+    at = bisect_left(points, -budget, key=lambda p: -p.size_bytes)
+    if at == len(points):
+        last = points[-1]
+        return Decision(last.level, False, f"nothing fits {budget:.0f} B, taking the smallest", last.size_bytes)
+    chosen = points[at]
+    return Decision(chosen.level, True, f"{chosen.size_bytes} B fit {budget:.0f} B", chosen.size_bytes)
+
+
+def select_literal(points: Sequence[Point], budget_bytes: float, beta: float = DEFAULT_BETA) -> int | None:
+    """Algorithm 1 as it is printed, over points in the order of their levels; None where it leaves p undefined.
+
+    Divisions are IEEE (x / 0 is infinite, 0 / 0 no number and never above beta), so that no case stops a player. It
+    answers with the cliff's level, whatever its size, when nothing fits; see the module for what `select` does.
+    Raises ConfigError without points.
+    """
+    if not points:
+        raise ConfigError("Algorithm 1: expected at least one level, got none")
+    kept, answer = [0], None
+    previous = _minus(points[0].quality, points[1].quality) if len(points) > 1 else 0.0
+    for i in range(1, len(points)):
+        drop = _minus(points[i - 1].quality, points[i].quality)
+        if _ratio(drop, previous) > beta:
+            answer = i
+            break
+        kept.append(i)
+        previous = drop
+    low, high = 0, len(kept) - 1
+    while low <= high:
+        middle = (low + high) // 2
+        if points[kept[middle]].size_bytes <= budget_bytes:
+            answer, high = kept[middle], middle - 1
+        else:
+            low = middle + 1
+    return answer
+
+
+def _minus(a: float, b: float) -> float:
+    return a - b if math.isfinite(a) or math.isfinite(b) else math.nan
+
+
+def _ratio(a: float, b: float) -> float:
+    if b:
+        return a / b
+    return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, a)
+
+
+def frame_budget(bandwidth_bps: float, fps: float, overhead_bytes: float = 0.0, share: float = 1.0) -> float:
+    """Bytes a frame may have: the paper's C = B / R with its units, `share` of it spent, less what a request costs.
+
+    A bandwidth that is negative or no number counts as 0 (12). Raises ConfigError unless fps > 0.
+    """
+    if not fps > 0:
+        raise ConfigError(f"frame rate: expected more than 0, got {fps}")
+    usable = bandwidth_bps if bandwidth_bps > 0 else 0.0
+    return max(0.0, share * usable / (8 * fps) - overhead_bytes)

@@ -1,0 +1,169 @@
+"""What the viewer saw: the rungs of a session decoded, rendered from a path of cameras, and filmed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.decoder.decode import decode_canonical, decode_segment
+from airgs_codec.errors import FormatError
+from airgs_codec.media.image import label, to_bytes
+from airgs_codec.media.video import write_movie
+from airgs_codec.package.store import Package
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.metrics import screen_ticks
+from airgs_codec.play.session import SessionLog
+from airgs_codec.progress import Progress, silent
+from airgs_codec.render import Camera, render
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.orbits import camera_path
+from airgs_codec.scene.sequence import GaussianSequence
+
+SECONDS_BETWEEN_CAMERAS = 4.0
+
+
+def viewer_path(cameras: Sequence[Camera], ticks: int, fps: float) -> list[Camera]:
+    """A camera a tick: back and forth through the given ones, SECONDS_BETWEEN_CAMERAS apart."""
+    per_leg = max(2, round(SECONDS_BETWEEN_CAMERAS * fps))
+    legs = -(-ticks // per_leg)
+    there_and_back = [*range(len(cameras)), *range(len(cameras) - 2, 0, -1)]
+    stops = [cameras[there_and_back[i % len(there_and_back)]] for i in range(legs + 1)]
+    return camera_path(stops, legs * per_leg + 1)[:ticks]
+
+
+def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians | None, int]]:
+    """(Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
+
+    In a lost segment the last Gaussians stay; None before the first that could be shown.
+    """
+    shown_at = -1
+    frames: list[Gaussians] = []
+    last: Gaussians | None = None
+    for entry, frame in screen_ticks(log):
+        s = log.shown[entry]
+        if entry != shown_at and s.rung is not None:
+            frames = _segment(package, s.segment, *log.catalogue.rungs[s.rung])
+        shown_at = entry
+        if s.rung is not None:
+            last = frames[frame]
+        yield last, entry
+
+
+def _segment(package: Package, index: int, quality: int, level: int) -> list[Gaussians]:
+    m = package.manifest
+    segment = m.segments[index]
+    base = decode_canonical(package, segment.group, quality, m.levels[level].tiers)
+    return list(decode_segment(package, index, base, level, 0, segment.stop - segment.start))
+
+
+def _best(package: Package, c: Catalogue, segment: int) -> tuple[list[Gaussians], str]:
+    """Frames of a segment at the first rung whose files are whole, and what to call it."""
+    for name, rung in zip(c.names, c.rungs, strict=True):
+        try:
+            return _segment(package, segment, *rung), f"best rung: {name}"
+        except FormatError:
+            continue
+    return [], "no rung can be had"
+
+
+def first_shown(package: Package, log: SessionLog) -> Gaussians | None:
+    """The first frame that the viewer saw, None if there was none."""
+    for s in log.shown:
+        if s.rung is not None:
+            return _segment(package, s.segment, *log.catalogue.rungs[s.rung])[0]
+    return None
+
+
+def film(
+    package: Package,
+    log: SessionLog,
+    cameras: Sequence[Camera],
+    path: Path,
+    original: GaussianSequence | None = None,
+    progress: Progress = silent,
+) -> None:
+    """An H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting; beside it
+    the same moment of the original, or of the best rung where there is no `original`.
+
+    Raises CodecError.
+    """
+    ticks = screen_ticks(log)
+    cameras = viewer_path(cameras, len(ticks), log.catalogue.fps)
+    write_movie(path, _pictures(package, log, ticks, cameras, original, progress), log.catalogue.manifest.fps)
+
+
+def _pictures(
+    package: Package,
+    log: SessionLog,
+    ticks: list[tuple[int, int]],
+    cameras: list[Camera],
+    original: GaussianSequence | None,
+    progress: Progress,
+) -> Iterator[NDArray[np.uint8]]:
+    c = log.catalogue
+    best: dict[int, tuple[list[Gaussians], str]] = {}
+    beside: Gaussians | None
+    seen = [0] * len(log.shown)
+    at = log.shown[0].start_s
+    for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
+        progress("rendering the screen", tick, len(ticks))
+        s, frame, camera = log.shown[entry], ticks[tick][1], cameras[tick]
+        waits = seen[entry] == s.frames
+        seen[entry] += not waits
+        picture = (
+            np.zeros((camera.height, camera.width, 3), np.uint8)
+            if gaussians is None
+            else to_bytes(render(gaussians, camera).rgb)
+        )
+        words = "lost" if s.rung is None else c.names[s.rung]
+        picture = label(picture, words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
+        if waits:
+            picture = label(picture, "waiting for data", 1)
+        picture = buffer_bar(picture, buffered_s(log, at), log.settings.buffer_s, waits)
+        if original is not None:
+            beside, name = original.read(c.manifest.segments[s.segment].start + frame), "original"
+        else:
+            if s.segment not in best:
+                best = {s.segment: _best(package, c, s.segment)}
+            frames, name = best[s.segment]
+            beside = frames[frame] if frames else None
+        shown = np.zeros_like(picture) if beside is None else to_bytes(render(beside, camera).rgb)
+        yield np.concatenate([picture, label(shown, name)], axis=1)
+        at += 1 / c.fps
+
+
+def buffered_s(log: SessionLog, at_s: float) -> float:
+    """Media at hand and not yet shown at a moment."""
+    fps = log.catalogue.fps
+    at_hand = sum(s.frames / fps for s in log.shown if s.ready_s <= at_s)
+    played = sum(min(max(at_s - s.start_s, 0.0), s.frames / fps) for s in log.shown)
+    return max(0.0, at_hand - played)
+
+
+def buffer_bar(picture: NDArray[np.uint8], seconds: float, limit: float, waits: bool) -> NDArray[np.uint8]:
+    """(H, W, 3) with a bar along the lower edge: green as long as the buffer is full, red while the viewer waits."""
+    out = picture.copy()
+    height, width = picture.shape[:2]
+    thick = max(4, height // 60)
+    filled = round(width * min(1.0, seconds / limit))
+    out[-thick:] = (150, 40, 30) if waits else (60, 60, 60)
+    out[-thick:, :filled] = (70, 170, 95)
+    return out
+
+
+def still(package: Package, log: SessionLog, camera: Camera) -> NDArray[np.uint8]:
+    """(H, W, 3) the first frame of the worst segment shown: at the package's best rung, and as it was shown."""
+    c = log.catalogue
+    shown = [s for s in log.shown if s.rung is not None]
+    if not shown:
+        return label(np.zeros((camera.height, camera.width, 3), np.uint8), "nothing could be shown")
+    worst = min(shown, key=lambda s: s.psnr if s.psnr is not None else -(s.rung or 0))
+    pictures = []
+    worst_frames = _segment(package, worst.segment, *c.rungs[worst.rung or 0])
+    text = f"worst shown: {c.names[worst.rung or 0]}" + ("" if worst.psnr is None else f"  {worst.psnr:.1f} dB")
+    for frames, words in (_best(package, c, worst.segment), (worst_frames, text)):
+        pictures.append(label(to_bytes(render(frames[0], camera).rgb), words))
+    return np.concatenate(pictures, axis=1)

@@ -1,0 +1,204 @@
+"""Pictures and a page of what happened in a session."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from airgs_codec._report import page
+from airgs_codec.errors import ConfigError
+from airgs_codec.play.metrics import frame_times, mean_quality, metrics, screen_ticks, session_bound
+from airgs_codec.play.session import SessionLog
+
+_BLUE, _ORANGE, _GREEN, _RED, _GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
+
+
+def write_report(log: SessionLog, directory: Path) -> Path:
+    """Write session.json, session.png and index.html into `directory`; gives the page. Raises ConfigError."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        record = {
+            "metrics": metrics(log),
+            "fetches": [dataclasses.asdict(f) for f in log.fetches],
+            "shown": [dataclasses.asdict(s) for s in log.shown],
+        }
+        (directory / "session.json").write_text(json.dumps(record, indent=1) + "\n")
+        plot_session(log, directory / "session.png")
+        (directory / "index.html").write_text(_page(log, directory), encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{directory}: cannot write the report: {error}") from error
+    return directory / "index.html"
+
+
+def plot_session(log: SessionLog, path: Path) -> None:
+    """Six panels over time: throughput, rungs, buffer, PSNR on the screen, arrival of every frame, time it took."""
+    from matplotlib.figure import Figure  # half a second of imports, paid only for pictures
+
+    figure = Figure(figsize=(11, 16.5), layout="constrained")
+    axes = figure.subplots(6, 1, sharex=True)
+    for draw, axis in zip((_throughput, _rungs, _buffer, _psnr, _arrivals, _transfers), axes, strict=True):
+        draw(axis, log)
+        axis.grid(alpha=0.25)
+        for s in log.shown:
+            if s.stall_s > 1e-9:
+                axis.axvspan(s.start_s - s.stall_s, s.start_s, color=_RED, alpha=0.12, linewidth=0)
+    axes[-1].set_xlabel("seconds since the first request (red: waiting for data)")
+    axes[0].set_xlim(0, _end(log))
+    figure.savefig(path, dpi=100)
+
+
+def _end(log: SessionLog) -> float:
+    last = log.shown[-1]
+    return last.start_s + last.frames / log.catalogue.fps
+
+
+def _throughput(axis: Any, log: SessionLog) -> None:
+    trace = log.link.trace
+    grid = np.linspace(0, _end(log), 1500)
+    axis.fill_between(grid, [trace.rate_at(t) / 1e6 for t in grid], color=_BLUE, alpha=0.25, linewidth=0, label="trace")
+    times = [f.request_s for f in log.fetches]
+    axis.step(times, [f.throughput_bps / 1e6 for f in log.fetches], where="post", color=_BLUE, label="estimate")
+    axis.set(ylabel="Mbit/s", title=f"Throughput: {trace.name}, mean {trace.mean_bps / 1e6:.1f} Mbit/s", ylim=(0, None))
+    sizes = axis.twinx()
+    for kind, marker, color in (("group", "s", _ORANGE), ("state", "o", _GREEN), ("better", "^", _RED)):
+        batch = [f for f in log.fetches if f.kind == kind]
+        if not batch:
+            continue
+        sizes.plot(
+            [f.request_s for f in batch],
+            [f.bytes / 1e3 for f in batch],
+            marker,
+            color=color,
+            ms=4,
+            label="key + state" if kind == "group" else kind,
+        )
+    budgets = [(f.request_s, f.budget_bytes / 1e3) for f in log.fetches if f.budget_bytes > 0]
+    if budgets:
+        sizes.plot(*zip(*budgets, strict=True), "_", color=_GREY, ms=8, label="budget")
+    sizes.set(ylabel="kB a batch", yscale="log")
+    for ticks in (sizes.yaxis.set_major_formatter, sizes.yaxis.set_minor_formatter):
+        ticks("{x:g}")
+    sizes.tick_params(which="both", labelsize=8)
+    axis.set_ylim(0, 1.2 * axis.get_ylim()[1])  # room for the legend
+    sizes.set_ylim(top=2 * sizes.get_ylim()[1])
+    lines = [*axis.get_legend_handles_labels()[0], *sizes.get_legend_handles_labels()[0]]
+    axis.legend(lines, [line.get_label() for line in lines], loc="upper right", ncols=5, fontsize=8)
+
+
+def _rungs(axis: Any, log: SessionLog) -> None:
+    names = [*log.catalogue.names, "lost"]
+    for s in log.shown:
+        y = len(names) - 1 if s.rung is None else s.rung
+        color = _GREEN if s.rung is not None else _RED
+        axis.plot([s.start_s, s.start_s + s.frames / log.catalogue.fps], [y, y], color=color, linewidth=5)
+    if all(s.rung is not None for s in log.shown):
+        names.pop()
+    axis.set_yticks(range(len(names)), names, fontsize=8)
+    axis.set(title="Rung shown: key quality and level", ylim=(len(names) - 0.5, -0.5))
+
+
+def _buffer(axis: Any, log: SessionLog) -> None:
+    fps = log.catalogue.fps
+    ready = [0.0, *np.cumsum([s.frames / fps for s in log.shown])]
+    grid = np.linspace(0, _end(log), 1500)
+    starts, arrivals = np.array([s.start_s for s in log.shown]), np.array([s.ready_s for s in log.shown])
+    lengths = np.array([s.frames / fps for s in log.shown])
+    played = np.array([np.clip(t - starts, 0, lengths).sum() for t in grid])
+    at_hand = np.array(ready)[np.searchsorted(arrivals, grid, side="right")]
+    axis.fill_between(grid, at_hand - played, color=_ORANGE, alpha=0.5, linewidth=0)
+    result = metrics(log)
+    title = f"Buffer: {result['stalls']} stalls, {result['stall_s']:.2f} s of waiting after the start"
+    axis.set(ylabel="s of media", title=title, ylim=(0, None))
+
+
+def _psnr(axis: Any, log: SessionLog) -> None:
+    values = [log.shown[i].psnr for i, _ in screen_ticks(log)]
+    if all(v is None for v in values):
+        axis.text(0.5, 0.5, "quality was not measured", ha="center", transform=axis.transAxes)
+    else:
+        fps = log.catalogue.fps
+        times = log.shown[0].start_s + np.arange(len(values)) / fps
+        axis.step(times, np.array(values, np.float64), where="post", color=_BLUE)
+    axis.set(ylabel="dB", title="PSNR of what was on the screen (measured a segment; a frozen picture keeps its own)")
+
+
+def _arrivals(axis: Any, log: SessionLog) -> None:
+    fps = log.catalogue.fps
+    displays = np.concatenate([s.start_s + np.arange(s.frames) / fps for s in log.shown])
+    arrivals = np.concatenate([np.full(s.frames, s.ready_s) for s in log.shown])
+    frames = np.arange(len(displays))
+    axis.step(displays, frames, where="post", color=_GREY, label="shown")
+    axis.plot(arrivals, frames, ".", ms=3, color=_GREEN, label="arrived and decoded")
+    axis.set(ylabel="frame", title="Every frame: when it arrived, when it was shown")
+    axis.legend(loc="upper left", fontsize=8)
+
+
+def _transfers(axis: Any, log: SessionLog) -> None:
+    """The paper's transmission time: request to arrival of a batch, shared by the frames it shows."""
+    batches = [f for f in log.fetches if f.kind != "manifests"]
+    frames = np.array([log.shown[f.position].frames for f in batches])
+    took = 1e3 * np.array([f.arrival_s - f.request_s for f in batches]) / np.maximum(frames, 1)
+    axis.axhline(1e3 / log.catalogue.fps, color=_GREY, linestyle="--", label="a frame on the screen")
+    axis.plot([f.arrival_s for f in batches], took, ".", color=_GREEN, label="a frame on its way")
+    every = 1e3 * frame_times(log)
+    title = "Time a frame was on its way, its share of round trip and key included"
+    if len(every):
+        title += f": mean {every.mean():.0f} ms, 95 % under {np.percentile(every, 95):.0f} ms"
+    axis.set(ylabel="ms", title=title, ylim=(0, None))
+    axis.legend(loc="upper left", fontsize=8)
+
+
+def format_metrics(log: SessionLog) -> str:
+    """The figures as lines of text."""
+    return "\n".join(f"{name:<22}{value}" for name, value in _readable(log))
+
+
+def _readable(log: SessionLog) -> list[tuple[str, str]]:
+    r: dict[str, Any] = metrics(log)
+    bound = session_bound(log) if log.catalogue.measured else None
+    notes = [f"from {r['trace_offset_s']:g} s"] * (r["trace_offset_s"] > 0)
+    notes += [f"rates x{r['trace_scale']:g}"] * (r["trace_scale"] != 1)
+    notes += [{"loop": "repeated", "hold": "last rate held", "error": ""}[r["trace_end"]]] * r["trace_ended"]
+    quality = "not measured"
+    if r["psnr_mean"] is not None:
+        quality = f"mean {r['psnr_mean']:.2f} dB, 5th percentile {r['psnr_p5']:.2f} dB"
+    wire = ", ".join(f"{kind} {size / 1e3:.1f}" for kind, size in r["bytes"].items())
+    rows = [
+        ("policy", log.settings.policy),
+        ("trace", f"{r['trace']}, mean {r['trace_mean_bps'] / 1e6:.2f} Mbit/s" + "".join(f", {n}" for n in notes)),
+        ("played", f"{r['frames']} frames, {r['played_s']:.2f} s"),
+        ("start-up", f"{r['startup_s']:.3f} s"),
+        ("stalls", f"{r['stalls']}, {r['stall_s']:.3f} s, {100 * r['stall_ratio']:.2f} %"),
+        ("PSNR on screen", quality),
+        ("rungs", ", ".join(f"{name} x{count}" for name, count in r["rungs"].items())),
+        ("switches", f"{r['switches']}, mean change {r['change_db']:.2f} dB"),
+        ("fetched, kB", f"{wire}; {r['bytes_per_frame'] / 1e3:.2f} a frame"),
+        ("wire", f"{r['wire_bytes'] / 1e3:.1f} kB with headers, {100 * r['utilisation']:.0f} % of what could pass"),
+        ("wasted", f"{100 * r['wasted']:.1f} %: {r['replaced']} replacements, {r['abandoned']} abandoned"),
+        ("frame on its way", f"mean {r['frame_ms_mean']:.0f} ms, 95 % under {r['frame_ms_p95']:.0f} ms"),
+        ("choices without fit", f"{100 * r['infeasible']:.0f} %"),
+    ]
+    if r["qoe"] is not None:
+        rows.append(("QoE", f"{r['qoe']:.2f} dB: quality - changes - 20 dB for a second of waiting"))
+    if bound is not None:
+        regret = f"regret {bound - mean_quality(log):.2f} dB"
+        rows.append(("best possible", f"at most {bound:.2f} dB at the same moments, mean of segments: {regret}"))
+    if log.lost:
+        rows.append(("lost", f"{r['lost_frames']} frames; {'; '.join(log.lost)}"))
+    return rows
+
+
+def _page(log: SessionLog, directory: Path) -> str:
+    rows = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(b)}</td></tr>" for a, b in _readable(log))
+    extra = (
+        '<img src="screen.png" alt="the worst segment shown, beside the best rung">'
+        if (directory / "screen.png").exists()
+        else ""
+    )
+    picture = '<img src="session.png" alt="throughput, rungs, buffer, quality and arrivals over time">'
+    return page("airgs-play", f"<table>{rows}</table>{extra}{picture}")

@@ -1,0 +1,1 @@
+"""Multi-view video on disk: readers of the formats people have."""

@@ -1,0 +1,1 @@
+"""Fitting the Gaussians of one frame."""

@@ -1,0 +1,1 @@
+"""How far a rendered picture is from the filmed one, with gradients."""

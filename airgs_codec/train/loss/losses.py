@@ -1,0 +1,95 @@
+"""L_3DGS = (1 - lambda) L1 + lambda (1 - SSIM) of pictures (H, W, 3), and its gradient.
+
+On the CPU one fused pass (`loss_kernels`); on CUDA the same numbers from separable convolutions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from airgs_codec.train.loss import kernels as kernels
+from airgs_codec.train.loss.target import Target
+
+LAMBDA = 0.2  # weight of D-SSIM, AirGS "Representation" and 3DGS
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """How a rendered picture compares with its target."""
+
+    loss: torch.Tensor  # scalar, differentiable
+    mse: float  # of unclipped samples
+    ssim: float  # zero outside the picture
+
+
+def photometric(rgb: torch.Tensor, target: Target, weight: float = LAMBDA) -> Match:
+    """L_3DGS of `rgb` (H, W, 3); `weight` is lambda."""
+    if rgb.is_cuda:
+        return _on_cuda(rgb, target, weight)
+    sums: list[float] = []
+    loss = _Fused.apply(rgb, target, weight, sums)
+    return Match(loss, sums[2], sums[1])
+
+
+class _Fused(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rgb: torch.Tensor, target: Target, weight: float, out: list[float]) -> torch.Tensor:
+        rows = np.ascontiguousarray(rgb.detach().numpy(), np.float32).reshape(target.rows.shape)
+        gradient = np.empty_like(rows)
+        sums = np.empty((len(rows), 3))
+        scratch = _scratch(rows.shape)
+        arguments = (1 - weight, weight, *scratch, gradient, sums)
+        kernels.l1_dssim(rows, target.rows, target.mean, target.variance, *arguments)
+        l1, ssim, square = sums.sum(axis=0) / rows.size
+        out += [float(l1), float(ssim), float(square)]
+        ctx.gradient = torch.from_numpy(gradient.reshape(rgb.shape))
+        return torch.tensor((1 - weight) * l1 + weight * (1 - ssim), dtype=torch.float32)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
+        return ctx.gradient * grads[0], None, None, None
+
+
+_SCRATCH: dict[tuple[int, ...], tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
+
+
+def _scratch(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    if shape not in _SCRATCH:
+        padded = (3, shape[0] + 2 * kernels.RADIUS, shape[1])
+        _SCRATCH[shape] = (np.zeros(padded, np.float32), np.zeros(padded, np.float32))
+    return _SCRATCH[shape]
+
+
+_ON_DEVICE: WeakKeyDictionary[Target, torch.Tensor] = WeakKeyDictionary()
+
+
+def _on_cuda(rgb: torch.Tensor, target: Target, weight: float) -> Match:
+    if target not in _ON_DEVICE:
+        _ON_DEVICE[target] = torch.from_numpy(target.rgb).to(rgb)
+    truth = _ON_DEVICE[target]
+    similarity = windowed_ssim(rgb, truth)
+    loss = (1 - weight) * (rgb - truth).abs().mean() + weight * (1 - similarity)
+    return Match(loss, float((rgb.detach() - truth).square().mean()), float(similarity.detach()))
+
+
+def windowed_ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Mean SSIM of (H, W, 3) pictures that are zero outside: the definition, any device and precision."""
+    half = [kernels.W0, kernels.W1, kernels.W2, kernels.W3, kernels.W4]
+    window = torch.tensor([*half, kernels.W5, *half[::-1]], dtype=a.dtype, device=a.device)
+
+    def blur(x: torch.Tensor) -> torch.Tensor:
+        x = x.permute(2, 0, 1)[:, None]
+        x = torch.nn.functional.conv2d(x, window.reshape(1, 1, 1, -1), padding=(0, kernels.RADIUS))
+        return torch.nn.functional.conv2d(x, window.reshape(1, 1, -1, 1), padding=(kernels.RADIUS, 0))[:, 0]
+
+    mean_a, mean_b = blur(a), blur(b)
+    var_a, var_b, covariance = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2, blur(a * b) - mean_a * mean_b
+    c1, c2 = float(kernels.C1), float(kernels.C2)
+    top = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
+    return (top / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))).mean()

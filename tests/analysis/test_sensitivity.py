@@ -1,0 +1,108 @@
+"""Predicted against rendered errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.analysis.sensitivity import measure_sensitivity
+from airgs_codec.coding.motion import motion_classes, motion_units
+from airgs_codec.coding.weights import channel_weights, withheld_error
+from airgs_codec.media.metrics import mse
+from airgs_codec.package.tables import StateSteps
+from airgs_codec.render import render
+from airgs_codec.scene.gaussians import Gaussians, sigmoid
+from airgs_codec.scene.rotations import from_rotation_vector, multiply
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX
+
+
+@pytest.fixture(scope="module")
+def scene():
+    sequence = open_sequence(FOX)
+    frame = sequence.load([4]).frames[0]
+    cameras = list(sequence.cameras)[:4]
+    return frame, cameras, measure_sensitivity([frame] * 8, cameras)
+
+
+def jittered(g: Gaussians, name: str, size: float) -> Gaussians:
+    rng = np.random.default_rng(7)
+    columns = {n: getattr(g, n) for n in g.__slots__}
+    if name == "quaternions":
+        turn = from_rotation_vector(rng.normal(0, size, (len(g), 3)))
+        columns[name] = multiply(turn, g.quaternions.astype(np.float64)).astype(np.float32)
+    elif name == "opacity":
+        alpha = sigmoid(g.opacity_logits.astype(np.float64)) + rng.normal(0, size, len(g))
+        alpha = np.clip(alpha, 1e-6, 1 - 1e-6)
+        columns["opacity_logits"] = np.log(alpha / (1 - alpha)).astype(np.float32)
+    else:
+        noise = rng.normal(0, size, columns[name].shape)
+        columns[name] = (columns[name] + noise).astype(np.float32)
+    return Gaussians(**columns)
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("means", 3e-4),
+        ("quaternions", 1e-2),
+        ("log_scales", 3e-2),
+        ("opacity", 1e-2),
+        ("sh_dc", 1e-2),
+        ("sh_rest", 1e-2),
+    ],
+)
+def test_errors_of_the_size_of_a_step_make_the_error_that_was_predicted(scene, name, size):
+    frame, cameras, s = scene
+    worse = jittered(frame, name, size)
+    rendered = np.mean([mse(render(worse, c).rgb, render(frame, c).rgb) for c in cameras])
+    assert size**2 * getattr(s, name).sum() == pytest.approx(rendered, rel=0.2)
+
+
+def test_rows_that_no_view_shows_have_none(scene):
+    frame, cameras, _ = scene
+    away = replace_means(frame, frame.means + np.float32(1e5))
+    s = measure_sensitivity([away], cameras)
+    assert all(not getattr(s, name).any() for name in s.__slots__)
+
+
+def replace_means(g: Gaussians, means) -> Gaussians:
+    return Gaussians(means, *(getattr(g, n) for n in g.__slots__[1:]))
+
+
+def test_motion_units_are_the_nearest_power_of_two_to_one_over_the_root_of_the_derivative(scene):
+    _, _, s = scene
+    floor = 1e-3 * float(np.median(s.means))
+    units = motion_units(motion_classes(s.means, floor))
+    wanted = np.maximum(s.means, floor) ** -0.25
+    assert (np.abs(np.log2(units / wanted)) <= 0.5 + 1e-6).all()
+    assert len(np.unique(units)) > 3
+
+
+def test_the_cost_of_withholding_is_the_rendered_one(scene):
+    frame, cameras, s = scene
+    steps = StateSteps(means=1e-4, quaternions=0.01, log_scales=0.02, opacity=1e-3, sh_dc=0.01, sh_rest=0.01)
+    classes = motion_classes(s.means, 1e-2 * float(np.median(s.means)))
+    channels = 10 + 3 * (1 + frame.sh_rest.shape[1])
+    moved = np.random.default_rng(0).normal(0, 1, (1, channels, len(frame)))
+    weights = channel_weights(classes, s, steps, np.eye(channels - 10))
+    for start, stop, name in ((0, 3, "means"), (3, 6, "log_scales"), (10, channels, "sh_dc")):
+        changes = np.zeros_like(moved)
+        changes[:, start:stop] = moved[:, start:stop]
+        columns = {n: getattr(frame, n) for n in frame.__slots__}
+        if name == "sh_dc":
+            columns["sh_dc"] = frame.sh_dc + np.float32(steps.sh_dc) * changes[0, 10:13].T.astype(np.float32)
+            rest = changes[0, 13:].T.reshape(frame.sh_rest.shape).astype(np.float32)
+            columns["sh_rest"] = frame.sh_rest + np.float32(steps.sh_rest) * rest
+        else:
+            unit = motion_units(classes)[:, None] if name == "means" else 1.0
+            columns[name] = (columns[name] + getattr(steps, name) * unit * changes[0, start:stop].T).astype(np.float32)
+        rendered = np.mean([mse(render(Gaussians(**columns), c).rgb, render(frame, c).rgb) for c in cameras])
+        assert withheld_error(changes, weights).sum() == pytest.approx(rendered, rel=0.3), name
+
+
+def test_views_and_frames_are_averaged(scene):
+    frame, cameras, _ = scene
+    once, twice = (measure_sensitivity(frames, cameras[:1]) for frames in ([frame], [frame, frame]))
+    assert twice.sh_dc.sum() == pytest.approx(once.sh_dc.sum(), rel=0.1)
+    assert replace(once).take(np.array([2, 0])).opacity.tolist() == [once.opacity[2], once.opacity[0]]

@@ -1,0 +1,219 @@
+"""The commands as a user runs them: reports, files, exit codes, one clear line for bad input."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from airgs_codec.cli import decode, encode, manifest, play
+from airgs_codec.scene.ply import read_ply, write_ply
+from tests.support.paths import FOX
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+
+
+@pytest.fixture(scope="module")
+def package(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cli")
+    scene = write_sequence(folder / "scene", moving_frames(120, 4), fps=10, keyframes=[0, 2])
+    options = ["--preset", "veryfast", "--steps", "default"]
+    assert encode.main([str(scene), "-o", str(folder / "out"), *options, "--json"]) == 0
+    return folder / "out"
+
+
+def line_of(capsys):
+    """The one line on stderr."""
+    text = capsys.readouterr().err.strip()
+    assert "\n" not in text and "Traceback" not in text
+    return text
+
+
+def test_encode_reports_what_it_did(tmp_path, capsys):
+    scene = write_sequence(tmp_path / "scene", moving_frames(60, 2))
+    assert encode.main([str(scene), "--preset", "veryfast", "--measure-frames", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "Q0 + L0" in out and "generated views" in out
+    assert (tmp_path / "scene.airgs" / "manifest.mpd").exists()
+
+
+def test_the_folder_one_stands_in_can_be_encoded(tmp_path, monkeypatch):
+    monkeypatch.chdir(write_sequence(tmp_path / "scene", moving_frames(20, 1)))
+    assert encode.main([".", "--preset", "ultrafast", "--measure-frames", "0", "--json"]) == 0
+    assert (tmp_path / "scene.airgs" / "manifest.mpd").exists()
+
+
+def test_ladder_presets_and_levels(tmp_path, capsys):
+    scene = write_sequence(tmp_path / "scene", moving_frames(60, 2))
+    base = [str(scene), "-o", str(tmp_path / "out"), "--preset", "ultrafast", "--measure-frames", "0"]
+    assert encode.main([*base, "--ladder", "paper", "--json"]) == 0
+    tables = json.loads((tmp_path / "out" / "airgs.json").read_text())
+    assert [(v["pruned"], v["factor"]) for v in tables["levels"]] == [(i / 10, 1.0) for i in range(10)]
+    assert encode.main([*base, "--levels", "0:1,25:4", "--quality", "low"]) == 0
+    tables = json.loads((tmp_path / "out" / "airgs.json").read_text())
+    assert [(v["pruned"], v["factor"]) for v in tables["levels"]] == [(0.0, 1.0), (0.25, 4.0)]
+    assert encode.main([*base, "--levels", "zero"]) == 2
+    assert "PRUNED:FACTOR" in capsys.readouterr().err
+
+
+def test_decode_writes_frames(package, tmp_path, capsys):
+    assert decode.main([str(package), "-o", str(tmp_path / "d"), "--level", "L3", "--key-quality", "Q1"]) == 0
+    assert sorted(p.name for p in (tmp_path / "d").iterdir()) == [f"{i:06d}.ply" for i in range(4)]
+    assert decode.main([str(package), "-o", str(tmp_path / "e"), "--frames", "3", "--json"]) == 0
+    assert [p.name for p in (tmp_path / "e").iterdir()] == ["000003.ply"]
+    assert len(read_ply(tmp_path / "e" / "000003.ply")) == 120
+
+
+@pytest.mark.parametrize(
+    "options",
+    [["--level", "L9"], ["--key-quality", "x"], ["--frames", "2:99"], ["--frames", "a:b"], ["--frames", "3:3"]],
+)
+def test_decode_refuses_what_is_not_there(package, tmp_path, options, capsys):
+    assert decode.main([str(package), "-o", str(tmp_path / "d"), *options]) == 2
+    assert "expected" in line_of(capsys)
+    assert not (tmp_path / "d").exists()
+
+
+def test_inspect_and_validate(package, tmp_path, capsys):
+    assert manifest.main(["inspect", str(package), "--plot", str(tmp_path / "p.png")]) == 0
+    out = capsys.readouterr().out
+    for word in ("key tier", "pruned", "PSNR", "left out", "top rung by attribute"):
+        assert word in out
+    assert (tmp_path / "p.png").stat().st_size > 10_000
+    assert manifest.main(["inspect", str(package), "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["frames"] == 4 and len(data["rungs"]) == 8 and data["rungs"][0]["psnr"] > 30
+    total = sum(data["top_rung_bytes"].values())
+    assert total == pytest.approx(4 * data["rungs"][0]["bytes_per_frame"])
+    assert manifest.main(["validate", str(package)]) == 0
+    assert capsys.readouterr().out.startswith("valid: 4 frames")
+
+
+@pytest.mark.parametrize("damage", ["missing", "corrupt", "foreign", "no manifest", "empty folder"])
+def test_a_damaged_package_is_named(package, tmp_path, damage, capsys):
+    broken = tmp_path / "broken"
+    shutil.copytree(package, broken)
+    victim = broken / "key" / "T0" / "Q0" / "1.m4s"
+    if damage == "missing":
+        victim.unlink()
+    elif damage == "corrupt":
+        data = bytearray(victim.read_bytes())
+        data[-9] ^= 255
+        victim.write_bytes(data)
+    elif damage == "foreign":
+        (broken / "extra.bin").write_bytes(b"x")
+    elif damage == "no manifest":
+        (broken / "manifest.mpd").unlink()
+    else:
+        shutil.rmtree(broken)
+        broken.mkdir()
+    assert manifest.main(["validate", str(broken)]) == 1
+    assert len(capsys.readouterr().out.strip().splitlines()) == 1
+    if damage != "foreign":
+        assert decode.main([str(broken), "-o", str(tmp_path / "d")]) == 2
+        line_of(capsys)
+
+
+def test_play_reports_pictures_and_a_film(package, tmp_path, capsys):
+    (tmp_path / "t.csv").write_text("time_s,mbps\n0,3\n1,0.2\n4,3\n")
+    arguments = [str(package), "--trace", str(tmp_path / "t.csv"), "--loops", "2", "--report", str(tmp_path / "r")]
+    assert play.main([*arguments, "--video", str(tmp_path / "v.mp4")]) == 0
+    out = capsys.readouterr().out
+    assert "start-up" in out and "stalls" in out
+    for name in ("index.html", "session.png", "screen.png", "session.json"):
+        assert (tmp_path / "r" / name).stat().st_size > 500
+    assert (tmp_path / "v.mp4").stat().st_size > 2000
+    assert play.main([*arguments, "--policy", "fixed:3", "--json"]) == 0
+    assert set(json.loads(capsys.readouterr().out)["rungs"]) == {"Q0+L3"}
+
+
+@pytest.mark.parametrize(
+    ("content", "options"),
+    [
+        ("junk\nlines", []),
+        ("0,0\n", []),
+        ("0,1\n", ["--policy", "magic"]),
+        ("0,1\n", ["--scale", "0"]),
+        ("0,1\n", ["--rtt", "-1"]),
+    ],
+)
+def test_play_refuses_bad_traces_and_options(package, tmp_path, content, options, capsys):
+    (tmp_path / "t.csv").write_text(content)
+    assert play.main([str(package), "--trace", str(tmp_path / "t.csv"), *options]) == 2
+    line = line_of(capsys)
+    assert "expected" in line or "zero all the time" in line
+
+
+def bad_scene(folder, what):
+    frames = moving_frames(20, 2)
+    if what == "one frame that is no ply":
+        write_sequence(folder, frames)
+        (folder / "000001.ply").write_bytes(b"no ply")
+    elif what == "truncated":
+        write_sequence(folder, frames)
+        path = folder / "000001.ply"
+        path.write_bytes(path.read_bytes()[:-50])
+    elif what == "no gaussians":
+        write_sequence(folder, [frames[0].take(np.arange(0))])
+    elif what == "sh degree changes":
+        write_sequence(folder, [frames[0], random_gaussians(20, 1)])
+    elif what == "empty folder":
+        folder.mkdir()
+    elif what == "bad cameras":
+        write_sequence(folder, frames)
+        (folder / "transforms.json").write_text("{}")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        "missing",
+        "empty folder",
+        "one frame that is no ply",
+        "truncated",
+        "no gaussians",
+        "sh degree changes",
+        "bad cameras",
+    ],
+)
+def test_encode_refuses_bad_scenes_in_one_line_and_leaves_nothing(tmp_path, what, capsys):
+    scene = bad_scene(tmp_path / "scene", what)
+    assert encode.main([str(scene), "-o", str(tmp_path / "out")]) == 2
+    assert "expected" in line_of(capsys)
+    assert sorted(p.name for p in tmp_path.iterdir()) in (["scene"], [])
+
+
+def test_encode_names_the_repairs(tmp_path, capsys):
+    g = random_gaussians(30)
+    arrays = {n: getattr(g, n).copy() for n in g.__slots__}
+    arrays["quaternions"][3] = 0
+    arrays["means"][4] = np.nan
+    scene = tmp_path / "scene"
+    scene.mkdir()
+    write_ply(scene / "0.ply", type(g)(**arrays))
+    assert encode.main([str(scene), "-o", str(tmp_path / "out"), "--preset", "veryfast"]) == 0
+    out = capsys.readouterr().out
+    assert "1 Gaussians that are not finite" in out and "1 Gaussians with zero quaternions" in out
+
+
+def test_commands_say_what_they_take(capsys):
+    for command in (encode, decode, manifest, play):
+        with pytest.raises(SystemExit) as done:
+            command.main(["--help"])
+        assert done.value.code == 0
+        assert "usage: airgs-" in capsys.readouterr().out
+
+
+def test_the_embedded_scene_has_an_attribution(tmp_path):
+    shutil.copytree(FOX, tmp_path / "fox")
+    assert encode.main([str(tmp_path / "fox"), "--preset", "ultrafast", "--measure-frames", "0", "--json"]) == 0
+    assert "tomkranis" in json.loads((tmp_path / "fox.airgs" / "airgs.json").read_text())["attribution"]
+
+
+def test_a_target_that_cannot_be_written_is_one_line(tmp_path, capsys):
+    scene = write_sequence(tmp_path / "scene", moving_frames(20, 1))
+    (tmp_path / "file").write_text("in the way")
+    assert encode.main([str(scene), "-o", str(tmp_path / "file" / "out")]) == 2
+    assert "file" in line_of(capsys)
+    assert encode.main([str(scene), "-o", str(tmp_path / "file")]) == 2
+    assert "got a file" in line_of(capsys)

@@ -1,0 +1,114 @@
+"""Full disks, targets that cannot be written, bombs: one line, exit code 2, and what was there stays."""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from airgs_codec.decoder.decode import decode_frame
+from airgs_codec.errors import FormatError
+from airgs_codec.inspect.validate import validate
+from airgs_codec.package.store import open_package, staged
+from tests.support.paths import FOX, VALID
+from tests.support.scenes import moving_frames, write_sequence
+
+MOVING = VALID / "moving"
+ENCODE = ["--preset", "ultrafast", "--steps", "default", "--measure-frames", "0"]
+
+
+def command(module, *words, limit=None, check=False):
+    """One of our commands as a process that may write files of at most `limit` bytes."""
+
+    def limited():
+        if limit is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    code = f"import sys; from airgs_codec.cli.{module} import main; sys.exit(main(sys.argv[1:]))"
+    words = [sys.executable, "-c", code, *map(str, words)]
+    return subprocess.run(words, capture_output=True, text=True, preexec_fn=limited, check=check)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return write_sequence(tmp_path_factory.mktemp("faults") / "scene", moving_frames(3000, 3))
+
+
+def test_a_full_disk_leaves_the_old_package(scene, tmp_path):
+    target = tmp_path / "out.airgs"
+    command("encode", scene, "-o", target, *ENCODE, check=True)
+    before = {p: p.read_bytes() for p in target.rglob("*") if p.is_file()}
+    done = command("encode", scene, "-o", target, *ENCODE, "--quality", "high", limit=4000)
+    assert (
+        done.returncode == 2
+        and done.stderr.count("\n") == 1
+        and ("too large" in done.stderr or "disk full" in done.stderr)
+    )
+    assert {p: p.read_bytes() for p in target.rglob("*") if p.is_file()} == before
+    assert validate(target) == []
+    assert [p.name for p in tmp_path.iterdir()] == ["out.airgs"]  # nothing half-written beside it
+
+
+@pytest.mark.parametrize("target", ["/proc/out.airgs", "/dev/null/out.airgs"])
+def test_a_target_that_cannot_be_written(scene, target):
+    done = command("encode", scene, "-o", target, *ENCODE)
+    assert done.returncode == 2 and done.stderr.startswith("airgs-encode: ") and done.stderr.count("\n") == 1
+
+
+def test_a_full_disk_while_decoding(tmp_path):
+    done = command("decode", MOVING, "-o", tmp_path / "frames", limit=1000)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        (("groups", 0, "count"), 1 << 24),
+        (("groups", 0, "tiers", 0, "count"), 1 << 24),
+        (("frames",), 10**6),
+        (("state_pictures", 0, "width"), 16384),
+        (("timescale",), 1 << 31),
+    ],
+)
+def test_absurd_counts_are_refused_with_little_memory(tmp_path, where, value):
+    bomb = tmp_path / "bomb.airgs"
+    shutil.copytree(MOVING, bomb)
+    data = json.loads((bomb / "airgs.json").read_text())
+    here = data
+    for key in where[:-1]:
+        here = here[key]
+    here[where[-1]] = value
+    (bomb / "airgs.json").write_text(json.dumps(data))
+    with pytest.raises(FormatError):
+        decode_frame(open_package(bomb), 0)
+
+
+def test_a_kill_in_the_middle_leaves_the_old_package(scene, tmp_path):
+    """tools/kill_test.py does it fifty times."""
+    target = tmp_path / "out.airgs"
+    command("encode", scene, "-o", target, *ENCODE, check=True)
+    code = "import sys; from airgs_codec.cli.encode import main; sys.exit(main(sys.argv[1:]))"
+    process = subprocess.Popen([sys.executable, "-c", code, str(FOX), "-o", str(target)], stdout=subprocess.DEVNULL)
+    while process.poll() is None and not list(tmp_path.glob(".out.airgs.*.stage")):
+        os.sched_yield()
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert validate(target) == [] and open_package(target).manifest.frames == 3
+    with staged(target):  # another run at work
+        command("encode", scene, "-o", target, *ENCODE, check=True)
+        assert len(list(tmp_path.glob(".out.airgs.*.stage"))) == 1  # its folder stays, that of the killed run is gone
+    assert not list(tmp_path.glob(".out.airgs.*"))
+
+
+def test_a_package_that_was_moved_aside_comes_back(scene, tmp_path):
+    """Killed between the two renames that put a new package in the place of an old one."""
+    target = tmp_path / "out.airgs"
+    command("encode", scene, "-o", target, *ENCODE, check=True)
+    target.rename(tmp_path / ".out.airgs.abcd.old")
+    done = command("encode", scene, "-o", target, *ENCODE, "--quality", "high", limit=4000)  # and the disk is full
+    assert done.returncode == 2 and validate(target) == []
+    assert [p.name for p in tmp_path.iterdir()] == ["out.airgs"]

@@ -1,0 +1,74 @@
+"""airgs-play on a real, tiny package."""
+
+import json
+
+import pytest
+
+from airgs_codec.cli.play import main
+from tests.support.paths import FOX, VALID
+
+PACKAGE = VALID / "two-groups-sh1"
+TRACE = FOX / "trace.csv"
+
+
+def play(capsys, *options, package=PACKAGE, trace=TRACE):
+    status = main([str(package), "--trace", str(trace), *map(str, options)])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_json_repeats_exactly(capsys):
+    runs = [play(capsys, "--policy", "fixed:0", "--json") for _ in range(2)]
+    assert runs[0] == runs[1]
+    status, out, err = runs[0]
+    result = json.loads(out)
+    assert (status, err) == (0, "")
+    assert result["trace_scale"] == 1.0 and result["trace"] == "trace.csv" and result["frames"] > 0
+
+
+def test_report_and_film(capsys, tmp_path):
+    report, film = tmp_path / "report", tmp_path / "out.mp4"
+    status, out, _ = play(
+        capsys,
+        "--policy",
+        "fixed:0",
+        "--loops",
+        1,
+        "--report",
+        report,
+        "--video",
+        film,
+        "--views",
+        FOX / "transforms.json",
+    )
+    assert status == 0 and "start-up" in out
+    assert (report / "index.html").exists() and (report / "screen.png").exists()
+    assert film.read_bytes()[4:8] == b"ftyp"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--policy", "fixed:99"], "--policy: expected"),
+        (["--rtt", "-1"], "round trip"),
+        (["--rtt", "nan"], "round trip"),
+        (["--loops", "0"], "loops"),
+        (["--buffer", "nan"], "buffer"),
+        (["--offset", "1e9"], "offset"),
+        (["--scale", "0"], "scale"),
+        (["--views", "none.json", "--report", "never"], "none.json"),
+    ],
+)
+def test_bad_options_are_one_line_and_2(capsys, options, words):
+    status, out, err = play(capsys, *(["--policy", "fixed:0"] if "--policy" not in options else []), *options)
+    assert (status, out) == (2, "")
+    assert err.startswith("airgs-play: ") and words in err and err.count("\n") == 1
+
+
+def test_bad_files_are_one_line_and_2(capsys, tmp_path):
+    zero = tmp_path / "zero.csv"
+    zero.write_text("0,0\n1,0\n")
+    for options in ({"trace": zero}, {"trace": tmp_path / "none"}, {"package": tmp_path}):
+        status, out, err = play(capsys, "--policy", "fixed:0", **options)
+        assert (status, out) == (2, "")
+        assert err.startswith("airgs-play: ") and err.count("\n") == 1

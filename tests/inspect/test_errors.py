@@ -1,0 +1,76 @@
+"""max_error: kept by every package, measured again against the original, and found when it is a lie."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.cli.manifest import main
+from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.errors import measure_errors
+from airgs_codec.inspect.validate import exceeded, validate
+from airgs_codec.package.layout import KEY, STATE
+from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import JSON_NAME
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX
+from tests.support.scenes import moving_frames, write_sequence
+
+FAST = EncodeSettings(preset="veryfast", jobs=2)
+
+
+@pytest.fixture(scope="module")
+def fox(tmp_path_factory):
+    target = tmp_path_factory.mktemp("bounds") / "fox.airgs"
+    author_package(open_sequence(FOX), target, FAST, measure_frames=0, calibrated=False)
+    return target
+
+
+def test_every_atlas_keeps_its_bound_and_the_bound_is_tight(fox):
+    measured = list(measure_errors(open_package(fox), open_sequence(FOX)))
+    atlases = {m.where for m in measured}
+    m = open_package(fox).manifest
+    assert len(atlases) == len(m.groups) * (m.tier_count * len(m.qualities) + len(m.levels))
+    assert {e.attribute for e in measured if "key" in e.where} == set(KEY.attributes)
+    assert {e.attribute for e in measured if "state" in e.where} == set(STATE.attributes)
+    for e in measured:
+        assert e.error <= e.bound, e
+        assert e.ambiguous <= 0.02 * e.rows
+    ratios = [e.error / e.bound for e in measured if e.bound]
+    assert np.median(ratios) > 0.9 and min(ratios) > 0.5  # at most a sixth of a step is lost to not looking closer
+
+
+def test_coarser_levels_promise_less(fox):
+    for group in open_package(fox).manifest.groups:
+        errors = np.array([atlas.max_error for atlas in group.levels])
+        assert (errors[-1] >= errors[0]).all() and (errors[-1] > errors[0]).any()
+
+
+def test_a_lie_is_found(fox, capsys):
+    assert main(["validate", str(fox), "--against", str(FOX)]) == 0
+    assert "measured / max_error" in capsys.readouterr().out
+    text = (fox / JSON_NAME).read_text()
+    data = json.loads(text)
+    data["groups"][0]["levels"][0]["max_error"][0] *= 0.5
+    try:
+        (fox / JSON_NAME).write_text(json.dumps(data))
+        assert main(["validate", str(fox), "--against", str(FOX)]) == 1
+        assert "means: max_error" in capsys.readouterr().out
+    finally:
+        (fox / JSON_NAME).write_text(text)
+
+
+def test_another_sequence_is_refused(fox, tmp_path):
+    other = open_sequence(write_sequence(tmp_path / "scene", moving_frames(20, 3)))
+    with pytest.raises(ConfigError, match="expected 10 frames"):
+        list(measure_errors(open_package(fox), other))
+
+
+def test_left_out_rows_and_bands_do_not_matter(tmp_path):
+    """Rows in another order, some of them left out, and a sequence with more SH bands than are coded."""
+    sequence = open_sequence(write_sequence(tmp_path / "scene", moving_frames(300, 4, 1)))
+    author_package(sequence, tmp_path / "out", replace(FAST, keep_all=False), measure_frames=0, calibrated=False)
+    assert validate(tmp_path / "out") == exceeded(measure_errors(open_package(tmp_path / "out"), sequence)) == []

@@ -1,0 +1,181 @@
+"""Figures of `airgs-manifest inspect`, worked out by hand on a manifest of known sizes."""
+
+import dataclasses
+import json
+
+import pytest
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.inspection import (
+    bytes_by_attribute,
+    bytes_by_kind,
+    format_attributes,
+    format_summary,
+    left_out,
+    plot_ladder,
+    rungs,
+    segment_bits,
+    summarise,
+)
+from airgs_codec.media.image import read_png
+from airgs_codec.package.layout import KEY, STATE
+from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import LeftOut, pooled_quality
+from tests.support.manifests import tiny_manifest
+from tests.support.paths import VALID
+
+MANIFESTS = 700  # bytes of airgs.json and manifest.mpd, say
+
+
+def with_measured(m, index, psnr, ssim):
+    """The same measurements for every level and quality of one segment."""
+    count = len(m.qualities)
+    levels = [dataclasses.replace(v, psnr=[psnr] * count, ssim=[ssim] * count) for v in m.segments[index].levels]
+    segments = list(m.segments)
+    segments[index] = dataclasses.replace(segments[index], levels=levels)
+    return dataclasses.replace(m, segments=segments)
+
+
+def test_quality_pools_squared_errors_by_frames_not_decibels():
+    m = with_measured(with_measured(tiny_manifest(groups=(30, 10)), 0, 40.0, 0.9), 1, 30.0, 0.5)
+    psnr, ssim = pooled_quality(m, 0, 0)
+    assert psnr == pytest.approx(34.881, abs=1e-3)  # -10 log10((3 * 1e-4 + 1e-3) / 4)
+    assert ssim == pytest.approx(0.8)
+
+
+def test_a_segment_without_measurements_leaves_a_rung_unmeasured():
+    assert pooled_quality(tiny_manifest(psnr=None), 0, 0) is None
+    summary = summarise(tiny_manifest(psnr=None), MANIFESTS)
+    assert {entry["psnr"] for entry in summary["rungs"] + summary["levels"]} == {None}
+
+
+@pytest.mark.parametrize("claim", [-1e300, 1e300])
+def test_absurd_claims_in_a_table_are_still_numbers(claim):
+    m = with_measured(tiny_manifest(), 0, claim, 0.9)
+    json.dumps(summarise(m, MANIFESTS), allow_nan=False)
+    assert format_summary(m, MANIFESTS)
+
+
+def test_rates_of_levels():
+    m = tiny_manifest(groups=(10, 5))  # 1 s and 0.5 s; L0: 2000 B of media and 100 B of sidecar each
+    assert segment_bits(m, 0).tolist() == [16800, 33600]
+    level = summarise(m, MANIFESTS)["levels"][0]
+    assert level["mean_bps"] == pytest.approx(2 * 16800 / 1.5)
+    assert level["peak_bps"] == 33600
+    assert level["bytes_per_frame"] == pytest.approx(4200 / 15)
+    assert (level["psnr"], level["ssim"]) == (pytest.approx(40), pytest.approx(0.9))
+
+
+def test_a_rung_counts_everything_a_viewer_fetches():
+    m = tiny_manifest()
+    rungs = {(r["key"], r["state"]): r for r in summarise(m, MANIFESTS)["rungs"]}
+    keys, state = 2 * (3000 + 1000 + 2 * 100), 2 * (2000 + 100)
+    assert rungs["Q0", "L0"]["bytes_per_frame"] * 20 == pytest.approx(keys + state + 3 * 50 + MANIFESTS)
+    assert rungs["Q1", "L2"]["bytes_per_frame"] * 20 == pytest.approx(3400 + 1200 + 3 * 50 + MANIFESTS)
+    assert rungs["Q1", "L2"]["psnr"] == pytest.approx(32)
+    assert len(rungs) == 6
+
+
+def test_kinds_add_up_and_boxes_are_container():
+    m = tiny_manifest(groups=(3, 3))  # 2000 B of media hold 3 * 666 B of pictures
+    kinds = bytes_by_kind(m, 0, 0, MANIFESTS)
+    assert kinds == {
+        "key pictures": 8000,
+        "key sidecars": 400,
+        "state pictures": 3996,
+        "state sidecars": 200,
+        "container": 3 * 50 + 4,
+        "manifests": MANIFESTS,
+    }
+    assert sum(kinds.values()) == m.bytes_of(m.rung_files(0, 0)) + MANIFESTS
+
+
+def test_what_was_left_out_is_named():
+    m = tiny_manifest(state_bytes=(0,), psnr=None)
+    tiers = [m.groups[0].tiers[0], dataclasses.replace(m.groups[0].tiers[1], number=0, count=0)]
+    group = dataclasses.replace(m.groups[0], tiers=tiers)
+    notes = [
+        LeftOut("gaussians", 1, 7, 1e-5, 120.0),
+        LeftOut("updates", 0, 3, 0.0, 5.0),
+        LeftOut("sh bands", 0, 2, 1e-6, 9),
+    ]
+    text = "\n".join(left_out(dataclasses.replace(m, groups=[group, m.groups[1]], left_out=notes)))
+    assert "group 1: 7 Gaussians: 50.0 dB if nothing else were wrong, 0.12 kB/frame saved" in text
+    assert "group 0: 3 rows are never updated: no error" in text and "2 SH bands: 60.0 dB" in text
+    assert "key tier T1: it has no rows" in text
+    assert "2 log_scales, 3 quaternions, 1 opacity, 3 colour" in text
+    assert "2 state segments" in text and "SH rest" in text
+
+
+def test_channels_and_their_attributes():
+    assert [STATE.attribute_of(c) for c in (0, 2, 3, 6, 9, 10, 40)] == [
+        *("means", "means", "log_scales", "quaternions", "opacity", "colour", "colour"),
+    ]
+    assert [KEY.attribute_of(c) for c in (0, 3, 6, 7)] == ["log_scales", "quaternions", "opacity", "colour"]
+
+
+@pytest.mark.parametrize("name", ["moving", "two-groups-sh1", "one-gaussian"])
+def test_bytes_by_attribute_share_out_pictures_and_key_sidecars(name):
+    package = open_package(VALID / name)
+    kinds = bytes_by_kind(package.manifest, 0, 0, package.manifest_bytes)
+    shared = kinds["key pictures"] + kinds["key sidecars"] + kinds["state pictures"]
+    assert sum(bytes_by_attribute(package).values()) == pytest.approx(shared)
+    assert "by entropy" in format_attributes(package)
+
+
+def test_the_table_has_every_rung_level_and_repair():
+    m = dataclasses.replace(tiny_manifest(), repairs=["2 Gaussians mended"], attribution="somebody's scene")
+    text = format_summary(m, MANIFESTS)
+    for word in ("20 frames at 10 fps", "Q1 + L2", "T1", "x3", "20 %", "repaired: 2 Gaussians mended", "somebody's"):
+        assert word in text
+    tables = text.split("\n\n")
+    assert all(len({len(line) for line in t.splitlines()}) == 1 for t in tables[1:3])  # columns are aligned
+
+
+@pytest.mark.parametrize(
+    "m",
+    [
+        tiny_manifest(),
+        tiny_manifest(psnr=None),
+        tiny_manifest(groups=(1,), state_bytes=(0,), psnr=[[100.0, 100.0]]),
+        with_measured(tiny_manifest(), 0, -1e300, 0.9),
+    ],
+    ids=["measured", "not measured", "one still frame", "absurd"],
+)
+def test_the_picture_is_drawn(m, tmp_path):
+    plot_ladder(m, MANIFESTS, tmp_path / "ladder.png")
+    picture = read_png(tmp_path / "ladder.png")
+    assert picture.shape[0] > 300 and picture.shape[1] > 1000
+    assert picture.std() > 0.02  # not blank
+
+
+def test_a_picture_that_cannot_be_written_is_one_error(tmp_path):
+    for path in (tmp_path / "missing" / "a.png", tmp_path / "a.unknown"):
+        with pytest.raises(ConfigError):
+            plot_ladder(tiny_manifest(), MANIFESTS, path)
+
+
+def test_the_ladder_is_the_convex_hull():
+    """Q0 + L1 costs more than Q1 + L0 and shows less; Q1 + L1 lies between two others, but above their line."""
+    m = tiny_manifest(
+        key_bytes=((9000, 1000), (1000, 500)),
+        state_bytes=(2000, 1900, 500),
+        psnr=((40.0, 36.0), (35.0, 32.5), (34.0, 32.0)),
+    )
+    best = {(r["key"], r["state"]) for r in rungs(m, MANIFESTS) if r["best"]}
+    assert best == {("Q0", "L0"), ("Q1", "L0"), ("Q1", "L2")}
+    assert format_summary(m, MANIFESTS).count("*") == 1 + len(best)
+    assert not any(r["best"] for r in rungs(tiny_manifest(psnr=None), MANIFESTS))
+
+
+def test_what_many_groups_leave_out_alike_is_one_line():
+    m = tiny_manifest(groups=(10,) * 6)
+    entries = [LeftOut("gaussians", g, 5 + g, 1e-5 * (g + 1), 100.0) for g in range(6)]
+    lines = left_out(dataclasses.replace(m, left_out=entries))
+    assert lines[0] == "6 groups: 5-10 Gaussians: at worst 42.2 dB if nothing else were wrong, 0.10 kB/frame saved"
+    assert not any(line.startswith("group") for line in lines)
+    few = left_out(dataclasses.replace(m, left_out=entries[:2]))
+    assert few[:2] == [
+        "group 0: 5 Gaussians: 50.0 dB if nothing else were wrong, 0.10 kB/frame saved",
+        "group 1: 6 Gaussians: 47.0 dB if nothing else were wrong, 0.10 kB/frame saved",
+    ]

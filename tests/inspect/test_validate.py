@@ -1,0 +1,203 @@
+"""Validation: everything wrong is a finding with its reason, nothing raises, whatever the bytes are."""
+
+import dataclasses
+import hashlib
+import json
+import os
+import random
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
+from airgs_codec.inspect.validate import validate
+from airgs_codec.package.store import open_package
+from tests.support.paths import VALID
+
+
+@pytest.fixture
+def package(tmp_path):
+    return shutil.copytree(VALID / "moving", tmp_path / "package")
+
+
+def edit(package: Path, change) -> None:
+    tables = json.loads((package / "airgs.json").read_text())
+    change(tables)
+    (package / "airgs.json").write_text(json.dumps(tables))
+
+
+def replace_file(package: Path, relative: str, data: bytes) -> None:
+    """Write a file and make its entry agree, so that only its content can be refused."""
+    (package / relative).write_bytes(data)
+    entry = {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    edit(package, lambda tables: tables["files"].update({relative: entry}))
+
+
+def reasons(package: Path) -> set[str]:
+    findings = validate(package)
+    assert all("\n" not in str(f) for f in findings)
+    return {f.reason for f in findings}
+
+
+def test_a_folder_that_is_no_package(tmp_path):
+    (tmp_path / "file").write_text("x")
+    assert reasons(tmp_path) == reasons(tmp_path / "missing") == reasons(tmp_path / "file") == {"missing_file"}
+
+
+def test_every_broken_file_has_its_own_finding(package):
+    listed = sorted(json.loads((package / "airgs.json").read_text())["files"])
+    for relative in listed:
+        (package / relative).unlink()
+    assert [(f.reason, f.where) for f in validate(package)] == [("missing_file", relative) for relative in listed]
+
+
+def test_links_are_refused_wherever_they_lead(package, tmp_path):
+    media = package / "state/L0/1.m4s"
+    media.rename(tmp_path / "elsewhere.m4s")
+    media.symlink_to(tmp_path / "elsewhere.m4s")
+    (package / "folder").symlink_to(tmp_path)
+    found = {(f.reason, f.where) for f in validate(package)}
+    assert found == {("unsafe_path", "state/L0/1.m4s"), ("unsafe_path", "folder")}
+
+
+def test_what_is_neither_file_nor_folder_is_foreign(package):
+    os.mkfifo(package / "pipe")
+    assert [(f.reason, f.where) for f in validate(package)] == [("foreign_file", "pipe")]
+
+
+def test_a_listed_file_without_a_table_is_foreign(package):
+    (package / "state/L7").mkdir()
+    (package / "state/L7/1.bin").touch()
+    replace_file(package, "state/L7/1.bin", b"x")
+    assert reasons(package) == {"foreign_file"}
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_every_level_is_decoded(package, level):
+    relative = f"state/L{level}/1.bin"
+    replace_file(package, relative, b"\0" * 20)
+    assert [(f.reason, f.where) for f in validate(package)] == [("bad_sidecar", relative)]
+
+
+@pytest.mark.parametrize("quality", [0, 1])
+def test_every_key_quality_is_decoded(package, quality):
+    relative = f"key/T1/Q{quality}/1.m4s"
+    replace_file(package, relative, (package / relative).read_bytes()[:-30])
+    assert [(f.reason, f.where) for f in validate(package)] == [("bad_picture", relative)]
+
+
+def test_more_pictures_than_promised_are_refused(package):
+    replace_file(package, "key/T0/Q0/1.m4s", (package / "state/L0/1.m4s").read_bytes())
+    replace_file(package, "key/T0/Q0/init.mp4", (package / "state/L0/init.mp4").read_bytes())
+    assert "bad_picture" in reasons(package)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "reason"),
+    [
+        ("ssim", [], "bad_value"),
+        ("psnr", [-1e300, 40.0], "bad_value"),
+        ("ssim", [0.9, 7.0], "bad_value"),
+        ("frame_bytes", [10**9] * 4, "size_mismatch"),
+        ("frame_bytes", [-5, 1, 1, 1], "bad_value"),
+    ],
+)
+def test_what_the_tables_claim_of_a_segment_is_checked(package, field, value, reason):
+    assert open_package(package).manifest.segments[0].levels[0].psnr
+    edit(package, lambda tables: tables["segments"][0]["levels"][0].update({field: value}))
+    assert reasons(package) == {reason}
+
+
+def test_steps_that_decode_to_no_finite_number_are_refused(package):
+    edit(package, lambda tables: tables["groups"][0]["key_steps"].update(log_scales=1e30, quaternions=1e30))
+    edit(package, lambda tables: tables["qualities"][0].update(factor=1e6))
+    edit(package, lambda tables: tables["qualities"][1].update(factor=1e6))
+    edit(package, lambda tables: tables.update(key_gain=1e-3))
+    assert reasons(package) == {"bad_value"}
+
+
+def test_a_number_that_fits_no_array_is_refused(package):
+    edit(package, lambda tables: tables["groups"][0]["levels"][1]["centres"].__setitem__(0, 1 << 31))
+    assert reasons(package) == {"bad_value"}
+
+
+def test_a_group_without_keys_is_refused(package):
+    def forget(tables):
+        for tier in tables["groups"][0]["tiers"]:
+            tier["number"] = 0
+        tables["files"] = {path: entry for path, entry in tables["files"].items() if path.endswith("init.mp4")}
+        for segment in tables["segments"]:
+            for level in segment["levels"]:
+                level.update(number=0, frame_bytes=[])
+
+    edit(package, forget)
+    found = validate(package)
+    assert found and {f.reason for f in found} <= {"foreign_file", "mpd_mismatch", "bad_value"}
+
+
+def test_one_broken_quality_does_not_hide_another_group(tmp_path):
+    package = shutil.copytree(VALID / "two-groups-sh1", tmp_path / "package")
+    for relative in ("key/T0/1.bin", "key/T0/2.bin"):
+        replace_file(package, relative, b"\0" * 20)
+    assert {f.where for f in validate(package)} == {"key/T0/1.bin", "key/T0/2.bin"}
+
+
+def test_depths_that_disagree_with_a_level_are_counted(package):
+    opened = open_package(package)
+    group = opened.manifest.groups[0]
+    sidecar = unpack_key_sidecar(opened.read("key/T0/1.bin"), group.tiers[0].count, group.grid, "")
+    lower = dataclasses.replace(sidecar, depths=np.minimum(sidecar.depths, 0))
+    replace_file(package, "key/T0/1.bin", pack_key_sidecar(lower, group.grid))
+    assert reasons(package) == {"count_mismatch"}
+
+
+def broken(data: bytes, rng: random.Random) -> bytes:
+    out = bytearray(data)
+    for _ in range(rng.choice([1, 3])):
+        at = rng.randrange(len(out))
+        how = rng.randrange(4)
+        if how == 0:
+            out[at] = rng.randrange(256)
+        elif how == 1:
+            out[at] ^= 1 << rng.randrange(8)
+        elif how == 2:
+            out[at:at] = bytes(8)
+        else:
+            del out[at : at + rng.choice([1, 8])]
+        out = out or bytearray(1)
+    return bytes(out)
+
+
+@pytest.mark.parametrize("name", ["moving", "two-groups-sh1", "one-gaussian"])
+def test_random_damage_is_found_or_harmless_and_never_raises(name, tmp_path):
+    """Digests are made to agree, so that only decoding stands between the damage and a caller."""
+    rng = random.Random(name)
+    files = sorted(open_package(VALID / name).manifest.files)
+    seen = set()
+    for _ in range(60):
+        package = shutil.copytree(VALID / name, tmp_path / "package")
+        relative = rng.choice(files)
+        replace_file(package, relative, broken((package / relative).read_bytes(), rng))
+        seen |= reasons(package)
+        shutil.rmtree(package)
+    assert {"bad_picture", "bad_sidecar"} <= seen
+
+
+@pytest.mark.parametrize("name", ["moving", "two-groups-sh1"])
+def test_random_numbers_in_the_tables_never_raise(name, tmp_path):
+    package = shutil.copytree(VALID / name, tmp_path / "package")
+    rng = random.Random(name)
+    text = (package / "airgs.json").read_text()
+    for _ in range(150):
+        tables = json.loads(text)
+        target = tables[rng.choice(["groups", "segments", "levels", "key_pictures", "state_pictures", "qualities"])]
+        while True:
+            key = rng.choice(sorted(target) if isinstance(target, dict) else range(len(target)))
+            if not isinstance(target[key], (dict, list)) or not target[key]:
+                break
+            target = target[key]
+        target[key] = rng.choice([0, 1, -1, 2, 255, 65536, 1 << 31, 1e30, 1e-30, [], "x"])
+        (package / "airgs.json").write_text(json.dumps(tables))
+        reasons(package)

@@ -1,0 +1,142 @@
+"""The MPD: bandwidth by its definition, gaps, and refusal of everything that would lead a player elsewhere."""
+
+import dataclasses
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from airgs_codec.errors import FormatError
+from airgs_codec.package.mpd import DASH, MIN_BUFFER_S, check_mpd, representations, write_mpd
+from airgs_codec.package.tables import Manifest
+from tests.support.manifests import tiny_manifest
+
+NS = f"{{{DASH}}}"
+
+
+def with_a_gap() -> Manifest:
+    """Three groups; nothing moves in the middle one, so its state has no files."""
+    m = tiny_manifest(groups=(10, 5, 10))
+    quiet = [dataclasses.replace(v, number=0, frame_bytes=[]) for v in m.segments[1].levels]
+    last = [dataclasses.replace(v, number=2) for v in m.segments[2].levels]
+    segments = [m.segments[0], *(dataclasses.replace(m.segments[i], levels=v) for i, v in ((1, quiet), (2, last)))]
+    return dataclasses.replace(m, segments=segments)
+
+
+def reason_of(data: bytes, m: Manifest) -> str:
+    with pytest.raises(FormatError) as refused:
+        check_mpd(data, m)
+    assert "\n" not in str(refused.value)
+    return refused.value.reason
+
+
+@pytest.mark.parametrize("m", [tiny_manifest(), tiny_manifest(state_bytes=(2000, 0)), with_a_gap()])
+def test_what_is_written_is_accepted(m):
+    check_mpd(write_mpd(m), m)
+
+
+def test_a_segment_without_files_is_a_gap_in_the_timeline():
+    m = with_a_gap()
+    state, tier, _ = representations(m)
+    assert state[0].timeline == ((0, 1000), (1500, 1000))
+    assert tier[0].timeline == ((0, 1000), (1000, 500), (1500, 1000))
+
+
+def test_a_level_without_files_is_not_listed():
+    assert [r.id for r in representations(tiny_manifest(state_bytes=(2000, 0)))[0]] == ["L0"]
+    assert [row[0].id for row in representations(tiny_manifest(state_bytes=(0, 0)))] == ["T0Q0", "T1Q0"]
+
+
+@pytest.mark.parametrize("m", [tiny_manifest(groups=(10, 3, 20, 7)), with_a_gap()])
+def test_every_run_of_segments_fits_its_bandwidth_and_less_would_not_do(m):
+    root = ET.fromstring(write_mpd(m))
+    stated = {r.get("id"): int(r.get("bandwidth", "0")) for r in root.iter(f"{NS}Representation")}
+    for row in representations(m):
+        for r in row:
+            starts = [start / m.timescale for start, _ in r.timeline]
+            sizes = [8 * m.files[r.media.replace("$Number$", str(i + 1))].bytes for i in range(len(starts))]
+            needed = max(
+                sum(sizes[a : b + 1]) / (MIN_BUFFER_S + starts[b] - starts[a])
+                for a in range(len(starts))
+                for b in range(a, len(starts))
+            )
+            assert needed < stated[r.id] <= needed + 1
+
+
+def test_what_players_need_is_there():
+    root = ET.fromstring(write_mpd(tiny_manifest(fps=(30000, 1001))))
+    assert root.get("type") == "static"
+    sets = root.findall(f"{NS}Period/{NS}AdaptationSet")
+    assert [s.get("selectionPriority") for s in sets] == ["10", "1", "1"]
+    listed = list(root.iter(f"{NS}Representation"))
+    assert [r.get("frameRate") for r in listed[:3]] == ["30000/1001"] * 3
+    assert len({r.get("id") for r in listed}) == len(listed) == 7
+    assert {r.get("sar") for r in listed} == {"1:1"}
+    assert not list(root.iter(f"{NS}EssentialProperty"))  # a player that does not know it would skip the set
+
+
+ELSEWHERE = '<SegmentTemplate media="http://example.com/$Number$.m4s"/>'
+EDITS = {
+    "doctype": ("<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD', "doctype"),
+    "doctype in small letters": ("<MPD", "<!doctype MPD><MPD", "doctype"),
+    "another encoding": ('encoding="utf-8"', 'encoding="utf-7"', "bad_mpd"),
+    "location": ("<Period", "<Location>http://example.com/a.mpd</Location><Period", "foreign_url"),
+    "base address": ("<AdaptationSet", "<BaseURL>http://example.com/</BaseURL><AdaptationSet", "foreign_url"),
+    "xlink": (
+        "<AdaptationSet",
+        '<AdaptationSet xmlns:x="http://www.w3.org/1999/xlink" x:href="http://example.com/"',
+        "foreign_url",
+    ),
+    "parent folder": ('media="state/', 'media="../state/', "foreign_url"),
+    "absolute path": ('initialization="', 'initialization="/', "foreign_url"),
+    "another file": ('media="state/L0/', 'media="state/L1/', "mpd_mismatch"),
+    "segment list": ("<SegmentTemplate", "<SegmentList/><SegmentTemplate", "bad_mpd"),
+    "template of the set": ("<Representation", ELSEWHERE + "<Representation", "bad_mpd"),
+    "second template": ("</SegmentTemplate>", "</SegmentTemplate>" + ELSEWHERE, "bad_mpd"),
+    "offset": ('startNumber="1"', 'startNumber="1" presentationTimeOffset="9"', "bad_mpd"),
+    "repeat": ('<S t="0"', '<S r="3" t="0"', "bad_mpd"),
+    "element without a namespace": ("<Period", '<x xmlns=""/><Period', "bad_mpd"),
+    "foreign element": ("<Period", '<x xmlns="urn:x"/><Period', "bad_mpd"),
+    "no number": ('width="64"', 'width="wide"', "bad_mpd"),
+    "same id twice": ('id="L1"', 'id="L0"', "bad_mpd"),
+    "unknown id": ('id="L1"', 'id="L9"', "mpd_mismatch"),
+    "codecs": ("avc1.64000A", "avc1.640033", "mpd_mismatch"),
+    "start number": ('startNumber="1"', 'startNumber="0"', "mpd_mismatch"),
+    "duration": ('mediaPresentationDuration="PT', 'mediaPresentationDuration="PT9', "mpd_mismatch"),
+    "odd duration": ('mediaPresentationDuration="PT', 'mediaPresentationDuration="P1DT', "bad_mpd"),
+    "live": ('type="static"', 'type="dynamic"', "mpd_mismatch"),
+    "one set": ('</AdaptationSet>\n  <AdaptationSet id="2"', '</AdaptationSet>\n  <AdaptationSet id="9"', None),
+}
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_an_mpd_that_leads_elsewhere_is_refused(name):
+    m = tiny_manifest()
+    text = write_mpd(m).decode()
+    old, new, reason = EDITS[name]
+    assert old in text
+    data = text.replace(old, new, 1).encode()
+    if reason is None:  # ids of sets are free
+        check_mpd(data, m)
+    else:
+        assert reason_of(data, m) == reason
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-32"])
+def test_a_doctype_cannot_hide_in_another_encoding(encoding):
+    m = tiny_manifest()
+    text = write_mpd(m).decode().replace("<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD')
+    assert reason_of(text.replace("utf-8", encoding).encode(encoding), m) in ("bad_mpd", "doctype")
+
+
+def test_a_level_in_the_set_of_a_key_tier_is_refused():
+    m = tiny_manifest()
+    root = ET.fromstring(write_mpd(m))
+    state, key = root.findall(f"{NS}Period/{NS}AdaptationSet")[:2]
+    moved = state.findall(f"{NS}Representation")[-1]
+    state.remove(moved)
+    key.append(moved)
+    assert reason_of(ET.tostring(root), m) == "mpd_mismatch"
+
+
+def test_nested_elements_do_not_overflow():
+    assert reason_of(b"<a>" * 100_000 + b"</a>" * 100_000, tiny_manifest()) == "bad_mpd"

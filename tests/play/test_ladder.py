@@ -1,0 +1,224 @@
+"""Algorithm 1 of the paper: the cases it leaves undefined, and what must hold whatever the numbers."""
+
+import itertools
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import Bounds, LinearConstraint, milp
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.play.ladder import Decision, Ladder, Point, frame_budget, select, select_literal
+
+
+def dense(*qualities: float, sizes: list[int] | None = None) -> list[Point]:
+    """Levels 10 % apart, 100 bytes apart unless sizes are given."""
+    sizes = sizes or [100 * (len(qualities) - i) for i in range(len(qualities))]
+    return [Point(i, sizes[i], q, 0.1 * i) for i, q in enumerate(qualities)]
+
+
+def kept(*qualities: float, **options: float) -> list[int]:
+    return [p.level for p in Ladder.build(dense(*qualities), **options).points]
+
+
+@pytest.mark.parametrize(
+    ("case", "levels", "expected"),
+    [
+        # a level that costs less and is no worse replaces the one above it, so a drop of 0 cannot come up
+        ("1: the first drop is 0", kept(40, 40, 39.9, 36), [1, 2]),
+        ("2: a plateau, then a drop", kept(40, 39, 39, 38, 30), [0, 2, 3]),
+        ("3: a first drop of 0.001 dB is no yardstick", kept(40, 39.999, 39.9, 39.8), [0, 1, 2, 3]),
+        ("4: quality rises when pruning", kept(38, 40, 39, 38), [1, 2, 3]),
+        ("5: the mean of the earlier drops, not the last one", kept(40, 39, 37.2, 34, 28), [0, 1, 2]),
+        ("5: a slow slide ends at the floor", kept(34, 32, 30, 28, 26, min_quality=29.0), [0, 1, 2]),
+        ("6: a cliff at the first level", kept(40, 36, 35), [0]),
+        ("6: no cliff there", kept(40, 38, 36), [0, 1, 2]),
+        ("10: one level", kept(40), [0]),
+        ("11: infinite quality counts as the cap", kept(math.inf, 99, 98), [0, 1, 2]),
+        ("16: level 0 has no privilege", kept(30, 35), [1]),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_undefined_cases_of_the_ladder(case, levels, expected):
+    assert levels == expected
+
+
+def test_sizes_that_do_not_fall_9():
+    points = dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300])
+    ladder = Ladder.build(points)
+    assert [p.level for p in ladder.points] == [0, 1, 3]
+    assert select(ladder, 500).level == 1
+
+
+@pytest.mark.parametrize("beta", [1.0, 0.5, 0.0, math.nan])
+def test_beta_must_exceed_one_6(beta):
+    with pytest.raises(ConfigError, match="more than 1"):
+        Ladder.build(dense(40, 39), beta=beta)
+
+
+def test_no_levels_10_and_nan_11():
+    with pytest.raises(ConfigError, match="at least one level"):
+        Ladder.build([])
+    with pytest.raises(ConfigError, match="level 1"):
+        Ladder.build(dense(40, math.nan))
+
+
+def test_nothing_fits_7_8():
+    for qualities in ((40, 39, 38, 20), (40, 39, 38)):  # with a cliff, without one
+        decision = select(Ladder.build(dense(*qualities)), 10)
+        assert decision.level == 2 and not decision.fits and "nothing fits" in decision.reason
+
+
+@pytest.mark.parametrize("budget", [math.nan, -1.0, -math.inf, 0.0])
+def test_budgets_that_are_none_12(budget):
+    decision = select(Ladder.build(dense(40, 39)), budget)
+    assert (decision.level, decision.fits) == (1, False)
+    assert "0 B" in decision.reason
+
+
+def test_a_level_that_sends_nothing_always_fits_14():
+    points = dense(40, 39, sizes=[100, 0])
+    assert select(Ladder.build(points), -5) == Decision(1, True, "0 B fit 0 B", 0)
+
+
+def test_units_13():
+    """8 Mbit/s at 25 fps are 40,000 bytes a frame; half of it spent, less a header."""
+    assert frame_budget(8e6, 25) == pytest.approx(40_000)
+    assert frame_budget(8e6, 25, overhead_bytes=350, share=0.5) == pytest.approx(19_650)
+    assert frame_budget(1e3, 25, overhead_bytes=350) == 0.0
+
+
+@pytest.mark.parametrize("bandwidth", [math.nan, -1.0, 0.0])
+def test_bandwidths_and_frame_rates_that_are_none_12(bandwidth):
+    assert frame_budget(bandwidth, 30) == 0.0
+    with pytest.raises(ConfigError, match="frame rate"):
+        frame_budget(1e6, 0.0)
+
+
+def literal(*qualities: float, budget: float = 1e9, sizes: list[int] | None = None, beta: float = 2.0) -> int | None:
+    return select_literal(dense(*qualities, sizes=sizes), budget, beta)
+
+
+@pytest.mark.parametrize(
+    ("case", "answer", "expected"),
+    [
+        # level 0 of the largest budget wherever the search finds something: it looks for the lowest that fits
+        ("no cliff, everything fits", literal(40, 39, 38), 0),
+        ("no cliff, the second fits", literal(40, 39, 38, budget=250), 1),
+        ("1: the first drop is 0: x / 0 is a cliff", literal(40, 40, 39.9, 20, budget=150), 2),
+        ("2: a plateau, then a drop: x / 0 is a cliff", literal(40, 39, 39, 30, 20, budget=10), 3),
+        ("3: a tiny first drop makes a cliff of 0.1 dB", literal(40, 39.999, 39.9, 39.8, budget=10), 2),
+        ("4: rising quality changes the sign", literal(38, 40, 39, 30, budget=10), 3),
+        ("5: a slow slide has no cliff", literal(34, 32, 30, 28, 26, 24, 14, budget=150), 6),
+        ("6: the first level is never the cliff", literal(40, 20, 19, budget=250), 1),
+        ("6: unless beta < 1", literal(40, 39, 38, budget=10, beta=0.5), 1),
+        ("7: nothing fits, the answer is the cliff, outside S", literal(40, 39, 30, 20, budget=10), 2),
+        ("8: nothing fits, no cliff: undefined", literal(40, 39, 38, budget=10), None),
+        (
+            "9: sizes that do not fall mislead the search",
+            literal(40, 39, 38, 37, 36, sizes=[9, 4, 8, 7, 3], budget=5),
+            4,
+        ),
+        ("10: one level", literal(40), 0),
+        ("10: one level that does not fit", literal(40, budget=10), None),
+        ("11: infinite quality hides the first cliff", literal(math.inf, 30, 10, 5, budget=10), None),
+        ("11: NaN passes silently", literal(40, math.nan, 20, budget=150), 2),
+        ("12: a budget that is no number fits nothing", literal(40, 39, budget=math.nan), None),
+        ("14: a level of no bytes is a level like any other", literal(40, 39, sizes=[100, 0], budget=0), 1),
+        ("16: level 0 is in S even if another is better", literal(30, 35, budget=1e9), 0),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_algorithm_1_as_printed(case, answer, expected):
+    assert answer == expected
+
+
+def test_as_printed_without_levels_10():
+    with pytest.raises(ConfigError, match="at least one level"):
+        select_literal([], 10)
+
+
+def points_of(draw_sizes, draw_qualities):
+    return [Point(i, s, q, 0.1 * i) for i, (s, q) in enumerate(zip(draw_sizes, draw_qualities, strict=False))]
+
+
+points = st.builds(
+    points_of,
+    st.lists(st.integers(0, 10_000), min_size=1, max_size=12),
+    st.lists(st.floats(0, 120) | st.just(math.inf), min_size=12, max_size=12),
+)
+budgets = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(points=points, budget=budgets, beta=st.floats(1.01, 100))
+def test_selection_is_total_and_keeps_its_word(points, budget, beta):
+    ladder = Ladder.build(points, beta=beta)
+    decision = select(ladder, budget)
+    assert decision.level in [p.level for p in ladder.points]
+    usable = budget if budget > 0 else 0.0
+    assert decision.fits == any(p.size_bytes <= usable for p in ladder.points)
+    assert not decision.fits or decision.size_bytes <= usable
+    assert decision.size_bytes == points[decision.level].size_bytes
+
+
+@given(points=points)
+def test_ladders_fall_strictly(points):
+    rungs = Ladder.build(points, beta=math.inf, cliff_db=math.inf).points
+    for better, worse in itertools.pairwise(rungs):
+        assert better.size_bytes > worse.size_bytes and better.quality > worse.quality
+    for p in points:  # whatever was left out is beaten or equalled by something kept
+        assert any(r.size_bytes <= p.size_bytes and r.quality >= min(p.quality, 100) for r in rungs)
+
+
+@given(points=points, a=st.floats(0, 2e4), b=st.floats(0, 2e4))
+def test_more_budget_is_never_worse(points, a, b):
+    ladder = Ladder.build(points)
+    low, high = (select(ladder, x) for x in sorted((a, b)))
+    assert points[low.level].quality <= points[high.level].quality
+
+
+@given(points=points, budget=st.integers(0, 12_000))
+def test_without_a_cliff_it_is_the_best_that_fits(points, budget):
+    """The paper's ILP separates by frame: the optimum is the best quality among what fits."""
+    decision = select(Ladder.build(points, beta=math.inf, cliff_db=math.inf), budget)
+    fitting = [min(p.quality, 100.0) for p in points if p.size_bytes <= budget]
+    if fitting:
+        assert min(points[decision.level].quality, 100.0) == max(fitting)
+
+
+@given(points=points, budget=st.integers(0, 12_000), factor=st.sampled_from([2, 10, 1000]))
+def test_units_of_size_do_not_matter(points, budget, factor):
+    scaled = [Point(p.level, p.size_bytes * factor, p.quality, p.pruned) for p in points]
+    small, large = select(Ladder.build(points), budget), select(Ladder.build(scaled), budget * factor)
+    assert (small.level, small.fits) == (large.level, large.fits)
+
+
+@given(qualities=st.lists(st.floats(20, 60), min_size=1, max_size=11, unique=True), budget=st.integers(0, 1200))
+def test_as_printed_and_as_defined_agree_where_algorithm_1_is_defined(qualities, budget):
+    """Falling quality and sizes, no cliff, something fits."""
+    points = dense(*sorted(qualities, reverse=True))
+    answer = select_literal(points, budget, beta=math.inf)
+    decision = select(Ladder.build(points, beta=math.inf, cliff_db=math.inf), budget)
+    assert (answer is not None) == decision.fits
+    assert answer is None or answer == decision.level
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 10**6), st.floats(0, 60)), min_size=1, max_size=12),
+    st.floats(0, 2e6),
+)
+def test_without_a_cliff_it_is_the_papers_integer_programme(pairs, budget):
+    """Maximise the quality of one frame, exactly one level, within the budget (the paper's problem for one t)."""
+    points = [Point(i, size, quality, 0.1 * i) for i, (size, quality) in enumerate(pairs)]
+    decision = select(Ladder.build(points, beta=math.inf, cliff_db=math.inf), budget)
+    constraints = [
+        LinearConstraint([[p.size_bytes for p in points]], ub=budget),
+        LinearConstraint([[1] * len(points)], 1, 1),
+    ]
+    best = milp(
+        [-p.quality for p in points], constraints=constraints, bounds=Bounds(0, 1), integrality=[1] * len(points)
+    )
+    assert decision.fits == best.success
+    if best.success:
+        assert points[decision.level].quality == pytest.approx(-best.fun, abs=1e-6)

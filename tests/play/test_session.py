@@ -1,0 +1,335 @@
+"""Sessions that can be followed with a pencil, and what must hold in any of them."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.package.parse import parse_manifest
+from airgs_codec.play import session
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.link import Link
+from airgs_codec.play.metrics import mean_quality, metrics, screen_ticks, session_bound
+from airgs_codec.play.player import SessionSettings
+from airgs_codec.play.report.session import format_metrics, write_report
+from airgs_codec.play.trace import Trace
+from tests.support.manifests import tiny_manifest
+
+BARE = {"startup_s": 0.0, "resume_s": 0.0, "decode_frame_s": 0.0, "loops": 1}
+BARE |= {"ahead": False, "replace": False, "abandon": False}
+
+
+def link(rates, starts=None, duration=None, rtt=0.0, end="loop"):
+    starts = list(range(len(rates))) if starts is None else starts
+    trace = Trace("t", np.array(starts, float), np.array(rates, float), float(duration or starts[-1] + 1), end=end)
+    return Link(trace, rtt)
+
+
+def fixed(level, **options):
+    return SessionSettings(f"fixed:{level}", **(BARE | options))
+
+
+def simulate(manifest, manifest_bytes, link, settings, headers=0, faults=None):
+    return session.simulate(Catalogue(manifest, headers), manifest_bytes, link, settings, faults)
+
+
+def pairs(log):
+    """Key quality, level and PSNR of what was shown."""
+    return {(*log.catalogue.rungs[s.rung], s.psnr) for s in log.shown}
+
+
+@pytest.mark.parametrize("options", [{}, {"psnr": None}, {"state_bytes": (2000, 1000, 0)}], ids=str)
+def test_the_test_manifest_is_a_manifest(options):
+    m = tiny_manifest(**options)
+    assert parse_manifest(m.to_json()) == m
+
+
+def test_a_session_by_hand():
+    """10,000 B/s: 1000 B of manifests, then 150 init + 4000 key + 2000 state + 300 sidecars, and less init."""
+    log = simulate(tiny_manifest(), 1000, link([8e4]), fixed(0))
+    assert [(f.kind, f.bytes) for f in log.fetches] == [("manifests", 1000), ("group", 6450), ("group", 6300)]
+    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.1, 0.745, 1.375])
+    assert [s.start_s for s in log.shown] == pytest.approx([0.745, 1.745])
+    result = metrics(log)
+    assert result["startup_s"] == pytest.approx(0.745)
+    assert (result["stalls"], result["stall_s"], result["switches"], result["frames"]) == (0, 0, 0, 20)
+    assert result["bytes"] == {"manifests": 1000, "init": 150, "key": 8000, "sidecars": 600, "state": 4000}
+    assert result["wire_bytes"] == 13_750
+    assert result["psnr_mean"] == 40.0
+    assert result["trace_mean_bps"] == 8e4
+
+
+def test_a_tier_is_fetched_when_a_level_first_needs_it():
+    """The last level does with T0; rising in the middle of a group brings T1 along, once."""
+    m = segmented(tiny_manifest(groups=(30,), psnr=None))
+    m = replace(m, levels=[*m.levels[:2], replace(m.levels[2], tiers=1)])
+    assert parse_manifest(m.to_json()) == m
+    low = simulate(m, 1000, link([8e4]), fixed(2))
+    assert low.bytes_by_kind["key"] == 3000 and low.bytes_by_kind["sidecars"] == 100 + 3 * 100
+    high = simulate(m, 1000, link([8e4]), fixed(0))
+    assert high.bytes_by_kind["key"] == 4000 and high.bytes_by_kind["sidecars"] == 200 + 3 * 100
+
+
+def test_half_the_rate_stalls_and_the_frozen_picture_counts():
+    log = simulate(tiny_manifest(psnr=[[40.0, 0.0]] * 3), 1000, link([4e4]), fixed(0))
+    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.2, 1.49, 2.75])
+    assert [s.stall_s for s in log.shown] == pytest.approx([0, 0.26])
+    ticks = screen_ticks(log)
+    assert len(ticks) == 23  # 20 frames, 0.26 s of waiting at 10 fps
+    assert ticks[10:13] == [(0, 9)] * 3
+    assert metrics(log)["stall_ratio"] == pytest.approx(0.26 / 2.26)
+
+
+def test_headers_round_trips_and_decoding_cost_time():
+    log = simulate(tiny_manifest(), 1000, link([8e4], rtt=0.1), fixed(0, decode_frame_s=0.05), headers=100)
+    # manifests 1 file; 3 init, 2 tiers of 3 files, state of 2; then without init
+    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.21, 1.065, 1.875])
+    assert log.shown[0].start_s == pytest.approx(1.115)
+
+
+def test_an_outage_is_waited_out():
+    log = simulate(tiny_manifest(), 1000, link([8e4, 0, 8e4], [0, 1, 6], 100), fixed(0))
+    assert log.fetches[-1].arrival_s == pytest.approx(6.375)
+    assert log.shown[1].stall_s == pytest.approx(6.375 - 1.745)
+
+
+def test_a_level_with_nothing_to_fetch_costs_only_its_key():
+    log = simulate(tiny_manifest(state_bytes=(2000, 1000, 0)), 1000, link([8e4]), fixed(2))
+    assert [f.bytes for f in log.fetches[1:]] == [100 + 4000 + 200, 4200]
+    assert metrics(log)["bytes"].get("state", 0) == 0
+
+
+def test_the_buffer_holds_requests_back():
+    log = simulate(tiny_manifest(), 1000, link([8e9]), fixed(0, loops=20, buffer_s=3.0))
+    begin = log.shown[0].start_s
+    for i, fetch in enumerate(log.fetches[1:]):
+        assert fetch.request_s >= begin + i + 1 - 3.0 - 1e-9
+    assert log.fetches[-1].request_s == pytest.approx(begin + 40 - 3.0)
+    assert metrics(log)["stalls"] == 0
+
+
+def test_loops_fetch_keys_and_states_again_but_not_init_segments():
+    once, twice = (metrics(simulate(tiny_manifest(), 1000, link([8e6]), fixed(1, loops=n)))["bytes"] for n in (1, 2))
+    assert twice == {k: v * (1 if k in ("init", "manifests") else 2) for k, v in once.items()}
+    default = simulate(tiny_manifest(), 1000, link([8e6]), fixed(1, loops=None))
+    assert metrics(default)["played_s"] == 30.0
+
+
+def test_key_quality_and_level_are_chosen_together():
+    rich = simulate(tiny_manifest(), 1000, link([8e7]), SessionSettings(**BARE))
+    poor = simulate(tiny_manifest(), 1000, link([2e4]), SessionSettings(**BARE))
+    assert pairs(rich) == {(0, 0, 40.0)}
+    assert pairs(poor) == {(1, 2, 32.0)}
+    assert "nothing fits" in poor.fetches[1].reason and "fit" in rich.fetches[1].reason
+
+
+def test_a_faster_link_is_no_worse_however_fast():
+    log = simulate(tiny_manifest(), 1000, link([8e18]), SessionSettings(**BARE))
+    assert pairs(log) == {(0, 0, 40.0)}
+
+
+def test_paper_needs_measured_quality_everywhere():
+    m = tiny_manifest()
+    levels = [replace(m.segments[1].levels[0], psnr=[]), *m.segments[1].levels[1:]]
+    holes = replace(m, segments=[m.segments[0], replace(m.segments[1], levels=levels)])
+    for unmeasured in (tiny_manifest(psnr=None), holes):
+        with pytest.raises(ConfigError, match="no measured quality"):
+            simulate(unmeasured, 1000, link([8e6]), SessionSettings(**BARE))
+    log = simulate(tiny_manifest(psnr=None), 1000, link([8e6]), fixed(0))
+    assert metrics(log)["psnr_mean"] is None and "not measured" in format_metrics(log)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"buffer_s": 0.0}, "buffer"),
+        ({"buffer_s": float("nan")}, "buffer"),
+        ({"decode_frame_s": -1.0}, "decoding"),
+        ({"decode_frame_s": float("inf")}, "decoding"),
+        ({"loops": 0}, "loops"),
+        ({"loops": -1}, "loops"),
+        ({"policy": "fixed:3"}, "--policy"),
+        ({"startup_s": -1.0}, "start-up"),
+        ({"resume_s": float("inf")}, "resume"),
+    ],
+)
+def test_settings_that_cannot_work(options, words):
+    with pytest.raises(ConfigError, match=words):
+        simulate(tiny_manifest(), 1000, link([8e6]), replace(fixed(0), **options))
+
+
+@pytest.mark.parametrize("rtt", [-0.1, float("nan"), float("inf")])
+def test_round_trips_that_cannot_be(rtt):
+    with pytest.raises(ConfigError, match="round trip"):
+        simulate(tiny_manifest(), 1000, link([8e6], rtt=rtt), fixed(0))
+
+
+def test_playing_begins_when_enough_is_at_hand():
+    """0.645 and 0.63 s of download: the second segment is there at 1.375 s."""
+    log = simulate(tiny_manifest(), 1000, link([8e4]), fixed(0, startup_s=1.5))
+    assert [s.start_s for s in log.shown] == pytest.approx([1.375, 2.375])
+    assert [s.stall_s for s in log.shown] == [0, 0]
+
+
+def test_it_goes_on_when_enough_is_at_hand_again():
+    """Half the rate: the second segment stalls by 0.26 s; with 1.5 s wanted the player waits for the third too."""
+    one = simulate(tiny_manifest(), 1000, link([4e4]), fixed(0, loops=2))
+    assert [s.stall_s for s in one.shown] == pytest.approx([0, 0.26, 0.26, 0.26])
+    two = simulate(tiny_manifest(), 1000, link([4e4]), fixed(0, loops=2, resume_s=1.5))
+    assert [s.ready_s for s in two.shown] == pytest.approx([1.49, 2.75, 4.01, 5.27])
+    assert [s.start_s for s in two.shown] == pytest.approx([1.49, 4.01, 5.01, 6.01])
+    assert [s.stall_s for s in two.shown] == pytest.approx([0, 1.52, 0, 0])
+    assert two.shown[-1].start_s + 1 > one.shown[-1].start_s
+
+
+def test_a_full_buffer_need_not_wait_for_more():
+    log = simulate(tiny_manifest(), 1000, link([4e4]), fixed(0, loops=2, resume_s=9.0, startup_s=9.0, buffer_s=2.0))
+    assert log.shown[0].start_s == pytest.approx(2.75)  # two segments are all it may hold
+    assert len(log.shown) == 4
+
+
+def test_buffered_segments_are_replaced_by_better_ones_in_time():
+    """A slow second, then a fast link: what waits in the buffer is fetched again, the first one is on the screen."""
+    quick = {"policy": "paper", "buffer_s": 4.0, "loops": 4}
+    m = tiny_manifest()
+    kept = simulate(m, 1000, link([3e4, 8e6], [0, 2], 1000), SessionSettings(**(BARE | quick)))
+    better = simulate(m, 1000, link([3e4, 8e6], [0, 2], 1000), SessionSettings(**(BARE | quick | {"replace": True})))
+    replaced = [f for f in better.fetches if f.kind == "better"]
+    assert replaced and mean_quality(better) > mean_quality(kept)
+    for f in replaced:
+        shown = better.shown[f.position]
+        assert f.arrival_s <= shown.start_s and shown.rung == f.rung
+    assert metrics(better)["wasted"] > 0 == metrics(kept)["wasted"]
+
+
+def test_a_better_key_serves_the_rest_of_its_group():
+    """Six segments in one group; the first comes with the coarse key, a later one brings the fine one."""
+    m = segmented(tiny_manifest(groups=(60,)), 6)
+    log = simulate(m, 1000, link([2.4e4, 8e6], [0, 1.2], 1000), SessionSettings("robust-mpc", **BARE))
+    qualities = [log.catalogue.rungs[s.rung][0] for s in log.shown]
+    assert qualities[0] == 1 and qualities[-1] == 0 and qualities == sorted(qualities, reverse=True)
+    keys = [f for f in log.fetches if f.kind == "group"]
+    assert len(keys) == 2 and metrics(log)["bytes"]["key"] == 1500 + 4000
+
+
+def test_a_download_that_would_come_too_late_is_given_up():
+    """The link collapses in the middle of a large segment; whole files of it are kept."""
+    slow = link([8e4, 4e3, 8e4], [0, 1.0, 9.0], 1000)
+    patient = simulate(tiny_manifest(), 1000, slow, fixed(0))
+    hasty = simulate(tiny_manifest(), 1000, slow, replace(fixed(0), policy="paper", abandon=True))
+    assert metrics(patient)["abandoned"] == 0 and metrics(hasty)["abandoned"] >= 1
+    assert metrics(hasty)["stall_s"] < metrics(patient)["stall_s"]
+    given_up = next(f for f in hasty.fetches if "abandoned" in f.reason)
+    assert given_up.arrival_s - given_up.request_s >= 0.5 and 0 < given_up.wasted <= given_up.bytes
+
+
+def test_missing_and_corrupt_files_cost_their_rung_and_no_more():
+    m = tiny_manifest()
+    whole = simulate(m, 1000, link([8e6]), fixed(0))
+    missing = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults={"state/L0/1.m4s": "missing"})
+    assert [log_rung(missing, i) for i in (0, 1)] == ["Q0+L1", "Q0+L0"]
+    assert "state/L0/1.m4s" in missing.lost[0] and metrics(missing)["lost_frames"] == 0
+    assert metrics(missing)["bytes"]["state"] == 3000 and metrics(whole)["bytes"]["state"] == 4000
+    corrupt = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults={"state/L0/1.m4s": "the SHA-256 differs"})
+    assert corrupt.fetches[1].bytes == missing.fetches[1].bytes + 2000  # it travels before it can be found wrong
+    assert corrupt.fetches[1].wasted > missing.fetches[1].wasted
+
+
+def test_asking_ahead_hides_the_round_trip():
+    """As by hand, with a round trip of 0.1 s: paid once for the manifests and once for the first batch."""
+    log = simulate(tiny_manifest(), 1000, link([8e4], rtt=0.1), fixed(0, ahead=True))
+    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.2, 0.945, 1.575])
+    assert [f.request_s for f in log.fetches] == pytest.approx([0, 0.2, 0.845])
+    full = simulate(tiny_manifest(), 1000, link([8e9], rtt=0.1), fixed(0, ahead=True, loops=20, buffer_s=3.0))
+    for i, fetch in enumerate(full.fetches[5:], 4):  # a full buffer lets nobody ask before there is room
+        assert fetch.arrival_s >= full.shown[0].start_s + i + 1 - 3.0 + 0.1 - 1e-6
+
+
+def test_without_its_key_a_group_is_lost_and_the_next_one_is_not():
+    m = tiny_manifest()
+    log = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults={"key/T0/1.bin": "missing"})
+    assert [s.rung is None for s in log.shown] == [True, False]
+    assert metrics(log)["lost_frames"] == 10 and log_rung(log, 1) == "Q0+L0"
+    assert "frames 0-9" in log.lost[-1] and metrics(log)["psnr_mean"] == 40.0
+    assert log.shown[1].start_s == pytest.approx(log.shown[0].start_s + 1)  # the last picture stands for its time
+    assert "lost" in format_metrics(log)
+    nothing = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults=dict.fromkeys(m.files, "missing"))
+    assert all(s.rung is None for s in nothing.shown) and metrics(nothing)["psnr_mean"] is None
+    assert session_bound(nothing) is None
+
+
+def log_rung(log, index):
+    return log.catalogue.names[log.shown[index].rung]
+
+
+rates = st.lists(st.sampled_from([0.0, 1e4, 5e4, 2e5, 5e6]), min_size=1, max_size=12).filter(any)
+policies = st.sampled_from(["paper", "paper-literal", "throughput", "bola", "robust-mpc", "oracle-frame", "fixed:1"])
+
+
+@settings(deadline=None, max_examples=120)
+@given(
+    rates=rates,
+    policy=policies,
+    buffer_s=st.sampled_from([0.5, 2.0, 10.0]),
+    extras=st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.5, 2.5])),
+    split=st.booleans(),
+    ahead=st.booleans(),
+    bad=st.sampled_from([None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin"]),
+)
+def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, buffer_s, extras, split, ahead, bad):
+    m = segmented(tiny_manifest(groups=(30,))) if split else tiny_manifest()
+    faults = {bad: "missing"} if bad in m.files else {}
+    again, give_up, wait = extras
+    rules = SessionSettings(policy, buffer_s, wait, wait, 0.01, again, give_up, ahead, loops=3)
+    over = link(rates, rtt=0.08)
+    a, b = (simulate(m, 1000, over, rules, 350, faults) for _ in range(2))
+    assert (a.fetches, a.shown, metrics(a)) == (b.fetches, b.shown, metrics(b))
+    for first, second in itertools.pairwise(a.fetches):
+        assert first.request_s <= first.arrival_s <= second.request_s + over.rtt_s * ahead + 1e-9
+        assert first.arrival_s <= second.arrival_s
+    for s in a.shown:
+        assert s.ready_s <= s.start_s + 1e-9
+    ends = [s.start_s + s.frames / 10 for s in a.shown]
+    for end, later in zip(ends, a.shown[1:], strict=False):
+        assert later.stall_s >= 0 and later.start_s == pytest.approx(end + later.stall_s)
+    assert sum(a.bytes_by_kind.values()) <= metrics(a)["wire_bytes"]
+    assert all(0 <= f.wasted <= f.bytes for f in a.fetches)
+    used = over.bytes_between(0.0, a.fetches[-1].arrival_s)
+    assert metrics(a)["wire_bytes"] <= used * (1 + 1e-9) + len(a.fetches)  # nothing travels that the trace lacks
+    bound = session_bound(a)
+    if bound is not None:
+        assert bound >= mean_quality(a) - 1e-6
+
+
+def segmented(m, count=3):
+    """The one group of a tiny manifest in `count` segments."""
+    part = m.frames // count
+    segments, files = [], dict(m.files)
+    for i in range(count):
+        levels = [replace(v, number=i + 1, frame_bytes=v.frame_bytes[:part]) for v in m.segments[0].levels]
+        segments.append(replace(m.segments[0], start=i * part, stop=(i + 1) * part, levels=levels))
+    for path, entry in m.files.items():
+        if path.startswith("state/") and not path.endswith("init.mp4"):
+            head, _, tail = path.rpartition("/1.")
+            files |= {f"{head}/{n}.{tail}": entry for n in range(2, count + 1)}
+    return replace(m, segments=segments, files=files)
+
+
+def test_a_report_is_written(tmp_path):
+    log = simulate(tiny_manifest(), 1000, link([4e4, 0, 2e5], rtt=0.08), SessionSettings(loops=5))
+    page = write_report(log, tmp_path / "report")
+    assert {p.name for p in page.parent.iterdir()} == {"index.html", "session.json", "session.png"}
+    assert (page.parent / "session.png").read_bytes().startswith(b"\x89PNG")
+    unmeasured = simulate(tiny_manifest(psnr=None), 1000, link([8e6]), fixed(0))
+    assert "not measured" in write_report(unmeasured, tmp_path / "bare").read_text()
+
+
+def test_a_report_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    log = simulate(tiny_manifest(), 1000, link([8e6]), fixed(0))
+    with pytest.raises(ConfigError, match="cannot write"):
+        write_report(log, tmp_path / "file")

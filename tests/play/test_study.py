@@ -1,0 +1,247 @@
+"""Studies, the closed loop, the dense level space and the real link, each on a small package."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.cli.manifest import main as manifest_main
+from airgs_codec.cli.play import main
+from airgs_codec.decoder.decode import decode_frame
+from airgs_codec.decoder.group_states import SHARES, load_states, score_rows
+from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.dense import DROP, HOLD, MEASURED, cliff, measure_dense, pruning_levels, saving_levels
+from airgs_codec.package.store import open_package
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.check import find_faults, measure_decoding
+from airgs_codec.play.closed_loop import Server, adaptive, always, closed_loop_table, run_closed_loop
+from airgs_codec.play.link import Link
+from airgs_codec.play.player import SessionSettings
+from airgs_codec.play.session import simulate
+from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
+from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.scene.orbits import orbit_views
+from tests.support.manifests import tiny_manifest
+from tests.support.paths import FOX, VALID
+from tools.check_link import replay
+
+MOVING = VALID / "moving"
+
+
+@pytest.fixture(scope="module")
+def moving():
+    return open_package(MOVING)
+
+
+@pytest.fixture(scope="module")
+def cameras(moving):
+    return orbit_views(decode_frame(moving, 0), 3, 48)
+
+
+def constant(rate):
+    return Link(Trace("t", np.zeros(1), np.array([float(rate)]), 1000.0), 0.0)
+
+
+def test_offsets_are_seeded_and_a_traces_own():
+    trace = open_trace("markov:1")
+    assert offsets_of(trace, 4, 1) == offsets_of(trace, 4, 1) != offsets_of(trace, 4, 2)
+    assert offsets_of(trace, 4, 1) != offsets_of(open_trace("markov:2"), 4, 1)
+    assert all(0 <= o < trace.duration_s for o in offsets_of(trace, 100, 3))
+
+
+def test_feasible_means_that_the_smallest_rungs_keep_up():
+    c = Catalogue(tiny_manifest(), 0)
+    rules = SessionSettings(decode_frame_s=0.0, ahead=False)
+    assert is_feasible(c, 1000, constant(8 * 2300), rules, 10)  # exactly what a second of Q1+L2 takes
+    assert not is_feasible(c, 1000, constant(8 * 2000), rules, 30)
+
+
+def test_intervals_are_over_traces():
+    values = np.array([1.0, 1.0, 3.0, 3.0, np.nan])
+    mean, low, high = interval(values, ["a", "a", "b", "b", "b"])
+    assert mean == 2.0 and low == 1.0 and high == 3.0  # two traces, whatever the number of offsets
+    assert np.isnan(interval(np.array([np.nan]), ["a"])).all()
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory):
+    """A package with measured quality: the fox that is embedded, two frames a group."""
+    from airgs_codec.cli.encode import main as encode
+
+    folder = tmp_path_factory.mktemp("study")
+    scene = folder / "fox"
+    scene.mkdir()
+    for path in sorted(FOX.glob("*.ply"))[:4]:
+        shutil.copy(path, scene)
+    options = ["--preset", "ultrafast", "--steps", "default", "--measure-frames", "1", "--keep-all"]
+    assert encode([str(scene), "-o", str(folder / "fox.airgs"), *options]) == 0
+    return folder / "fox.airgs"
+
+
+def test_a_study_compares_on_the_same_links(measured, tmp_path, capsys):
+    options = ["--compare", "--traces", "markov:1:6", "const:9", "--offsets", "2", "--loops", "20", "--jobs", "1"]
+    policies = "robust-mpc,paper,paper-literal,throughput,bola,oracle-frame,oracle-lp,fixed:0"
+    report = tmp_path / "report"
+    assert main([str(measured), *options, "--policies", policies, "--report", str(report)]) == 0
+    text = capsys.readouterr().out
+    assert (
+        "2 traces, 2 offsets each (seed 1), unscaled" in text
+        and "links whose smallest rungs" in text
+        and "oracle-lp" in text
+        and "unpruned" in text
+    )
+    names = {"sessions.csv", "frames.csv", "study.json", "study.png", "index.html"}
+    assert {p.name for p in report.iterdir()} == names
+    record = json.loads((report / "study.json").read_text())
+    assert [r["sessions"] for r in record["all"]] == [4] * 8
+    assert all(r["regret"][0] >= -1e-6 for r in record["all"])
+    assert record["all"][0]["psnr_mean_difference"] == [0, 0, 0]
+    rows = (report / "sessions.csv").read_text().splitlines()
+    assert len(rows) == 1 + 4 * 8 and "mean_bps" in rows[0] and "scale" in rows[0] and "wire_bytes" in rows[0]
+    assert "paired" in (report / "index.html").read_text()
+
+
+def test_a_study_repeats_exactly(measured):
+    settings = StudySettings(("paper", "bola"), ("markov:3:1",), 2, session=replace(SessionSettings(), loops=10))
+    a, b = (run_study(measured, replace(settings, jobs=jobs)) for jobs in (1, 2))
+    assert a.rows == b.rows and summarise(a) == summarise(b)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--compare"], "--traces"),
+        (["--compare", "--traces", "none.csv"], "none.csv"),
+        (["--compare", "--traces", "const:1", "--policies", "best"], "--policy"),
+        (["--compare", "--traces", "const:1", "--policies", "paper,paper"], "policies"),
+        (["--compare", "--traces", "const:1", "--offsets", "0"], "offset"),
+        ([], "--trace"),
+        (["--trace", "const:1", "--mode", "frames", "--report", "never"], "--mode frames"),
+        (["--trace", "const:1", "--decode-ms", "fast"], "--decode-ms"),
+        (["--trace", "markov:1:1", "--end", "error", "--loops", "3000"], "ends after"),
+    ],
+)
+def test_studies_that_cannot_be(measured, options, words, capsys):
+    assert main([str(measured), *options]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
+
+
+def test_an_empty_folder_of_traces(measured, tmp_path, capsys):
+    assert main([str(measured), "--compare", "--traces", str(tmp_path)]) == 2
+    assert "empty" in capsys.readouterr().err
+
+
+def test_frame_mode_and_closed_loop_print_tables(measured, capsys):
+    assert main([str(measured), "--trace", "const:1", "--mode", "frames", "--loops", "2"]) == 0
+    assert "paper-literal" in capsys.readouterr().out
+    assert main([str(measured), "--trace", "const:1", "--mode", "closed-loop", "--loops", "1", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["drift_steps"] == 0
+
+
+def test_damaged_packages_play_on(measured, tmp_path, capsys):
+    broken = tmp_path / "broken.airgs"
+    shutil.copytree(measured, broken)
+    package = open_package(broken)
+    assert find_faults(package) == {}
+    first, second = (package.manifest.state_files(0, j)[0] for j in (0, 1))
+    (broken / first).unlink()
+    (broken / second).write_bytes(b"x" * package.manifest.files[second].bytes)
+    faults = find_faults(package)
+    assert faults[first] == "missing" and "SHA-256" in faults[second]
+    film = tmp_path / "film.mp4"
+    play = [str(broken), "--trace", "const:50", "--loops", "1", "--video", str(film)]
+    assert main([*play, "--policy", "fixed:0"]) == 0
+    assert first in capsys.readouterr().out and film.exists()
+    (broken / package.manifest.key_files(0, 0, 0)[0]).unlink()
+    assert main(play) == 2
+    assert "nothing can be shown" in capsys.readouterr().err
+    assert main(play[:5]) == 0
+    assert "no rung can be had" in capsys.readouterr().out
+
+
+def test_decoding_is_timed(moving):
+    assert 0 < measure_decoding(moving) < 10
+
+
+def test_the_viewer_has_what_the_server_thinks(moving, cameras):
+    """Random levels for every frame: no drift, and at 0 % everything is there again."""
+    random = np.random.default_rng(1)
+
+    def choose(server, t, budget):
+        return 0.0 if t % 4 == 3 else SHARES[int(random.integers(len(SHARES)))]
+
+    sent = run_closed_loop(moving, cameras, cameras[:1], choose)
+    assert all(s.drift == 0 for s in sent)
+    assert any(s.stale > 0 for s in sent)
+    assert all(s.stale == 0 for s in sent if s.pruned == 0)
+    assert all(s.bytes == 0 for s in sent if s.pruned == 1)
+    full = closed_loop_table(run_closed_loop(moving, cameras, cameras[:1], always(0.0)))
+    nothing = closed_loop_table(run_closed_loop(moving, cameras, cameras[:1], always(1.0)))
+    assert full["psnr_to_top"] > nothing["psnr_to_top"] + 3 and nothing["kb_frame"] == 0
+
+
+def test_the_closed_loop_fits_its_budget(moving, cameras):
+    states = load_states(moving, 0)
+    server = Server(states, score_rows(states, list(cameras))["hits"])
+    last = len(states.values) - 1
+    sizes = [server.size(last, share) for share in SHARES]
+    assert sizes[-1] == 0 and sizes[0] == max(sizes)
+    for budget in (0, sizes[5], sizes[0], 1e9):
+        share = adaptive(server, last, budget)
+        assert server.size(last, share) <= budget
+
+
+def test_dense_levels_fall_and_bytes_are_those_of_the_package(moving, cameras):
+    measured = [
+        replace(s, levels=[replace(v, psnr=[45.0, 40.0], ssim=[0.99, 0.98]) for v in s.levels])
+        for s in moving.manifest.segments
+    ]
+    package = replace(moving, manifest=replace(moving.manifest, segments=measured))
+    points = measure_dense(package, cameras[:1], cameras)
+    m = package.manifest
+    full = sum(m.bytes_of(m.state_files(i, 0)) for i in range(len(m.segments)))
+    for name in MEASURED:
+        levels = pruning_levels(points, name)
+        assert [p.pruned for p in levels] == [i / 10 for i in range(11)]
+        assert levels[0].psnr == pytest.approx(45.0) and levels[0].bytes == full
+        assert levels[-1].bytes == 0 and levels[-1].psnr < levels[0].psnr
+        (dropped,) = (p for p in pruning_levels(points, name, DROP) if p.pruned == 1)
+        assert dropped.psnr < levels[-1].psnr
+    sizes = [p.bytes for p in saving_levels(points)]
+    assert sizes == sorted(sizes, reverse=True) and sizes[0] <= full
+    kept, left = cliff(pruning_levels(points, "hits", HOLD))
+    assert kept[0].pruned == 0 and len(kept) + len(left) == 10
+
+
+def test_inspect_shows_the_dense_ladder(moving, tmp_path, capsys):
+    picture = tmp_path / "dense.png"
+    assert manifest_main(["inspect", str(MOVING), "--ladder", "--plot", str(picture)]) == 0
+    out = capsys.readouterr().out
+    assert "100 %" in out and "last before the cliff saves" in out and picture.stat().st_size > 10_000
+    assert manifest_main(["inspect", str(MOVING), "--ladder", "--against", str(FOX)]) == 2
+    assert "expected 4 frames, got 10" in capsys.readouterr().err
+
+
+def test_dense_levels_need_a_measured_top_rung(moving, cameras):
+    segments = [replace(s, levels=[replace(v, psnr=[], ssim=[]) for v in s.levels]) for s in moving.manifest.segments]
+    bare = replace(moving, manifest=replace(moving.manifest, segments=segments))
+    with pytest.raises(ConfigError, match="--against"):
+        measure_dense(bare, cameras[:1], cameras)
+
+
+def test_the_real_link_is_never_faster_than_the_simulated_one():
+    """A second of play over loopback; how close it comes is measured by tools/check_link, not here."""
+    c = Catalogue(tiny_manifest())
+    link = Link(Trace("t", np.array([0.0, 0.3, 0.5]), np.array([4e5, 0.0, 8e5]), 10.0), 0.02)
+    log = simulate(c, 1000, link, SessionSettings("fixed:0", loops=2, abandon=False))
+    real = replay(log)
+    assert len(real) == len(log.fetches)
+    assert all(a >= f.arrival_s - 0.005 for a, f in zip(real, log.fetches, strict=True))
+
+
+def test_policies_need_different_names():
+    with pytest.raises(ConfigError, match="different"):
+        StudySettings(("paper", "paper"), ("const:1",))

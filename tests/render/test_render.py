@@ -1,0 +1,223 @@
+"""The CPU renderer against its plain float64 definition: pictures, gradients, statistics, extremes."""
+
+import numpy as np
+import pytest
+import torch
+
+from airgs_codec.render import Camera, measure_contribution, read_cameras, render
+from airgs_codec.render.cpu import activate
+from airgs_codec.render.differentiable import rasterize
+from airgs_codec.render.reference import blending_weights, render_reference
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.orbits import camera_path, orbit_views
+from airgs_codec.scene.ply import read_ply
+from tests.support.paths import FOX
+from tests.support.scenes import random_gaussians
+
+# Single pixels flip at alpha = 1/255 between float32 and float64: one flip moves a pixel by up to 4e-3.
+MEAN_ERROR, MAX_ERROR = 1e-5, 5e-3
+NAMES = ("means", "quaternions", "scales", "opacities", "sh")
+
+
+def camera(distance=4.0, width=70, height=50, turn=0.4) -> Camera:
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
+    matrix[2, 3] = distance
+    return Camera("test", width, height, 60.0, 62.0, 33.0, 26.0, matrix)
+
+
+def inputs(count=200, degree=1, seed=0, **columns):
+    """Activated attributes on float32 values, as float64 arrays."""
+    a = activate(random_gaussians(count, degree, seed))
+    values = {name: getattr(a, name).astype(np.float64) for name in NAMES}
+    values["scales"] = values["scales"] * 0.3
+    return {n: np.asarray(columns.get(n, v), np.float32).astype(np.float64) for n, v in values.items()}
+
+
+def both(values, view, background=(0.2, 0.5, 0.9), seed=1):
+    """Pictures and gradients of the renderer and of the reference for the same random loss."""
+    rng = np.random.default_rng(seed)
+    weights = torch.from_numpy(rng.normal(size=(view.height, view.width, 3)))
+    weights_t = torch.from_numpy(rng.normal(size=(view.height, view.width)))
+    out = []
+    for dtype, function in ((torch.float32, rasterize), (torch.float64, render_reference)):
+        tensors = [torch.from_numpy(values[n]).to(dtype).requires_grad_() for n in NAMES]
+        rgb, transmittance = function(*tensors, view, background)
+        ((rgb * weights.to(dtype)).sum() + (transmittance * weights_t.to(dtype)).sum()).backward()
+        gradients = {n: t.grad.double().numpy() for n, t in zip(NAMES, tensors, strict=True)}
+        out.append((rgb.detach().double().numpy(), transmittance.detach().double().numpy(), gradients))
+    return out
+
+
+def relative(a, b):
+    norm = np.linalg.norm(b)
+    return np.linalg.norm(a - b) / norm if norm else np.linalg.norm(a)
+
+
+def check(values, view, tolerance, names=NAMES):
+    (rgb, transmittance, gradients), (rgb_ref, transmittance_ref, gradients_ref) = both(values, view)
+    assert np.abs(rgb - rgb_ref).mean() <= MEAN_ERROR and np.abs(rgb - rgb_ref).max() <= MAX_ERROR
+    assert np.abs(transmittance - transmittance_ref).max() <= MAX_ERROR
+    for name in names:
+        assert np.isfinite(gradients[name]).all(), name
+        assert relative(gradients[name], gradients_ref[name]) <= tolerance, name
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_pictures_and_gradients_equal_the_reference(degree):
+    check(inputs(200, degree, seed=degree), camera(), 1e-4)
+
+
+def evenly_spaced(sizes):
+    rng = np.random.default_rng(3)
+    return np.stack([rng.permutation(sizes) for _ in range(200)])
+
+
+EXTREMES = {
+    "needles, ratio 1e4": ({"scales": evenly_spaced([1.0, 1e-4, 1e-4])}, 4.0),
+    "needles of 30 x 3e-3": ({"scales": np.tile([30.0, 3e-3, 3e-3], (200, 1))}, 4.0),
+    "scales over six decades": ({"scales": np.exp(np.random.default_rng(0).normal(size=(200, 3)) * 3 - 4)}, 4.0),
+    "opacity 0 and 1": ({"opacities": np.repeat([1.0, 0.0], 100)}, 4.0),
+    "opacity above the clamp": ({"opacities": np.full(200, 0.9995)}, 4.0),
+    "tiny and zero quaternions": (
+        {
+            "quaternions": np.random.default_rng(1).normal(size=(200, 4))
+            * np.repeat([1e-10, 0.0, 1.0, 5.0], 50)[:, None]
+        },
+        4.0,
+    ),
+    "camera inside the scene": ({}, 0.3),
+}
+
+
+@pytest.mark.parametrize("name", EXTREMES)
+def test_extremes_equal_the_reference(name):
+    columns, distance = EXTREMES[name]
+    values = inputs(200, 1, **columns)
+    # Where a quaternion is tiny its gradient scales with 1 / |q|: compared apart, so that it does not drown the rest.
+    names = [n for n in NAMES if not (n == "quaternions" and "quaternions" in columns)]
+    check(values, camera(distance), 1e-3, names)
+    if "quaternions" in columns:
+        (_, _, got), (_, _, want) = both(values, camera(distance))
+        for rows in (slice(0, 50), slice(100, 150), slice(150, 200)):
+            assert relative(got["quaternions"][rows], want["quaternions"][rows]) <= 1e-3
+        assert not got["quaternions"][50:100].any()  # zero reads as identity and stays put
+
+
+@pytest.mark.parametrize("sizes", [[1e4, 1.0, 1e-2], [100.0] * 3, [1e-9] * 3])
+def test_absurd_sizes_still_give_the_reference_picture_and_finite_gradients(sizes):
+    """Of 1e4 x 1 x 1e-2 before the camera the mean and quaternion gradients are rounding noise: a trainer clamps."""
+    values = inputs(200, 1, scales=np.tile(sizes, (200, 1)))
+    (rgb, _, gradients), (expected, _, _) = both(values, camera())
+    assert np.abs(rgb - expected).mean() <= MEAN_ERROR and np.abs(rgb - expected).max() <= MAX_ERROR
+    assert all(np.isfinite(g).all() for g in gradients.values())
+
+
+def test_behind_the_camera_nothing_is_drawn_and_nothing_pulls():
+    (rgb, transmittance, gradients), _ = both(inputs(), camera(-5.0))
+    np.testing.assert_allclose(rgb, np.broadcast_to(np.float32([0.2, 0.5, 0.9]), rgb.shape))
+    assert (transmittance == 1).all() and not any(g.any() for g in gradients.values())
+
+
+@pytest.mark.parametrize("depth", [0.0, 1e-30, 0.01, np.nextafter(0.01, 1), 0.010001])
+def test_on_the_near_plane_and_inside_a_gaussian_everything_is_finite(depth):
+    """Means on the plane where drawing begins, and large Gaussians around the camera."""
+    view = camera(0.0, turn=0.0)
+    for size in (1e-4, 0.1, 10.0):
+        means = np.tile([1e-3, 2e-3, depth], (200, 1))
+        (rgb, _, gradients), (expected, _, _) = both(inputs(means=means, scales=np.full((200, 3), size)), view)
+        assert np.isfinite(rgb).all() and all(np.isfinite(g).all() for g in gradients.values())
+        assert np.abs(rgb - expected).max() <= MAX_ERROR
+
+
+# 1e30 is finite and means something as a scale, an opacity past the clamp or the length of a quaternion.
+BAD = [(n, v) for n in NAMES for v in (np.nan, np.inf, -np.inf)] + [("means", 1e30), ("sh", 1e30)]
+
+
+@pytest.mark.parametrize(("name", "bad"), BAD)
+def test_a_value_that_is_not_finite_culls_its_gaussian_alone(name, bad):
+    values = inputs(60)
+    values[name].reshape(60, -1)[7, 0] = bad
+    keep = np.arange(60) != 7
+    tensors = [torch.from_numpy(values[n]).float().requires_grad_() for n in NAMES]
+    rgb, transmittance = rasterize(*tensors, camera())
+    (rgb.sum() + transmittance.sum()).backward()
+    others = [torch.from_numpy(values[n][keep]).float() for n in NAMES]
+    np.testing.assert_array_equal(rgb.detach().numpy(), rasterize(*others, camera())[0].numpy())
+    assert all(torch.isfinite(t.grad).all() for t in tensors)
+
+
+def test_statistics_equal_the_blending_weights_of_the_reference():
+    g = random_gaussians(150, 1)
+    view = camera()
+    seen = measure_contribution(g, view)
+    a = activate(g)
+    weights, _, _ = blending_weights(*(torch.tensor(getattr(a, n)).double() for n in NAMES), view)
+    weights = weights.numpy()
+    np.testing.assert_allclose(seen.total, weights.sum(axis=0), atol=5e-2, rtol=1e-3)
+    np.testing.assert_allclose(seen.peak, weights.max(axis=0), atol=MAX_ERROR)
+    assert np.abs(seen.hits - (weights > 0).sum(axis=0)).max() <= 2  # pixels at alpha = 1/255 flip
+    assert seen.total.sum() == pytest.approx((1 - render(g, view).transmittance).sum(), rel=1e-5)
+
+
+def test_two_runs_give_the_same_bits():
+    a, b = (both(inputs(300, 2), camera())[0] for _ in range(2))
+    np.testing.assert_array_equal(a[0], b[0])
+    for name in NAMES:
+        np.testing.assert_array_equal(a[2][name], b[2][name])
+
+
+def test_no_gaussians_give_the_background():
+    picture = render(random_gaussians(3).take(np.arange(0)), camera(), (0.1, 0.2, 0.3))
+    np.testing.assert_allclose(picture.rgb, np.broadcast_to(np.float32([0.1, 0.2, 0.3]), picture.rgb.shape))
+
+
+def test_the_embedded_scene_equals_the_reference():
+    g = read_ply(FOX / "000005.ply")
+    whole = next(c for c in read_cameras(FOX / "transforms.json") if c.split == "test")
+    small = Camera("small", 40, 40, whole.fx / 8, whole.fy / 8, whole.cx / 8, whole.cy / 8, whole.world_to_camera)
+    a = activate(g)
+    rgb, _ = render_reference(*(torch.tensor(getattr(a, n)).double() for n in NAMES), small)
+    error = np.abs(render(g, small).rgb - rgb.numpy())
+    assert error.mean() <= MEAN_ERROR and error.max() <= MAX_ERROR
+
+
+def test_camera_convention_on_a_known_projection():
+    """A point 2 right, 1 down and 4 ahead of an OpenGL camera at the origin lands at x / z in the picture."""
+    view = read_cameras(FOX / "transforms.json")[0]
+    centre = view.position
+    ahead = view.world_to_camera[2, :3]
+    g = random_gaussians(1)
+    point = Gaussians(
+        (centre + 4 * ahead + 0.5 * view.world_to_camera[0, :3])[None].astype(np.float32),
+        g.quaternions,
+        np.full((1, 3), -4.0, np.float32),
+        np.full(1, 5.0, np.float32),
+        np.ones((1, 3), np.float32),
+        g.sh_rest,
+    )
+    picture = render(point, view).rgb.sum(axis=2)
+    y, x = np.unravel_index(picture.argmax(), picture.shape)
+    assert x + 0.5 == pytest.approx(view.cx + view.fx * 0.5 / 4, abs=1.0)
+    assert y + 0.5 == pytest.approx(view.cy, abs=1.0)
+
+
+def test_generated_views_see_the_scene():
+    g = random_gaussians(400)
+    for view in orbit_views(g, 4, 64):
+        covered = (render(g, view).transmittance < 0.9).mean()
+        assert 0.1 < covered < 0.95
+
+
+def test_generated_views_of_one_gaussian_far_from_the_origin_are_finite():
+    g = random_gaussians(1)
+    far = Gaussians(g.means + np.float32(1e6), *(getattr(g, n) for n in g.__slots__[1:]))
+    assert all(np.isfinite(v.world_to_camera).all() for v in orbit_views(far, 3))
+
+
+def test_a_path_passes_through_its_cameras():
+    views = orbit_views(random_gaussians(50), 4)
+    path = camera_path(views, 10)
+    assert len(path) == 10
+    for got, want in ((path[0], views[0]), (path[3], views[1]), (path[9], views[3])):
+        np.testing.assert_allclose(got.world_to_camera, want.world_to_camera, atol=1e-9)

@@ -1,0 +1,55 @@
+"""Seeded synthetic scenes, and the embedded one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.ply import write_ply
+
+
+def random_gaussians(count: int, degree: int = 0, seed: int = 0) -> Gaussians:
+    """A ball of Gaussians of plausible size, arrays read-only."""
+    rng = np.random.default_rng(seed)
+    size = np.log(0.6 / max(count, 2) ** (1 / 3))
+    arrays = [
+        rng.normal(size=(count, 3)) * 0.5,
+        rng.normal(size=(count, 4)),
+        size + rng.normal(size=(count, 3)) * 0.4,
+        rng.normal(size=count) * 2,
+        rng.normal(size=(count, 3)) * 0.6,
+        rng.normal(size=(count, SH_REST[degree], 3)) * 0.1,
+    ]
+    return frozen(Gaussians(*(a.astype(np.float32) for a in arrays)))
+
+
+def frozen(g: Gaussians) -> Gaussians:
+    """The same arrays, read-only: code that writes into its argument fails."""
+    for name in g.__slots__:
+        getattr(g, name).flags.writeable = False
+    return g
+
+
+def moving_frames(count: int, frames: int, degree: int = 0, seed: int = 0) -> list[Gaussians]:
+    """Half of the rows swing, the others stand still."""
+    first = random_gaussians(count, degree, seed)
+    moves = (np.arange(count) % 2)[:, None]
+    out = []
+    for t in range(frames):
+        shift = np.array([0.3 * np.sin(0.4 * t), 0.1 * t, 0], np.float32) * moves
+        means = (first.means + shift).astype(np.float32)
+        out.append(frozen(Gaussians(means, *(getattr(first, n) for n in first.__slots__[1:]))))
+    return out
+
+
+def write_sequence(folder: Path, frames: list[Gaussians], **settings: object) -> Path:
+    """A sequence on disk."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for i, frame in enumerate(frames):
+        write_ply(folder / f"{i:06d}.ply", frame)
+    if settings:
+        (folder / "sequence.json").write_text(json.dumps(settings))
+    return folder
