@@ -85,15 +85,11 @@ def test_the_decoder_knows_nothing_of_the_encoder():
 
 
 TORCHLESS = [
-    "decoder.decode", "encoder.encode", "play.session", "inspect.validate", "cli.decode", "cli.play", "cli.encode"
-]
     "decoder.decode",
     "encoder.encode",
     "play.session",
     "inspect.validate",
-    "cli.decode",
-    "cli.play",
-    "cli.encode",
+    *(f"cli.{c}" for c in ("decode", "encode", "play")),
 ]
 
 
