@@ -88,7 +88,7 @@ def test_absurd_counts_are_refused_with_little_memory(tmp_path, where, value):
 
 
 def test_a_kill_in_the_middle_leaves_the_old_package(scene, tmp_path):
-    """tools/kill_test.py does it fifty times."""
+    """`python -m tests.long.kill` does it fifty times."""
     target = tmp_path / "out.airgs"
     command("encode", scene, "-o", target, *ENCODE, check=True)
     code = "import sys; from airgs_codec.cli.encode import main; sys.exit(main(sys.argv[1:]))"

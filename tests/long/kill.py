@@ -1,6 +1,6 @@
 """Kill encodes and training runs at random moments: what is there stays whole, and a restart finishes.
 
-    python -m tools.kill_test [--encodes 25] [--trainings 25] [--seed 0]
+    python -m tests.long.kill [--encodes 25] [--trainings 25] [--seed 0]
 
 Encodes of the embedded scene write over an existing package: after every kill -9 the target is a valid package, the old
 one or the new one. Training runs of the embedded views are killed and resumed until they end: their frames and record
@@ -22,10 +22,10 @@ import time
 from pathlib import Path
 
 from airgs_codec.inspect.validate import validate
+from tests.support.paths import FOX, FOX_VIEWS
 
-DATA = Path(__file__).parent.parent / "tests" / "data"
-ENCODE = ["airgs_codec.cli.encode", str(DATA / "fox"), "--preset", "ultrafast", "--steps", "default", "--json"]
-TRAIN = ["airgs_codec.cli.train", str(DATA / "fox_views"), "--iterations", "120,60,30", "--budget", "1500", "--json"]
+ENCODE = ["airgs_codec.cli.encode", str(FOX), "--preset", "ultrafast", "--steps", "default", "--json"]
+TRAIN = ["airgs_codec.cli.train", str(FOX_VIEWS), "--iterations", "120,60,30", "--budget", "1500", "--json"]
 
 
 def command(words: list[str]) -> subprocess.Popen[bytes]:
