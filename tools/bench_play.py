@@ -18,7 +18,7 @@ import numpy as np
 
 from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.ladder import Ladder, Point, select
+from airgs_codec.play.ladder import Ladder, Option, select
 from airgs_codec.play.link import Link
 from airgs_codec.play.metrics import session_bound
 from airgs_codec.play.player import SessionSettings
@@ -57,7 +57,7 @@ def main() -> None:
     args = parser.parse_args()
     print(f"{'levels':>8}{'build us':>12}{'a level':>10}{'select us':>12}")
     for count in LEVELS:
-        points = [Point(i, 1000 * (count - i), 60 - 20 * i / count, i / count) for i in range(count)]
+        points = [Option(i, 1000 * (count - i), 60 - 20 * i / count, i / count) for i in range(count)]
         ladder = Ladder.build(points, beta=math.inf, cliff_db=math.inf)
         build = seconds(lambda p=points: Ladder.build(p, beta=math.inf, cliff_db=math.inf))  # type: ignore[misc]
         choose = seconds(lambda x=ladder, c=count: select(x, 500.0 * c))  # type: ignore[misc]

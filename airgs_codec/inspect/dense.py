@@ -29,7 +29,7 @@ from airgs_codec.media.metrics import mse, psnr, ssim
 from airgs_codec.media.video import state_codec
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Manifest
-from airgs_codec.play.ladder import Ladder, Point
+from airgs_codec.play.ladder import Ladder, Option
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
@@ -223,16 +223,16 @@ def cliff(levels: Sequence[DensePoint]) -> tuple[list[DensePoint], list[DensePoi
     """
     coded = [p for p in levels if p.pruned < 1]
     full = max(1, max(p.bytes for p in coded))
-    points = [Point(i, p.bytes, p.psnr, 1 - p.bytes / full) for i, p in enumerate(coded)]
-    kept = {point.level for point in Ladder.build(points).points}
+    points = [Option(i, p.bytes, p.psnr, 1 - p.bytes / full) for i, p in enumerate(coded)]
+    kept = {point.index for point in Ladder.build(points).options}
     return [p for i, p in enumerate(coded) if i in kept], [p for i, p in enumerate(coded) if i not in kept]
 
 
 def cost_of_saving(levels: Sequence[DensePoint], share: float) -> float:
     """dB lost where `share` of the bytes of the best level are saved, between the levels of their Pareto front."""
     coded = [p for p in levels if p.pruned < 1]
-    points = [Point(i, p.bytes, p.psnr, p.pruned) for i, p in enumerate(coded)]
-    front = Ladder.build(points, beta=math.inf, cliff_db=math.inf).points[::-1]
+    points = [Option(i, p.bytes, p.psnr, p.pruned) for i, p in enumerate(coded)]
+    front = Ladder.build(points, beta=math.inf, cliff_db=math.inf).options[::-1]
     sizes, quality = [p.size_bytes for p in front], [p.quality for p in front]
     return quality[-1] - float(np.interp((1 - share) * sizes[-1], sizes, quality))
 

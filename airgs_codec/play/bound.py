@@ -77,7 +77,7 @@ class Horizon:
         """From a moment of a session to its end, shown without a stall from `deadline_s` on, at most 2 buffers long."""
         units: list[Unit] = []
         start = deadline_s
-        for segment, opens in catalogue.ahead(position, end - position, end):
+        for segment, opens in catalogue.upcoming(position, end - position, end):
             seconds = catalogue.seconds[segment]
             release = max(rules.now_s, start + seconds - rules.buffer_limit_s) + link.rtt_s
             units.append(Unit(segment, opens, link.bytes_between(0.0, release), link.bytes_between(0.0, start)))

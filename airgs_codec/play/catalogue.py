@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.package.tables import Manifest
-from airgs_codec.play.ladder import Point
+from airgs_codec.play.ladder import Option
 
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
@@ -29,7 +29,7 @@ class Catalogue:
     header_bytes: int = HEADER_BYTES
 
     @cached_property
-    def _options(self) -> dict[tuple[int, tuple[tuple[int, int], ...]], tuple[Point, ...]]:
+    def _options(self) -> dict[tuple[int, tuple[tuple[int, int], ...]], tuple[Option, ...]]:
         return {}
 
     @cached_property
@@ -84,7 +84,7 @@ class Catalogue:
         return np.array(flat).reshape(shape)
 
     @cached_property
-    def transitions(self) -> NDArray[np.int64]:
+    def bytes_after(self) -> NDArray[np.int64]:
         """(S, Q L, Q L) wire bytes of rung c in a segment after rung p in the one before, in the same group."""
         table = np.empty((len(self.manifest.segments), len(self.rungs), len(self.rungs)), np.int64)
         for s in range(len(table)):
@@ -93,7 +93,7 @@ class Catalogue:
         return table
 
     @cached_property
-    def openings(self) -> NDArray[np.int64]:
+    def bytes_from_scratch(self) -> NDArray[np.int64]:
         """(S, Q L) wire bytes of a rung with nothing of its group at hand."""
         return np.array([self.sizes(s, {}) for s in range(len(self.manifest.segments))])
 
@@ -106,13 +106,13 @@ class Catalogue:
             for q, j in self.rungs
         ]
 
-    def options(self, segment: int, held: Held) -> tuple[Point, ...]:
+    def options(self, segment: int, held: Held) -> tuple[Option, ...]:
         """Every rung of a segment, by number; kept, since a session asks for few combinations over and over."""
         key = segment, tuple(sorted(held.items()))
         if key not in self._options:
             levels, quality, sizes = self.manifest.levels, self.quality[segment], self.sizes(segment, held)
             self._options[key] = tuple(
-                Point(r, sizes[r], float(quality[r]), levels[j].pruned) for r, (_, j) in enumerate(self.rungs)
+                Option(r, sizes[r], float(quality[r]), levels[j].pruned) for r, (_, j) in enumerate(self.rungs)
             )
         return self._options[key]
 
@@ -123,13 +123,13 @@ class Catalogue:
         keys = [path for t in range(held.get(q, 0), m.levels[j].tiers) for path in m.key_files(group, t, q)]
         return keys + m.state_files(segment, j)
 
-    def ahead(self, position: int, count: int, end: int) -> Iterator[tuple[int, bool]]:
+    def upcoming(self, position: int, count: int, end: int) -> Iterator[tuple[int, bool]]:
         """(segment, whether it begins a group) of the next positions, before `end`."""
         for p in range(position, min(position + count, end)):
             segment = p % len(self.seconds)
-            yield segment, self.opens(segment)
+            yield segment, self.starts_group(segment)
 
-    def opens(self, segment: int) -> bool:
+    def starts_group(self, segment: int) -> bool:
         """Whether a segment begins a group, so that no key of it is at hand."""
         segments = self.manifest.segments
         return segment == 0 or segments[segment].group != segments[segment - 1].group

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.ladder import Ladder, Point, frame_budget, select, select_literal
+from airgs_codec.play.ladder import Ladder, Option, frame_budget, select, select_literal
 from airgs_codec.play.link import Link
 from airgs_codec.play.policy import Download, estimate_throughput
 
@@ -26,7 +26,7 @@ PROBE_BYTES = 1500
 SKIPPED = -1  # in place of a level
 
 Chooser = Callable[
-    [tuple[Point, ...], float], tuple[int, bool]
+    [tuple[Option, ...], float], tuple[int, bool]
 ]  # levels and budget -> level or SKIPPED, whether it fits
 
 
@@ -49,10 +49,10 @@ class FrameLog:
         return self.waited_s + self.sent_s > 1 / self.fps
 
 
-def frame_options(c: Catalogue, keys: bool) -> list[tuple[Point, ...]]:
+def frame_options(c: Catalogue, keys: bool) -> list[tuple[Option, ...]]:
     """For each frame of the sequence its levels: H.264 bytes and its share of the sidecar, with `keys` of the key."""
     m = c.manifest
-    frames: list[tuple[Point, ...]] = []
+    frames: list[tuple[Option, ...]] = []
     for index, segment in enumerate(m.segments):
         group = m.groups[segment.group]
         count = segment.stop - segment.start
@@ -66,7 +66,7 @@ def frame_options(c: Catalogue, keys: bool) -> list[tuple[Point, ...]]:
         for t in range(count):
             frames.append(
                 tuple(
-                    Point(
+                    Option(
                         j,
                         round((s.frame_bytes[t] if s.frame_bytes else 0) + extra[j]),
                         s.psnr[0] if s.psnr else 0.0,
@@ -78,28 +78,28 @@ def frame_options(c: Catalogue, keys: bool) -> list[tuple[Point, ...]]:
     return frames
 
 
-def choose_best(levels: tuple[Point, ...], budget: float) -> tuple[int, bool]:
+def choose_best(levels: tuple[Option, ...], budget: float) -> tuple[int, bool]:
     """`paper`: the best level that fits, no level if none does."""
     decision = select(Ladder.build(levels, beta=math.inf, cliff_db=math.inf), budget)
-    return (decision.level, True) if decision.fits else (SKIPPED, False)
+    return (decision.index, True) if decision.fits else (SKIPPED, False)
 
 
-def choose_literally(levels: tuple[Point, ...], budget: float) -> tuple[int, bool]:
+def choose_literally(levels: tuple[Option, ...], budget: float) -> tuple[int, bool]:
     """`paper-literal`: what Algorithm 1 names, the last level where it names none."""
     answer = select_literal(levels, budget)
     chosen = levels[-1 if answer is None else answer]
-    return chosen.level, chosen.size_bytes <= budget
+    return chosen.index, chosen.size_bytes <= budget
 
 
-def choose_top(levels: tuple[Point, ...], budget: float) -> tuple[int, bool]:
+def choose_top(levels: tuple[Option, ...], budget: float) -> tuple[int, bool]:
     """`unpruned`: always level 0."""
-    return levels[0].level, levels[0].size_bytes <= budget
+    return levels[0].index, levels[0].size_bytes <= budget
 
 
-def choose_smallest(levels: tuple[Point, ...], budget: float) -> tuple[int, bool]:
+def choose_smallest(levels: tuple[Option, ...], budget: float) -> tuple[int, bool]:
     """`pruned`: the smallest level whose frames the ladder keeps, skipped never; the paper's full pruning."""
     smallest = min(levels, key=lambda p: p.size_bytes)
-    return smallest.level, smallest.size_bytes <= budget
+    return smallest.index, smallest.size_bytes <= budget
 
 
 CHOOSERS: dict[str, Chooser] = {

@@ -22,10 +22,10 @@ DEFAULT_BETA = 2.0  # the paper's cliff multiplier
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
-    """A choice: its place in the caller's list, what it costs, what it shows."""
+class Option:
+    """One of the things that can be chosen: its size in bytes on the wire and the quality that it shows."""
 
-    level: int
+    index: int  # in the caller's list, such as a level or a rung
     size_bytes: int
     quality: float  # dB
     pruned: float  # share of updates withheld, 0..1
@@ -33,23 +33,23 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A choice with its reason."""
+    """The option that was chosen, and why."""
 
-    level: int
-    fits: bool
-    reason: str
+    index: int  # of the option
+    fits: bool  # whether it is within the budget
+    reason: str  # in words, for people
     size_bytes: int
 
 
 @dataclass(frozen=True, slots=True)
 class Ladder:
-    """Points whose size and quality both fall strictly, from the best down to the last before the cliff."""
+    """Options whose size and quality both fall strictly, from the best down to the last before the cliff."""
 
-    points: tuple[Point, ...]
+    options: tuple[Option, ...]
 
     @staticmethod
     def build(
-        points: Iterable[Point],
+        options: Iterable[Option],
         *,
         beta: float = DEFAULT_BETA,
         eps_db: float = 0.05,
@@ -60,42 +60,42 @@ class Ladder:
 
         A level is past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least
         `eps_db`), or, for the first level, `cliff_db`; or when its quality is under `min_quality`. O(n log n).
-        Raises ConfigError: no points (10), beta <= 1 (6), a size or quality that is no number (11).
+        Raises ConfigError: no options (10), beta <= 1 (6), a size or quality that is no number (11).
         """
         if not beta > 1:
             raise ConfigError(f"cliff multiplier: expected more than 1, got {beta}")
-        front = _pareto([_checked(p) for p in points])
+        front = _pareto([_checked(p) for p in options])
         kept = front[:1]
         dropped = 0.0  # sum over the levels kept
-        for previous, point in itertools.pairwise(front):
-            drop = _drop_per_tenth(previous, point)
+        for previous, option in itertools.pairwise(front):
+            drop = _drop_per_tenth(previous, option)
             reference = max(eps_db, dropped / (len(kept) - 1)) if len(kept) > 1 else None
             past = drop > cliff_db if reference is None else drop / reference > beta
-            if past or (min_quality is not None and point.quality < min_quality):
+            if past or (min_quality is not None and option.quality < min_quality):
                 break
-            kept.append(point)
+            kept.append(option)
             dropped += drop
         return Ladder(tuple(kept))
 
 
-def _checked(point: Point) -> Point:
-    if math.isnan(point.quality) or point.size_bytes < 0:
-        raise ConfigError(f"level {point.level}: expected a size and a quality, got {point}")
-    return Point(point.level, point.size_bytes, min(point.quality, PSNR_CAP), point.pruned)
+def _checked(option: Option) -> Option:
+    if math.isnan(option.quality) or option.size_bytes < 0:
+        raise ConfigError(f"level {option.index}: expected a size and a quality, got {option}")
+    return Option(option.index, option.size_bytes, min(option.quality, PSNR_CAP), option.pruned)
 
 
-def _pareto(points: list[Point]) -> list[Point]:
-    """Points that no other beats or equals at fewer bytes, best first (4, 9)."""
-    if not points:
+def _pareto(options: list[Option]) -> list[Option]:
+    """Options that no other beats or equals at fewer bytes, best first (4, 9)."""
+    if not options:
         raise ConfigError("ladder: expected at least one level, got none")
-    front: list[Point] = []
-    for point in sorted(points, key=lambda p: (p.size_bytes, -p.quality, p.level)):
-        if not front or point.quality > front[-1].quality:
-            front.append(point)
+    front: list[Option] = []
+    for option in sorted(options, key=lambda p: (p.size_bytes, -p.quality, p.index)):
+        if not front or option.quality > front[-1].quality:
+            front.append(option)
     return front[::-1]
 
 
-def _drop_per_tenth(better: Point, worse: Point) -> float:
+def _drop_per_tenth(better: Option, worse: Option) -> float:
     return (better.quality - worse.quality) / max(1.0, 10 * (worse.pruned - better.pruned))
 
 
@@ -105,28 +105,28 @@ def select(ladder: Ladder, budget_bytes: float) -> Decision:
     A budget that is negative or no number counts as 0 (12).
     """
     budget = budget_bytes if budget_bytes > 0 else 0.0
-    points = ladder.points
-    at = bisect_left(points, -budget, key=lambda p: -p.size_bytes)
-    if at == len(points):
-        last = points[-1]
-        return Decision(last.level, False, f"nothing fits {budget:.0f} B, taking the smallest", last.size_bytes)
-    chosen = points[at]
-    return Decision(chosen.level, True, f"{chosen.size_bytes} B fit {budget:.0f} B", chosen.size_bytes)
+    options = ladder.options
+    at = bisect_left(options, -budget, key=lambda p: -p.size_bytes)
+    if at == len(options):
+        last = options[-1]
+        return Decision(last.index, False, f"nothing fits {budget:.0f} B, taking the smallest", last.size_bytes)
+    chosen = options[at]
+    return Decision(chosen.index, True, f"{chosen.size_bytes} B fit {budget:.0f} B", chosen.size_bytes)
 
 
-def select_literal(points: Sequence[Point], budget_bytes: float, beta: float = DEFAULT_BETA) -> int | None:
-    """Algorithm 1 as it is printed, over points in the order of their levels; None where it leaves p undefined.
+def select_literal(options: Sequence[Option], budget_bytes: float, beta: float = DEFAULT_BETA) -> int | None:
+    """Algorithm 1 as it is printed, over options in the order of their levels; None where it leaves p undefined.
 
-    Divisions are IEEE (x / 0 is infinite, 0 / 0 no number and never above beta), so that no case stops a player. It
-    answers with the cliff's level, whatever its size, when nothing fits; see the module for what `select` does.
-    Raises ConfigError without points.
+    A step is q[i] - q[i-1], negative where quality falls. Divisions are IEEE: 0 / 0 is no number and never above beta,
+    and a fall after a step of 0 is -infinity, so that the cliff is missed there. When nothing fits, the answer is the
+    cliff's level, whatever its size; see the module for what `select` does. Raises ConfigError without options.
     """
-    if not points:
+    if not options:
         raise ConfigError("Algorithm 1: expected at least one level, got none")
     kept, answer = [0], None
-    previous = _minus(points[0].quality, points[1].quality) if len(points) > 1 else 0.0
-    for i in range(1, len(points)):
-        drop = _minus(points[i - 1].quality, points[i].quality)
+    previous = _minus(options[1].quality, options[0].quality) if len(options) > 1 else 0.0
+    for i in range(1, len(options)):
+        drop = _minus(options[i].quality, options[i - 1].quality)
         if _ratio(drop, previous) > beta:
             answer = i
             break
@@ -135,7 +135,7 @@ def select_literal(points: Sequence[Point], budget_bytes: float, beta: float = D
     low, high = 0, len(kept) - 1
     while low <= high:
         middle = (low + high) // 2
-        if points[kept[middle]].size_bytes <= budget_bytes:
+        if options[kept[middle]].size_bytes <= budget_bytes:
             answer, high = kept[middle], middle - 1
         else:
             low = middle + 1

@@ -107,7 +107,7 @@ def session_bound(log: SessionLog, integer: bool = False) -> float | None:
             release = max(release, log.shown[i].start_s + wanted - float(fronts[i]))
         begin, deadline = release + link.rtt_s, shown.start_s - log.settings.decode_frame_s
         capacities = link.bytes_between(0.0, begin), link.bytes_between(0.0, deadline)
-        units.append(Unit(shown.segment, c.opens(shown.segment), *capacities))
+        units.append(Unit(shown.segment, c.starts_group(shown.segment), *capacities))
     plan = solve_horizon(Horizon(c, tuple(units), {}), integer)
     return None if plan is None else plan.quality
 

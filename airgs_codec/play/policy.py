@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.bound import Horizon, solve_horizon
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.ladder import Decision, Ladder, Point, frame_budget, select, select_literal
+from airgs_codec.play.ladder import Decision, Ladder, Option, frame_budget, select, select_literal
 from airgs_codec.play.link import Link
 
 SAFETY = 0.9  # share of the estimated throughput that is spent
@@ -28,7 +28,7 @@ HALF_LIVES_S = (3.0, 8.0)  # of the two throughput averages; the smaller one cou
 BUFFER_SHARE = 0.5  # of the buffered time that one segment may use
 STALL_DB = 20.0  # quality that a second of waiting is worth (Puffer's coefficient)
 SWITCH_DB = 0.25  # to robust-mpc: a change of quality by 1 dB from one segment to the next
-THIN_DB, RESERVE_S = 1.0, 3.0  # to the same: every second that the buffer is short of the reserve, while it is
+LOW_BUFFER_DB, RESERVE_S = 1.0, 3.0  # to the same: every second that the buffer is short of the reserve, while it is
 MPC_HORIZON_S, MPC_MOST = 8.0, 12  # looked ahead, and the most segments
 MPC_BINS = 80  # of the buffer
 MPC_PAST = 3  # downloads whose worst error discounts the estimate
@@ -52,7 +52,7 @@ class PlayerState:
     position: int  # of the segment in the session
     end: int  # positions of the session
     held: Mapping[int, int]  # key quality -> tiers of the segment's group at hand
-    options: tuple[Point, ...]  # every rung that can be had, wire bytes
+    options: tuple[Option, ...]  # every rung that can be had, wire bytes
     now_s: float
     deadline_s: float  # when it must be there to be shown in time; in the past when the player waits
     buffer_limit_s: float
@@ -117,13 +117,13 @@ def choose_paper_literal(state: PlayerState) -> Decision:
 
     Its levels are the rungs with the finest keys, whole group keys in the sizes.
     """
-    levels = [p for p in state.options if p.level < len(state.catalogue.manifest.levels)] or list(state.options)
+    levels = [p for p in state.options if p.index < len(state.catalogue.manifest.levels)] or list(state.options)
     budget = frame_budget(estimate_throughput(state.history), 1 / state.segment_s)
     answer = select_literal(levels, budget)
     chosen = levels[-1 if answer is None else answer]
     fits = chosen.size_bytes <= budget
     reason = "Algorithm 1 leaves it undefined" if answer is None else f"Algorithm 1 for {budget:.0f} B"
-    return Decision(chosen.level, fits, reason, chosen.size_bytes)
+    return Decision(chosen.index, fits, reason, chosen.size_bytes)
 
 
 def choose_throughput(state: PlayerState) -> Decision:
@@ -137,9 +137,9 @@ def choose_bola(state: PlayerState) -> Decision:
     u is quality in nepers above the smallest rung, Q the buffer in seconds. V and g are such that the smallest rung is
     left at RESERVE_S (a third of a smaller buffer) and the best one scores nothing when the buffer is full.
     """
-    points = _ladder(state).points
+    points = _ladder(state).options
     if len(points) == 1:
-        return Decision(points[0].level, True, "one rung", points[0].size_bytes)
+        return Decision(points[0].index, True, "one rung", points[0].size_bytes)
     utility = [(p.quality - points[-1].quality) * math.log(10) / 20 for p in points]
     smallest = points[-1].size_bytes
     limit = max(state.buffer_limit_s - state.segment_s, state.segment_s)
@@ -150,7 +150,7 @@ def choose_bola(state: PlayerState) -> Decision:
     scores = [(v * (u + g) - state.buffer_s) / max(1, p.size_bytes) for u, p in zip(utility, points, strict=True)]
     best = 0 if max(scores) <= 0 else int(np.argmax(scores))
     chosen = points[best]
-    return Decision(chosen.level, True, f"buffer {state.buffer_s:.2f} s", chosen.size_bytes)
+    return Decision(chosen.index, True, f"buffer {state.buffer_s:.2f} s", chosen.size_bytes)
 
 
 def discounted_throughput(history: Sequence[Download]) -> float:
@@ -180,16 +180,16 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
     if rate <= 0:
         return select(_ladder(state), 0.0)
     c = state.catalogue
-    steps = list(c.ahead(state.position, MPC_MOST, state.end))
+    steps = list(c.upcoming(state.position, MPC_MOST, state.end))
     taken = next((i for i in range(len(steps)) if sum(c.seconds[s] for s, _ in steps[:i]) >= MPC_HORIZON_S), len(steps))
     grid = np.linspace(0.0, state.buffer_limit_s, MPC_BINS)
     value = np.zeros((len(c.rungs), MPC_BINS))  # of what follows, by the last rung and the buffer it left
     for i in range(max(1, taken) - 1, 0, -1):
         s, opens = steps[i]
-        sizes = c.openings[s][None] if opens else c.transitions[s]
+        sizes = c.bytes_from_scratch[s][None] if opens else c.bytes_after[s]
         before = c.quality[steps[i - 1][0]]
         value = _mpc_step(sizes, c.quality[s], before, c.seconds[s], grid, rate, state, value)
-    levels = np.array([p.level for p in state.options])
+    levels = np.array([p.index for p in state.options])
     sizes = np.array([p.size_bytes for p in state.options])
     quality = np.array([p.quality for p in state.options])
     took = state.rtt_s * (sizes > 0) + 8 * sizes / rate
@@ -197,7 +197,7 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
     stall = np.maximum(took - max(0.0, state.deadline_s - state.now_s), 0)
     left = np.minimum(np.maximum(state.buffer_s - took, 0) + state.segment_s, state.buffer_limit_s)
     after = np.array([np.interp(b, grid, value[r]) for b, r in zip(left, levels, strict=True)])
-    thin = THIN_DB * np.maximum(RESERVE_S - left, 0)
+    thin = LOW_BUFFER_DB * np.maximum(RESERVE_S - left, 0)
     total = state.segment_s * (quality - SWITCH_DB * change - thin) - STALL_DB * stall + after
     best = int(np.lexsort((sizes, -total))[0])
     reason = f"{rate / 1e6:.2f} Mbit/s, buffer {state.buffer_s:.2f} s, {max(1, taken)} segments ahead"
@@ -223,7 +223,7 @@ def _mpc_step(
     part = place - at
     rung = np.arange(len(quality))[None, :, None]
     gained = seconds * quality[None, :, None] + STALL_DB * np.minimum(buffer, 0)
-    gained = gained - seconds * THIN_DB * np.maximum(RESERVE_S - left, 0)
+    gained = gained - seconds * LOW_BUFFER_DB * np.maximum(RESERVE_S - left, 0)
     gained = gained + value[rung, at] * (1 - part) + value[rung, at + 1] * part
     changes = seconds * SWITCH_DB * np.abs(quality[None, :] - before[:, None])  # (R, R)
     return np.asarray((gained - changes[:, :, None]).max(axis=1))
@@ -231,9 +231,9 @@ def _mpc_step(
 
 def choose_fixed(state: PlayerState, rung: int) -> Decision:
     """Always the same rung; the smallest one where it cannot be had."""
-    chosen = next((p for p in state.options if p.level == rung), None)
+    chosen = next((p for p in state.options if p.index == rung), None)
     chosen = chosen or min(state.options, key=lambda p: p.size_bytes)
-    return Decision(chosen.level, True, "fixed", chosen.size_bytes)
+    return Decision(chosen.index, True, "fixed", chosen.size_bytes)
 
 
 def choose_oracle_frame(state: PlayerState, link: Link) -> Decision:
@@ -253,7 +253,7 @@ def choose_oracle_lp(state: PlayerState, link: Link) -> Decision:
     if plan is None:
         return select(_ladder(state), 0.0)
     wanted = int(plan.rungs[0].argmax())
-    chosen = next((p for p in state.options if p.level == wanted), None)
+    chosen = next((p for p in state.options if p.index == wanted), None)
     if chosen is None:
         return select(_ladder(state), plan.first_bytes)
     return Decision(wanted, True, f"planned for {len(horizon.units)} segments", chosen.size_bytes)

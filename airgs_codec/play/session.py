@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.ladder import Decision, Point
+from airgs_codec.play.ladder import Decision, Option
 from airgs_codec.play.link import Link
 from airgs_codec.play.player import Buffered, Fetch, Player, SessionSettings
 from airgs_codec.play.policy import SAFETY, PlayerState, Policy, budget_bytes, estimate_throughput, make_policy
@@ -120,10 +120,10 @@ def _fetch_next(player: Player, position: int, choose: Policy) -> bool:
         player.line_up(position, None)
         return True
     decision = choose(state)
-    files = player.files(position, decision.level)
+    files = player.files(position, decision.index)
     if files and not _fetch(player, state, decision, files):
         return False
-    player.line_up(position, decision.level)  # without files nothing moves: the canonical space is at hand
+    player.line_up(position, decision.index)  # without files nothing moves: the canonical space is at hand
     return True
 
 
@@ -133,7 +133,7 @@ def _state(player: Player, position: int) -> PlayerState:
     if player.given_up[0] == position:
         options = tuple(p for p in options if p.size_bytes < player.given_up[1])
     if player.bad:
-        options = tuple(p for p in options if not player.bad.intersection(c.files(segment, p.level, held)))
+        options = tuple(p for p in options if not player.bad.intersection(c.files(segment, p.index, held)))
     return PlayerState(
         catalogue=c,
         position=position,
@@ -157,13 +157,13 @@ def _fetch(player: Player, state: PlayerState, decision: Decision, files: list[s
     if stop_s is not None:
         player.given_up = state.position, decision.size_bytes
         reason += f"; abandoned after {stop_s - began:.2f} s"
-    wire, whole = player.receive(state.position, decision.level, files, stop_s)
+    wire, whole = player.receive(state.position, decision.index, files, stop_s)
     complete = len(whole) == len(files)
     player.fetches.append(
         Fetch(
             kind="group" if any(path.startswith("key/") for path in files) else "state",
             position=state.position,
-            rung=decision.level,
+            rung=decision.index,
             bytes=wire,
             wasted=0 if complete else max(0, wire - sum(player.wire_sizes(whole))),
             request_s=began,
@@ -209,15 +209,15 @@ def _replace(player: Player) -> bool:
         return False
     _, segment, option = best
     before, estimate, began = player.quality(segment), estimate_throughput(player.history), player.now_s
-    files = _replacing_files(player, segment, option.level)
-    wire, whole = player.receive(segment.position, option.level, files)
+    files = _replacing_files(player, segment, option.index)
+    wire, whole = player.receive(segment.position, option.index, files)
     late = player.now_s + player.settings.decode_frame_s > segment.start_s
     useless = late or len(whole) < len(files)
     player.fetches.append(
         Fetch(
             kind="better",
             position=segment.position,
-            rung=option.level,
+            rung=option.index,
             bytes=wire,
             wasted=wire if useless else 0,
             request_s=began,
@@ -229,11 +229,11 @@ def _replace(player: Player) -> bool:
         )
     )
     if not useless:
-        _put_in_place(player, segment, option.level)
+        _put_in_place(player, segment, option.index)
     return True
 
 
-def _replacements(player: Player) -> Iterator[tuple[float, Buffered, Point]]:
+def _replacements(player: Player) -> Iterator[tuple[float, Buffered, Option]]:
     """(dB seconds a byte, segment, rung) of everything that would be better and is expected in time."""
     c, rate = player.catalogue, SAFETY * estimate_throughput(player.history)
     for segment in player.line:
@@ -244,11 +244,11 @@ def _replacements(player: Player) -> Iterator[tuple[float, Buffered, Point]]:
         for option in c.options(index, player.held(segment.position)):
             gain = option.quality - here
             size = option.size_bytes  # the state is at hand where only the keys would be better
-            size -= int(c.state_bytes[index, level]) if c.rungs[option.level][1] == level else 0
+            size -= int(c.state_bytes[index, level]) if c.rungs[option.index][1] == level else 0
             arrival = player.now_s + player.link.rtt_s + 8 * size / rate
             if gain < REPLACE_GAIN_DB or arrival + player.settings.decode_frame_s > segment.start_s:
                 continue
-            if not player.bad.intersection(_replacing_files(player, segment, option.level)):
+            if not player.bad.intersection(_replacing_files(player, segment, option.index)):
                 yield gain * player.seconds(segment.position) / max(1, size), segment, option
 
 

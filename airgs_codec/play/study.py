@@ -102,13 +102,13 @@ def is_feasible(c: Catalogue, manifest_bytes: int, link: Link, settings: Session
     """Whether a player that always takes the smallest rung shows all of it without a stall from FEASIBLE_START_S on."""
     at = link.arrival_s(c.wire_bytes([manifest_bytes]), 0.0)
     due = FEASIBLE_START_S
-    inits = c.manifest.init_files(*c.rungs[int(np.argmin(c.openings[0]))])
+    inits = c.manifest.init_files(*c.rungs[int(np.argmin(c.bytes_from_scratch[0]))])
     first = c.wire_bytes([c.manifest.files[path].bytes for path in inits])
     for position in range(loops * len(c.seconds)):
         segment = position % len(c.seconds)
         room = due + c.seconds[segment] - settings.buffer_s
         asked = max(at - link.rtt_s if settings.ahead and position else at, room)
-        size = int(c.openings[segment].min()) + (0 if position else first)
+        size = int(c.bytes_from_scratch[segment].min()) + (0 if position else first)
         at = link.trace.arrival_s(size, max(at, asked + link.rtt_s))
         if at + settings.decode_frame_s > due:
             return False

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.bound import Horizon, Unit, paper_programme, solve_horizon
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.ladder import Ladder, Point, select
+from airgs_codec.play.ladder import Ladder, Option, select
 from tests.support.manifests import tiny_manifest
 
 CATALOGUE = Catalogue(tiny_manifest(), header_bytes=0)
@@ -77,7 +77,7 @@ def test_the_relaxation_bounds_the_integers_which_equal_enumeration(capacities):
     assert relaxed.quality >= exact.quality - 1e-6
     best = -math.inf
     for rungs in np.ndindex(*(len(CATALOGUE.rungs),) * len(capacities)):
-        spent = np.cumsum([CATALOGUE.openings[i % 2][r] for i, r in enumerate(rungs)])
+        spent = np.cumsum([CATALOGUE.bytes_from_scratch[i % 2][r] for i, r in enumerate(rungs)])
         if (spent <= capacities).all():
             best = max(best, np.mean([CATALOGUE.quality[i % 2][r] for i, r in enumerate(rungs)]))
     assert exact.quality == pytest.approx(best, abs=1e-5)
@@ -96,10 +96,10 @@ def test_the_papers_programme_separates_by_frame(frames, budgets):
     total, feasible = paper_programme(sizes, qualities, budgets[: len(frames)])
     alone = 0.0
     for levels, budget, fits in zip(frames, budgets, feasible, strict=False):
-        points = [Point(j, s, q, 0.1 * j) for j, (s, q) in enumerate(levels)]
+        points = [Option(j, s, q, 0.1 * j) for j, (s, q) in enumerate(levels)]
         decision = select(Ladder.build(points, beta=math.inf, cliff_db=math.inf), budget)
         assert decision.fits == fits
-        alone += qualities_of(levels, decision.level) if fits else 0.0
+        alone += qualities_of(levels, decision.index) if fits else 0.0
     assert total == pytest.approx(alone, abs=1e-6)
 
 

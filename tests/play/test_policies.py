@@ -11,11 +11,11 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.policy import (
+    LOW_BUFFER_DB,
     NAMES,
     RESERVE_S,
     STALL_DB,
     SWITCH_DB,
-    THIN_DB,
     Download,
     PlayerState,
     budget_bytes,
@@ -61,7 +61,7 @@ def state(
 
 
 def names(decision):
-    return CATALOGUE.names[decision.level]
+    return CATALOGUE.names[decision.index]
 
 
 def test_options_are_what_is_missing():
@@ -71,8 +71,8 @@ def test_options_are_what_is_missing():
     held = dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, {0: 2}), strict=True))
     assert held["Q0+L0"] == 2100 and held["Q1+L2"] == sizes["Q1+L2"]
     assert dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, {0: 1}), strict=True))["Q0+L1"] == 1100 + 1100
-    assert CATALOGUE.transitions[0, 0].tolist() == CATALOGUE.sizes(0, {0: 2})
-    assert CATALOGUE.openings[0].tolist() == CATALOGUE.sizes(0, {})
+    assert CATALOGUE.bytes_after[0, 0].tolist() == CATALOGUE.sizes(0, {0: 2})
+    assert CATALOGUE.bytes_from_scratch[0].tolist() == CATALOGUE.sizes(0, {})
 
 
 def test_paper_spends_a_segments_time_or_half_the_buffer_15():
@@ -84,7 +84,7 @@ def test_paper_spends_a_segments_time_or_half_the_buffer_15():
 
 
 def test_throughput_does_not_look_at_the_buffer():
-    assert choose_throughput(state(4e4, 0.0)).level == choose_throughput(state(4e4, 9.0)).level
+    assert choose_throughput(state(4e4, 0.0)).index == choose_throughput(state(4e4, 9.0)).index
 
 
 def test_paper_literal_knows_levels_alone():
@@ -95,10 +95,10 @@ def test_paper_literal_knows_levels_alone():
 
 def test_bola_rises_with_the_buffer_and_leaves_the_smallest_rung_at_its_reserve():
     choices = [choose_bola(state(8e4, b, limit=20.0)) for b in (0.0, 2.9, 10.0, 18.9)]
-    qualities = [CATALOGUE.quality[0, d.level] for d in choices]
+    qualities = [CATALOGUE.quality[0, d.index] for d in choices]
     assert qualities == sorted(qualities)
     assert names(choices[0]) == names(choices[1]) == "Q1+L2" and names(choices[-1]) == "Q0+L0"
-    assert {choose_bola(state(r, 10.0)).level for r in (1e3, 1e9)} == {choose_bola(state(1e5, 10.0)).level}
+    assert {choose_bola(state(r, 10.0)).index for r in (1e3, 1e9)} == {choose_bola(state(1e5, 10.0)).index}
 
 
 def test_mpc_is_careful_without_a_buffer_and_generous_with_one():
@@ -120,11 +120,11 @@ def best_total(s, rate, horizon, first=None):
         buffer, total, before = s.buffer_s, 0.0, s.shown_quality
         for i, rung in enumerate(sequence):
             segment = (s.position + i) % 2
-            took = 8 * c.openings[segment][rung] / rate
+            took = 8 * c.bytes_from_scratch[segment][rung] / rate
             quality = c.quality[segment, rung]
             total += quality - STALL_DB * max(0.0, took - buffer) - SWITCH_DB * abs(quality - before)
             buffer, before = min(max(0.0, buffer - took) + 1.0, s.buffer_limit_s), quality
-            total -= THIN_DB * max(0.0, RESERVE_S - buffer)
+            total -= LOW_BUFFER_DB * max(0.0, RESERVE_S - buffer)
         best = max(best, total)
     return best
 
@@ -134,7 +134,7 @@ def best_total(s, rate, horizon, first=None):
 def test_mpc_chooses_as_brute_force_does(buffer_s, rate):
     """Its grid rounds what a second of waiting costs between two of its points, 10 s / 79 apart, no more."""
     s = state(rate, buffer_s, end=4, shown=36.0)
-    assert best_total(s, rate, 4, choose_robust_mpc(s).level) >= best_total(s, rate, 4) - STALL_DB * 10 / 79 / 4
+    assert best_total(s, rate, 4, choose_robust_mpc(s).index) >= best_total(s, rate, 4) - STALL_DB * 10 / 79 / 4
 
 
 def test_the_oracles_know_the_trace():
@@ -159,8 +159,8 @@ def test_any_policy_answers_with_an_option(rates, buffer_s, held, name, position
     history = tuple(Download(max(1, round(r / 8)), 1.0) for r in rates)
     s = PlayerState(**{f: getattr(s, f) for f in s.__dataclass_fields__} | {"history": history})
     decision = make_policy(name, CATALOGUE, constant(5e4))(s)
-    assert decision.level in [p.level for p in s.options]
-    assert decision.size_bytes == s.options[decision.level].size_bytes and decision.reason
+    assert decision.index in [p.index for p in s.options]
+    assert decision.size_bytes == s.options[decision.index].size_bytes and decision.reason
     again = make_policy(name, CATALOGUE, constant(5e4))(s)
     assert again == decision
 
