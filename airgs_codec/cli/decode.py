@@ -7,6 +7,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
+from airgs_codec._files import atomic_path
 from airgs_codec.cli.common import Bar, level_number, parse_range, run_command
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
@@ -43,9 +44,8 @@ def _run(args: argparse.Namespace) -> int:
     bar = Bar(args.json)
     for frame in decode_frames(package, start, stop, level, quality):
         path = args.output / f"{frame.number:06d}.ply"
-        part = path.with_suffix(".part")
-        write_ply(part, frame.gaussians)
-        part.replace(path)
+        with atomic_path(path) as temporary:
+            write_ply(temporary, frame.gaussians)
         bar("decoding", frame.number - start + 1, stop - start)
     bar.close()
     report = {

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from airgs_codec._files import to_json
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.decoder.decode import decode_frame
 from airgs_codec.encoder.quality import measured_views
@@ -27,7 +27,7 @@ from airgs_codec.play.report.film import film, first_shown, still
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.report.study import format_study, frame_lines, write_study
 from airgs_codec.play.session import SessionLog, simulate
-from airgs_codec.play.study import StudySettings, plain, run_study
+from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import ENDS, open_trace
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.orbits import orbit_views
@@ -139,7 +139,7 @@ def _session(package: Package, link: Link, args: argparse.Namespace) -> int:
         bar = Bar(args.json)
         film(package, log, cameras, args.video, original, bar)
         bar.close()
-    print(json.dumps(metrics(log) | {"policy": args.policy}) if args.json else _as_words(log, args))
+    print(to_json(metrics(log) | {"policy": args.policy}) if args.json else _as_words(log, args))
     return 0
 
 
@@ -162,7 +162,7 @@ def _frames(package: Package, link: Link, args: argparse.Namespace) -> int:
     c = Catalogue(package.manifest)
     runs = {name: frame_table(simulate_frames(c, link, name, c.loops(args.loops))) for name in CHOOSERS}
     if args.json:
-        print(json.dumps(plain(runs | {"trace": link.trace.name, "scale": link.trace.scale})))
+        print(to_json(runs | {"trace": link.trace.name, "scale": link.trace.scale}))
         return 0
     print(f"{link.trace.name}: mean {link.trace.mean_bps / 1e6:.2f} Mbit/s, rates x{link.trace.scale:g}; state only")
     print("ms a frame by bits over the rate of that moment, as the paper counts; then over the link, one after another")
@@ -179,7 +179,7 @@ def _closed_loop(package: Package, link: Link, args: argparse.Namespace) -> int:
     bar.close()
     table = closed_loop_table(sent)
     if args.json:
-        print(json.dumps(table | {"trace": link.trace.name, "scale": link.trace.scale}))
+        print(to_json(table | {"trace": link.trace.name, "scale": link.trace.scale}))
         return 0
     m = package.manifest
     state = [m.bytes_of(m.state_files(i, 0)) for i in range(len(m.segments))]

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from airgs_codec._files import write_bytes
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.parse import parse_manifest
 from airgs_codec.package.tables import JSON_NAME, MPD_NAME, FileEntry, Manifest
@@ -68,12 +69,10 @@ def open_package(path: Path) -> Package:
 
 
 def write_file(folder: Path, relative: str, data: bytes) -> FileEntry:
-    """Write under a temporary name, then rename; gives the file's entry in the tables."""
+    """Write a file of a package, whole or not at all; gives its entry in the tables."""
     path = folder / relative
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_bytes(data)
-    temporary.replace(path)
+    write_bytes(path, data)
     return FileEntry(len(data), hashlib.sha256(data).hexdigest())
 
 

@@ -6,7 +6,6 @@ Bandwidth is taken as given whatever a policy does (replay), so cross traffic th
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._files import write_json
 from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
@@ -220,19 +220,11 @@ def frame_summary(frame_rows: Sequence[Row]) -> list[Row]:
     return out
 
 
-def plain(value: Any) -> Any:
-    """The same with None for what is no number, as JSON wants it."""
-    if isinstance(value, dict):
-        return {name: plain(v) for name, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [plain(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def study_record(study: Study) -> Row:
-    """All tables as JSON wants them."""
-    record = {"package": study.package, "all": summarise(study), "feasible": summarise(study, True)}
-    return dict(plain(record | {"frame_mode": frame_summary(study.frame_rows)}))
+    """All tables; a figure that is not known is NaN, and null in JSON."""
+    return {"package": study.package, "all": summarise(study), "feasible": summarise(study, True)} | {
+        "frame_mode": frame_summary(study.frame_rows)
+    }
 
 
 def write_rows(study: Study, folder: Path) -> None:
@@ -246,6 +238,6 @@ def write_rows(study: Study, folder: Path) -> None:
                     writer = csv.DictWriter(file, list(kept[0]))
                     writer.writeheader()
                     writer.writerows(kept)
-        (folder / "study.json").write_text(json.dumps(study_record(study), indent=1, allow_nan=False) + "\n")
+        write_json(folder / "study.json", study_record(study))
     except OSError as error:
         raise ConfigError(f"{folder}: cannot write the study: {error}") from error

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._files import atomic_path
 from airgs_codec.errors import SceneError
 
 MEASURES = ("importance", "max", "sum", "hits")  # the first is `leaveout.importance`
@@ -30,12 +31,12 @@ class Usage:
 
 
 def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
-    """Write the usage of groups, each under its frames [start, stop), as .npz."""
+    """Write the usage of groups, each under its frames [start, stop), as .npz; atomically."""
     arrays: dict[str, NDArray] = {}
     for (start, stop), usage in groups.items():
         columns = {"total": usage.total, "peak": usage.peak, "hits": usage.hits, "moved": usage.moved}
         arrays |= {f"{start}:{stop}/{name}": column for name, column in columns.items() if column is not None}
-    with path.open("wb") as file:
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 

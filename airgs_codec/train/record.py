@@ -13,18 +13,19 @@ from __future__ import annotations
 
 import json
 import math
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from airgs_codec._files import PART_SUFFIX, atomic_path, write_json
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import read_ply, write_ply
 from airgs_codec.scene.sequence import USAGE_NAME
+from airgs_codec.scene.usage import Usage, save_usage
 from airgs_codec.train.settings import TrainSettings
 
 RECORD_NAME = "training.json"
@@ -85,19 +86,21 @@ class Model:
 
     def commit(self, g: Gaussians, frame: FrameRecord, networks: Mapping[str, np.ndarray] | None, fps: str) -> None:
         """Keep a finished frame; from here on the run goes on behind it."""
-        _replaced(self._path(frame.frame), lambda path: write_ply(path, g))
+        with atomic_path(self._path(frame.frame)) as temporary:
+            write_ply(temporary, g)
         if networks is not None:
-            _replaced(self._networks(frame.frame), lambda path: _save(path, networks))
+            with atomic_path(self._networks(frame.frame)) as temporary:
+                _save(temporary, networks)
         self.record.frames.append(frame)
         settings = {"fps": float(fps) if "/" not in fps else fps, "keyframes": self.record.keyframes()}
-        _write_json(self.folder / "sequence.json", settings)
+        write_json(self.folder / "sequence.json", settings)
         self.write_record()
         if frame.frame:
             self._networks(frame.frame - 1).unlink(missing_ok=True)
 
     def write_record(self) -> None:
         """Keep what is known; the folder is this run's from then on."""
-        _write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(self.record)})
+        write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(self.record)})
 
     def networks(self) -> dict[str, np.ndarray]:
         """Weights after the last finished frame. Raises SceneError when they are not there."""
@@ -108,9 +111,9 @@ class Model:
         except (OSError, ValueError, EOFError) as error:
             raise SceneError(f"{path}: expected the networks of an unfinished run: {error}") from error
 
-    def finish(self, save_usage: Callable[[Path], None]) -> None:
-        """Keep the usage of a complete run; weights that nothing needs any more go."""
-        _replaced(self.folder / USAGE_NAME, save_usage)
+    def finish(self, usage: Mapping[tuple[int, int], Usage]) -> None:
+        """Keep the usage of each group of a complete run; weights that nothing needs any more go."""
+        save_usage(self.folder / USAGE_NAME, usage)
         self._networks(self.record.frames[-1].frame).unlink(missing_ok=True)
 
     def finished(self) -> bool:
@@ -145,7 +148,7 @@ def open_model(folder: Path, scene: dict[str, Any], settings: TrainSettings, tot
     elif folder.is_dir() and any(p for p in folder.iterdir() if not p.name.startswith(".")):
         raise ConfigError(f"{folder}: expected a new folder or a training run, got a folder with other files")
     folder.mkdir(parents=True, exist_ok=True)
-    for leftover in folder.glob(".*.part"):
+    for leftover in folder.glob(f".*{PART_SUFFIX}"):
         leftover.unlink()
     for stray in sorted(folder.glob("*.ply"))[len(record.frames) :]:  # finished, but killed before the record was
         stray.unlink()
@@ -158,7 +161,7 @@ def open_model(folder: Path, scene: dict[str, Any], settings: TrainSettings, tot
 
 def write_cameras(folder: Path, data: dict[str, Any]) -> None:
     """Keep the cameras of a run as transforms.json."""
-    _write_json(folder / "transforms.json", data)
+    write_json(folder / "transforms.json", data)
 
 
 def _same(folder: Path, before: dict[str, Any], now: dict[str, Any]) -> None:
@@ -196,17 +199,3 @@ def _as_json(data: dict[str, Any]) -> dict[str, Any]:
 def _save(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     with path.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
-
-
-def _write_json(path: Path, data: dict[str, Any]) -> None:
-    text = json.dumps(data, indent=1, allow_nan=False) + "\n"
-    _replaced(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-
-
-def _replaced(path: Path, write: Callable[[Path], object]) -> None:
-    """Write under a temporary name, then rename."""
-    temporary = path.with_name(f".{path.name}.part")
-    write(temporary)
-    with temporary.open("rb") as file:  # on the disk before it has its name
-        os.fsync(file.fileno())
-    temporary.replace(path)

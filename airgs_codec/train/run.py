@@ -17,7 +17,7 @@ from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, cpu, measure_contribution
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.usage import Usage, save_usage
+from airgs_codec.scene.usage import Usage
 from airgs_codec.train.data.multiview import Pictures, Scene, View
 from airgs_codec.train.fit.deltas import Networks
 from airgs_codec.train.fit.exposure import Tones
@@ -75,7 +75,7 @@ def train(
         finished(run.train_frame(frame))
     groups = _spans(model.record.keyframes(), len(scene))
     usage = {span: run.usage(*span) for span in groups}
-    model.finish(lambda path: save_usage(path, usage))
+    model.finish(usage)
     return model
 
 

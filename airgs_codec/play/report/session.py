@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import html
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from airgs_codec._files import write_json
 from airgs_codec._report import page
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.metrics import frame_times, mean_quality, metrics, screen_ticks, session_bound
@@ -27,7 +27,7 @@ def write_report(log: SessionLog, directory: Path) -> Path:
             "fetches": [dataclasses.asdict(f) for f in log.fetches],
             "shown": [dataclasses.asdict(s) for s in log.shown],
         }
-        (directory / "session.json").write_text(json.dumps(record, indent=1) + "\n")
+        write_json(directory / "session.json", record)
         plot_session(log, directory / "session.png")
         (directory / "index.html").write_text(_page(log, directory), encoding="utf-8")
     except OSError as error:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import html
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from airgs_codec._files import to_json
 from airgs_codec._report import page, table
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.study import FEASIBLE_START_S, Row, Study, frame_summary, study_record, summarise, write_rows
@@ -59,7 +59,7 @@ FRAME_COLUMNS = (
 def format_study(study: Study, as_json: bool = False) -> str:
     """Both tables, all links and those whose smallest rungs are feasible, and frame mode."""
     if as_json:
-        return json.dumps(study_record(study))
+        return to_json(study_record(study))
     s = study.settings
     rows = [r for r in study.rows if r["policy"] == s.policies[0]]
     feasible = sum(r["feasible"] for r in rows)
