@@ -29,6 +29,7 @@ import cv2
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from airgs_codec._report import new_figure, save_figure
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.coding.morton import morton_encode
@@ -230,9 +231,7 @@ def _rising(points: Sequence[RdPoint]) -> list[RdPoint]:
 
 def plot(points: Sequence[RdPoint], path: Path, title: str) -> None:
     """Bytes against PSNR, one curve a coder."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 5), layout="constrained")
+    figure = new_figure(8, 5)
     axis = figure.subplots()
     for coder in dict.fromkeys(p.coder for p in points):
         curve = sorted((p for p in points if p.coder == coder), key=lambda p: p.kb_per_frame)
@@ -247,7 +246,7 @@ def plot(points: Sequence[RdPoint], path: Path, title: str) -> None:
     axis.set_xlim(0.85 * min(sizes), 1.15 * max(sizes))
     axis.grid(alpha=0.3)
     axis.legend()
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path, dpi=110)
 
 
 def main() -> None:

@@ -33,6 +33,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from airgs_codec._report import new_figure, plain_log_ticks, save_figure
 from airgs_codec.coding import escapes
 from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_state
@@ -306,10 +307,7 @@ PICTURES = {"codec.png": ("encode", "decode", "scale"), "parts.png": ("render", 
 
 def plot(rows: list[Row], path: Path, sections: tuple[str, ...]) -> None:
     """Log error over log seconds, a panel a section and a curve a method."""
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    figure = Figure(figsize=(5 * len(sections), 4.4), layout="constrained")
+    figure = new_figure(5 * len(sections), 4.4)
     for axis, section in zip(figure.subplots(1, len(sections)), sections, strict=True):
         scale = section == "scale"
         some = [r for r in rows if r.section == section and (scale or r.error > 0)]
@@ -321,14 +319,12 @@ def plot(rows: list[Row], path: Path, sections: tuple[str, ...]) -> None:
         axis.set_xscale("log")
         axis.set_yscale("log")
         for side in (axis.xaxis, axis.yaxis):
-            side.set_major_locator(LogLocator(subs=(1, 2, 5), numticks=6))
-            side.set_major_formatter("{x:g}")
-            side.set_minor_formatter(NullFormatter())
+            plain_log_ticks(side)
         words = ("Gaussians", "seconds a frame") if scale else ("seconds", some[0].unit if some else "")
         axis.set(xlabel=words[0], ylabel=words[1], title=section)
         axis.grid(alpha=0.3, which="both")
         axis.legend(fontsize=7)
-    figure.savefig(path, dpi=100)
+    save_figure(figure, path)
 
 
 def main() -> None:

@@ -8,6 +8,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
+from airgs_codec._report import require_matplotlib
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.decoder.decode import decode_frame
 from airgs_codec.encoder.quality import measured_views
@@ -46,6 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _inspect(args: argparse.Namespace) -> int:
+    if args.plot:
+        require_matplotlib("--plot")
     package = open_package(args.package)
     m = package.manifest
     if args.ladder:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from airgs_codec._files import to_json
+from airgs_codec._report import require_matplotlib
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.decoder.decode import decode_frame
 from airgs_codec.encoder.quality import measured_views
@@ -85,9 +86,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
+    if args.report:
+        require_matplotlib("--report")
+        if args.report.exists() and not args.report.is_dir():
+            raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
     package = open_package(args.package)
-    if args.report and args.report.exists() and not args.report.is_dir():
-        raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
     if args.compare:
         return _compare(package, args)
     if not args.trace:

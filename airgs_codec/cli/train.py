@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from airgs_codec._report import require_matplotlib
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.errors import ConfigError
 
@@ -111,8 +112,10 @@ def _run(args: argparse.Namespace) -> int:
 
     if args.fps is not None and not 0 < args.fps <= 1000:
         raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
-    if args.report and args.report.exists() and not args.report.is_dir():
-        raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
+    if args.report:
+        require_matplotlib("--report")
+        if args.report.exists() and not args.report.is_dir():
+            raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
     device = pick_device(args.device)
     settings = _settings(args, device)
     scene = open_scene(args.scene, fps=args.fps, frames=parse_frames(args.frames))

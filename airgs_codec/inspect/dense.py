@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._report import new_figure, save_figure
 from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.decoder.group_states import MEASURED, SHARES, GroupStates, kept_rows, load_states, score_rows
 from airgs_codec.encoder.quality import measured_frames
@@ -277,9 +278,7 @@ def dense_table(points: Sequence[DensePoint]) -> list[dict[str, Any]]:
 
 def plot_dense(points: Sequence[DensePoint], frames: int, path: Path) -> None:
     """A picture: quality over the pruned share for each measure, and over bytes for the ladders. Raises ConfigError."""
-    from matplotlib.figure import Figure  # half a second of imports, paid only for pictures
-
-    figure = Figure(figsize=(12, 4.8), layout="constrained")
+    figure = new_figure(12, 4.8)
     shares, sizes = figure.subplots(1, 2)
     for i, name in enumerate(MEASURED):
         for semantics, line in ((HOLD, "o-"), (DROP, "x:")):
@@ -305,7 +304,4 @@ def plot_dense(points: Sequence[DensePoint], frames: int, path: Path) -> None:
     sizes.legend(fontsize=8)
     for axis in (shares, sizes):
         axis.grid(alpha=0.3)
-    try:
-        figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot write the picture: {error}") from error
+    save_figure(figure, path, dpi=110)

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import table
+from airgs_codec._report import new_figure, save_figure, table
 from airgs_codec.coding.atlas import extract
-from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import psnr
 from airgs_codec.media.video import decode_clip
 from airgs_codec.package.layout import KEY, STATE
@@ -316,9 +315,7 @@ def _span(bounds: list[int]) -> str:
 
 def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
     """A picture: quality of every rung against its bytes, and bytes over time. Raises ConfigError."""
-    from matplotlib.figure import Figure  # half a second of imports, paid only for pictures
-
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
+    figure = new_figure(11, 4.2)
     ladder, time = figure.subplots(1, 2)
     for q, quality in enumerate(m.qualities):
         rungs = [_rung(m, q, j, manifest_bytes) for j in range(len(m.levels))]
@@ -357,7 +354,4 @@ def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
     time.legend(fontsize=8, ncols=2)
     time.set_axisbelow(True)
     time.grid(alpha=0.3)
-    try:
-        figure.savefig(path, dpi=110)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot write the picture: {error}") from error
+    save_figure(figure, path, dpi=110)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import page
+from airgs_codec._report import new_figure, page, save_figure
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import label, to_bytes, write_png
 from airgs_codec.render import cpu
@@ -53,9 +53,7 @@ def compare(model: Model, pictures: Pictures, frame: int) -> NDArray[np.uint8]:
 
 def plot_curves(records: Sequence[FrameRecord], path: Path) -> None:
     """PSNR, count, static updates and seconds over the frames."""
-    from matplotlib.figure import Figure  # half a second of imports, paid only for pictures
-
-    figure = Figure(figsize=(10, 11), layout="constrained")
+    figure = new_figure(10, 11)
     axes = figure.subplots(4, 1, sharex=True)
     for draw, axis in zip((_psnr, _count, _static, _seconds), axes, strict=True):
         draw(axis, records)
@@ -64,7 +62,7 @@ def plot_curves(records: Sequence[FrameRecord], path: Path) -> None:
             if record.kind == "key":
                 axis.axvline(record.frame, color=_RED, alpha=0.4, linewidth=1)
     axes[-1].set_xlabel("frame (red: keyframes)")
-    figure.savefig(path, dpi=100)
+    save_figure(figure, path)
 
 
 def _psnr(axis: Any, records: Sequence[FrameRecord]) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec._files import write_json
-from airgs_codec._report import page
+from airgs_codec._report import new_figure, page, save_figure
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.metrics import frame_times, mean_quality, metrics, screen_ticks, session_bound
 from airgs_codec.play.session import SessionLog
@@ -37,9 +37,7 @@ def write_report(log: SessionLog, directory: Path) -> Path:
 
 def plot_session(log: SessionLog, path: Path) -> None:
     """Six panels over time: throughput, rungs, buffer, PSNR on the screen, arrival of every frame, time it took."""
-    from matplotlib.figure import Figure  # half a second of imports, paid only for pictures
-
-    figure = Figure(figsize=(11, 16.5), layout="constrained")
+    figure = new_figure(11, 16.5)
     axes = figure.subplots(6, 1, sharex=True)
     for draw, axis in zip((_throughput, _rungs, _buffer, _psnr, _arrivals, _transfers), axes, strict=True):
         draw(axis, log)
@@ -49,7 +47,7 @@ def plot_session(log: SessionLog, path: Path) -> None:
                 axis.axvspan(s.start_s - s.stall_s, s.start_s, color=_RED, alpha=0.12, linewidth=0)
     axes[-1].set_xlabel("seconds since the first request (red: waiting for data)")
     axes[0].set_xlim(0, _end(log))
-    figure.savefig(path, dpi=100)
+    save_figure(figure, path)
 
 
 def _end(log: SessionLog) -> float:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec._files import to_json
-from airgs_codec._report import page, table
+from airgs_codec._report import new_figure, page, save_figure, table
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.study import FEASIBLE_START_S, Row, Study, frame_summary, study_record, summarise, write_rows
 
@@ -116,9 +116,7 @@ def write_study(study: Study, folder: Path) -> Path:
 
 def plot_study(study: Study, path: Path) -> None:
     """Quality against stalls, and distributions over sessions: regret, stalls, time on the way, quality."""
-    from matplotlib.figure import Figure  # half a second of imports, paid only for pictures
-
-    figure = Figure(figsize=(13, 8.5), layout="constrained")
+    figure = new_figure(13, 8.5)
     axes = figure.subplots(2, 3)
     policies = study.settings.policies
     for i, (row, policy) in enumerate(zip(summarise(study), policies, strict=True)):
@@ -146,7 +144,7 @@ def plot_study(study: Study, path: Path) -> None:
     for axis in axes.ravel():
         axis.grid(alpha=0.25)
     axes[0, 0].legend(fontsize=8)
-    figure.savefig(path, dpi=100)
+    save_figure(figure, path)
 
 
 def _distribution(axis: Any, values: np.ndarray, color: str, name: str) -> None:

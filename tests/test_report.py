@@ -1,0 +1,84 @@
+"""Text tables, and figures where matplotlib is and where it is not."""
+
+import itertools
+import sys
+from pathlib import Path
+
+import pytest
+
+from airgs_codec._report import new_figure, plain_log_ticks, save_figure, table
+from airgs_codec.cli.manifest import main as manifest_main
+from airgs_codec.cli.play import main as play_main
+from airgs_codec.errors import ConfigError
+from tests.support.paths import VALID
+
+MOVING = str(VALID / "moving")
+
+
+@pytest.fixture
+def no_matplotlib(monkeypatch):
+    for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+
+
+def test_columns_are_right_aligned():
+    assert table(["a", "long"], [["1000", "2"]]) == ["   a  long", "1000     2"]
+
+
+@pytest.mark.parametrize(
+    ("main", "arguments"),
+    [
+        (play_main, [MOVING, "--trace", "const:1", "--policy", "fixed:0", "--report"]),
+        (play_main, [MOVING, "--compare", "--traces", "const:1", "--report"]),
+        (manifest_main, ["inspect", MOVING, "--plot"]),
+        (manifest_main, ["inspect", MOVING, "--ladder", "--plot"]),
+    ],
+)
+@pytest.mark.usefixtures("no_matplotlib")
+def test_without_matplotlib_pictures_are_refused_before_the_work(main, arguments, tmp_path, capsys):
+    """The package does not exist here: what is refused first must be the picture."""
+    target = tmp_path / "picture.png"
+    assert main([*(a.replace(MOVING, str(tmp_path / "none")) for a in arguments), str(target)]) == 2
+    error = capsys.readouterr().err
+    assert "needs matplotlib: pip install 'airgs-codec[plot]'" in error and error.count("\n") == 1
+    assert not target.exists()
+
+
+@pytest.mark.usefixtures("no_matplotlib")
+def test_training_with_a_page_is_refused_before_the_scene_is_opened(tmp_path, capsys):
+    pytest.importorskip("torch")
+    from airgs_codec.cli.train import main
+
+    assert main([str(tmp_path / "none"), "-o", str(tmp_path / "out"), "--report", str(tmp_path / "page")]) == 2
+    assert "--report needs matplotlib" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("no_matplotlib")
+def test_everything_but_pictures_works_without_matplotlib(capsys):
+    assert play_main([MOVING, "--trace", "const:1", "--policy", "fixed:0"]) == 0
+    assert manifest_main(["inspect", MOVING]) == 0
+    with pytest.raises(ConfigError, match="needs matplotlib"):
+        new_figure(1, 1)
+
+
+def test_a_picture_that_cannot_be_written(tmp_path):
+    figure = new_figure(1, 1)
+    for path in (tmp_path / "none" / "a.png", tmp_path / "a.unknown"):
+        with pytest.raises(ConfigError, match="cannot write the picture"):
+            save_figure(figure, path)
+
+
+@pytest.mark.parametrize(("low", "high"), [(1, 1000), (12, 48), (0.31, 0.9), (5, 7), (1e-6, 1e6)])
+def test_labels_of_a_log_axis_do_not_touch(low, high, tmp_path: Path):
+    figure = new_figure(4, 2)
+    axis = figure.subplots()
+    axis.plot([low, high], [0, 1])
+    axis.set_xscale("log")
+    plain_log_ticks(axis.xaxis)
+    save_figure(figure, tmp_path / "log.png")
+    labels = [text for text in axis.get_xticklabels(which="both") if text.get_text()]
+    boxes = sorted((t.get_window_extent() for t in labels), key=lambda box: box.x0)
+    inside = [b for b in boxes if axis.bbox.x0 <= (b.x0 + b.x1) / 2 <= axis.bbox.x1]
+    assert 3 <= len(inside) <= 6
+    assert all(a.x1 < b.x0 for a, b in itertools.pairwise(boxes))
