@@ -14,7 +14,7 @@ from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.inspect.errors import Measured
 from airgs_codec.media.video import decode_clip
-from airgs_codec.package.mpd import check_mpd
+from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.store import MAX_JSON_BYTES, Package, open_package
 from airgs_codec.package.tables import JSON_NAME, MPD_NAME, expected_files, key_init_path, state_init_path
 from airgs_codec.scene.gaussians import Gaussians

@@ -291,8 +291,8 @@ def key_init_path(tier: int, quality: int) -> str:
     return f"key/T{tier}/Q{quality}/init.mp4"
 
 
-def key_media_path(tier: int, quality: int, number: int) -> str:
-    """Picture of a key unit."""
+def key_media_path(tier: int, quality: int, number: int | str) -> str:
+    """Picture of a key unit; `number` may be the placeholder of a template."""
     return f"key/T{tier}/Q{quality}/{number}.m4s"
 
 
@@ -311,8 +311,8 @@ def state_init_path(level: int) -> str:
     return f"state/L{level}/init.mp4"
 
 
-def state_media_path(level: int, number: int) -> str:
-    """Pictures of a state segment."""
+def state_media_path(level: int, number: int | str) -> str:
+    """Pictures of a state segment; `number` may be the placeholder of a template."""
     return f"state/L{level}/{number}.m4s"
 
 

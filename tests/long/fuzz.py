@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
 from airgs_codec.errors import AirgsError, FormatError
-from airgs_codec.package.mpd import check_mpd
+from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.parse import parse_manifest
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import JSON_NAME, MPD_NAME

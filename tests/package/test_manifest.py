@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package.mpd import check_mpd, representations, write_mpd
+from airgs_codec.package.mpd import adaptation_sets, write_mpd
+from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.parse import parse_manifest
 from airgs_codec.package.store import open_package
 from tests.support.paths import CORPUS
@@ -112,11 +113,16 @@ def test_what_is_not_a_table_is_refused(text):
         parse_manifest(text)
 
 
+def ids(m):
+    return [[r.id for r in s.representations] for s in adaptation_sets(m)]
+
+
 def test_the_mpd_has_a_representation_for_everything_that_has_files():
     m = open_package(CORPUS / "valid" / "moving").manifest
-    assert [[r.id for r in row] for row in representations(m)] == [["L0", "L1"], ["T0Q0", "T0Q1"], ["T1Q0", "T1Q1"]]
+    assert [s.role for s in adaptation_sets(m)] == ["state", "key;tier=0", "key;tier=1"]
+    assert ids(m) == [["L0", "L1"], ["T0Q0", "T0Q1"], ["T1Q0", "T1Q1"]]
     still = open_package(CORPUS / "valid" / "one-gaussian").manifest
-    assert [[r.id for r in row] for row in representations(still)] == [["T0Q0"]]
+    assert ids(still) == [["T0Q0"]]
 
 
 def test_bandwidth_covers_the_first_segment_within_the_minimum_buffer():

@@ -6,7 +6,8 @@ import xml.etree.ElementTree as ET
 import pytest
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.mpd import DASH, MIN_BUFFER_S, check_mpd, representations, write_mpd
+from airgs_codec.package.mpd import CONTENT, DASH, MIN_BUFFER_S, adaptation_sets, write_mpd
+from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.tables import Manifest
 from tests.support.manifests import tiny_manifest
 
@@ -22,6 +23,10 @@ def with_a_gap() -> Manifest:
     return dataclasses.replace(m, segments=segments)
 
 
+def representations(m):
+    return [s.representations for s in adaptation_sets(m)]
+
+
 def reason_of(data: bytes, m: Manifest) -> str:
     with pytest.raises(FormatError) as refused:
         check_mpd(data, m)
@@ -32,6 +37,31 @@ def reason_of(data: bytes, m: Manifest) -> str:
 @pytest.mark.parametrize("m", [tiny_manifest(), tiny_manifest(state_bytes=(2000, 0)), with_a_gap()])
 def test_what_is_written_is_accepted(m):
     check_mpd(write_mpd(m), m)
+
+
+ORDER = {  # ISO/IEC 23009-1, DASH-MPD.xsd: the children of what we write, in the order that the schema asks for
+    "MPD": "ProgramInformation BaseURL Location PatchLocation ServiceDescription InitializationSet InitializationGroup "
+    "InitializationPresentation ContentProtection Period Metrics EssentialProperty SupplementalProperty UTCTiming "
+    "LeapSecondInformation",
+    "Period": "BaseURL SegmentBase SegmentList SegmentTemplate AssetIdentifier EventStream ServiceDescription "
+    "ContentProtection AdaptationSet Subset SupplementalProperty EmptyAdaptationSet GroupLabel Preselection",
+    "AdaptationSet": "FramePacking AudioChannelConfiguration ContentProtection OutputProtection EssentialProperty "
+    "SupplementalProperty InbandEventStream Switching RandomAccess GroupLabel Label ProducerReferenceTime "
+    "ContentPopularityRate Resync Accessibility Role Rating Viewpoint ContentComponent BaseURL SegmentBase SegmentList "
+    "SegmentTemplate Representation",
+    "Representation": "BaseURL ExtendedBandwidth SubRepresentation SegmentBase SegmentList SegmentTemplate",
+    "SegmentTemplate": "Initialization RepresentationIndex FailoverContent SegmentTimeline BitstreamSwitching",
+    "SegmentTimeline": "Pattern S",
+}
+
+
+@pytest.mark.parametrize("m", [tiny_manifest(), with_a_gap()])
+def test_elements_stand_in_the_order_of_the_standard(m):
+    for parent in ET.fromstring(write_mpd(m)).iter():
+        name = parent.tag.removeprefix(NS)
+        children = [child.tag.removeprefix(NS) for child in parent]
+        assert children == sorted(children, key=ORDER.get(name, "").split().index), name
+        assert list(dict.fromkeys(children)) == list(CONTENT[name])
 
 
 def test_a_segment_without_files_is_a_gap_in_the_timeline():
