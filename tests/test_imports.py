@@ -18,7 +18,7 @@ MAY_IMPORT = {
     "torch": {"render/absgrad.py", "render/differentiable.py", "render/cuda.py", "render/reference.py", "train"},
     "gsplat": {"render/cuda.py"},
     "pycolmap": {"train/data/colmap.py"},
-    "av": {"media/video.py"},
+    "av": {"media/h264.py", "media/movie.py"},
     "cv2": {"media/image.py"},
     "colour": {"media/color.py"},
     "numba": {"coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "train/loss/kernels.py"},

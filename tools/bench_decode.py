@@ -19,7 +19,7 @@ from pathlib import Path
 import av
 
 from airgs_codec.decoder.decode import decode_frame, decode_frames
-from airgs_codec.media.video import library_versions
+from airgs_codec.media.h264 import library_versions
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import key_init_path, state_init_path
 

@@ -18,7 +18,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from airgs_codec.media.video import library_versions
+from airgs_codec.media.h264 import library_versions
 from airgs_codec.scene.sequence import open_sequence
 
 STAGES = ("training views", "calibration", "encoding", "measuring")

@@ -38,8 +38,8 @@ from airgs_codec.encoder.publish import author_package
 from airgs_codec.encoder.rate_target import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.media.h264 import library_versions
 from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.media.video import library_versions
 from airgs_codec.package.store import open_package
 from airgs_codec.render import Camera, read_cameras, render
 from airgs_codec.scene.gaussians import Gaussians

@@ -40,8 +40,8 @@ from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_s
 from airgs_codec.decoder.group_states import load_states
 from airgs_codec.encoder.publish import author_package
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.media.h264 import library_versions, state_codec
 from airgs_codec.media.metrics import mse
-from airgs_codec.media.video import library_versions, state_codec
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import pooled_quality
 from airgs_codec.play.catalogue import Catalogue

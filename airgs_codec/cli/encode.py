@@ -16,7 +16,7 @@ from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, PAPER_LEVELS, QUALITY_FACTORS, RANKS, EncodeSettings
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.inspect.inspection import format_summary
-from airgs_codec.media.video import DEFAULT_PRESET, PRESETS
+from airgs_codec.media.h264 import DEFAULT_PRESET, PRESETS
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from airgs_codec.scene.usage import MEASURES
 from airgs_codec.train.data.readers import is_multiview

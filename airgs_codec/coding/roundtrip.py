@@ -11,14 +11,14 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import assemble, fit_atlas, picture_size, read_codes
 from airgs_codec.coding.quantize import from_codes, to_codes
 from airgs_codec.coding.rangecoder import encode_columns
-from airgs_codec.media.video import Clip, CodecSettings, decode_clip, encode_stream, quantiser
+from airgs_codec.media.h264 import ClosedGop, CodecSettings, decode_pictures, encode_stream, qp_step
 
 
 def encode_and_decode(
     values: NDArray[np.float64], steps: NDArray[np.float64], codec: CodecSettings
 ) -> tuple[list[int], NDArray[np.float64]]:
     """(T, c, n) values -> bytes of each picture (escapes in the first) and what they decode to."""
-    gain = quantiser(codec.qp)
+    gain = qp_step(codec.qp)
     codes = to_codes(values, steps, gain)
     atlas = fit_atlas(codes, gain / 2)
     if not atlas.planes:
@@ -26,9 +26,9 @@ def encode_and_decode(
         return [0] * len(codes), np.broadcast_to(from_codes(centres, steps, gain), values.shape).astype(np.float64)
     luma, bases = escapes.split((codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes])
     size = picture_size(atlas)
-    stream = encode_stream([Clip(assemble(luma, atlas, *size), 0, 1)], size, Fraction(30), 30, codec)
+    stream = encode_stream([ClosedGop(assemble(luma, atlas, *size), 0, 1)], size, Fraction(30), 30, codec)
     sizes = list(stream.picture_bytes[0])
     sizes[0] += len(encode_columns(escapes.columns(bases)))
-    pictures = decode_clip(stream.init, stream.media[0], "a trial")
+    pictures = decode_pictures(stream.init, stream.media[0], "a trial")
     decoded = [from_codes(read_codes(p, atlas, b), steps, gain) for p, b in zip(pictures, bases, strict=True)]
     return sizes, np.stack(decoded).astype(np.float64)

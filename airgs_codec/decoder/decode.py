@@ -15,7 +15,7 @@ from airgs_codec.coding.quantize import from_codes
 from airgs_codec.coding.rangecoder import Reader
 from airgs_codec.coding.sidecar import KeySidecar, unpack_key_sidecar
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.media.video import decode_clip
+from airgs_codec.media.h264 import decode_pictures
 from airgs_codec.package.layout import COLOUR, KEY, STATE
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import STATIC, Atlas, Picture, key_init_path, state_init_path, unpack_matrix
@@ -93,7 +93,7 @@ def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[N
     unit = m.groups[group].tiers[tier]
     sidecar_path, media, escapes_path = m.key_files(group, tier, quality)
     sidecar = unpack_key_sidecar(package.read(sidecar_path), unit.count, m.groups[group].grid, sidecar_path)
-    pictures = decode_clip(package.read(key_init_path(tier, quality)), package.read(media), media)
+    pictures = decode_pictures(package.read(key_init_path(tier, quality)), package.read(media), media)
     picture = next(pictures, None)
     if picture is None:
         raise FormatError("bad_picture", media, "expected one picture, got none")
@@ -117,7 +117,7 @@ def decode_state(package: Package, index: int, level: int, first: int, last: int
     escape_index, jumps = escapes.read(reader, shape, sidecar_path)
     reader.close()
     shown = 0
-    pictures = decode_clip(package.read(state_init_path(level)), package.read(media), media)
+    pictures = decode_pictures(package.read(state_init_path(level)), package.read(media), media)
     for shown, picture in enumerate(pictures, 1):
         if shown > first:
             _expect_size(picture, m.state_pictures[level], media)

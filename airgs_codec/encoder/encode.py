@@ -31,17 +31,17 @@ from airgs_codec.encoder.plan import GroupPlan, Survey, plan_group, rank_updates
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.tables import Coded, escapes_path, group_tables, segment_tables, write_sidecars, write_streams
 from airgs_codec.errors import SceneError
-from airgs_codec.media.video import (
+from airgs_codec.media.h264 import (
     KEY_QP,
     STATE_QP,
-    Clip,
+    ClosedGop,
     CodecSettings,
     check_stream,
-    decode_clip,
+    decode_pictures,
     encode_stream,
     key_codec,
     library_versions,
-    quantiser,
+    qp_step,
     state_codec,
 )
 from airgs_codec.package import tables
@@ -75,7 +75,7 @@ def encode_sequence(
     for i, survey in enumerate(surveys):
         progress("order", i, len(surveys))
         plans.append(plan_group(sequence, survey, cameras, views.source == "given", settings))
-    gains = quantiser(KEY_QP), quantiser(STATE_QP)
+    gains = qp_step(KEY_QP), qp_step(STATE_QP)
     timescale, ticks = _timing(sequence.fps)
     for plan in plans:
         _code_keys(plan, cameras, settings, gains[0])
@@ -176,7 +176,7 @@ def _encode_keys(
         used = [plan for plan in plans if plan.key_atlases[tier][quality].rows]
         size = _common_size([plan.key_atlases[tier][quality] for plan in used])
         clips = [
-            Clip(
+            ClosedGop(
                 assemble(plan.key_samples[tier][quality][None], plan.key_atlases[tier][quality], *size),
                 plan.start * ticks,
                 (plan.stop - plan.start) * ticks,
@@ -196,7 +196,7 @@ def _encode_keys(
 
 
 def _encode_checked(
-    clips: Callable[[], Iterable[Clip]], size: tuple[int, int], fps: Fraction, timescale: int, codec: CodecSettings
+    clips: Callable[[], Iterable[ClosedGop]], size: tuple[int, int], fps: Fraction, timescale: int, codec: CodecSettings
 ) -> Coded:
     stream = encode_stream(clips(), size, fps, timescale, codec)
     return Coded(stream, size, check_stream(stream, clips(), codec))
@@ -236,7 +236,7 @@ def _decode_canonical(
         if stream is None or not atlas.rows:
             continue
         media = stream.media[plan.numbers[tier] - 1]
-        picture = next(decode_clip(stream.init, media, f"key tier {tier} of frames {plan.start}-{plan.stop - 1}"))
+        picture = next(decode_pictures(stream.init, media, f"key tier {tier} of frames {plan.start}-{plan.stop - 1}"))
         parts.append(from_codes(read_codes(picture, atlas, plan.key_bases[tier][0]), steps, gain))
     transform = tables.unpack_matrix(plan.transform, channels)
     values = np.concatenate(parts, axis=1)
@@ -352,7 +352,7 @@ def _state_clips(
     size: tuple[int, int],
     ticks: int,
     scratch: Path,
-) -> Iterator[Clip]:
+) -> Iterator[ClosedGop]:
     for g, plan in enumerate(plans):
         for s, (start, stop) in enumerate(spans[g]):
             if fetched[g][s][level]:
@@ -361,4 +361,4 @@ def _state_clips(
                     assemble(samples[t : t + 1], plan.levels[level], *size)[0]
                     for t in range(start - plan.start, stop - plan.start)
                 )
-                yield Clip(pictures, start * ticks, ticks)
+                yield ClosedGop(pictures, start * ticks, ticks)

@@ -43,7 +43,7 @@ class Sent:
 
 
 def max_error(atlas: Atlas, sent: Sent, differences: list[NDArray[np.uint8]], state: bool) -> list[float]:
-    """For each attribute; `differences` are (H, W) pictures of the largest luma error over each clip of the atlas."""
+    """For each attribute; `differences` are (H, W) pictures of the largest luma error over each closed GOP."""
     errors = sent.constant.copy()
     off = np.zeros(len(atlas.planes))
     for picture in differences:

@@ -9,7 +9,7 @@ from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.levels import DEFAULT_TIERS
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.video import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
+from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
 from airgs_codec.package.tables import MAX_CHOICES
 from airgs_codec.scene.usage import MEASURES
 

@@ -12,7 +12,7 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
 from airgs_codec.encoder.plan import GroupPlan
-from airgs_codec.media.video import Stream
+from airgs_codec.media.h264 import Stream
 from airgs_codec.package import tables
 from airgs_codec.package.store import write_file
 from airgs_codec.package.tables import STATIC, FileEntry, Group, GroupTier, Picture, Segment
@@ -24,7 +24,7 @@ class Coded:
 
     stream: Stream | None
     size: tuple[int, int]
-    differences: list[NDArray[np.uint8]]  # (H, W) largest luma error over each clip, see `video.check_stream`
+    differences: list[NDArray[np.uint8]]  # (H, W) largest luma error over each closed GOP, see `h264.check_stream`
 
     def picture(self) -> Picture:
         """Its entry in the tables."""

@@ -26,8 +26,8 @@ from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.decoder.group_states import MEASURED, SHARES, GroupStates, kept_rows, load_states, score_rows
 from airgs_codec.encoder.quality import measured_frames
 from airgs_codec.errors import ConfigError
+from airgs_codec.media.h264 import state_codec
 from airgs_codec.media.metrics import mse, psnr, ssim
-from airgs_codec.media.video import state_codec
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Manifest
 from airgs_codec.play.ladder import Ladder, Option

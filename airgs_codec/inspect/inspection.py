@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from airgs_codec._report import new_figure, save_figure, table
 from airgs_codec.coding.atlas import extract
+from airgs_codec.media.h264 import decode_pictures
 from airgs_codec.media.metrics import psnr
-from airgs_codec.media.video import decode_clip
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import (
@@ -208,12 +208,12 @@ def bytes_by_attribute(package: Package) -> dict[str, float]:
             if tier.number:
                 sidecar, media, escapes = m.key_files(g, t, 0)
                 out["means"] += m.files[sidecar].bytes
-                pictures = list(decode_clip(package.read(key_init_path(t, 0)), package.read(media), media))
+                pictures = list(decode_pictures(package.read(key_init_path(t, 0)), package.read(media), media))
                 _share(out, m.bytes_of([media, escapes]), tier.qualities[0], [p.copy() for p in pictures], False)
     for s, segment in enumerate(m.segments):
         files = m.state_files(s, 0)
         if files:
-            clip = decode_clip(package.read(state_init_path(0)), package.read(files[0]), files[0])
+            clip = decode_pictures(package.read(state_init_path(0)), package.read(files[0]), files[0])
             size = sum(segment.levels[0].frame_bytes)
             _share(out, size, m.groups[segment.group].levels[0], [p.copy() for p in clip], True)
     return dict(sorted(out.items(), key=lambda item: -item[1]))

@@ -11,7 +11,7 @@ import pytest
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import fit_lens, undistort, write_png
-from airgs_codec.media.video import VideoReader
+from airgs_codec.media.movie import VideoReader
 from airgs_codec.scene.camera import Camera
 from airgs_codec.train.data.multiview import Pictures, with_held_out, with_near
 from airgs_codec.train.data.readers import is_multiview, open_scene

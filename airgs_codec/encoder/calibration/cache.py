@@ -19,7 +19,7 @@ from airgs_codec.encoder.calibration.solve import REVISION, Calibration
 from airgs_codec.encoder.plan import Survey
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import AirgsError
-from airgs_codec.media.video import library_versions
+from airgs_codec.media.h264 import library_versions
 from airgs_codec.package.store import write_file
 from airgs_codec.package.tables import KeySteps, StateSteps
 from airgs_codec.render import Camera

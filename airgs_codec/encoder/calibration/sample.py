@@ -16,7 +16,7 @@ from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
 from airgs_codec.coding.steps import StepSettings, world_steps
 from airgs_codec.coding.weights import channel_weights, withheld_error
-from airgs_codec.media.video import key_codec, state_codec
+from airgs_codec.media.h264 import key_codec, state_codec
 from airgs_codec.package import tables
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import KeySteps

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import FormatError
 from airgs_codec.media.image import label, to_bytes
-from airgs_codec.media.video import write_movie
+from airgs_codec.media.movie import write_movie
 from airgs_codec.package.store import Package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.metrics import screen_ticks

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens, fit_lens
-from airgs_codec.media.video import VideoReader
+from airgs_codec.media.movie import VideoReader
 from airgs_codec.scene.camera import Camera, camera_from_transforms
 from airgs_codec.scene.ply import read_points
 from airgs_codec.scene.sequence import DEFAULT_FPS, natural_key

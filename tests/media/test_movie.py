@@ -1,0 +1,32 @@
+"""Ordinary films: what is written can be read again, frame by frame."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from airgs_codec.errors import CodecError, SceneError
+from airgs_codec.media.movie import VideoReader, write_movie
+
+
+def test_a_film_of_odd_size_is_read_back_without_its_odd_row_and_column(tmp_path):
+    path = tmp_path / "a.mp4"
+    write_movie(path, (np.full((33, 47, 3), 40 * t, np.uint8) for t in range(5)), Fraction(24))
+    film = VideoReader(path)
+    assert (film.size, film.fps, film.frames) == ((46, 32), 24, 5)
+    for number in (3, 1, 4):  # also backward
+        assert np.abs(film.read(number).astype(int) - 40 * number).mean() < 4
+    with pytest.raises(SceneError, match="ends after 5"):
+        film.read(5)
+    film.close()
+
+
+def test_a_film_without_frames_is_refused(tmp_path):
+    with pytest.raises(CodecError, match="at least one frame"):
+        write_movie(tmp_path / "a.mp4", [], Fraction(24))
+
+
+def test_what_is_no_video_is_refused(tmp_path):
+    (tmp_path / "a.mp4").write_bytes(b"not a film")
+    with pytest.raises(SceneError, match="expected a video"):
+        VideoReader(tmp_path / "a.mp4")
