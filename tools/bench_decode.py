@@ -18,7 +18,7 @@ from pathlib import Path
 
 import av
 
-from airgs_codec.decoder.decode import decode_frame, decode_frames
+from airgs_codec.decoder.decode import decode, decode_frames
 from airgs_codec.media.h264 import library_versions
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import key_init_path, state_init_path
@@ -71,7 +71,7 @@ def main() -> None:
     figures = {
         "sequence": median_ms(lambda: list(decode_frames(package, 0, m.frames)), args.repeat) / m.frames,
         "sequence_video_alone": median_ms(lambda: video_alone(package, *everything), args.repeat) / m.frames,
-        "random": median_ms(lambda: decode_frame(package, frame), args.repeat),
+        "random": median_ms(lambda: decode(package, frame), args.repeat),
         "random_video_alone": median_ms(lambda: video_alone(package, [segment.group], [index], inside), args.repeat),
     }
     figures["sequence_ratio"] = figures["sequence"] / figures["sequence_video_alone"]

@@ -20,7 +20,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 
 from airgs_codec.cli.train import parse_frames
-from airgs_codec.decoder.decode import decode_frame
+from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.publish import author_package
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.metrics import mse, psnr, ssim
@@ -84,7 +84,7 @@ def measure(scene: Scene, settings: TrainSettings, folder: Path) -> dict[str, ob
     package = open_package(target)
     manifest = package.manifest
     tables = sum((target / name).stat().st_size for name in (JSON_NAME, MPD_NAME))
-    decoded = [compare(decode_frame(package, t), pictures, t)[0] for t in range(len(scene))]
+    decoded = [compare(decode(package, t), pictures, t)[0] for t in range(len(scene))]
     trained = [compare(model.read(t), pictures, t) for t in range(len(scene))]
     return {
         "method": settings.method,

@@ -139,7 +139,7 @@ def measure_decode(package: Package) -> Iterator[Row]:
     for j, level in enumerate(m.levels):
         quality = pooled_quality(m, j, 0)
         assert quality is not None
-        took = timed(lambda j=j: list(decode_frames(package, 0, frames, j))) / frames  # type: ignore[misc]
+        took = timed(lambda j=j: list(decode_frames(package, 0, frames, level=j))) / frames  # type: ignore[misc]
         size = sum(m.bytes_of(m.state_files(i, j)) for i in range(len(m.segments))) / frames
         yield Row("decode", "levels", level.id, took, rmse_of(quality[0]), "RMSE", size, f"{quality[0]:.2f} dB")
 

@@ -60,7 +60,7 @@ class Bar:
 
 
 def parse_range(text: str, frames: int) -> tuple[int, int]:
-    """A:B, A:, :B or a single frame number inside 0..frames. Raises ConfigError."""
+    """(start, stop) of A:B, A:, :B or a single frame number, of a sequence of `frames`. Raises ConfigError."""
     head, colon, tail = text.partition(":")
     try:
         start = int(head) if head else 0
@@ -70,12 +70,3 @@ def parse_range(text: str, frames: int) -> tuple[int, int]:
     if not 0 <= start < stop <= frames:
         raise ConfigError(f"--frames: expected A:B inside 0:{frames}, got {text!r}")
     return start, stop
-
-
-def level_number(text: str, names: list[str], option: str) -> int:
-    """Index of a level or key quality given as its id or its number. Raises ConfigError."""
-    if text in names:
-        return names.index(text)
-    if text.isdigit() and int(text) < len(names):
-        return int(text)
-    raise ConfigError(f"{option}: expected one of {', '.join(names)}, got {text!r}")

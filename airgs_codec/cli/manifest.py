@@ -10,7 +10,7 @@ from pathlib import Path
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec.cli.common import Bar, run_command
-from airgs_codec.decoder.decode import decode_frame
+from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.quality import measured_views
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.dense import dense_table, format_dense, measure_dense, plot_dense
@@ -71,7 +71,7 @@ def _ladder(package: Package, args: argparse.Namespace) -> int:
     if original is not None and len(original) != package.manifest.frames:
         raise ConfigError(f"{args.against}: expected {package.manifest.frames} frames, got {len(original)}")
     cameras = read_cameras(args.views) if args.views else list(original.cameras) if original else []
-    cameras = cameras or orbit_views(decode_frame(package, 0))
+    cameras = cameras or orbit_views(decode(package, 0))
     training = [c for c in cameras if c.split != "test"] or cameras
     bar = Bar(args.json)
     points = measure_dense(package, measured_views(cameras), training, original, os.cpu_count() or 1, bar)

@@ -11,7 +11,7 @@ from pathlib import Path
 from airgs_codec._files import to_json
 from airgs_codec._report import require_matplotlib
 from airgs_codec.cli.common import Bar, run_command
-from airgs_codec.decoder.decode import decode_frame
+from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.quality import measured_views
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
@@ -174,7 +174,7 @@ def _frames(package: Package, link: Link, args: argparse.Namespace) -> int:
 
 
 def _closed_loop(package: Package, link: Link, args: argparse.Namespace) -> int:
-    cameras = read_cameras(args.views) if args.views else orbit_views(decode_frame(package, 0))
+    cameras = read_cameras(args.views) if args.views else orbit_views(decode(package, 0))
     training = [c for c in cameras if c.split != "test"] or cameras
     bar = Bar(args.json)
     loops = Catalogue(package.manifest).loops(args.loops)

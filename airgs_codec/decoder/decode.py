@@ -1,4 +1,7 @@
-"""Package -> Gaussians, top to bottom. N rows of a group, n rows of a level, P planes."""
+"""Package -> Gaussians, from the whole to its parts: frames, canonical spaces and segments, codes of pictures.
+
+N rows of a group, n rows of a key tier or a level, P planes of an atlas, C colour channels.
+"""
 
 from __future__ import annotations
 
@@ -30,46 +33,55 @@ class Frame:
     gaussians: Gaussians
 
 
-def decode_frame(package: Package, frame: int, level: int = 0, quality: int = 0) -> Gaussians:
-    """One frame; decodes nothing but its key units and the start of its segment.
+def decode(package: Package, frame: int, *, level: str | int = "L0", key_quality: str | int = "Q0") -> Gaussians:
+    """One frame as a viewer of that level and key quality sees it, each given by its id or its index.
 
-    Raises FormatError for a broken package, ConfigError for a frame, level or quality that is not there.
+    Decodes nothing but the key units of the frame's group and its segment up to the frame. The result has as many
+    rows as the key tiers that viewers of the level fetch. Raises ConfigError for a frame, level or key quality that
+    the package does not have, FormatError for a broken package.
     """
-    for shown in decode_frames(package, frame, frame + 1, level, quality):
-        return shown.gaussians
-    raise ConfigError(f"frame {frame}: expected 0..{package.manifest.frames - 1}")
+    if not 0 <= frame < package.manifest.frames:
+        raise ConfigError(f"frame: expected 0..{package.manifest.frames - 1}, got {frame}")
+    return next(decode_frames(package, frame, frame + 1, level=level, key_quality=key_quality)).gaussians
 
 
 def decode_frames(
-    package: Package, start: int, stop: int, level: int = 0, quality: int = 0, tiers: int | None = None
+    package: Package,
+    start: int,
+    stop: int,
+    *,
+    level: str | int = "L0",
+    key_quality: str | int = "Q0",
+    tiers: int | None = None,
 ) -> Iterator[Frame]:
-    """Frames [start, stop) with the first `tiers` key tiers (default: those that viewers of the level fetch).
+    """Frames [start, stop) one after another; `decode` says how level and key quality are given and what is raised.
 
-    Each key and segment is decoded once.
+    `tiers`: how many key tiers the viewer has, from the first on; by default those that viewers of the level fetch.
+    Each key unit and each segment is decoded once.
     """
     m = package.manifest
-    if not (0 <= start <= stop <= m.frames):
-        raise ConfigError(f"frames {start}:{stop}: expected a range inside 0:{m.frames}")
-    if not (0 <= level < len(m.levels) and 0 <= quality < len(m.qualities)):
-        expected = f"expected level 0..{len(m.levels) - 1} and key quality 0..{len(m.qualities) - 1}"
-        raise ConfigError(f"{expected}, got {level} and {quality}")
+    j, q = m.level_index(level), m.quality_index(key_quality)
+    if not 0 <= start <= stop <= m.frames:
+        raise ConfigError(f"frames: expected a range inside 0:{m.frames}, got {start}:{stop}")
     base: Canonical | None = None
     group = -1
     for index, segment in enumerate(m.segments):
         if segment.stop <= start or segment.start >= stop:
             continue
-        if segment.group != group:
+        if base is None or segment.group != group:
             group = segment.group
-            base = decode_canonical(package, group, quality, m.levels[level].tiers if tiers is None else tiers)
-        assert base is not None
+            base = decode_canonical(package, group, q, m.levels[j].tiers if tiers is None else tiers)
         first, last = max(start, segment.start), min(stop, segment.stop)
-        shown = decode_segment(package, index, base, level, first - segment.start, last - segment.start)
+        shown = decode_segment(package, index, base, j, first - segment.start, last - segment.start)
         for number, gaussians in zip(range(first, last), shown, strict=True):
             yield Frame(number, gaussians)
 
 
 def decode_canonical(package: Package, group: int, quality: int, tiers: int | None = None) -> Canonical:
-    """The canonical space of a group from its first `tiers` key tiers (default: all)."""
+    """The canonical space of a group from its first `tiers` key tiers (default: all).
+
+    Raises ConfigError when none of them has rows, FormatError for a broken package.
+    """
     m = package.manifest
     g = m.groups[group]
     steps = KEY.steps(g.key_steps, m.colour_channels) * m.qualities[quality].factor
@@ -88,7 +100,7 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
 
 
 def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
-    """(7 + C, n) codes of one key unit, and its sidecar."""
+    """(KEY.width(C), n) codes of one key unit, and its sidecar. Raises FormatError."""
     m = package.manifest
     unit = m.groups[group].tiers[tier]
     sidecar_path, media, escapes_path = m.key_files(group, tier, quality)
@@ -107,7 +119,10 @@ def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[N
 
 
 def decode_state(package: Package, index: int, level: int, first: int, last: int) -> Iterator[NDArray[np.int32]]:
-    """(10 + C, n) codes of frames [first, last) of a segment that has files, counted from its start."""
+    """(STATE.width(C), n) codes of each frame [first, last) of a segment that has files, counted from its start.
+
+    Raises FormatError.
+    """
     m = package.manifest
     segment = m.segments[index]
     media, sidecar_path = m.state_files(index, level)
@@ -133,7 +148,8 @@ def decode_segment(
 ) -> Iterator[Gaussians]:
     """Frames [first, last) of a segment, counted from its start, over a decoded canonical space.
 
-    With fewer tiers than the level asks for, the rows at hand are the first of every level (rows are in tier order).
+    Where `base` has fewer tiers than viewers of the level fetch, its rows are the first of the level, since rows are
+    ordered by tier. Raises FormatError.
     """
     m = package.manifest
     files = m.state_files(index, level)

@@ -56,8 +56,12 @@ class Package:
         return path.read_bytes()
 
 
-def open_package(path: Path) -> Package:
-    """Read the tables of a package. Raises FormatError: missing_file, too_large, or parse_manifest's reasons."""
+def open_package(path: str | Path) -> Package:
+    """Open the package in the folder `path`: read and check its tables; other files are read when they are needed.
+
+    Raises FormatError: missing_file, too_large, or one of the reasons of `parse_manifest`.
+    """
+    path = Path(path)
     mpd, tables = path / MPD_NAME, path / JSON_NAME
     for file in (mpd, tables):
         if file.is_symlink() or not file.is_file():

@@ -15,7 +15,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.errors import FormatError
+from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.media.metrics import psnr
 from airgs_codec.scene.gaussians import SH_REST
 
@@ -239,6 +239,14 @@ class Manifest:
         """T."""
         return len(self.key_pictures)
 
+    def level_index(self, choice: str | int) -> int:
+        """Index of a level given by its id ("L1") or its index (1 or "1"). Raises ConfigError for any other."""
+        return _index_of("level", choice, [level.id for level in self.levels])
+
+    def quality_index(self, choice: str | int) -> int:
+        """Index of a key quality given by its id ("Q1") or its index (1 or "1"). Raises ConfigError for any other."""
+        return _index_of("key quality", choice, [quality.id for quality in self.qualities])
+
     def key_files(self, group: int, tier: int, quality: int) -> list[str]:
         """Sidecar, picture and escapes of one key unit; empty when the tier has no rows in that group."""
         number = self.groups[group].tiers[tier].number
@@ -284,6 +292,13 @@ class Manifest:
     def to_json(self) -> str:
         """The text of airgs.json; `parse_manifest` gives the same value back."""
         return json.dumps(dataclasses.asdict(self), separators=(",", ":"), allow_nan=False)
+
+
+def _index_of(what: str, choice: str | int, ids: list[str]) -> int:
+    for index, name in enumerate(ids):
+        if str(choice) in (name, str(index)):
+            return index
+    raise ConfigError(f"{what}: expected one of {', '.join(ids)}, got {choice!r}")
 
 
 def key_init_path(tier: int, quality: int) -> str:

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from airgs_codec.decoder.decode import decode_frame
+from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.store import open_package, staged
@@ -84,7 +84,7 @@ def test_absurd_counts_are_refused_with_little_memory(tmp_path, where, value):
     here[where[-1]] = value
     (bomb / "airgs.json").write_text(json.dumps(data))
     with pytest.raises(FormatError):
-        decode_frame(open_package(bomb), 0)
+        decode(open_package(bomb), 0)
 
 
 def test_a_kill_in_the_middle_leaves_the_old_package(scene, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from airgs_codec.coding.channels import state_channels
 from airgs_codec.coding.grid import cell_bits
 from airgs_codec.coding.steps import StepSettings
-from airgs_codec.decoder.decode import decode_canonical, decode_frame, decode_frames, decode_key, decode_state
+from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key, decode_state
 from airgs_codec.encoder.plan import plan_group, survey_group
 from airgs_codec.encoder.publish import author_package
 from airgs_codec.encoder.settings import EncodeSettings
@@ -58,7 +58,7 @@ def test_the_embedded_scene_reaches_its_quality_and_size(fox):
     views = [c for c in sequence.cameras if c.split == "test"]
     errors = []
     for number in (0, 4, 7):
-        shown = decode_frame(fox, number)
+        shown = decode(fox, number)
         original = sequence.load([number]).frames[0]
         errors += [mse(render(shown, v).rgb, render(original, v).rgb) for v in views]
     assert psnr(float(np.mean(errors))) > 40.0
@@ -83,9 +83,9 @@ def test_the_whole_package_is_little_more_than_twice_its_top_rung(fox):
 
 
 def test_any_frame_alone_equals_the_frame_in_sequence(fox):
-    in_sequence = {f.number: f.gaussians for f in decode_frames(fox, 0, 10, level=1, quality=1)}
+    in_sequence = {f.number: f.gaussians for f in decode_frames(fox, 0, 10, level=1, key_quality=1)}
     for number in (9, 0, 6):
-        same(decode_frame(fox, number, level=1, quality=1), in_sequence[number])
+        same(decode(fox, number, level=1, key_quality=1), in_sequence[number])
 
 
 def test_the_first_tier_alone_gives_the_first_rows(fox):
@@ -184,7 +184,7 @@ def test_a_segment_in_which_nothing_moves_has_no_files(tmp_path):
     frames = [still] * 8 + [moved] * 4  # canonical: frame 6, in the still part
     package = encode(tmp_path, frames, replace(FAST, segment_s=4 / 30, levels=((0.0, 1.0),)))
     assert [s.levels[0].number for s in package.manifest.segments] == [0, 0, 1]
-    assert not np.array_equal(decode_frame(package, 11).means, decode_frame(package, 0).means)
+    assert not np.array_equal(decode(package, 11).means, decode(package, 0).means)
 
 
 def test_constant_channels_have_no_plane(tmp_path):
@@ -197,7 +197,7 @@ def test_constant_channels_have_no_plane(tmp_path):
     package = encode(tmp_path, [flat])
     planes = package.manifest.groups[0].tiers[0].qualities[0].planes
     assert not {6, 7, 8, 9} & set(planes)
-    shown = decode_frame(package, 0)
+    shown = decode(package, 0)
     step = package.manifest.groups[0].key_steps
     assert np.abs(shown.opacities() - flat.opacities()[0]).max() <= step.opacity / 2 + 1e-6
     assert np.abs(shown.sh_dc - 1).max() <= np.sqrt(3) * step.sh_dc / 2 + 1e-3
@@ -208,7 +208,7 @@ def test_constant_channels_have_no_plane(tmp_path):
 def test_awkward_counts(tmp_path, count, degree):
     frames = moving_frames(count, 2, degree)
     package = encode(tmp_path, frames)
-    shown = decode_frame(package, 1)
+    shown = decode(package, 1)
     assert len(shown) == count and shown.sh_degree == degree
     assert all(np.isfinite(getattr(shown, n)).all() for n in shown.__slots__)
 
@@ -226,7 +226,7 @@ def test_equal_input_gives_equal_packages(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "arguments", [{"start": 0, "stop": 99}, {"start": -1, "stop": 1}, {"level": 9}, {"quality": 7}]
+    "arguments", [{"start": 0, "stop": 99}, {"start": -1, "stop": 1}, {"level": 9}, {"key_quality": 7}]
 )
 def test_what_is_not_there_is_refused(fox, arguments):
     with pytest.raises(ConfigError):
@@ -281,5 +281,5 @@ def test_a_linked_file_is_refused(tmp_path):
     path.rename(outside)
     path.symlink_to(outside)
     with pytest.raises(FormatError, match="link"):
-        decode_frame(package, 0)
+        decode(package, 0)
     assert "unsafe_path" in {f.reason for f in validate(package.path)}

@@ -9,7 +9,7 @@ import pytest
 
 from airgs_codec.cli.manifest import main as manifest_main
 from airgs_codec.cli.play import main
-from airgs_codec.decoder.decode import decode_frame
+from airgs_codec.decoder.decode import decode
 from airgs_codec.decoder.group_states import SHARES, load_states, score_rows
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.dense import DROP, HOLD, MEASURED, cliff, measure_dense, pruning_levels, saving_levels
@@ -37,7 +37,7 @@ def moving():
 
 @pytest.fixture(scope="module")
 def cameras(moving):
-    return orbit_views(decode_frame(moving, 0), 3, 48)
+    return orbit_views(decode(moving, 0), 3, 48)
 
 
 def constant(rate):
