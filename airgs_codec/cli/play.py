@@ -18,7 +18,7 @@ from airgs_codec.media.image import write_png
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.check import find_faults, measure_decoding
-from airgs_codec.play.closed_loop import adaptive, closed_loop_table, run_closed_loop
+from airgs_codec.play.closed_loop import ClosedLoopSettings, adaptive, closed_loop_table, run_closed_loop
 from airgs_codec.play.frame_mode import CHOOSERS, frame_table, simulate_frames
 from airgs_codec.play.link import Link
 from airgs_codec.play.metrics import metrics
@@ -178,9 +178,10 @@ def _closed_loop(package: Package, link: Link, args: argparse.Namespace) -> int:
     training = [c for c in cameras if c.split != "test"] or cameras
     bar = Bar(args.json)
     loops = Catalogue(package.manifest).loops(args.loops)
-    sent = run_closed_loop(package, training, measured_views(cameras), adaptive, link, loops, progress=bar)
+    settings = ClosedLoopSettings(training, measured_views(cameras), link, loops)
+    served = run_closed_loop(package, adaptive, settings, bar)
     bar.close()
-    table = closed_loop_table(sent)
+    table = closed_loop_table(served)
     if args.json:
         print(to_json(table | {"trace": link.trace.name, "scale": link.trace.scale}))
         return 0
@@ -191,7 +192,8 @@ def _closed_loop(package: Package, link: Link, args: argparse.Namespace) -> int:
         f"closed loop over {trace.name}, mean {trace.mean_bps / 1e6:.2f} Mbit/s, rates x{trace.scale:g}:\n"
         f"{table['kb_frame']:.2f} kB/frame of state, worst frame {table['worst_kb']:.2f} kB, "
         f"{100 * table['pruned']:.0f} % pruned on average, {100 * table['skipped']:.1f} % of frames skipped\n"
-        f"{table['psnr_to_top']:.2f} dB to the top rung, {100 * table['stale']:.1f} % of the moving rows stale, "
+        f"{table['psnr_to_top']:.2f} dB to the top rung (PSNR of the pooled error), "
+        f"{100 * table['stale']:.1f} % of the moving rows stale, "
         f"drift {table['drift_steps']} steps\n"
         f"the package's level 0, for every viewer: {sum(state) / m.frames / 1e3:.2f} kB/frame"
     )

@@ -1,20 +1,23 @@
 """The paper's server for one viewer, as a reference for the stateless package.
 
-It keeps D'_t, what this viewer has, and sends d'_t = p(D_t - D'_{t-1}) in whole steps: p keeps the rows with the
-highest usage, the pruned share is chosen for every frame so that the frame fits B / R. Bytes are those of an adaptive
-range coder over the kept rows' changes (see `rangecoder`); which rows those are follows from usage, which the viewer
-knows. D_t is the top rung of a package rounded to its steps. The viewer adds what arrives: GS_t = GC_k + sum d'_t.
+The server keeps D'_t, what this viewer has, and sends d'_t = p(D_t - D'_{t-1}) in whole steps: p keeps the rows with
+the highest usage, and the pruned share is chosen for every frame so that the frame fits B / R (arXiv 2512.20943,
+Algorithm 1). D_t is the top rung of a package rounded to its steps. The viewer decodes each message and adds it:
+GS_t = GC_k + sum of d'_t. Which rows a message carries follows from its pruned share and from usage, which both sides
+know.
+
+T frames of a group, n rows that move, C colour channels beside the ten of position, rotation, scale and opacity.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.rangecoder import encode_columns
+from airgs_codec.coding.rangecoder import Reader, encode_columns
 from airgs_codec.decoder.group_states import SHARES, GroupStates, kept_rows, load_states, score_rows
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.store import Package
@@ -23,125 +26,201 @@ from airgs_codec.play.link import Link
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
 
+KeptRows = Mapping[float, NDArray[np.bool_]]  # pruned share -> (n,) rows whose changes are sent
+Chooser = Callable[["Server", int, float], float]  # server, frame of the group, budget in bytes -> pruned share
+
 
 @dataclass(frozen=True, slots=True)
-class Sent:
-    """One frame."""
+class ServedFrame:
+    """What one frame cost, and what its viewer saw."""
 
-    frame: int  # in the package
-    pruned: float
-    bytes: int
-    budget: float
-    stale: float  # rows whose D' is not D, of those that move
-    drift: int  # largest difference between what the viewer has and D'_t, in steps
-    mse: float  # against the top rung, mean over the views
+    frame: int  # number in the package
+    pruned: float  # share of the rows that was withheld, 0..1
+    bytes: int  # of the message
+    budget: float  # bytes that the frame was allowed, B / R
+    stale: float  # share of the moving rows whose D' is not D, 0..1
+    drift: int  # largest difference between what the viewer decoded and the server's D'_t, in steps
+    mse: float  # viewer's pictures against the top rung's, mean over the views; NaN after the first loop
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedLoopSettings:
+    """Who is served, and over what."""
+
+    training: Sequence[Camera]  # views in which the usage of rows is measured
+    views: Sequence[Camera]  # views in which the error is rendered
+    link: Link | None = None  # None: budgets are unlimited
+    loops: int = 1  # times that the sequence is played
+    ranking: str = "hits"  # measure of usage that rows are ranked by (the paper's: hits), one of MEASURED
+
+
+def encode_change(change: NDArray[np.int32], kept: KeptRows, share: float) -> bytes:
+    """The message of (10 + C, n) whole steps, of which only the rows in `kept[share]` are sent.
+
+    One byte for the share, one bit for each channel that changes, then those channels in the adaptive range coder. A
+    share of 1 is the empty message.
+    """
+    if share == 1:
+        return b""
+    rows = change[:, kept[share]].astype(np.int64)
+    used = rows.any(axis=1)
+    zigzag = (rows[used] << 1) ^ (rows[used] >> 63)
+    head = bytes([SHARES.index(share)]) + np.packbits(used).tobytes()
+    return head + encode_columns([(column, 1) for column in zigzag])
+
+
+def decode_change(message: bytes, kept: KeptRows, channels: int) -> NDArray[np.int32]:
+    """(10 + C, n) whole steps of a message, zeros in the rows that it withholds; `channels` is 10 + C.
+
+    Raises FormatError for a message that is cut short or too long.
+    """
+    share = SHARES[message[0]] if message else 1.0
+    rows = kept[share]
+    change = np.zeros((channels, len(rows)), np.int32)
+    if message:
+        end = 1 + -(-channels // 8)
+        used = np.unpackbits(np.frombuffer(message[1:end], np.uint8), count=channels).astype(bool)
+        reader = Reader(message[end:], "message")
+        for channel in np.flatnonzero(used):
+            zigzag = reader.column(int(rows.sum()), 1)
+            change[channel, rows] = (zigzag >> 1) ^ -(zigzag & 1)
+        reader.close()
+    return change
 
 
 class Server:
-    """State of one viewer in one group."""
+    """The server's side of one viewer in one group; `send` advances it by a frame."""
 
-    def __init__(self, states: GroupStates, score: NDArray[np.float64]) -> None:
-        self.states = states
+    def __init__(self, states: GroupStates, kept: KeptRows) -> None:
         scaled = states.values / states.steps[:, None].astype(np.float32)
         self.wanted = np.rint(scaled).astype(np.int32)  # (T, 10 + C, n) D_t in steps
-        self.sent = np.zeros_like(self.wanted[0])  # D'_t
-        self._kept = {share: kept_rows(score, share) for share in SHARES}
+        self.sent = np.zeros_like(self.wanted[0])  # (10 + C, n) D'_t
+        self._kept = kept
 
-    def change(self, frame: int, share: float) -> NDArray[np.int32]:
-        """(10 + C, n) d'_t for a pruned share, zeros in withheld rows."""
-        return np.where(self._kept[share], self.wanted[frame] - self.sent, 0)
-
-    def size(self, frame: int, share: float) -> int:
-        """Bytes of it."""
-        if share == 1:
-            return 0
-        kept = (self.wanted[frame] - self.sent)[:, self._kept[share]].astype(np.int64)
-        used = np.flatnonzero(kept.any(axis=1))  # channels that change; which, is a bit each
-        zigzag = (kept[used] << 1) ^ (kept[used] >> 63)
-        return len(encode_columns([(column, 1) for column in zigzag])) + -(-len(kept) // 8)
+    def message(self, frame: int, share: float) -> bytes:
+        """The message that brings the viewer to a frame of the group, with a pruned share of SHARES."""
+        return encode_change(self.wanted[frame] - self.sent, self._kept, share)
 
     def fit(self, frame: int, budget: float) -> float:
-        """The least pruned share whose bytes fit, by bisection as in Algorithm 1 (sizes fall with the share)."""
+        """The least pruned share whose message fits, by bisection as in Algorithm 1 (sizes fall with the share)."""
         low, high = 0, len(SHARES) - 1
         while low < high:
             middle = (low + high) // 2
-            if self.size(frame, SHARES[middle]) <= budget:
+            if len(self.message(frame, SHARES[middle])) <= budget:
                 high = middle
             else:
                 low = middle + 1
         return SHARES[low]
 
+    def send(self, frame: int, share: float) -> bytes:
+        """The message of a frame, taken for received: D'_t is now what it says."""
+        message = self.message(frame, share)
+        self.sent = np.where(self._kept[share], self.wanted[frame], self.sent)
+        return message
+
+    def stale(self, frame: int) -> float:
+        """Share of the moving rows, 0..1, whose D'_t is not D_t."""
+        return float((self.sent != self.wanted[frame]).any(axis=0).mean()) if self.sent.size else 0.0
+
+
+class Viewer:
+    """The viewer's side in one group: what it has decoded so far, in steps."""
+
+    def __init__(self, states: GroupStates, kept: KeptRows) -> None:
+        self.held = np.zeros(states.values.shape[1:], np.int32)  # (10 + C, n)
+        self._kept = kept
+
+    def receive(self, message: bytes) -> None:
+        """Decode a message and add it. Raises FormatError."""
+        self.held = self.held + decode_change(message, self._kept, len(self.held))
+
+
+def adaptive(server: Server, frame: int, budget: float) -> float:
+    """The paper's choice: the least pruned share that fits the budget in bytes."""
+    return server.fit(frame, budget)
+
+
+def always(share: float) -> Chooser:
+    """One pruned share of SHARES for every frame."""
+    return lambda server, frame, budget: share
+
 
 def run_closed_loop(
-    package: Package,
-    training: Sequence[Camera],
-    views: Sequence[Camera],
-    choose: Callable[[Server, int, float], float],
-    link: Link | None = None,
-    loops: int = 1,
-    measure: str = "hits",
-    progress: Progress = silent,
-) -> list[Sent]:
-    """Serve the package's sequence `loops` times. `choose(server, frame of the group, budget)` gives the pruned share.
+    package: Package, choose: Chooser, settings: ClosedLoopSettings, progress: Progress = silent
+) -> list[ServedFrame]:
+    """Serve the package's sequence `settings.loops` times; `choose` gives the pruned share of every frame.
 
-    Budgets are B / R at the frame's moment of the link's trace, without a link unlimited. Rows are ranked by
-    `measure` (the paper's: hits). Every frame of the first round is rendered from `views`.
+    Budgets are B / R at the frame's moment of the link's trace. The frames of the first loop are rendered. Raises
+    FormatError.
     """
     m = package.manifest
-    groups = [load_states(package, g) for g in range(len(m.groups))]
-    scores = [score_rows(states, list(training))[measure] for states in groups]
-    fps = float(m.fps)
-    out: list[Sent] = []
-    for number in range(loops * m.frames):
-        progress("frames", number, loops * m.frames)
-        frame = number % m.frames
-        g = next(i for i, group in enumerate(m.groups) if group.start <= frame < group.stop)
-        t = frame - m.groups[g].start
-        if t == 0:
-            server = Server(groups[g], scores[g])
-            viewer = np.zeros_like(server.sent)
-        budget = frame_budget(link.trace.rate_at(number / fps), fps) if link else np.inf
+    groups = [_open_group(package, group, settings) for group in range(len(m.groups))]
+    served: list[ServedFrame] = []
+    for loop in range(settings.loops):
+        for group in groups:
+            for frame in _serve(group, choose, settings, loop * m.frames):
+                progress("frames", len(served), settings.loops * m.frames)
+                served.append(frame)
+    return served
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Group:
+    """What both sides know of a group before its first frame."""
+
+    states: GroupStates
+    kept: KeptRows
+    fps: float
+
+
+def _open_group(package: Package, group: int, settings: ClosedLoopSettings) -> _Group:
+    states = load_states(package, group)
+    score = score_rows(states, list(settings.training))[settings.ranking]
+    return _Group(states, {share: kept_rows(score, share) for share in SHARES}, float(package.manifest.fps))
+
+
+def _serve(group: _Group, choose: Chooser, settings: ClosedLoopSettings, played: int) -> Iterator[ServedFrame]:
+    """The frames of a group one by one, after `played` frames of whole loops; only the first loop is rendered."""
+    states, link = group.states, settings.link
+    server, viewer = Server(states, group.kept), Viewer(states, group.kept)
+    for t in range(len(states.values)):
+        at_s = (played + states.start + t) / group.fps
+        budget = frame_budget(link.trace.rate_at(at_s), group.fps) if link else np.inf
         share = choose(server, t, budget)
-        size = server.size(t, share)
-        change = server.change(t, share)
-        server.sent = server.sent + change
-        viewer += change
-        squared = _error(server, t, views) if number < m.frames else np.nan
-        stale = float((server.sent != server.wanted[t]).any(axis=0).mean()) if server.sent.size else 0.0
-        drift = int(np.abs(viewer - server.sent).max(initial=0))
-        out.append(Sent(frame, share, size, budget, stale, drift, squared))
-    return out
+        message = server.send(t, share)
+        viewer.receive(message)
+        yield ServedFrame(
+            frame=states.start + t,
+            pruned=share,
+            bytes=len(message),
+            budget=budget,
+            stale=server.stale(t),
+            drift=int(np.abs(viewer.held - server.sent).max(initial=0)),
+            mse=np.nan if played else _error(states, viewer, t, settings.views),
+        )
 
 
-def _error(server: Server, t: int, views: Sequence[Camera]) -> float:
-    states = server.states
+def _error(states: GroupStates, viewer: Viewer, t: int, views: Sequence[Camera]) -> float:
+    """Mean squared error, over pixels and views, of what the viewer shows of a frame against the top rung."""
     steps = states.steps[:, None].astype(np.float32)
-    shown = states.show(server.sent.astype(np.float32) * steps)
+    shown = states.show(viewer.held.astype(np.float32) * steps)
     top = states.show(states.values[t])
     return float(np.mean([mse(render(shown, camera).rgb, render(top, camera).rgb) for camera in views]))
 
 
-def adaptive(server: Server, t: int, budget: float) -> float:
-    """The paper's choice."""
-    return server.fit(t, budget)
+def closed_loop_table(served: Sequence[ServedFrame]) -> dict[str, float]:
+    """Means over frames, and maxima where the name says so.
 
-
-def always(share: float) -> Callable[[Server, int, float], float]:
-    """One pruned share for every frame."""
-    return lambda server, t, budget: share
-
-
-def closed_loop_table(sent: Sequence[Sent]) -> dict[str, float]:
-    """Means over frames; PSNR of the mean error against the package's top rung."""
-    measured = np.array([s.mse for s in sent])
-    measured = measured[np.isfinite(measured)]
+    `psnr_to_top` is the PSNR of the squared error pooled over frames and views, NaN where none was rendered.
+    """
+    measured = np.array([frame.mse for frame in served if np.isfinite(frame.mse)])
     return {
-        "frames": len(sent),
-        "kb_frame": float(np.mean([s.bytes for s in sent]) / 1e3),
-        "worst_kb": max(s.bytes for s in sent) / 1e3,
-        "pruned": float(np.mean([s.pruned for s in sent])),
-        "skipped": float(np.mean([s.pruned == 1 for s in sent])),
-        "stale": float(np.mean([s.stale for s in sent])),
-        "drift_steps": max(s.drift for s in sent),
+        "frames": len(served),
+        "kb_frame": float(np.mean([frame.bytes for frame in served]) / 1e3),
+        "worst_kb": max(frame.bytes for frame in served) / 1e3,
+        "pruned": float(np.mean([frame.pruned for frame in served])),
+        "skipped": float(np.mean([frame.pruned == 1 for frame in served])),
+        "stale": float(np.mean([frame.stale for frame in served])),
+        "drift_steps": max(frame.drift for frame in served),
         "psnr_to_top": psnr(float(measured.mean())) if len(measured) else float("nan"),
     }

@@ -10,13 +10,11 @@ import pytest
 from airgs_codec.cli.manifest import main as manifest_main
 from airgs_codec.cli.play import main
 from airgs_codec.decoder.decode import decode
-from airgs_codec.decoder.group_states import SHARES, load_states, score_rows
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.dense import DROP, HOLD, MEASURED, cliff, measure_dense, pruning_levels, saving_levels
 from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.check import find_faults, measure_decoding
-from airgs_codec.play.closed_loop import Server, adaptive, always, closed_loop_table, run_closed_loop
 from airgs_codec.play.link import Link
 from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.session import simulate
@@ -164,34 +162,6 @@ def test_damaged_packages_play_on(measured, tmp_path, capsys):
 
 def test_decoding_is_timed(moving):
     assert 0 < measure_decoding(moving) < 10
-
-
-def test_the_viewer_has_what_the_server_thinks(moving, cameras):
-    """Random levels for every frame: no drift, and at 0 % everything is there again."""
-    random = np.random.default_rng(1)
-
-    def choose(server, t, budget):
-        return 0.0 if t % 4 == 3 else SHARES[int(random.integers(len(SHARES)))]
-
-    sent = run_closed_loop(moving, cameras, cameras[:1], choose)
-    assert all(s.drift == 0 for s in sent)
-    assert any(s.stale > 0 for s in sent)
-    assert all(s.stale == 0 for s in sent if s.pruned == 0)
-    assert all(s.bytes == 0 for s in sent if s.pruned == 1)
-    full = closed_loop_table(run_closed_loop(moving, cameras, cameras[:1], always(0.0)))
-    nothing = closed_loop_table(run_closed_loop(moving, cameras, cameras[:1], always(1.0)))
-    assert full["psnr_to_top"] > nothing["psnr_to_top"] + 3 and nothing["kb_frame"] == 0
-
-
-def test_the_closed_loop_fits_its_budget(moving, cameras):
-    states = load_states(moving, 0)
-    server = Server(states, score_rows(states, list(cameras))["hits"])
-    last = len(states.values) - 1
-    sizes = [server.size(last, share) for share in SHARES]
-    assert sizes[-1] == 0 and sizes[0] == max(sizes)
-    for budget in (0, sizes[5], sizes[0], 1e9):
-        share = adaptive(server, last, budget)
-        assert server.size(last, share) <= budget
 
 
 def test_dense_levels_fall_and_bytes_are_those_of_the_package(moving, cameras):
