@@ -22,7 +22,6 @@ MAY_IMPORT = {
     "cv2": {"media/image.py"},
     "colour": {"media/color.py"},
     "numba": {"coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "train/loss/kernels.py"},
-    "plyfile": {"scene/ply.py"},
     "matplotlib": {"_report.py"},
 }
 MODULES = {path.relative_to(PACKAGE).as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}

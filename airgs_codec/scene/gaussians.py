@@ -36,8 +36,8 @@ class Gaussians:
         """0..3."""
         return SH_REST.index(self.sh_rest.shape[1])
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> Gaussians:
-        """The rows picked by an index or mask array."""
+    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Gaussians:
+        """The rows picked by an index array, a mask or a slice (which copies nothing)."""
         return Gaussians(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def with_degree(self, degree: int) -> Gaussians:

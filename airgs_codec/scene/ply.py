@@ -1,21 +1,28 @@
-"""INRIA .ply files: any property order, ASCII or binary, SH degree 0 to 3."""
+"""Frames and point clouds as .ply: INRIA's Gaussians in any property order and type, SH degree 0 to 3.
+
+N Gaussians or points, K = (degree + 1)^2 - 1 SH coefficients past DC.
+"""
 
 from __future__ import annotations
 
-import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from plyfile import PlyData, PlyElement, PlyParseError
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.ply_elements import BLOCK, Element, Header, read_columns, read_header, write_floats
 
-_BASE = ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity")
+_MEANS = ("x", "y", "z")
+_NORMALS = ("nx", "ny", "nz")
+_DC = ("f_dc_0", "f_dc_1", "f_dc_2")
+_OPACITY = ("opacity",)
 _SCALES = ("scale_0", "scale_1", "scale_2")
 _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
+_COLOUR = ("red", "green", "blue")
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,88 +30,80 @@ class PlyHeader:
     """What the header of a frame promises."""
 
     count: int
-    sh_degree: int
+    sh_degree: int  # 0..3
 
 
 def read_ply_header(path: Path) -> PlyHeader:
-    """Count and SH degree without reading the rows. Raises SceneError when it is not a Gaussian .ply."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(1 << 16)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
-    text = head.split(b"end_header", 1)[0].decode("ascii", "replace")
-    vertex = re.search(r"^element vertex (\d+)\s*$", text, re.MULTILINE)
-    if not head.startswith(b"ply") or b"end_header" not in head or vertex is None:
-        raise SceneError(f"{path}: expected a .ply header with 'element vertex', got {head[:16]!r}")
-    names = set(re.findall(r"^property \w+ (\w+)\s*$", text, re.MULTILINE))
-    if missing := [name for name in (*_BASE, *_SCALES, *_ROTATION) if name not in names]:
-        raise SceneError(f"{path}: expected INRIA Gaussian properties, missing {', '.join(missing)}")
-    return PlyHeader(int(vertex[1]), _degree(path, sum(name.startswith("f_rest_") for name in names)))
+    """The count and SH degree of a frame, without its rows. Raises SceneError when it is not a Gaussian .ply."""
+    _, vertex = _open(path, "element vertex")
+    return PlyHeader(vertex.count, _sh_degree(path, vertex))
 
 
-def _degree(path: Path, rest: int) -> int:
+def _open(path: Path, expected: str) -> tuple[Header, Element]:
+    header = read_header(path)
+    vertex = header.element("vertex")
+    if vertex is None:
+        raise SceneError(f"{path}: expected a .ply header with {expected}, got {[e.name for e in header.elements]}")
+    return header, vertex
+
+
+def _sh_degree(path: Path, vertex: Element) -> int:
+    names = {p.name for p in vertex.properties}
+    rest = sum(name.startswith("f_rest_") for name in names)
     if rest % 3 or rest // 3 not in SH_REST:
         raise SceneError(f"{path}: expected 0, 9, 24 or 45 f_rest properties, got {rest}")
+    wanted = (*_MEANS, *_DC, *_OPACITY, *_SCALES, *_ROTATION, *_rest_names(rest // 3))
+    if missing := [name for name in wanted if name not in names]:
+        raise SceneError(f"{path}: expected INRIA Gaussian properties, missing {', '.join(missing)}")
     return SH_REST.index(rest // 3)
 
 
+def _rest_names(k: int) -> list[str]:
+    """The 3 K properties with the colour last; in the file all coefficients of red come first."""
+    return [f"f_rest_{colour * k + i}" for i in range(k) for colour in range(3)]
+
+
 def read_ply(path: Path) -> Gaussians:
-    """One frame. f_rest is channel-major in the file (all red coefficients first), colour last in memory.
+    """Read one frame as its file has it.
 
     Raises SceneError for a file that is missing, truncated or not a Gaussian .ply.
     """
-    header = read_ply_header(path)
-    try:
-        vertex = PlyData.read(str(path), mmap="c").elements
-        rows = next(element.data for element in vertex if element.name == "vertex")
-        columns = {name: np.asarray(rows[name], np.float32) for name in rows.dtype.names}
-    except (PlyParseError, ValueError, OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{path}: expected {header.count} rows, got a broken or truncated file: {error}") from error
-
-    def stack(*names: str) -> NDArray[np.float32]:
-        return np.stack([columns[name] for name in names], axis=1)
-
-    k = SH_REST[header.sh_degree]
-    rest = np.zeros((header.count, 3, 0), np.float32)
-    if k:
-        rest = stack(*(f"f_rest_{i}" for i in range(3 * k))).reshape(-1, 3, k)
-    return Gaussians(
-        means=stack("x", "y", "z"),
-        quaternions=stack(*_ROTATION),
-        log_scales=stack(*_SCALES),
-        opacity_logits=columns["opacity"].copy(),
-        sh_dc=stack("f_dc_0", "f_dc_1", "f_dc_2"),
-        sh_rest=np.ascontiguousarray(rest.transpose(0, 2, 1)),
-    )
+    header, vertex = _open(path, "element vertex")
+    rest = _rest_names(SH_REST[_sh_degree(path, vertex)])
+    groups = (_MEANS, _ROTATION, _SCALES, _OPACITY, _DC, rest)
+    means, quaternions, log_scales, opacity, sh_dc, sh_rest = read_columns(path, header, vertex, groups)
+    return Gaussians(means, quaternions, log_scales, opacity[:, 0], sh_dc, sh_rest.reshape(len(means), -1, 3))
 
 
 def write_ply(path: Path, gaussians: Gaussians) -> None:
-    """One frame as binary little-endian INRIA .ply; the normals that INRIA writes are zero."""
-    n, k = len(gaussians), gaussians.sh_rest.shape[1]
-    columns: dict[str, NDArray[np.float32]] = {name: gaussians.means[:, i] for i, name in enumerate("xyz")}
-    columns |= {name: np.zeros(n, np.float32) for name in ("nx", "ny", "nz")}
-    columns |= {f"f_dc_{i}": gaussians.sh_dc[:, i] for i in range(3)}
-    rest = gaussians.sh_rest.transpose(0, 2, 1).reshape(n, 3 * k)
-    columns |= {f"f_rest_{i}": rest[:, i] for i in range(3 * k)}
-    columns["opacity"] = gaussians.opacity_logits
-    columns |= {name: gaussians.log_scales[:, i] for i, name in enumerate(_SCALES)}
-    columns |= {name: gaussians.quaternions[:, i] for i, name in enumerate(_ROTATION)}
-    rows = np.empty(n, [(name, "<f4") for name in columns])
-    for name, values in columns.items():
-        rows[name] = values
-    PlyData([PlyElement.describe(rows, "vertex")], byte_order="<").write(str(path))
+    """Write one frame as binary little-endian INRIA .ply; the normals that INRIA writes are zero."""
+    k = gaussians.sh_rest.shape[1]
+    names = [*_MEANS, *_NORMALS, *_DC, *(f"f_rest_{i}" for i in range(3 * k)), *_OPACITY, *_SCALES, *_ROTATION]
+    with path.open("wb") as file:
+        write_floats(file, names, _blocks(gaussians), len(gaussians))
+
+
+def _blocks(gaussians: Gaussians) -> Iterator[NDArray[np.float32]]:
+    """The rows of a file, (n, 17 + 3 K) each."""
+    for start in range(0, len(gaussians), BLOCK):
+        g = gaussians.take(slice(start, start + BLOCK))
+        rest = g.sh_rest.transpose(0, 2, 1).reshape(len(g), -1)
+        parts = (g.means, np.zeros_like(g.means), g.sh_dc, rest, g.opacity_logits[:, None], g.log_scales, g.quaternions)
+        yield np.concatenate(parts, axis=1)
 
 
 def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-    """Positions (P, 3) and RGB of [0, 1] (P, 3), if it has any, of a point cloud. Raises SceneError."""
-    try:
-        rows = next(e.data for e in PlyData.read(str(path)).elements if e.name == "vertex")
-        positions = np.stack([np.asarray(rows[name], np.float32) for name in "xyz"], axis=1)
-        names = ("red", "green", "blue")
-        if not set(names) <= set(rows.dtype.names):
-            return positions, None
-        colours = np.stack([np.asarray(rows[name], np.float32) for name in names], axis=1)
-        return positions, colours / np.float32(255) if rows.dtype["red"].kind == "u" else colours
-    except (PlyParseError, ValueError, OSError, UnicodeDecodeError, StopIteration) as error:
-        raise SceneError(f"{path}: expected a point cloud with x, y, z: {error}") from error
+    """Positions (N, 3) of a point cloud, and RGB of [0, 1] (N, 3) if it has any.
+
+    Whole-number colours are divided by the largest of their type. Raises SceneError for a file that is missing,
+    truncated or not a point cloud.
+    """
+    header, vertex = _open(path, "points")
+    types = {p.name: p.type for p in vertex.properties}
+    if not {*_MEANS} <= types.keys():
+        raise SceneError(f"{path}: expected a point cloud with x, y, z, got {', '.join(types)[:80]}")
+    if not {*_COLOUR} <= types.keys():
+        return read_columns(path, header, vertex, (_MEANS,))[0], None
+    positions, colours = read_columns(path, header, vertex, (_MEANS, _COLOUR))
+    kind = types["red"]
+    return positions, colours if kind.kind == "f" else colours / np.float32(np.iinfo(kind).max)

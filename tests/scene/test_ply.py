@@ -1,8 +1,11 @@
+"""Frames and point clouds: every form of .ply that holds them, and one line for what does not."""
+
 import numpy as np
 import pytest
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.ply import read_ply, read_ply_header, write_ply
+from airgs_codec.scene.ply import read_ply, read_ply_header, read_points, write_ply
+from tests.support.ply import ORDERS, Column, ply_bytes
 from tests.support.scenes import random_gaussians
 
 PROPERTIES = ["x", "y", "z", *(f"f_dc_{i}" for i in range(3)), "opacity", *(f"scale_{i}" for i in range(3))]
@@ -20,14 +23,7 @@ def test_what_was_written_is_read_back_exactly(tmp_path, degree):
 
 
 def ascii_ply(names, rows):
-    head = [
-        "ply",
-        "format ascii 1.0",
-        f"element vertex {len(rows)}",
-        *(f"property float {n}" for n in names),
-        "end_header",
-    ]
-    return "\n".join(head + [" ".join(map(str, row)) for row in rows]) + "\n"
+    return ply_bytes({"vertex": [Column(n, "float", [row[i] for row in rows]) for i, n in enumerate(names)]}).decode()
 
 
 def test_ascii_in_any_property_order(tmp_path):
@@ -46,6 +42,54 @@ def test_f_rest_is_channel_major_in_the_file(tmp_path):
     assert read_ply(tmp_path / "a.ply").sh_rest[0].tolist() == [[0, 3, 6], [1, 4, 7], [2, 5, 8]]
 
 
+@pytest.mark.parametrize("form", ORDERS)
+def test_frames_of_every_form_and_float_type_are_equal(tmp_path, form):
+    g = random_gaussians(20, 1)
+    write_ply(tmp_path / "a.ply", g)
+    names = PROPERTIES + [f"f_rest_{i}" for i in range(9)]
+    parts = (g.means, g.sh_dc, g.opacity_logits[:, None], g.log_scales, g.quaternions)
+    table = np.concatenate([*parts, g.sh_rest.transpose(0, 2, 1).reshape(20, -1)], axis=1)
+    kinds = ["float", "double"] * len(names)
+    vertex = [Column(n, k, table[:, i]) for i, (n, k) in enumerate(zip(names, kinds, strict=False))]
+    (tmp_path / "b.ply").write_bytes(ply_bytes({"vertex": vertex[::-1]}, form, "\r\n"))
+    a, b = read_ply(tmp_path / "a.ply"), read_ply(tmp_path / "b.ply")
+    for name in a.__slots__:
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def test_the_bytes_of_a_frame_are_pinned(tmp_path):
+    """INRIA's properties in INRIA's order, as every viewer expects them."""
+    write_ply(tmp_path / "a.ply", random_gaussians(2, 1))
+    header, _, body = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
+    names = [line.split()[2] for line in header.decode().splitlines() if line.startswith("property float ")]
+    rest = [f"f_rest_{i}" for i in range(9)]
+    assert names == ["x", "y", "z", "nx", "ny", "nz", *PROPERTIES[3:6], *rest, *PROPERTIES[6:]]
+    assert header.decode().splitlines()[:3] == ["ply", "format binary_little_endian 1.0", "element vertex 2"]
+    assert len(body) == 2 * 4 * len(names)
+
+
+@pytest.mark.parametrize(("kind", "scale"), [("uchar", 255), ("ushort", 65535), ("float", 1), ("double", 1)])
+@pytest.mark.parametrize("form", ORDERS)
+def test_points_have_colours_of_0_to_1(tmp_path, form, kind, scale):
+    share = np.array([[0, 0.2, 1], [1, 0.6, 0.4]])
+    values = np.round(share * scale) if scale > 1 else share
+    vertex = [Column(n, "double", [i, -i]) for i, n in enumerate("xyz")]
+    vertex += [Column(n, kind, values[:, i]) for i, n in enumerate(("red", "green", "blue"))]
+    (tmp_path / "a.ply").write_bytes(ply_bytes({"vertex": vertex}, form))
+    positions, colours = read_points(tmp_path / "a.ply")
+    assert positions.tolist() == [[0, 1, 2], [0, -1, -2]]
+    np.testing.assert_allclose(colours, share, atol=1e-7)
+    (tmp_path / "b.ply").write_bytes(ply_bytes({"vertex": vertex[:3]}, form))
+    assert read_points(tmp_path / "b.ply")[1] is None
+
+
+@pytest.mark.parametrize("elements", [{"vertex": [Column("x", "float", [0])]}, {"face": [Column("x", "float", [0])]}])
+def test_what_is_no_point_cloud_is_refused(tmp_path, elements):
+    (tmp_path / "a.ply").write_bytes(ply_bytes(elements))
+    with pytest.raises(SceneError, match=r"a\.ply: expected"):
+        read_points(tmp_path / "a.ply")
+
+
 @pytest.mark.parametrize(
     ("content", "says"),
     [
@@ -53,6 +97,7 @@ def test_f_rest_is_channel_major_in_the_file(tmp_path):
         (b"not a ply at all\n", "expected a .ply header"),
         (ascii_ply(["x", "y", "z"], [[0, 0, 0]]).encode(), "missing f_dc_0"),
         (ascii_ply([*PROPERTIES, "f_rest_0"], [[0] * 15]).encode(), "expected 0, 9, 24 or 45 f_rest"),
+        (ascii_ply([*PROPERTIES, *(f"f_rest_{i}" for i in range(1, 10))], [[0] * 23]).encode(), "missing f_rest_0"),
         (ascii_ply(PROPERTIES, [[0] * 14]).replace("vertex 1", "vertex 9").encode(), "truncated"),
     ],
 )
