@@ -1,4 +1,4 @@
-"""A few of many, evenly."""
+"""A few of many, evenly spaced: views, blocks of rows, frames."""
 
 from __future__ import annotations
 
@@ -9,3 +9,13 @@ def evenly_spaced(count: int, most: int) -> list[int]:
     """At most `most` of 0 .. count - 1, ascending, first and last among them (the first alone if `most` is 1)."""
     picks: list[int] = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int)).tolist()
     return picks
+
+
+def middle_frames(start: int, stop: int, most: int) -> list[int]:
+    """At most `most` frames of [start, stop), ascending, each in the middle of an equal part.
+
+    The first and last frames of a segment would be the furthest from the canonical frame, and make it look worse than
+    it is.
+    """
+    parts = min(most, stop - start)
+    return [start + (2 * i + 1) * (stop - start) // (2 * parts) for i in range(parts)]

@@ -34,7 +34,7 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.coding.morton import morton_encode
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.rate_target import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError, SceneError
@@ -140,9 +140,9 @@ def our_points(bench: Bench, targets: Sequence[float], keep_all: bool) -> Iterat
     for wanted in targets:
         with tempfile.TemporaryDirectory() as folder:
             target = Path(folder) / "package"
-            settings = EncodeSettings(keep_all=keep_all)
+            settings = EncodeSettings(keep_all=keep_all, measure_frames=0)
             try:
-                report = author_package(bench.sequence, target, settings, goal=Goal(PSNR, wanted), measure_frames=0)
+                report = encode(bench.sequence, target, settings, goal=Goal(PSNR, wanted))
             except ConfigError as error:
                 print(f"{name}: {error}")
                 continue

@@ -21,7 +21,7 @@ import numpy as np
 
 from airgs_codec.cli.train import parse_frames
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.metrics import mse, psnr, ssim
 from airgs_codec.package.store import open_package
@@ -79,7 +79,7 @@ def measure(scene: Scene, settings: TrainSettings, folder: Path) -> dict[str, ob
     pictures = Pictures(scene, settings.max_size, settings.foreground)
     target = folder.with_suffix(".airgs")
     begun = time.perf_counter()
-    author_package(open_sequence(folder), target, EncodeSettings(), measure_frames=0)
+    encode(open_sequence(folder), target, EncodeSettings(measure_frames=0))
     encode_s = time.perf_counter() - begun
     package = open_package(target)
     manifest = package.manifest

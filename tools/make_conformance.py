@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
-from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.gaussians import Gaussians
@@ -45,9 +45,12 @@ def frames(count: int, degree: int, length: int) -> list[Gaussians]:
 
 
 VALID = {
-    "moving": (frames(64, 0, 4), EncodeSettings(levels=((0.0, 1.0), (0.5, 2.0)))),
-    "one-gaussian": (frames(1, 1, 1), EncodeSettings(levels=((0.0, 1.0),), key_factors=(1.0,))),
-    "two-groups-sh1": (frames(40, 1, 5), EncodeSettings(levels=((0.0, 1.0),), group_frames=3, segment_s=0.07)),
+    "moving": (frames(64, 0, 4), EncodeSettings(calibrate="none", levels=((0.0, 1.0), (0.5, 2.0)))),
+    "one-gaussian": (frames(1, 1, 1), EncodeSettings(calibrate="none", levels=((0.0, 1.0),), key_factors=(1.0,))),
+    "two-groups-sh1": (
+        frames(40, 1, 5),
+        EncodeSettings(calibrate="none", levels=((0.0, 1.0),), group_frames=3, segment_s=0.07),
+    ),
 }
 
 
@@ -152,7 +155,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             for i, frame in enumerate(sequence):
                 write_ply(Path(folder) / f"{i:06d}.ply", frame)
-            author_package(open_sequence(Path(folder)), CORPUS / "valid" / name, settings, calibrated=False)
+            encode(open_sequence(Path(folder)), CORPUS / "valid" / name, settings)
     for reason, apply in INVALID.items():
         target = CORPUS / "invalid" / reason
         shutil.copytree(CORPUS / "valid" / "moving", target)

@@ -17,7 +17,7 @@ import numpy as np
 
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.decoder.decode import decode_key, decode_state
-from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.scene.ply import write_ply
@@ -60,8 +60,11 @@ def main() -> None:
     source = open_sequence(FOX)
     fine = StepSettings(grid=0.00007)
     cases = {
-        "fox": (range(3, 7), EncodeSettings(levels=((0.0, 1.0), (0.5, 2.0)))),
-        "fox-fine": (range(5, 8), EncodeSettings(levels=((0.0, 1.0),), key_factors=(1.0,), quality=0.1, steps=fine)),
+        "fox": (range(3, 7), EncodeSettings(calibrate="none", levels=((0.0, 1.0), (0.5, 2.0)))),
+        "fox-fine": (
+            range(5, 8),
+            EncodeSettings(calibrate="none", levels=((0.0, 1.0),), key_factors=(1.0,), quality=0.1, steps=fine),
+        ),
     }
     for name, (frames, settings) in cases.items():
         with tempfile.TemporaryDirectory() as folder:
@@ -69,7 +72,7 @@ def main() -> None:
             for number, frame in enumerate(frames):
                 write_ply(Path(folder) / f"{number:06d}.ply", source.read(frame).take(rows))
             (Path(folder) / "sequence.json").write_text(json.dumps({"fps": 24, "keyframes": [0, 2]}))
-            author_package(open_sequence(Path(folder)), GOLDEN / name, settings, calibrated=False)
+            encode(open_sequence(Path(folder)), GOLDEN / name, settings)
         table = json.dumps(digests(open_package(GOLDEN / name)), indent=1)
         (GOLDEN / f"{name}.json").write_text(table + "\n")
 

@@ -38,7 +38,7 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_state
 from airgs_codec.decoder.group_states import load_states
-from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.h264 import library_versions, state_codec
 from airgs_codec.media.metrics import mse
@@ -108,8 +108,15 @@ def measure_encode(folder: Path, quick: bool) -> Iterator[Row]:
     for preset in presets:
         for factor in (0.5, 1.0, 2.0) if quick else (0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8):
             target = folder / f"{preset}-{factor}"
-            settings = EncodeSettings(preset=preset, quality=factor, levels=((0.0, 1.0),), key_factors=(1.0,))
-            report = author_package(sequence, target, settings, calibrated=False, measure_frames=2)
+            settings = EncodeSettings(
+                quality=factor,
+                calibrate="none",
+                levels=((0.0, 1.0),),
+                key_factors=(1.0,),
+                measure_frames=2,
+                preset=preset,
+            )
+            report = encode(sequence, target, settings)
             m = report.manifest
             quality = pooled_quality(m, 0, 0)
             assert quality is not None
@@ -292,7 +299,7 @@ def measure_left_out(folder: Path) -> Iterator[Row]:
     """The default package with and without what the scene can do without."""
     sequence = open_sequence(SCENE)
     for name, keep in (("as the scene needs", False), ("--keep-all", True)):
-        report = author_package(sequence, folder / name, EncodeSettings(keep_all=keep), measure_frames=2)
+        report = encode(sequence, folder / name, EncodeSettings(keep_all=keep, measure_frames=2))
         m = report.manifest
         quality = pooled_quality(m, 0, 0)
         assert quality is not None
@@ -339,7 +346,7 @@ def main() -> None:
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        author_package(open_sequence(SCENE), folder / "fox", EncodeSettings(), measure_frames=2)
+        encode(open_sequence(SCENE), folder / "fox", EncodeSettings(measure_frames=2))
         package = open_package(folder / "fox")
         parts: list[Callable[[], Iterator[Row]]] = [
             lambda: measure_encode(folder, args.quick),

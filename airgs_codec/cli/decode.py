@@ -20,9 +20,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("package", type=Path, help="folder with manifest.mpd and airgs.json")
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the frames, 000000.ply and on")
     parser.add_argument("--level", default="L0", help="state level: L0, L1, … or its number (default: L0)")
-    parser.add_argument(
-        "--key-quality", default="Q0", help="key quality: Q0, Q1, … or its number (default: Q0)"
-    )
+    parser.add_argument("--key-quality", default="Q0", help="key quality: Q0, Q1, … or its number (default: Q0)")
     parser.add_argument("--frames", default=":", metavar="A:B", help="frames A to B - 1 (default: all)")
     parser.add_argument("--json", action="store_true", help="print a JSON report instead of words")
     return parser

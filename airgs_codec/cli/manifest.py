@@ -11,7 +11,6 @@ from pathlib import Path
 from airgs_codec._report import require_matplotlib
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.quality import measured_views
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.dense import dense_table, format_dense, measure_dense, plot_dense
 from airgs_codec.inspect.errors import format_errors, measure_errors
@@ -19,6 +18,7 @@ from airgs_codec.inspect.inspection import bytes_by_attribute, format_attributes
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.render import read_cameras
+from airgs_codec.scene.camera import measured_views
 from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import open_sequence
 

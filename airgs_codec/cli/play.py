@@ -12,7 +12,6 @@ from airgs_codec._files import to_json
 from airgs_codec._report import require_matplotlib
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.quality import measured_views
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
 from airgs_codec.package.store import Package, open_package
@@ -31,6 +30,7 @@ from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import ENDS, open_trace
 from airgs_codec.render import Camera, read_cameras
+from airgs_codec.scene.camera import measured_views
 from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import open_sequence
 

@@ -129,7 +129,7 @@ def _timing(fps: Fraction) -> tuple[int, int]:
 def _code_keys(plan: GroupPlan, cameras: Sequence[Camera], settings: EncodeSettings, gain: float) -> None:
     """Atlases, samples and escapes of every tier and key quality."""
     steps = KEY.steps(plan.key_steps, len(plan.key_values) - KEY.colour_start)
-    spare = spare_key_planes(plan, cameras, settings.byte_price)
+    spare = spare_key_planes(plan, cameras, settings.scaled_price)
     for tier in range(len(settings.tiers)):
         atlases, samples, bases = [], [], []
         sent: list[Sent | None] = []
@@ -280,7 +280,7 @@ def _code_states(
     level_tiers = [settings.tiers_of(j) for j in range(len(settings.levels))]
     plan.depths = assign_depths(score, moving, [share for share, _ in settings.levels], plan.tiers, level_tiers)
     plan.leave_out("updates", *_unsent(plan, states))
-    needs = StateNeeds(plan, base, values, cameras, settings.byte_price)
+    needs = StateNeeds(plan, base, values, cameras, settings.scaled_price)
     spare, quiet = needs.spare_planes(), needs.spare_segments(spans)
     fetched = [[False] * len(settings.levels) for _ in spans]
     for level, (_, factor) in enumerate(settings.levels):

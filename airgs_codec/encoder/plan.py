@@ -196,7 +196,7 @@ def rank_updates(
         variance = np.square(states).mean(axis=0, keepdims=True)
         coded = np.minimum(variance + LEAK * np.maximum(CODING_VARIANCE - variance, 0), CODING_VARIANCE)
         moving &= withheld(states) > withheld(np.sqrt(coded))
-    if settings.rank == "error":
+    if settings.update_rank == "error":
         return withheld(changes), moving
     if plan.moved is not None:
         return plan.moved, moving

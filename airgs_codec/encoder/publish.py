@@ -14,20 +14,24 @@ from airgs_codec.encoder.calibration.solve import calibrate
 from airgs_codec.encoder.encode import encode_sequence
 from airgs_codec.encoder.leave_out import needed_bands
 from airgs_codec.encoder.plan import Survey, survey_group
-from airgs_codec.encoder.quality import DEFAULT_FRAMES, measure_quality, measured_views
+from airgs_codec.encoder.quality import measure_quality
 from airgs_codec.encoder.rate_target import PSNR, Goal, find_quality
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.package.mpd import write_mpd
-from airgs_codec.package.store import Package, staged, write_file
+from airgs_codec.package.staging import staged, write_file
+from airgs_codec.package.store import Package
 from airgs_codec.package.tables import JSON_NAME, MPD_NAME, LeftOut, Manifest, Views, pooled_quality
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
+from airgs_codec.scene.camera import measured_views
 from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import GaussianSequence
 
+TRIAL_FRAMES = 6  # measured in each segment by a search for a PSNR, where the package itself is not measured
+
 
 @dataclass(frozen=True, slots=True)
-class AuthorReport:
+class EncodeReport:
     """What was published and what it took."""
 
     manifest: Manifest
@@ -71,26 +75,24 @@ class _Job:
         return measure_quality(Package(folder, manifest, 0), self.original, self.shown, frames, self.progress)
 
 
-def author_package(
+def encode(
     sequence: GaussianSequence,
-    target: Path,
-    settings: EncodeSettings,
+    path: str | Path,
+    settings: EncodeSettings = DEFAULT_SETTINGS,
     *,
-    calibrated: bool = True,
-    ladder: bool = True,
     goal: Goal | None = None,
     attribution: str = "",
-    measure_frames: int = DEFAULT_FRAMES,
     progress: Progress = silent,
-) -> AuthorReport:
-    """Publish `sequence` as the package `target`.
+) -> EncodeReport:
+    """Encode a sequence and publish it as the package at `path`, whole or not at all.
 
-    `calibrated`: steps are found for this scene, starting at those of `settings`, and with `ladder` also levels and
-    tiers. `goal`: the quality factor is searched for. `measure_frames` 0 leaves quality out.
+    `goal`: a quality factor is searched for that brings the top rung to this PSNR or size; `settings.quality` is where
+    the search starts. `attribution`: who made the scene, for the record. An existing package at `path` is replaced.
 
-    Raises the errors of `encode_sequence` and `staged`, and ConfigError for a goal out of reach; then `target` is as
-    it was.
+    Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails, and ConfigError for a
+    goal out of reach or a `path` with other files in it; then `path` is as it was.
     """
+    target = Path(path)
     given = list(sequence.cameras)
     cameras = given or orbit_views(sequence.read(len(sequence) // 2))
     training = [c for c in cameras if c.split != "test"] or cameras
@@ -101,7 +103,7 @@ def author_package(
         len(shown),
         shown[0].width,
         shown[0].height,
-        "original" if measure_frames else "none",
+        "original" if settings.measure_frames else "none",
     )
     with staged(target) as stage:
         clock = _Clock()
@@ -110,29 +112,29 @@ def author_package(
         survey_s = clock.lap()
         coded, cached = sequence, False
         left_out: list[LeftOut] = []
-        if calibrated:
+        if settings.calibrate != "none":
             progress("calibration", 0, 1)
             subject = _longest(surveys)
-            settings, cached = _calibrate(sequence, subject, training, views, settings, ladder)
+            settings, cached = _calibrate(sequence, subject, training, views, settings)
             step, span = settings.steps.key.sh_rest * settings.quality, subject.stop - subject.start
-            bands, left_out = needed_bands(sequence, subject.canonical, span, training, step, settings.byte_price)
+            bands, left_out = needed_bands(sequence, subject.canonical, span, training, step, settings.scaled_price)
             if left_out:
                 coded = replace(sequence, most_bands=bands)
                 surveys = _survey(coded, grouping, training, progress)
         calibrate_s = clock.lap()
         job = _Job(sequence, coded, grouping, surveys, training, shown, views, attribution, progress)
         if goal:
-            settings = replace(settings, quality=_search(job, settings, goal, stage, measure_frames or DEFAULT_FRAMES))
+            settings = replace(settings, quality=_search(job, settings, goal, stage))
         search_s = clock.lap()
         manifest = job.encode(settings, stage)
         manifest = replace(manifest, left_out=left_out + manifest.left_out)
         encode_s = clock.lap()
-        if measure_frames:
-            manifest = job.measure(manifest, stage, measure_frames)
+        if settings.measure_frames:
+            manifest = job.measure(manifest, stage, settings.measure_frames)
         tables = write_file(stage, JSON_NAME, manifest.to_json().encode())
         mpd = write_file(stage, MPD_NAME, write_mpd(manifest))
         size = tables.bytes + mpd.bytes
-        report = AuthorReport(manifest, size, survey_s, calibrate_s, cached, search_s, encode_s, clock.lap())
+        report = EncodeReport(manifest, size, survey_s, calibrate_s, cached, search_s, encode_s, clock.lap())
     return report
 
 
@@ -171,7 +173,6 @@ def _calibrate(
     training: Sequence[Camera],
     views: Views,
     settings: EncodeSettings,
-    ladder: bool,
 ) -> tuple[EncodeSettings, bool]:
     """Settings for this scene, and whether they were kept from before."""
     name = cache.digest(sequence, subject, training, settings)
@@ -179,12 +180,13 @@ def _calibrate(
     calibration = kept or calibrate(sequence, subject, training, views.source == "given", settings)
     if kept is None:
         cache.keep(name, calibration)
-    return calibration.apply(settings, ladder), kept is not None
+    return calibration.apply(settings), kept is not None
 
 
-def _search(job: _Job, settings: EncodeSettings, goal: Goal, stage: Path, frames: int) -> float:
+def _search(job: _Job, settings: EncodeSettings, goal: Goal, stage: Path) -> float:
     """The quality factor that brings the top rung to its goal."""
     top = replace(settings, levels=settings.levels[:1], core_levels=0)
+    frames = settings.measure_frames or TRIAL_FRAMES
     trials = 0
 
     def trial(factor: float) -> float:

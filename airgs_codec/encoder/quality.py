@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from airgs_codec._sampling import evenly_spaced
+from airgs_codec._sampling import middle_frames
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.media.metrics import mse, psnr, ssim
 from airgs_codec.package.store import Package
@@ -14,24 +14,6 @@ from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
-
-MAX_VIEWS = 4
-DEFAULT_FRAMES = 6  # measured a segment
-
-
-def measured_views(cameras: Sequence[Camera]) -> list[Camera]:
-    """Held-out cameras if there are any, else all; at most MAX_VIEWS of them, spread evenly."""
-    chosen = [c for c in cameras if c.split == "test"] or list(cameras)
-    return [chosen[i] for i in evenly_spaced(len(chosen), MAX_VIEWS)]
-
-
-def measured_frames(start: int, stop: int, count: int) -> list[int]:
-    """At most `count` frames of [start, stop), each in the middle of an equal part.
-
-    First and last would be the furthest from the canonical frame, and make a segment look worse than it is.
-    """
-    parts = min(count, stop - start)
-    return [start + (2 * i + 1) * (stop - start) // (2 * parts) for i in range(parts)]
 
 
 @dataclass(slots=True)
@@ -50,7 +32,7 @@ def measure_quality(
     package: Package,
     sequence: GaussianSequence,
     cameras: Sequence[Camera],
-    frames: int = DEFAULT_FRAMES,
+    frames: int,
     progress: Progress = silent,
 ) -> Manifest:
     """The package's tables with PSNR (pooled MSE) and mean SSIM of every segment, level and key quality.
@@ -61,7 +43,7 @@ def measure_quality(
     segments: list[Segment] = []
     for index, segment in enumerate(m.segments):
         progress("quality", index, len(m.segments))
-        numbers = measured_frames(segment.start, segment.stop, frames)
+        numbers = middle_frames(segment.start, segment.stop, frames)
         originals = sequence.load(numbers).frames
         references = [[render(g, camera).rgb for camera in cameras] for g in originals]
         sums = [[_Sums() for _ in m.qualities] for _ in m.levels]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field
+from typing import Any
 
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.coding.steps import StepSettings
@@ -14,32 +15,70 @@ from airgs_codec.package.tables import MAX_CHOICES
 from airgs_codec.scene.usage import MEASURES
 
 DEFAULT_LEVELS = ((0.0, 1.0), (0.3, 1.5), (0.5, 2.0), (0.6, 3.0))
-RANKS = ("error", "usage")  # expected error of withholding an update; usage x size of its change
 PAPER_LEVELS = tuple((share / 10, 1.0) for share in range(10))
 QUALITY_FACTORS = {"low": 1.6, "medium": 1.0, "high": 0.6}
+UPDATE_RANKS = ("error", "usage")
+CALIBRATIONS = ("ladder", "steps", "none")
+
+
+def setting(default: Any, about: str) -> Any:
+    """A dataclass field whose `about`, a phrase with units, is its documentation and the help text of its option."""
+    return field(default=default, metadata={"about": about})
 
 
 @dataclass(frozen=True, slots=True)
 class EncodeSettings:
-    """Everything that decides the bytes of a package besides the scene."""
+    """Everything that decides the bytes of a package besides the scene.
 
-    levels: tuple[tuple[float, float], ...] = DEFAULT_LEVELS  # pruned share, step factor
-    core_levels: int = 0  # the last of them, which do with the first key tier
-    key_factors: tuple[float, ...] = (1.0, 3.0)
-    tiers: tuple[float, ...] = DEFAULT_TIERS
-    steps: StepSettings = field(default_factory=StepSettings)
-    quality: float = 1.0  # factor on every step
-    segment_s: float = 1.0
-    group_frames: int = DEFAULT_GROUP_FRAMES
-    usage: str = "importance"  # what key tiers are ranked by
-    rank: str = "error"  # what updates are ranked by, of RANKS
-    keep_all: bool = False  # leave nothing out but what is constant
-    price: float = 0.0  # squared error of pictures that a byte a frame must save, at quality 1; 0: no plane pays
-    preset: str = DEFAULT_PRESET
-    jobs: int = field(default_factory=lambda: os.cpu_count() or 1)
+    Raises ConfigError, when it is made, for values that cannot work.
+    """
+
+    quality: float = setting(1.0, "factor on every quantiser step: smaller is finer and takes more bytes")
+    calibrate: str = setting(
+        "ladder",
+        "what trial encodes of the scene decide, kept for the next time: quantiser steps, levels and tiers (ladder, "
+        "which asks for the default levels, core_levels and tiers), the steps alone (steps), or nothing (none)",
+    )
+    levels: tuple[tuple[float, float], ...] = setting(
+        DEFAULT_LEVELS, "for each level the share of the updates withheld, 0 to 1 ascending, and a factor on the steps"
+    )
+    core_levels: int = setting(0, "how many of the last levels fetch only the first key tier")
+    tiers: tuple[float, ...] = setting(DEFAULT_TIERS, "share of the Gaussians in each key tier, summing to 1")
+    key_factors: tuple[float, ...] = setting((1.0, 3.0), "for each key quality a factor on the key steps")
+    steps: StepSettings = field(
+        default_factory=StepSettings, metadata={"about": "quantiser steps at quality 1; calibration starts there"}
+    )
+    segment_s: float = setting(1.0, "longest state segment, in seconds")
+    group_frames: int = setting(
+        DEFAULT_GROUP_FRAMES, "longest group of frames with a common canonical space, where no keyframes are given"
+    )
+    usage: str = setting(
+        "importance",
+        "what ranks Gaussians for the key tiers: the largest blending weight alpha T (max), the sum of these weights "
+        "(sum), the number of pixels blended (hits, literally as in the paper), or max x sum x the error of leaving "
+        "the Gaussian out (importance)",
+    )
+    update_rank: str = setting(
+        "error",
+        "what ranks updates for pruning: the error expected of withholding one (error), or usage x the size of the "
+        "change (usage)",
+    )
+    keep_all: bool = setting(False, "leave nothing out but what is constant")
+    byte_price: float = setting(
+        0.0,
+        "squared error of pictures that must be worth a byte a frame at quality 1, or planes and segments are left "
+        "out; 0: none are; calibration finds it",
+    )
+    measure_frames: int = setting(6, "frames of each segment on which the quality of every rung is measured; 0: none")
+    preset: str = setting(DEFAULT_PRESET, "x264 preset")
+    jobs: int = field(
+        default_factory=lambda: os.cpu_count() or 1,
+        metadata={"about": "representations encoded at the same time; the bytes are the same"},
+    )
 
     def __post_init__(self) -> None:
         shares = [share for share, _ in self.levels]
+        ladder = (self.levels, self.core_levels, self.tiers)
         checks = [
             (1 <= len(self.levels) <= MAX_CHOICES, f"expected 1 to {MAX_CHOICES} levels"),
             (all(0 <= s < 1 for s in shares), f"expected pruned shares in [0, 1), got {shares}"),
@@ -53,7 +92,13 @@ class EncodeSettings:
                 f"expected tiers that sum to 1, got {self.tiers}",
             ),
             (self.usage in MEASURES, f"expected usage {', '.join(MEASURES)}, got {self.usage}"),
-            (self.rank in RANKS, f"expected rank {', '.join(RANKS)}, got {self.rank}"),
+            (self.update_rank in UPDATE_RANKS, f"expected rank {', '.join(UPDATE_RANKS)}, got {self.update_rank}"),
+            (self.calibrate in CALIBRATIONS, f"expected calibrate {', '.join(CALIBRATIONS)}, got {self.calibrate}"),
+            (
+                self.calibrate != "ladder" or ladder == (DEFAULT_LEVELS, 0, DEFAULT_TIERS),
+                'levels, core_levels and tiers would be replaced: expected calibrate "steps" or "none" with them',
+            ),
+            (self.measure_frames >= 0, f"expected 0 or more frames to measure, got {self.measure_frames}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
             (self.jobs >= 1, f"expected at least one job, got {self.jobs}"),
         ]
@@ -62,12 +107,12 @@ class EncodeSettings:
                 raise ConfigError(message)
 
     @property
-    def byte_price(self) -> float:
-        """The price at this quality: error grows with the square of the steps."""
-        return 0.0 if self.keep_all else self.price * self.quality**2
+    def scaled_price(self) -> float:
+        """`byte_price` at this quality: error grows with the square of the steps. 0 where all is kept."""
+        return 0.0 if self.keep_all else self.byte_price * self.quality**2
 
     def tiers_of(self, level: int) -> int:
-        """Key tiers that viewers of a level fetch."""
+        """Number of key tiers that viewers of a level fetch."""
         return 1 if level >= len(self.levels) - self.core_levels else len(self.tiers)
 
     def table(self) -> dict[str, str]:
@@ -78,9 +123,12 @@ class EncodeSettings:
             "key_factors": ",".join(f"{factor:g}" for factor in self.key_factors),
             "quality": f"{self.quality:g}",
             "usage": self.usage,
-            "rank": self.rank,
+            "rank": self.update_rank,
             "codec": "libx264",
             "preset": self.preset,
             "key_qp": str(KEY_QP),
             "state_qp": str(STATE_QP),
         }
+
+
+DEFAULT_SETTINGS = EncodeSettings()

@@ -14,7 +14,7 @@ from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
 from airgs_codec.encoder.plan import GroupPlan
 from airgs_codec.media.h264 import Stream
 from airgs_codec.package import tables
-from airgs_codec.package.store import write_file
+from airgs_codec.package.staging import write_file
 from airgs_codec.package.tables import STATIC, FileEntry, Group, GroupTier, Picture, Segment
 
 

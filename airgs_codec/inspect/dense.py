@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._report import new_figure, save_figure
+from airgs_codec._sampling import middle_frames
 from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.decoder.group_states import MEASURED, SHARES, GroupStates, kept_rows, load_states, score_rows
-from airgs_codec.encoder.quality import measured_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import state_codec
 from airgs_codec.media.metrics import mse, psnr, ssim
@@ -115,7 +115,7 @@ class _Job:
         self._index, self._states, self._cameras = index, states, cameras
         self._size = m.bytes_of(m.state_files(index, 0))
         self._values = states.values[segment.start - states.start : segment.stop - states.start]
-        numbers = measured_frames(segment.start, segment.stop, FRAMES)
+        numbers = middle_frames(segment.start, segment.stop, FRAMES)
         self._frames = [n - segment.start for n in numbers]
         if original is None:
             frames = [states.show(self._values[t]) for t in self._frames]

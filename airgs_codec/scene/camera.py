@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._sampling import evenly_spaced
 from airgs_codec.errors import SceneError
 
+MOST_MEASURED_VIEWS = 4
 NEAR = 0.01  # world units, as gsplat has it
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # nerfstudio cameras look along -z with y up
 
@@ -85,6 +88,15 @@ def read_cameras(path: Path) -> list[Camera]:
     if not cameras:
         raise SceneError(f"{path}: expected at least one camera under 'frames', got none")
     return list(cameras.values())
+
+
+def measured_views(cameras: Sequence[Camera]) -> list[Camera]:
+    """The cameras that quality is measured on: held-out ones if there are any, else all.
+
+    At most MOST_MEASURED_VIEWS of them, evenly spaced.
+    """
+    chosen = [c for c in cameras if c.split == "test"] or list(cameras)
+    return [chosen[i] for i in evenly_spaced(len(chosen), MOST_MEASURED_VIEWS)]
 
 
 def camera_from_transforms(name: str, shared: dict[str, Any], frame: dict[str, Any]) -> Camera:

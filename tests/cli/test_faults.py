@@ -13,7 +13,8 @@ import pytest
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package.store import open_package, staged
+from airgs_codec.package.staging import staged
+from airgs_codec.package.store import open_package
 from tests.support.paths import FOX, VALID
 from tests.support.scenes import moving_frames, write_sequence
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
-from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.package.store import open_package
@@ -29,8 +29,8 @@ def package(tmp_path_factory):
     there = moving_frames(60, 40)
     turn = [*range(40), *range(38, 0, -1)]
     scene = write_sequence(folder / "scene", [there[turn[i % len(turn)]] for i in range(1000)])
-    settings = EncodeSettings(preset="ultrafast", keep_all=True, jobs=2)
-    author_package(open_sequence(scene), folder / "out", settings, measure_frames=0, calibrated=False)
+    settings = EncodeSettings(calibrate="none", measure_frames=0, preset="ultrafast", keep_all=True, jobs=2)
+    encode(open_sequence(scene), folder / "out", settings)
     return open_package(folder / "out"), open_sequence(scene)
 
 

@@ -18,7 +18,7 @@ from airgs_codec.encoder.calibration import cache
 from airgs_codec.encoder.calibration.solve import STEPS, Subject, calibrate, get_step, solve_steps, with_step
 from airgs_codec.encoder.levels import assign_depths
 from airgs_codec.encoder.plan import survey_group
-from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal, find_quality
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
@@ -88,9 +88,9 @@ def test_ladders_descend(calibration):
     assert len(set(calibration.levels)) == len(calibration.levels) > 1
     assert calibration.key_factors[0] == 1 < calibration.key_factors[1]
     assert sum(calibration.tiers) == pytest.approx(1)
-    settings = calibration.apply(FAST, ladder=True)
+    settings = calibration.apply(FAST)
     assert (settings.levels, settings.steps) == (calibration.levels, calibration.steps)
-    assert calibration.apply(FAST, ladder=False).levels == FAST.levels
+    assert calibration.apply(replace(FAST, calibrate="steps")).levels == FAST.levels
 
 
 def test_a_scene_that_stands_still_has_one_level(tmp_path):
@@ -196,8 +196,8 @@ def test_a_target_out_of_reach_is_one_line_and_leaves_nothing(tmp_path, capsys):
 
 
 def test_keep_all_keeps_all(tmp_path):
-    author_package(open_sequence(FOX), tmp_path / "all", replace(FAST, keep_all=True), measure_frames=0)
-    author_package(open_sequence(FOX), tmp_path / "less", FAST, measure_frames=0)
+    encode(open_sequence(FOX), tmp_path / "all", replace(FAST, keep_all=True, measure_frames=0))
+    encode(open_sequence(FOX), tmp_path / "less", replace(FAST, measure_frames=0))
     everything, less = (open_package(tmp_path / name).manifest for name in ("all", "less"))
     assert all(g.unused == 0 for g in everything.groups)
     assert {entry.what for entry in everything.left_out} <= {"updates"}
@@ -212,7 +212,7 @@ def test_bands_that_do_not_show_are_left_out(tmp_path):
     rest = np.random.default_rng(0).normal(0, 0.5, frames[0].sh_rest.shape).astype(np.float32)
     rest[:, 3:] = 0
     sequence = open_sequence(write_sequence(tmp_path / "scene", [replace(g, sh_rest=rest) for g in frames]))
-    author_package(sequence, tmp_path / "out", FAST)
+    encode(sequence, tmp_path / "out", FAST)
     package = open_package(tmp_path / "out")
     assert validate(tmp_path / "out") == []
     assert package.manifest.sh_degree == 1
@@ -223,8 +223,8 @@ def test_bands_that_do_not_show_are_left_out(tmp_path):
 def test_core_levels_do_with_the_first_tier(tmp_path):
     frames = moving_frames(600, 4)
     sequence = open_sequence(write_sequence(tmp_path / "scene", frames))
-    settings = replace(FAST, core_levels=2, tiers=(0.6, 0.4))
-    author_package(sequence, tmp_path / "out", settings, calibrated=False)
+    settings = replace(FAST, calibrate="none", core_levels=2, tiers=(0.6, 0.4))
+    encode(sequence, tmp_path / "out", settings)
     package = open_package(tmp_path / "out")
     m = package.manifest
     assert validate(tmp_path / "out") == []

@@ -10,25 +10,26 @@ from airgs_codec.coding.grid import cell_bits
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key, decode_state
 from airgs_codec.encoder.plan import plan_group, survey_group
-from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError, FormatError, SceneError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.store import open_package, staged
+from airgs_codec.package.staging import staged
+from airgs_codec.package.store import open_package
 from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import frozen, moving_frames, random_gaussians, write_sequence
 
-FAST = EncodeSettings(preset="veryfast", jobs=2)
+FAST = EncodeSettings(calibrate="none", measure_frames=0, preset="veryfast", jobs=2)
 
 
-def encode(tmp_path, frames, settings=FAST, **options):
+def encoded(tmp_path, frames, settings=FAST):
     folder = write_sequence(tmp_path / "scene", frames)
-    author_package(open_sequence(folder), tmp_path / "out", settings, measure_frames=0, calibrated=False, **options)
+    encode(open_sequence(folder), tmp_path / "out", settings)
     assert validate(tmp_path / "out") == []
     return open_package(tmp_path / "out")
 
@@ -48,7 +49,7 @@ def opaque(g: Gaussians) -> Gaussians:
 @pytest.fixture(scope="module")
 def fox(tmp_path_factory):
     target = tmp_path_factory.mktemp("fox") / "out"
-    author_package(open_sequence(FOX), target, replace(FAST, preset="medium"), calibrated=False)
+    encode(open_sequence(FOX), target, replace(FAST, preset="medium", measure_frames=6))
     return open_package(target)
 
 
@@ -150,7 +151,7 @@ def test_canonical_means_are_within_half_a_cell(fox):
 def test_fine_steps_come_back_finely(tmp_path):
     frames = [opaque(f) for f in moving_frames(300, 4)]  # what is not drawn may hold any value
     steps = replace(StepSettings(), grid=0.00002)
-    package = encode(tmp_path, frames, replace(FAST, quality=0.05, steps=steps))
+    package = encoded(tmp_path, frames, replace(FAST, quality=0.05, steps=steps))
     for shown in decode_frames(package, 0, 4):
         nearest = np.linalg.norm(shown.gaussians.means[:, None] - frames[shown.number].means[None], axis=2)
         assert np.sort(nearest.min(axis=1))[-1] < 0.02
@@ -161,7 +162,7 @@ def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(tmp_path):
     means = frames[3].means.copy()
     means[11] += 500.0
     frames[3] = frozen(Gaussians(means, *(getattr(frames[3], n) for n in frames[3].__slots__[1:])))
-    package = encode(tmp_path, frames)
+    package = encoded(tmp_path, frames)
     steps = package.manifest.groups[0].state_steps.means
     shown = [f.gaussians for f in decode_frames(package, 0, 5)]
     far = int(np.argmax(shown[3].means[:, 0]))
@@ -171,7 +172,7 @@ def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(tmp_path):
 
 
 def test_a_still_scene_has_no_state_at_all(tmp_path):
-    package = encode(tmp_path, moving_frames(50, 1) * 5)
+    package = encoded(tmp_path, moving_frames(50, 1) * 5)
     assert [level.number for level in package.manifest.segments[0].levels] == [0, 0, 0, 0]
     assert not any(path.startswith("state/") for path in package.manifest.files)
     frames = [f.gaussians for f in decode_frames(package, 0, 5)]
@@ -182,7 +183,7 @@ def test_a_segment_in_which_nothing_moves_has_no_files(tmp_path):
     still = moving_frames(60, 1)[0]
     moved = moving_frames(60, 12)[11]
     frames = [still] * 8 + [moved] * 4  # canonical: frame 6, in the still part
-    package = encode(tmp_path, frames, replace(FAST, segment_s=4 / 30, levels=((0.0, 1.0),)))
+    package = encoded(tmp_path, frames, replace(FAST, segment_s=4 / 30, levels=((0.0, 1.0),)))
     assert [s.levels[0].number for s in package.manifest.segments] == [0, 0, 1]
     assert not np.array_equal(decode(package, 11).means, decode(package, 0).means)
 
@@ -194,7 +195,7 @@ def test_constant_channels_have_no_plane(tmp_path):
             g.means, g.quaternions, g.log_scales, np.full(80, 3, np.float32), np.ones((80, 3), np.float32), g.sh_rest
         )
     )
-    package = encode(tmp_path, [flat])
+    package = encoded(tmp_path, [flat])
     planes = package.manifest.groups[0].tiers[0].qualities[0].planes
     assert not {6, 7, 8, 9} & set(planes)
     shown = decode(package, 0)
@@ -207,21 +208,21 @@ def test_constant_channels_have_no_plane(tmp_path):
 @pytest.mark.parametrize("degree", [0, 3])
 def test_awkward_counts(tmp_path, count, degree):
     frames = moving_frames(count, 2, degree)
-    package = encode(tmp_path, frames)
+    package = encoded(tmp_path, frames)
     shown = decode(package, 1)
     assert len(shown) == count and shown.sh_degree == degree
     assert all(np.isfinite(getattr(shown, n)).all() for n in shown.__slots__)
 
 
 def test_groups_of_different_counts_share_their_representations(tmp_path):
-    package = encode(tmp_path, moving_frames(300, 3) + moving_frames(700, 4))
+    package = encoded(tmp_path, moving_frames(300, 3) + moving_frames(700, 4))
     assert [g.count for g in package.manifest.groups] == [300, 700]
     assert [len(f.gaussians) for f in decode_frames(package, 0, 7)] == [300] * 3 + [700] * 4
 
 
 def test_equal_input_gives_equal_packages(tmp_path):
-    a = encode(tmp_path / "a", moving_frames(90, 3), replace(FAST, jobs=1))
-    b = encode(tmp_path / "b", moving_frames(90, 3), replace(FAST, jobs=4))
+    a = encoded(tmp_path / "a", moving_frames(90, 3), replace(FAST, jobs=1))
+    b = encoded(tmp_path / "b", moving_frames(90, 3), replace(FAST, jobs=4))
     assert a.manifest.files == b.manifest.files
 
 
@@ -255,13 +256,13 @@ def test_settings_that_cannot_work_are_refused(settings):
 
 
 def test_values_that_no_code_holds_are_refused_and_leave_the_old_package(tmp_path):
-    good = encode(tmp_path, moving_frames(20, 1))
+    good = encoded(tmp_path, moving_frames(20, 1))
     before = {p.name: p.read_bytes() for p in good.path.iterdir() if p.is_file()}
     g = random_gaussians(20)
     wild = Gaussians(g.means, g.quaternions, g.log_scales, g.opacity_logits, g.sh_dc * np.float32(1e30), g.sh_rest)
     folder = write_sequence(tmp_path / "wild", [wild])
     with pytest.raises(SceneError, match="codes"):
-        author_package(open_sequence(folder), good.path, FAST, measure_frames=0, calibrated=False)
+        encode(open_sequence(folder), good.path, FAST)
     assert {p.name: p.read_bytes() for p in good.path.iterdir() if p.is_file()} == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "scene", "wild"]  # no stage is left behind
 
@@ -275,7 +276,7 @@ def test_a_folder_that_is_no_package_is_never_replaced(tmp_path):
 
 
 def test_a_linked_file_is_refused(tmp_path):
-    package = encode(tmp_path, moving_frames(20, 1))
+    package = encoded(tmp_path, moving_frames(20, 1))
     path = package.path / "key/T0/1.bin"
     outside = tmp_path / "outside.bin"
     path.rename(outside)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.cli.manifest import main
-from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.errors import measure_errors
@@ -19,13 +19,13 @@ from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence
 
-FAST = EncodeSettings(preset="veryfast", jobs=2)
+FAST = EncodeSettings(calibrate="none", measure_frames=0, preset="veryfast", jobs=2)
 
 
 @pytest.fixture(scope="module")
 def fox(tmp_path_factory):
     target = tmp_path_factory.mktemp("bounds") / "fox.airgs"
-    author_package(open_sequence(FOX), target, FAST, measure_frames=0, calibrated=False)
+    encode(open_sequence(FOX), target, FAST)
     return target
 
 
@@ -72,5 +72,5 @@ def test_another_sequence_is_refused(fox, tmp_path):
 def test_left_out_rows_and_bands_do_not_matter(tmp_path):
     """Rows in another order, some of them left out, and a sequence with more SH bands than are coded."""
     sequence = open_sequence(write_sequence(tmp_path / "scene", moving_frames(300, 4, 1)))
-    author_package(sequence, tmp_path / "out", replace(FAST, keep_all=False), measure_frames=0, calibrated=False)
+    encode(sequence, tmp_path / "out", replace(FAST, keep_all=False))
     assert validate(tmp_path / "out") == exceeded(measure_errors(open_package(tmp_path / "out"), sequence)) == []

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import AirgsError
 from airgs_codec.inspect.errors import measure_errors
@@ -24,7 +24,7 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import random_gaussians, write_sequence
 
-PLAIN = EncodeSettings(preset="ultrafast", keep_all=True, jobs=1)
+PLAIN = EncodeSettings(calibrate="none", measure_frames=0, preset="ultrafast", keep_all=True, jobs=1)
 Frames = list[Gaussians]
 TINY = float(np.finfo(np.float32).smallest_subnormal)
 
@@ -218,7 +218,7 @@ def measure_case(case: Case, folder: Path) -> Outcome:
     scene = write_sequence(folder / "scene", case.frames())
     sequence = open_sequence(scene)
     try:
-        author_package(sequence, folder / "out", case.settings, measure_frames=0, calibrated=False)
+        encode(sequence, folder / "out", case.settings)
     except AirgsError as error:
         assert not (folder / "out").exists()
         return Outcome(case.name, str(error).replace(f"{folder}/", ""))

@@ -20,7 +20,7 @@ from airgs_codec.encoder.plan import Survey
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import AirgsError
 from airgs_codec.media.h264 import library_versions
-from airgs_codec.package.store import write_file
+from airgs_codec.package.staging import write_file
 from airgs_codec.package.tables import KeySteps, StateSteps
 from airgs_codec.render import Camera
 from airgs_codec.scene.sequence import GaussianSequence
@@ -35,7 +35,7 @@ def folder() -> Path:
 def digest(sequence: GaussianSequence, survey: Survey, cameras: Sequence[Camera], settings: EncodeSettings) -> str:
     """Of everything that a calibration depends on; of the group's frames, those that were looked at."""
     h = hashlib.sha256()
-    choices = dataclasses.asdict(dataclasses.replace(settings, quality=1.0, jobs=1))
+    choices = dataclasses.asdict(dataclasses.replace(settings, quality=1.0, calibrate="none", measure_frames=0, jobs=1))
     words = [__version__, REVISION, library_versions(), choices, str(sequence.fps), survey.start, survey.stop]
     h.update(json.dumps(words, sort_keys=True).encode())
     for camera in cameras:

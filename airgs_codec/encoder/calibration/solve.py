@@ -67,11 +67,14 @@ class Calibration:
     core_levels: int
     tiers: tuple[float, ...]
     key_factors: tuple[float, ...]
-    price: float  # squared error of pictures that a byte a frame must save
+    byte_price: float  # squared error of pictures that a byte a frame must save
 
-    def apply(self, settings: EncodeSettings, ladder: bool) -> EncodeSettings:
-        """Settings of an encode; without `ladder`, levels stay as they are."""
-        chosen = replace(settings, steps=self.steps, key_factors=self.key_factors, price=self.price)
+    def apply(self, settings: EncodeSettings) -> EncodeSettings:
+        """Settings of an encode: what `settings.calibrate` asks for is replaced, and nothing is left to calibrate."""
+        ladder = settings.calibrate == "ladder"
+        chosen = replace(
+            settings, calibrate="none", steps=self.steps, key_factors=self.key_factors, byte_price=self.byte_price
+        )
         if not ladder:
             return chosen
         return replace(chosen, levels=self.levels, core_levels=self.core_levels, tiers=self.tiers)
