@@ -119,7 +119,7 @@ def encode(
             step, span = settings.steps.key.sh_rest * settings.quality, subject.stop - subject.start
             bands, left_out = needed_bands(sequence, subject.canonical, span, training, step, settings.scaled_price)
             if left_out:
-                coded = replace(sequence, most_bands=bands)
+                coded = replace(sequence, max_sh_degree=bands)
                 surveys = _survey(coded, grouping, training, progress)
         calibrate_s = clock.lap()
         job = _Job(sequence, coded, grouping, surveys, training, shown, views, attribution, progress)

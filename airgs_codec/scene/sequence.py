@@ -1,4 +1,4 @@
-"""A Gaussian sequence on disk: a folder of .ply frames, optional sequence.json and transforms.json."""
+"""A Gaussian sequence on disk: a folder of .ply frames, optional sequence.json, transforms.json and usage.npz."""
 
 from __future__ import annotations
 
@@ -10,62 +10,77 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera, read_cameras
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader, read_ply, read_ply_header
+from airgs_codec.scene.repair import Repaired, repair
 from airgs_codec.scene.usage import Usage, load_usage
 
 DEFAULT_FPS = Fraction(30)
+MAX_FPS = 1000
+SETTINGS_NAME = "sequence.json"
+CAMERAS_NAME = "transforms.json"
 USAGE_NAME = "usage.npz"
-OPACITY_LOGIT_LIMIT = np.float32(20.0)  # sigmoid(20) = 1 - 2e-9; an infinite logit is stored as this
-QUATERNION_MIN_NORM = 1e-12  # below it the squared length leaves float32: no direction to read
 
 
 @dataclass(frozen=True, slots=True)
 class GaussianSequence:
-    """Frames in display order; nothing is read from them but their headers."""
+    """A sequence as `open_sequence` gives it: frames in display order, of which only the headers are in memory."""
 
     folder: Path
-    paths: tuple[Path, ...]
-    headers: tuple[PlyHeader, ...]
-    fps: Fraction
-    keyframes: tuple[int, ...] | None  # first frames of groups, when sequence.json names them
-    cameras: tuple[Camera, ...]  # empty: none given
-    most_bands: int = 3  # SH bands past DC that are read
+    paths: tuple[Path, ...]  # of the frames
+    headers: tuple[PlyHeader, ...]  # of the frames
+    fps: Fraction  # frames a second
+    keyframes: tuple[int, ...] | None  # first frames of groups, where sequence.json names them
+    cameras: tuple[Camera, ...]  # empty where none are given
+    max_sh_degree: int = 3  # SH bands above it are not read
 
     @property
     def sh_degree(self) -> int:
-        """The SH degree of every frame as it is read."""
-        return min(self.headers[0].sh_degree, self.most_bands)
+        """The SH degree of every frame as it is read, 0 to 3."""
+        return min(self.headers[0].sh_degree, self.max_sh_degree)
 
     def __len__(self) -> int:
         return len(self.paths)
 
     def usage(self, start: int, stop: int) -> Usage | None:
-        """What the trainer measured of the group [start, stop) over all its frames, if it left that."""
+        """What the trainer measured over all frames of the group [start, stop); None where it left no such group."""
         path = self.folder / USAGE_NAME
         return load_usage(path, start, stop) if path.is_file() else None
 
     def read(self, frame: int) -> Gaussians:
-        """The frame as its file has it, unrepaired. Raises SceneError."""
+        """Read one frame as its file has it, unrepaired. Raises SceneError when the file is broken."""
         return read_ply(self.paths[frame]).with_degree(self.sh_degree)
 
     def load(self, frames: Iterable[int]) -> Repaired:
-        """Some frames of one group, repaired together: a row dropped in one is dropped in all. Raises SceneError."""
+        """Read frames of one group and repair them together: a row that is dropped in one is dropped in all.
+
+        Raises SceneError when a file is broken or no finite row is left.
+        """
         numbers = list(frames)
         span = f"frame {numbers[0]}" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}"
         return repair([self.read(i) for i in numbers], f"{self.folder.name} {span}")
 
 
-def open_sequence(folder: Path, *, views: Path | None = None, fps: Fraction | None = None) -> GaussianSequence:
-    """The sequence in `folder`. `views` and `fps` take precedence over transforms.json and sequence.json.
+def open_sequence(
+    folder: str | Path, *, views: str | Path | None = None, fps: Fraction | float | None = None
+) -> GaussianSequence:
+    """Open a folder of .ply frames; their headers are read, their rows only when they are asked for.
 
-    Raises SceneError: no folder, no frames, a frame that is no Gaussian .ply or has no rows, a changed SH degree.
+    Frames are INRIA Gaussian .ply files in natural order of their names (frame2 before frame10). Beside them may lie
+
+    - sequence.json: `{"fps": number, "keyframes": [first frame of each group, ...]}`; 30 frames a second without it;
+    - transforms.json: cameras as nerfstudio has them (OpenGL camera-to-world matrices, sizes in pixels);
+    - usage.npz: how much each Gaussian contributes to the training views, as the trainer measured it.
+
+    `views` is another file of cameras, `fps` (frames a second, above 0 and at most 1000) another frame rate; both take
+    precedence over what the folder says.
+
+    Raises SceneError when there is no such folder, it has no frames, a frame is not a Gaussian .ply, has no rows or
+    another SH degree than the first, or one of the files beside them is malformed.
     """
+    folder = Path(folder)
     if not folder.is_dir():
         raise SceneError(
             f"{folder}: expected a folder of .ply frames, got {'a file' if folder.exists() else 'nothing'}"
@@ -80,10 +95,11 @@ def open_sequence(folder: Path, *, views: Path | None = None, fps: Fraction | No
         if header.sh_degree != headers[0].sh_degree:
             expected = f"expected SH degree {headers[0].sh_degree} as in {paths[0].name}"
             raise SceneError(f"{path}: {expected}, got {header.sh_degree}")
-    settings = _read_settings(folder / "sequence.json", len(paths))
-    cameras_path = views or folder / "transforms.json"
+    own_fps, keyframes = _read_settings(folder / SETTINGS_NAME, len(paths))
+    rate = own_fps if fps is None else _frame_rate(str(folder), fps)
+    cameras_path = Path(views or folder / CAMERAS_NAME)
     cameras = tuple(read_cameras(cameras_path)) if views or cameras_path.exists() else ()
-    return GaussianSequence(folder, paths, headers, fps or settings[0], settings[1], cameras)
+    return GaussianSequence(folder, paths, headers, rate, keyframes, cameras)
 
 
 def natural_key(path: Path) -> list[tuple[int, str]]:
@@ -92,6 +108,7 @@ def natural_key(path: Path) -> list[tuple[int, str]]:
 
 
 def _read_settings(path: Path, frames: int) -> tuple[Fraction, tuple[int, ...] | None]:
+    """Frame rate and keyframes of a sequence.json, or their defaults. Raises SceneError."""
     if not path.exists():
         return DEFAULT_FPS, None
     try:
@@ -101,53 +118,12 @@ def _read_settings(path: Path, frames: int) -> tuple[Fraction, tuple[int, ...] |
         starts = None if keyframes is None else tuple(sorted({0, *(int(k) for k in keyframes)}))
     except (OSError, ValueError, TypeError, AttributeError, ZeroDivisionError) as error:
         raise SceneError(f'{path}: expected {{"fps": number, "keyframes": [frame, ...]}}, got {error}') from error
-    if not 0 < fps <= 1000:
-        raise SceneError(f"{path}: expected 0 < fps <= 1000, got {fps}")
     if starts and not (starts[0] >= 0 and starts[-1] < frames):
         raise SceneError(f"{path}: expected keyframes in 0..{frames - 1}, got {list(starts)}")
-    return fps, starts
+    return _frame_rate(str(path), fps), starts
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Repaired:
-    """Frames that share rows, after the documented repairs; `notes` says what was mended."""
-
-    frames: list[Gaussians]
-    notes: list[str]
-
-
-def repair(frames: list[Gaussians], where: str) -> Repaired:
-    """Make frames of one group codable.
-
-    Infinite opacity logits become +-20, zero quaternions identity; a row that is not finite in any frame is dropped
-    in all of them. Raises SceneError when no row is left.
-    """
-    notes: list[str] = []
-    frames = [_repair_opacity(frame) for frame in frames]
-    finite = np.logical_and.reduce([_finite_rows(frame) for frame in frames])
-    if not finite.all():
-        notes.append(f"{where}: {int((~finite).sum())} Gaussians that are not finite in some frame were dropped")
-        frames = [frame.take(finite) for frame in frames]
-    if not finite.any():
-        raise SceneError(f"{where}: expected finite Gaussians, all {len(finite)} have NaN or Inf in some frame")
-    zero = [np.linalg.norm(frame.quaternions.astype(np.float64), axis=1) < QUATERNION_MIN_NORM for frame in frames]
-    if count := int(np.logical_or.reduce(zero).sum()):
-        notes.append(f"{where}: {count} Gaussians with zero quaternions were given identity")
-    frames = [_with_unit_quaternions(f, z) for f, z in zip(frames, zero, strict=True)]
-    return Repaired(frames, notes)
-
-
-def _repair_opacity(g: Gaussians) -> Gaussians:
-    logits = np.where(np.isinf(g.opacity_logits), np.sign(g.opacity_logits) * OPACITY_LOGIT_LIMIT, g.opacity_logits)
-    return Gaussians(g.means, g.quaternions, g.log_scales, logits.astype(np.float32), g.sh_dc, g.sh_rest)
-
-
-def _finite_rows(g: Gaussians) -> NDArray[np.bool_]:
-    columns = (g.means, g.quaternions, g.log_scales, g.opacity_logits[:, None], g.sh_dc, g.sh_rest.reshape(len(g), -1))
-    return np.logical_and.reduce([np.isfinite(column).all(axis=1) for column in columns])
-
-
-def _with_unit_quaternions(g: Gaussians, zero: NDArray[np.bool_]) -> Gaussians:
-    q = np.where(zero[:, None], np.array([1, 0, 0, 0], np.float32), g.quaternions).astype(np.float64)
-    unit = (q / np.linalg.norm(q, axis=1, keepdims=True)).astype(np.float32)
-    return Gaussians(g.means, unit, g.log_scales, g.opacity_logits, g.sh_dc, g.sh_rest)
+def _frame_rate(where: str, fps: Fraction | float) -> Fraction:
+    if not 0 < fps <= MAX_FPS:
+        raise SceneError(f"{where}: expected 0 < fps <= {MAX_FPS}, got {fps}")
+    return Fraction(str(fps))  # 29.97 is 2997/100, not the nearest float

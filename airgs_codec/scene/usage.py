@@ -1,4 +1,7 @@
-"""Usage frequency: how much a Gaussian contributes to the training views. N Gaussians, T frames."""
+"""Usage: how much each Gaussian contributes to the training views, as the trainer measured it and left it on disk.
+
+N Gaussians of a group. usage.npz holds an array for each group and measure, named "start:stop/measure".
+"""
 
 from __future__ import annotations
 
@@ -13,12 +16,12 @@ from numpy.typing import NDArray
 from airgs_codec._files import atomic_path
 from airgs_codec.errors import SceneError
 
-MEASURES = ("importance", "max", "sum", "hits")  # the first is `leaveout.importance`
+MEASURES = ("importance", "max", "sum", "hits")  # the first is `analysis.importance`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Usage:
-    """Blending weights alpha T of each Gaussian over all pixels, views and frames measured."""
+    """Blending weights alpha T of each Gaussian over all pixels, views and frames that were measured (AirGS)."""
 
     total: NDArray[np.float64]  # (N,) sum of alpha T
     peak: NDArray[np.float64]  # (N,) max of alpha T, 0..1
@@ -26,12 +29,12 @@ class Usage:
     moved: NDArray[np.float64] | None = None  # (N,) max over frames of max alpha T x size of the change, in codec steps
 
     def measure(self, name: str) -> NDArray[np.float64]:
-        """(N,) by name: max, sum or hits."""
+        """(N,) the measure of that name: max, sum or hits. Raises KeyError for any other."""
         return {"max": self.peak, "sum": self.total, "hits": self.hits.astype(np.float64)}[name]
 
 
 def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
-    """Write the usage of groups, each under its frames [start, stop), as .npz; atomically."""
+    """Write the usage of groups, given by their frames (start, stop), as .npz, whole or not at all."""
     arrays: dict[str, NDArray] = {}
     for (start, stop), usage in groups.items():
         columns = {"total": usage.total, "peak": usage.peak, "hits": usage.hits, "moved": usage.moved}
@@ -41,7 +44,10 @@ def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
 
 
 def load_usage(path: Path, start: int, stop: int) -> Usage | None:
-    """The usage of the group [start, stop), None if the file does not know it. Raises SceneError."""
+    """Read the usage of the group of frames [start, stop); None when the file has no such group.
+
+    Raises SceneError when the file is not one that `save_usage` wrote.
+    """
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             names = {name: f"{start}:{stop}/{name}" for name in ("total", "peak", "hits", "moved")}

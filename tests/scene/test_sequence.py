@@ -1,19 +1,16 @@
+"""Sequences on disk: what is found beside the frames, what takes precedence, what is refused."""
+
 import json
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence import open_sequence, repair
+from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
-
-
-def changed(g: Gaussians, **columns) -> Gaussians:
-    return Gaussians(**{n: columns.get(n, getattr(g, n)) for n in g.__slots__})
 
 
 def test_frames_are_in_natural_order(tmp_path):
@@ -27,7 +24,6 @@ def test_frames_are_in_natural_order(tmp_path):
 def test_the_embedded_scene_opens_with_its_cameras_and_keyframes():
     s = open_sequence(FOX)
     assert (len(s), s.fps, s.keyframes, s.sh_degree, len(s.cameras)) == (10, Fraction(24), (0, 5), 1, 20)
-    assert plan_groups(s).spans == [(0, 5), (5, 10)]
 
 
 @pytest.mark.parametrize(
@@ -61,43 +57,27 @@ def test_bad_cameras_are_refused(tmp_path):
         open_sequence(tmp_path)
 
 
-def test_groups_start_where_the_count_changes_and_after_thirty_frames(tmp_path):
-    frames = moving_frames(9, 33) + moving_frames(12, 4)
-    assert plan_groups(open_sequence(write_sequence(tmp_path, frames))).spans == [(0, 30), (30, 33), (33, 37)]
+def test_settings_given_to_open_take_precedence_and_paths_may_be_words(tmp_path):
+    write_sequence(tmp_path / "scene", moving_frames(4, 2), fps=12)
+    assert open_sequence(str(tmp_path / "scene")).fps == 12
+    given = open_sequence(tmp_path / "scene", views=str(FOX / "transforms.json"), fps=29.97)
+    assert given.fps == Fraction(2997, 100) and len(given.cameras) == 20
+    for fps in (0, -1, float("nan"), 1e9):
+        with pytest.raises(SceneError, match="fps"):
+            open_sequence(tmp_path / "scene", fps=fps)
 
 
-def test_a_count_that_changes_inside_a_given_group_is_noted(tmp_path):
-    frames = moving_frames(9, 2) + moving_frames(12, 2)
-    grouping = plan_groups(open_sequence(write_sequence(tmp_path, frames, keyframes=[0])))
-    assert grouping.spans == [(0, 2), (2, 4)]
-    assert "frame 2" in grouping.notes[0]
+def test_bands_above_the_largest_degree_are_not_read(tmp_path):
+    frames = moving_frames(4, 2, degree=2)
+    sequence = replace(open_sequence(write_sequence(tmp_path, frames)), max_sh_degree=1)
+    assert sequence.sh_degree == 1
+    np.testing.assert_array_equal(sequence.read(1).sh_rest, frames[1].sh_rest[:, :3])
 
 
-def test_untracked_rows_are_coded_all_intra_and_tracked_ones_are_not(tmp_path):
-    shuffled = [moving_frames(200, 3)[t].take(np.random.default_rng(t).permutation(200)) for t in range(3)]
-    grouping = plan_groups(open_sequence(write_sequence(tmp_path / "a", shuffled)))
-    assert grouping.spans == [(0, 1), (1, 2), (2, 3)]
-    assert "untracked" in grouping.notes[0]
-    assert plan_groups(open_sequence(write_sequence(tmp_path / "b", moving_frames(200, 3)))).spans == [(0, 3)]
-
-
-def test_repairs_are_made_in_every_frame_and_named():
-    a, b = moving_frames(6, 2)
-    means = b.means.copy()
-    means[4, 1] = np.nan
-    quaternions = a.quaternions.copy()
-    quaternions[2] = 0
-    logits = a.opacity_logits.copy()
-    logits[0], logits[1] = np.inf, -np.inf
-    done = repair([changed(a, quaternions=quaternions, opacity_logits=logits), changed(b, means=means)], "scene")
-    assert [len(f) for f in done.frames] == [5, 5]
-    assert done.frames[0].quaternions[2].tolist() == [1, 0, 0, 0]
-    assert done.frames[0].opacity_logits[:2].tolist() == [20, -20]
-    np.testing.assert_allclose(np.linalg.norm(done.frames[1].quaternions, axis=1), 1, atol=1e-6)
-    assert ["dropped" in n for n in done.notes] == [True, False] and "1 Gaussians with zero" in done.notes[1]
-
-
-def test_a_scene_without_a_finite_row_is_refused():
-    g = random_gaussians(3)
-    with pytest.raises(SceneError, match="all 3"):
-        repair([changed(g, means=np.full((3, 3), np.inf, np.float32))], "scene")
+def test_frames_are_loaded_together(tmp_path):
+    frames = moving_frames(6, 3)
+    means = frames[2].means.copy()
+    means[4] = np.nan
+    sequence = open_sequence(write_sequence(tmp_path, [*frames[:2], replace(frames[2], means=means)]))
+    assert [len(f) for f in sequence.load([0, 2]).frames] == [5, 5] and len(sequence.load([0]).frames[0]) == 6
+    assert "frames 0-2: 1 Gaussians that are not finite" in sequence.load([0, 2]).notes[0]

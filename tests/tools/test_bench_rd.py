@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airgs_codec.scene.sequence import repair
+from airgs_codec.scene.repair import repair
 from tests.support.scenes import moving_frames
 from tools.baselines import mpeg_anchor_layout, v3_layout
 from tools.bench_rd import MPEG_QPS, RdPoint, bd_rate

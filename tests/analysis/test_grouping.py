@@ -1,0 +1,32 @@
+"""Groups: given keyframes, changed counts, untracked rows."""
+
+import numpy as np
+
+from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX
+from tests.support.scenes import moving_frames, write_sequence
+
+
+def test_keyframes_of_the_embedded_scene_start_its_groups():
+    assert plan_groups(open_sequence(FOX)).spans == [(0, 5), (5, 10)]
+
+
+def test_groups_start_where_the_count_changes_and_after_thirty_frames(tmp_path):
+    frames = moving_frames(9, 33) + moving_frames(12, 4)
+    assert plan_groups(open_sequence(write_sequence(tmp_path, frames))).spans == [(0, 30), (30, 33), (33, 37)]
+
+
+def test_a_count_that_changes_inside_a_given_group_is_noted(tmp_path):
+    frames = moving_frames(9, 2) + moving_frames(12, 2)
+    grouping = plan_groups(open_sequence(write_sequence(tmp_path, frames, keyframes=[0])))
+    assert grouping.spans == [(0, 2), (2, 4)]
+    assert "frame 2" in grouping.notes[0]
+
+
+def test_untracked_rows_are_coded_all_intra_and_tracked_ones_are_not(tmp_path):
+    shuffled = [moving_frames(200, 3)[t].take(np.random.default_rng(t).permutation(200)) for t in range(3)]
+    grouping = plan_groups(open_sequence(write_sequence(tmp_path / "a", shuffled)))
+    assert grouping.spans == [(0, 1), (1, 2), (2, 3)]
+    assert "untracked" in grouping.notes[0]
+    assert plan_groups(open_sequence(write_sequence(tmp_path / "b", moving_frames(200, 3)))).spans == [(0, 3)]
