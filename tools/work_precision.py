@@ -122,9 +122,9 @@ def measure_encode(folder: Path, quick: bool) -> Iterator[Row]:
             assert quality is not None
             means = max(g.levels[0].max_error[0] for g in m.groups)
             size = m.bytes_of(m.rung_files(0, 0)) / m.frames
-            note = f"{quality[0]:.2f} dB, largest error of means {means:.2g} motion units"
+            note = f"{quality.psnr:.2f} dB, largest error of means {means:.2g} motion units"
             yield Row(
-                "encode", preset, f"x{factor:g}", report.encode_s / m.frames, rmse_of(quality[0]), "RMSE", size, note
+                "encode", preset, f"x{factor:g}", report.encode_s / m.frames, rmse_of(quality.psnr), "RMSE", size, note
             )
 
 
@@ -148,7 +148,7 @@ def measure_decode(package: Package) -> Iterator[Row]:
         assert quality is not None
         took = timed(lambda j=j: list(decode_frames(package, 0, frames, level=j))) / frames  # type: ignore[misc]
         size = sum(m.bytes_of(m.state_files(i, j)) for i in range(len(m.segments))) / frames
-        yield Row("decode", "levels", level.id, took, rmse_of(quality[0]), "RMSE", size, f"{quality[0]:.2f} dB")
+        yield Row("decode", "levels", level.id, took, rmse_of(quality.psnr), "RMSE", size, f"{quality.psnr:.2f} dB")
 
 
 def measure_planes(package: Package) -> Iterator[Row]:
@@ -304,9 +304,8 @@ def measure_left_out(folder: Path) -> Iterator[Row]:
         quality = pooled_quality(m, 0, 0)
         assert quality is not None
         size = m.bytes_of(m.rung_files(0, 0)) / m.frames
-        yield Row(
-            "left out", name, "", report.encode_s / m.frames, rmse_of(quality[0]), "RMSE", size, f"{quality[0]:.2f} dB"
-        )
+        note = f"{quality.psnr:.2f} dB"
+        yield Row("left out", name, "", report.encode_s / m.frames, rmse_of(quality.psnr), "RMSE", size, note)
 
 
 PICTURES = {"codec.png": ("encode", "decode", "scale"), "parts.png": ("render", "train", "select")}

@@ -200,7 +200,7 @@ def _search(job: _Job, settings: EncodeSettings, goal: Goal, stage: Path) -> flo
             if goal.kind == PSNR:
                 measured = pooled_quality(job.measure(manifest, folder, frames), 0, 0)
                 assert measured is not None
-                return measured[0]
+                return measured.psnr
             tables = _table_bytes(manifest, len(settings.levels))
             return (manifest.bytes_of(manifest.rung_files(0, 0)) + tables) / manifest.frames / 1e3
         finally:

@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from airgs_codec._sampling import middle_frames
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
+from airgs_codec.media.color import delta_e
 from airgs_codec.media.metrics import mse, psnr, ssim
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Manifest, Segment, SegmentLevel
@@ -20,11 +24,13 @@ from airgs_codec.scene.sequence import GaussianSequence
 class _Sums:
     squared: float = 0.0
     similarity: float = 0.0
+    difference: float = 0.0
     count: int = 0
 
-    def add(self, squared: float, similarity: float) -> None:
-        self.squared += squared
-        self.similarity += similarity
+    def add(self, picture: NDArray[np.float32], reference: NDArray[np.float32]) -> None:
+        self.squared += mse(picture, reference)
+        self.similarity += ssim(picture, reference)
+        self.difference += delta_e(picture, reference)
         self.count += 1
 
 
@@ -35,9 +41,10 @@ def measure_quality(
     frames: int,
     progress: Progress = silent,
 ) -> Manifest:
-    """The package's tables with PSNR (pooled MSE) and mean SSIM of every segment, level and key quality.
+    """The package's tables with PSNR, SSIM and CIEDE2000 of every segment, level and key quality.
 
-    Reference: the original Gaussians of `frames` frames a segment, after repairs, seen by `cameras`.
+    PSNR is of the mean squared error, the others are means. The reference is the original after repairs, in at most
+    `frames` frames a segment, seen by `cameras`.
     """
     m = package.manifest
     segments: list[Segment] = []
@@ -60,8 +67,7 @@ def measure_quality(
 
 def _compare(shown: Gaussians, cameras: Sequence[Camera], references: list, sums: _Sums) -> None:
     for camera, reference in zip(cameras, references, strict=True):
-        picture = render(shown, camera).rgb
-        sums.add(mse(picture, reference), ssim(picture, reference))
+        sums.add(render(shown, camera).rgb, reference)
 
 
 def _with_quality(level: SegmentLevel, row: list[_Sums]) -> SegmentLevel:
@@ -69,4 +75,5 @@ def _with_quality(level: SegmentLevel, row: list[_Sums]) -> SegmentLevel:
         level,
         psnr=[round(psnr(s.squared / s.count), 3) for s in row],
         ssim=[round(s.similarity / s.count, 5) for s in row],
+        delta_e=[round(s.difference / s.count, 4) for s in row],
     )

@@ -124,6 +124,6 @@ def segment_tables(
                 wanted = fetched[g][s][j]
                 numbers[j] += wanted
                 sizes = coded.stream.picture_bytes[numbers[j] - 1] if wanted and coded.stream else []
-                levels.append(tables.SegmentLevel(numbers[j] if wanted else 0, sizes, [], []))
+                levels.append(tables.SegmentLevel(numbers[j] if wanted else 0, sizes, [], [], []))
             segments.append(Segment(g, start, stop, levels))
     return segments

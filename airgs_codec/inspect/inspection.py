@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from airgs_codec.package.tables import (
     Atlas,
     LeftOut,
     Manifest,
+    Quality,
     key_init_path,
     pooled_quality,
     state_init_path,
@@ -55,8 +57,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> dict[str, Any]:
                 "bytes_per_frame": total / m.frames,
                 "mean_bps": 8 * total / duration,
                 "peak_bps": float(rates.max()),
-                "psnr": measured[0] if measured else None,
-                "ssim": measured[1] if measured else None,
+                **_quality_entry(measured),
                 "max_error": {
                     name: max(group.levels[j].max_error[k] for group in m.groups)
                     for k, name in enumerate(STATE.attributes)
@@ -123,7 +124,11 @@ def _rung(m: Manifest, quality: int, level: int, manifest_bytes: int) -> dict[st
     measured = pooled_quality(m, level, quality)
     entry: dict[str, Any] = {"key": m.qualities[quality].id, "state": m.levels[level].id}
     entry |= {"bytes_per_frame": total / m.frames, "mean_bps": 8 * total * float(m.fps) / m.frames}
-    return entry | {"psnr": measured[0] if measured else None, "ssim": measured[1] if measured else None}
+    return entry | _quality_entry(measured)
+
+
+def _quality_entry(measured: Quality | None) -> dict[str, Any]:
+    return dataclasses.asdict(measured) if measured else {"psnr": None, "ssim": None, "delta_e": None}
 
 
 def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) -> dict[str, int]:
@@ -273,8 +278,9 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         ]
         for v in s["levels"]
     ]
-    lines += ["", "levels, without keys; PSNR and SSIM with every key in Q0:"]
-    lines += [*table(["level", "Gaussians", "pruned", "steps", "kB/frame", "Mbit/s", "peak", "PSNR dB", "SSIM"], rows)]
+    lines += ["", "levels, without keys; PSNR, SSIM and ΔE (CIEDE2000) with every key in Q0:"]
+    head = ["level", "Gaussians", "pruned", "steps", "kB/frame", "Mbit/s", "peak", "PSNR dB", "SSIM", "ΔE"]
+    lines += table(head, rows)
     lines += ["", "largest error of what a level carries (max_error), in the units of its channels:"]
     rows = [[v["id"], *(f"{v['max_error'][name]:.3g}" for name in STATE.attributes)] for v in s["levels"]]
     lines += table(["level", *ERROR_HEADS], rows)
@@ -289,7 +295,7 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
         for r in s["rungs"]
     ]
     lines += ["", "everything a viewer fetches (*: the ladder; the others are beaten by a mixture of two on it):"]
-    lines += table(["rung", "kB/frame", "Mbit/s", "PSNR dB", "SSIM", ""], rows)
+    lines += table(["rung", "kB/frame", "Mbit/s", "PSNR dB", "SSIM", "ΔE", ""], rows)
     kinds = [f"{kind} {size / frames / 1e3:.2f}" for kind, size in s["top_rung_bytes"].items()]
     lines += ["", f"top rung, kB/frame: {', '.join(kinds)}"]
     lines += [f"left out: {line}" for line in s["left_out"]] + [f"repaired: {line}" for line in m.repairs]
@@ -305,7 +311,8 @@ def format_attributes(package: Package) -> str:
 
 def _quality_cells(entry: dict[str, Any]) -> list[str]:
     return [
-        f"{entry[name]:.{digits}f}" if entry[name] is not None else "-" for name, digits in (("psnr", 2), ("ssim", 4))
+        f"{entry[name]:.{digits}f}" if entry[name] is not None else "-"
+        for name, digits in (("psnr", 2), ("ssim", 4), ("delta_e", 2))
     ]
 
 

@@ -1,4 +1,7 @@
-"""Quality of pictures: MSE, PSNR, SSIM, CIEDE2000. Pictures are (H, W, 3) float32 RGB, clipped to [0, 1] here."""
+"""Quality of pictures: mean squared error, PSNR and SSIM; `color` has CIEDE2000.
+
+Pictures are (H, W, 3) float32 RGB; samples outside [0, 1] are shown as the nearest end, and compared so.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ def mse(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
 
 
 def psnr(mean_squared_error: float) -> float:
-    """dB for a range of 1, at most PSNR_CAP. Pool MSE first, then convert."""
+    """PSNR in dB of samples in 0..1, at most PSNR_CAP. For many pictures take the mean of their errors first."""
     return PSNR_CAP if mean_squared_error <= 10 ** (-PSNR_CAP / 10) else -10 * math.log10(mean_squared_error)
 
 

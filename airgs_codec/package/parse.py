@@ -32,6 +32,7 @@ _PATH = re.compile(r"key/T\d+/\d+\.bin|(key/T\d+/Q|state/L)\d+/(init\.mp4|\d+\.(
 
 
 MAX_CENTRE = 1 << 30  # as quantize.CODE_LIMIT: a code, a centre and an escape add up within int32
+MAX_DELTA_E = 1000.0  # CIEDE2000; the largest of two sRGB colours is about 120
 MAX_PSNR = 1000.0  # dB; nothing measured comes near, and ten to the power of it is still a float
 
 
@@ -245,6 +246,7 @@ def _check_segment(m: Manifest, index: int, segment: Segment) -> None:
             *(("frame_bytes", size, 1, MAX_FILE_BYTES) for size in level.frame_bytes),
             *(("psnr", value, -MAX_PSNR, MAX_PSNR) for value in level.psnr),
             *(("ssim", value, -1, 1) for value in level.ssim),
+            *(("delta_e", value, 0, MAX_DELTA_E) for value in level.delta_e),
         ):
             if not low <= value <= high:
                 raise FormatError("bad_value", f"{where}.levels[{j}].{name}", f"expected {low} to {high}, got {value}")
@@ -252,6 +254,7 @@ def _check_segment(m: Manifest, index: int, segment: Segment) -> None:
             ("frame_bytes", len(level.frame_bytes), {segment.stop - segment.start if level.number else 0}),
             ("psnr", len(level.psnr), {0, len(m.qualities)}),
             ("ssim", len(level.ssim), {len(level.psnr)}),
+            ("delta_e", len(level.delta_e), {len(level.psnr)}),
             ("number", level.number, {0} if not group.levels[j].planes else {max(0, level.number)}),
         ):
             if got not in allowed:

@@ -163,7 +163,8 @@ class SegmentLevel:
     number: int  # of its files; 0: nothing to fetch, the canonical space is shown
     frame_bytes: list[int]  # H.264 bytes of each frame, in display order
     psnr: list[float]  # dB for each key quality; empty: not measured
-    ssim: list[float]
+    ssim: list[float]  # for each key quality
+    delta_e: list[float]  # CIEDE2000 for each key quality
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,14 +362,24 @@ def expected_files(m: Manifest) -> list[str]:
     return sorted(paths)
 
 
-def pooled_quality(m: Manifest, level: int, quality: int) -> tuple[float, float] | None:
-    """PSNR (dB, of the mean squared error over frames) and mean SSIM of a rung; None when not measured."""
-    squared, similarity = 0.0, 0.0
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How near the pictures of a rung are to those of the original, over the whole sequence."""
+
+    psnr: float  # dB, of the mean squared error over frames
+    ssim: float  # mean over frames
+    delta_e: float  # CIEDE2000, mean over frames
+
+
+def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:
+    """Quality of a rung, segments weighed by their frames; None when one of them was not measured."""
+    squared, similarity, difference = 0.0, 0.0, 0.0
     for segment in m.segments:
         measured = segment.levels[level]
-        if not measured.psnr or not measured.ssim:
+        if not measured.psnr:
             return None
         weight = (segment.stop - segment.start) / m.frames
         squared += weight * 10.0 ** min(-measured.psnr[quality] / 10, 300.0)  # 300: a float, whatever a table claims
         similarity += weight * measured.ssim[quality]
-    return psnr(squared), similarity
+        difference += weight * measured.delta_e[quality]
+    return Quality(psnr(squared), similarity, difference)

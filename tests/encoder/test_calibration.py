@@ -180,7 +180,7 @@ def test_targets_are_reached(tmp_path, capsys):
     code, report = run(tmp_path, capsys, "--target-psnr", "41")
     assert code == 0 and validate(tmp_path / "out") == []
     m = open_package(tmp_path / "out").manifest
-    assert pooled_quality(m, 0, 0)[0] == pytest.approx(41, abs=0.3)
+    assert pooled_quality(m, 0, 0).psnr == pytest.approx(41, abs=0.3)
     wanted = 0.8 * report["top_rung_bytes"] / m.frames / 1e6
     code, report = run(tmp_path, capsys, "--target-mb", f"{wanted}")
     assert code == 0 and report["top_rung_bytes"] / m.frames / 1e6 == pytest.approx(wanted, rel=0.03)

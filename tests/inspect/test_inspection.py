@@ -27,26 +27,28 @@ from tests.support.paths import VALID
 MANIFESTS = 700  # bytes of airgs.json and manifest.mpd, say
 
 
-def with_measured(m, index, psnr, ssim):
+def with_measured(m, index, psnr, ssim, delta_e=1.0):
     """The same measurements for every level and quality of one segment."""
     count = len(m.qualities)
-    levels = [dataclasses.replace(v, psnr=[psnr] * count, ssim=[ssim] * count) for v in m.segments[index].levels]
+    measured = {"psnr": [psnr] * count, "ssim": [ssim] * count, "delta_e": [delta_e] * count}
+    levels = [dataclasses.replace(v, **measured) for v in m.segments[index].levels]
     segments = list(m.segments)
     segments[index] = dataclasses.replace(segments[index], levels=levels)
     return dataclasses.replace(m, segments=segments)
 
 
 def test_quality_pools_squared_errors_by_frames_not_decibels():
-    m = with_measured(with_measured(tiny_manifest(groups=(30, 10)), 0, 40.0, 0.9), 1, 30.0, 0.5)
-    psnr, ssim = pooled_quality(m, 0, 0)
-    assert psnr == pytest.approx(34.881, abs=1e-3)  # -10 log10((3 * 1e-4 + 1e-3) / 4)
-    assert ssim == pytest.approx(0.8)
+    m = with_measured(with_measured(tiny_manifest(groups=(30, 10)), 0, 40.0, 0.9), 1, 30.0, 0.5, 3.0)
+    quality = pooled_quality(m, 0, 0)
+    assert quality.psnr == pytest.approx(34.881, abs=1e-3)  # -10 log10((3 * 1e-4 + 1e-3) / 4)
+    assert (quality.ssim, quality.delta_e) == (pytest.approx(0.8), pytest.approx(1.5))
 
 
 def test_a_segment_without_measurements_leaves_a_rung_unmeasured():
     assert pooled_quality(tiny_manifest(psnr=None), 0, 0) is None
     summary = summarise(tiny_manifest(psnr=None), MANIFESTS)
-    assert {entry["psnr"] for entry in summary["rungs"] + summary["levels"]} == {None}
+    for name in ("psnr", "ssim", "delta_e"):
+        assert {entry[name] for entry in summary["rungs"] + summary["levels"]} == {None}
 
 
 @pytest.mark.parametrize("claim", [-1e300, 1e300])
@@ -63,7 +65,7 @@ def test_rates_of_levels():
     assert level["mean_bps"] == pytest.approx(2 * 16800 / 1.5)
     assert level["peak_bps"] == 33600
     assert level["bytes_per_frame"] == pytest.approx(4200 / 15)
-    assert (level["psnr"], level["ssim"]) == (pytest.approx(40), pytest.approx(0.9))
+    assert (level["psnr"], level["ssim"], level["delta_e"]) == tuple(pytest.approx(v) for v in (40, 0.9, 0.5))
 
 
 def test_a_rung_counts_everything_a_viewer_fetches():

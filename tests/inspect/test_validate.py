@@ -100,6 +100,8 @@ def test_more_pictures_than_promised_are_refused(package):
         ("ssim", [], "bad_value"),
         ("psnr", [-1e300, 40.0], "bad_value"),
         ("ssim", [0.9, 7.0], "bad_value"),
+        ("delta_e", [0.5], "bad_value"),
+        ("delta_e", [0.5, 1e300], "bad_value"),
         ("frame_bytes", [10**9] * 4, "size_mismatch"),
         ("frame_bytes", [-5, 1, 1, 1], "bad_value"),
     ],

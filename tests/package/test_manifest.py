@@ -96,6 +96,8 @@ def set_in(place, value):
     [
         (("segments", 0, "levels", 0, "psnr"), [1e300, 40.0]),
         (("segments", 0, "levels", 0, "ssim"), []),
+        (("segments", 0, "levels", 0, "delta_e"), []),
+        (("segments", 0, "levels", 0, "delta_e"), [-0.1, 0.1]),
         (("segments", 0, "levels", 0, "number"), 2),
         (("groups", 0, "tiers", 0, "qualities", 0, "centres", 0), 2**31 - 1),
         (("segments", 0, "levels", 0, "frame_bytes"), [-1, 5]),

@@ -85,6 +85,7 @@ def tiny_manifest(
                         [size // (stop - start)] * (stop - start) if size else [],
                         list(psnr[j]) if psnr else [],
                         [0.9] * qualities if psnr else [],
+                        [0.5 + j] * qualities if psnr else [],
                     )
                     for j, size in enumerate(state_bytes)
                 ],
