@@ -18,7 +18,7 @@ from airgs_codec.inspect.inspection import bytes_by_attribute, format_attributes
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.render import read_cameras
-from airgs_codec.scene.camera import measured_views
+from airgs_codec.scene.camera import measured_views, training_views
 from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import open_sequence
 
@@ -72,7 +72,7 @@ def _ladder(package: Package, args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.against}: expected {package.manifest.frames} frames, got {len(original)}")
     cameras = read_cameras(args.views) if args.views else list(original.cameras) if original else []
     cameras = cameras or orbit_views(decode(package, 0))
-    training = [c for c in cameras if c.split != "test"] or cameras
+    training = training_views(cameras)
     bar = Bar(args.json)
     points = measure_dense(package, measured_views(cameras), training, original, os.cpu_count() or 1, bar)
     bar.close()

@@ -30,7 +30,7 @@ from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import ENDS, open_trace
 from airgs_codec.render import Camera, read_cameras
-from airgs_codec.scene.camera import measured_views
+from airgs_codec.scene.camera import measured_views, training_views
 from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import open_sequence
 
@@ -175,7 +175,7 @@ def _frames(package: Package, link: Link, args: argparse.Namespace) -> int:
 
 def _closed_loop(package: Package, link: Link, args: argparse.Namespace) -> int:
     cameras = read_cameras(args.views) if args.views else orbit_views(decode(package, 0))
-    training = [c for c in cameras if c.split != "test"] or cameras
+    training = training_views(cameras)
     bar = Bar(args.json)
     loops = Catalogue(package.manifest).loops(args.loops)
     settings = ClosedLoopSettings(training, measured_views(cameras), link, loops)

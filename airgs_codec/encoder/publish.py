@@ -23,7 +23,7 @@ from airgs_codec.package.store import Package
 from airgs_codec.package.tables import JSON_NAME, MPD_NAME, LeftOut, Manifest, Views, pooled_quality
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
-from airgs_codec.scene.camera import measured_views
+from airgs_codec.scene.camera import measured_views, training_views
 from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -95,7 +95,7 @@ def encode(
     target = Path(path)
     given = list(sequence.cameras)
     cameras = given or orbit_views(sequence.read(len(sequence) // 2))
-    training = [c for c in cameras if c.split != "test"] or cameras
+    training = training_views(cameras)
     shown = measured_views(cameras)
     views = Views(
         "given" if given else "generated",

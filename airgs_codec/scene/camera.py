@@ -1,4 +1,8 @@
-"""Pinhole cameras in the OpenCV convention: x right, y down, z forward, pixel centres at +0.5."""
+"""Pinhole cameras, read from nerfstudio's transforms.json.
+
+Here cameras are as OpenCV has them: x to the right, y down, z forward, world-to-camera matrices; the centre of the
+first pixel is at (0.5, 0.5). Files have OpenGL's camera-to-world matrices: x to the right, y up, looking along -z.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +20,12 @@ from airgs_codec.errors import SceneError
 
 MOST_MEASURED_VIEWS = 4
 NEAR = 0.01  # world units, as gsplat has it
-OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # nerfstudio cameras look along -z with y up
+OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # turns y and z of a camera around; its own inverse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Camera:
-    """A pinhole camera: x_pixel = fx * x / z + cx for a point (x, y, z) in camera space."""
+    """A pinhole camera: a point (x, y, z) in camera space is seen at the pixel (fx x / z + cx, fy y / z + cy)."""
 
     name: str
     width: int  # pixels
@@ -30,14 +34,19 @@ class Camera:
     fy: float  # pixels
     cx: float  # pixels
     cy: float  # pixels
-    world_to_camera: NDArray[np.float64]  # (4, 4)
-    split: str = "train"  # "train" or "test" (held out)
+    world_to_camera: NDArray[np.float64]  # (4, 4) rigid: rotation and translation
+    split: str = "train"  # "train", or "test" for a held-out camera
     near: float = NEAR  # world units along the view axis; Gaussians whose mean is nearer are not drawn
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """(3,) camera centre in world units."""
+        """(3,) the centre of the camera in world units."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
+
+    @property
+    def held_out(self) -> bool:
+        """Whether nothing may be fitted to what this camera sees, so that quality can be measured on it."""
+        return self.split == "test"
 
 
 def look_at(
@@ -48,12 +57,14 @@ def look_at(
     size: int,
     fov_y: float,
     name: str,
-    split: str = "train",
 ) -> Camera:
-    """A square camera of `size` pixels at `position` that looks at `target`; fov_y in radians."""
+    """A square camera of `size` x `size` pixels at `position` (3,) that looks at `target` (3,), world units.
+
+    `up` (3,) points up in the picture; `fov_y` is the field of view in radians.
+    """
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, up)
-    if np.linalg.norm(right) < 1e-6:  # looking along `up`: any right vector will do
+    if np.linalg.norm(right) < 1e-6:  # looking along `up`, right would be 0 / 0: any right vector will do
         right = np.cross(forward, np.roll(up, 1))
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
@@ -61,16 +72,16 @@ def look_at(
     matrix[:3, :3] = rotation
     matrix[:3, 3] = -rotation @ position
     focal = size / 2 / np.tan(fov_y / 2)
-    return Camera(name, size, size, focal, focal, size / 2, size / 2, matrix, split)
+    return Camera(name, size, size, focal, focal, size / 2, size / 2, matrix)
 
 
 def read_cameras(path: Path) -> list[Camera]:
-    """The distinct cameras of a nerfstudio transforms.json (OpenGL camera-to-world matrices).
+    """The distinct cameras of a nerfstudio transforms.json, in the order in which they first appear.
 
-    Entries with the same `camera` name count once (a dynamic scene lists one entry a camera and frame);
-    entries without it are all kept. `split` defaults to "train".
+    Entries with the same `camera` name count once: a dynamic scene lists an entry for each camera and frame. Entries
+    without a name are all kept. `split` defaults to "train".
 
-    Raises SceneError when the file is not a transforms.json.
+    Raises SceneError when the file is not a transforms.json or has no camera.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
@@ -90,19 +101,25 @@ def read_cameras(path: Path) -> list[Camera]:
     return list(cameras.values())
 
 
+def training_views(cameras: Sequence[Camera]) -> list[Camera]:
+    """The cameras that encoding and training may look at: all but held-out ones, or all if every one is held out."""
+    return [c for c in cameras if not c.held_out] or list(cameras)
+
+
 def measured_views(cameras: Sequence[Camera]) -> list[Camera]:
     """The cameras that quality is measured on: held-out ones if there are any, else all.
 
     At most MOST_MEASURED_VIEWS of them, evenly spaced.
     """
-    chosen = [c for c in cameras if c.split == "test"] or list(cameras)
+    chosen = [c for c in cameras if c.held_out] or list(cameras)
     return [chosen[i] for i in evenly_spaced(len(chosen), MOST_MEASURED_VIEWS)]
 
 
 def camera_from_transforms(name: str, shared: dict[str, Any], frame: dict[str, Any]) -> Camera:
-    """The camera of an entry under `frames`, which takes what it lacks from the file's own fields.
+    """The camera of one entry under `frames`; what the entry lacks is taken from the fields `shared` by the file.
 
-    Raises KeyError, TypeError, ValueError or LinAlgError for an entry that is none.
+    Sizes, focal lengths and centres are in pixels. Raises KeyError, TypeError, ValueError or LinAlgError for an entry
+    that describes no camera.
     """
 
     def value(key: str) -> float:

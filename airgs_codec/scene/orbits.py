@@ -1,4 +1,4 @@
-"""Cameras for scenes that come without, and paths through cameras."""
+"""Cameras on a ring around a scene that comes without any, and paths through cameras."""
 
 from __future__ import annotations
 
@@ -6,46 +6,62 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from airgs_codec.scene.camera import Camera, look_at
 from airgs_codec.scene.gaussians import Gaussians
 
-FIELD_OF_VIEW = np.radians(50)
-ELEVATIONS = np.radians([10.0, 35.0])  # of neighbouring cameras, in turn
+FIELD_OF_VIEW = np.radians(50)  # of both axes
+ELEVATIONS = np.radians([10.0, 35.0])  # above the horizon; neighbouring cameras take turns
+COVERED_OPACITY = 0.9  # of the scene lies within the ring's view
+MARGIN = 1.15  # around what the ring sees
+LEAST_SHARE = 1e-6
 
 
 def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256) -> list[Camera]:
-    """`count` cameras on a ring around the scene, which is taken to be upright along +y.
+    """`count` square cameras of `size` pixels on a ring around the scene, which is taken to be upright along +y.
 
-    Centre: opacity-weighted median of the means; radius: 90 % of the opacity lies within. Rows that are not finite
-    are passed over.
+    They look at the opacity-weighted median of the means, from far enough away to see 90 % of the opacity. Rows that
+    are not finite are passed over.
     """
-    finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(gaussians.opacity_logits)
-    means = gaussians.means[finite].astype(np.float64) if finite.any() else np.zeros((1, 3))
-    weights = gaussians.opacities()[finite].astype(np.float64) + 1e-6 if finite.any() else np.ones(1)
-    centre = np.array([_quantile(means[:, axis], weights, 0.5) for axis in range(3)])
-    distance = np.linalg.norm(means - centre, axis=1)
-    radius = max(_quantile(distance, weights, 0.9), float(np.abs(centre).max()) * 1e-6, 1e-6)  # one point: any ring
-    away = 1.15 * radius / np.tan(FIELD_OF_VIEW / 2)
+    centre, radius = _extent(gaussians)
+    away = MARGIN * radius / np.tan(FIELD_OF_VIEW / 2)
+    up = np.array([0.0, 1.0, 0.0])
     cameras = []
     for i in range(count):
         turn, rise = 2 * np.pi * i / count, ELEVATIONS[i % len(ELEVATIONS)]
         offset = np.array([np.cos(turn) * np.cos(rise), np.sin(rise), np.sin(turn) * np.cos(rise)])
-        up = np.array([0.0, 1.0, 0.0])
-        name = f"orbit{i:02d}"
-        cameras.append(look_at(centre + away * offset, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=name))
+        cameras.append(
+            look_at(centre + away * offset, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=f"orbit{i:02d}")
+        )
     return cameras
 
 
-def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
+def _extent(gaussians: Gaussians) -> tuple[NDArray[np.float64], float]:
+    """The opacity-weighted median (3,) of finite means, and the radius around it within which most opacity lies."""
+    finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(gaussians.opacity_logits)
+    means = gaussians.means[finite].astype(np.float64) if finite.any() else np.zeros((1, 3))
+    # LEAST_SHARE: opacities that are all 0 have a median, too
+    weights = gaussians.opacities()[finite].astype(np.float64) + LEAST_SHARE if finite.any() else np.ones(1)
+    centre = np.array([_quantile(means[:, axis], weights, 0.5) for axis in range(3)])
+    radius = _quantile(np.linalg.norm(means - centre, axis=1), weights, COVERED_OPACITY)
+    # A ring of radius 0 has no direction, nor has one that is lost beside its centre in float32.
+    return centre, max(radius, float(np.abs(centre).max()) * LEAST_SHARE, LEAST_SHARE)
+
+
+def _quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
+    """The least value that `share` of the weight does not exceed."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, share * total[-1])])
 
 
 def camera_path(cameras: Sequence[Camera], count: int) -> list[Camera]:
-    """`count` cameras from the first to the last of `cameras`: positions linear, rotations by slerp."""
+    """`count` cameras from the first to the last of `cameras`: positions linear, rotations by slerp.
+
+    Size and focal length are the first camera's. A path through one camera stays there.
+    """
     if len(cameras) == 1:
         return [cameras[0]] * count
     keys = np.arange(len(cameras))

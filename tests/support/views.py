@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,8 @@ def ring(count: int = 8, size: int = 48, held_out: int = 0) -> list[Camera]:
     for i in range(count):
         turn, rise = 2 * np.pi * i / count, (0.2, 0.6)[i % 2]
         place = 5 * np.array([np.cos(turn) * np.cos(rise), np.sin(rise), np.sin(turn) * np.cos(rise)])
-        split = "test" if i >= count - held_out else "train"
-        up = np.array([0.0, -1.0, 0.0])
-        cameras.append(look_at(place, np.zeros(3), up, size=size, fov_y=0.8, name=f"cam{i:02d}", split=split))
+        camera = look_at(place, np.zeros(3), np.array([0.0, -1.0, 0.0]), size=size, fov_y=0.8, name=f"cam{i:02d}")
+        cameras.append(replace(camera, split="test" if i >= count - held_out else "train"))
     return cameras
 
 

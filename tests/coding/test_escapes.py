@@ -1,0 +1,51 @@
+"""Escapes are lossless, keep luma off its ends, and jump as seldom as can be."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from airgs_codec.coding import escapes
+from airgs_codec.coding.rangecoder import Reader, encode_columns
+from airgs_codec.errors import FormatError
+
+codes = npst.arrays(
+    np.int32,
+    st.tuples(st.integers(1, 6), st.integers(1, 3), st.integers(1, 8)),
+    elements=st.one_of(st.integers(-100, 100), st.integers(-(2**30) + 1, 2**30 - 1)),
+)
+
+
+@given(codes)
+@settings(max_examples=200, deadline=None)  # the first call compiles
+def test_escapes_are_lossless_and_stay_off_the_ends_of_luma(values):
+    luma, bases = escapes.split(values)
+    assert luma.min() >= 20 and luma.max() <= 236
+    np.testing.assert_array_equal(luma.astype(np.int64) - 128 + escapes.UNIT * bases.astype(np.int64), values)
+    reader = Reader(encode_columns(escapes.columns(bases)), "here")
+    index, jumps = escapes.read(reader, values.shape, "here")
+    reader.close()
+    for t in range(len(values)):
+        np.testing.assert_array_equal(escapes.bases_at(index, jumps, values.shape, t), bases[t])
+
+
+def fewest_jumps(series):
+    """Of one sample, by trying every base in every frame."""
+    cost = {0: 0}
+    for code in series:
+        serving = [b for b in range(-4, 5) if abs(code - escapes.UNIT * b) <= escapes.LIMIT]
+        cost = {b: min(c + (b != a) for a, c in cost.items()) for b in serving}
+    return min(cost.values())
+
+
+@given(st.lists(st.integers(-400, 400), min_size=1, max_size=9))
+def test_no_choice_of_bases_jumps_less(series):
+    _, bases = escapes.split(np.array(series, np.int32)[:, None, None])
+    assert np.count_nonzero(np.diff(bases[:, 0, 0], prepend=0)) == fewest_jumps(series)
+
+
+def test_more_escapes_than_samples_are_refused():
+    bomb = encode_columns([(np.array([10**15]), 0)])
+    with pytest.raises(FormatError, match="at most 70 escapes"):
+        escapes.read(Reader(bomb, "x.bin"), (1, 2, 35), "x.bin")

@@ -1,0 +1,28 @@
+"""Quaternions and rotation vectors invert one another."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from airgs_codec.scene.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector
+
+unit = npst.arrays(np.float64, (20, 4), elements=st.floats(-1, 1)).filter(
+    lambda q: np.linalg.norm(q, axis=1).min() > 1e-3
+)
+
+
+@given(unit, unit)
+def test_rotation_vectors_invert_up_to_sign(a, b):
+    a = a / np.linalg.norm(a, axis=1, keepdims=True)
+    b = b / np.linalg.norm(b, axis=1, keepdims=True)
+    relative = to_rotation_vector(multiply(a, conjugate(b)))
+    back = multiply(from_rotation_vector(relative), b)
+    np.testing.assert_allclose(np.abs((back * a).sum(axis=1)), 1, atol=1e-7)
+    assert np.linalg.norm(relative, axis=1).max() <= np.pi + 1e-9
+
+
+def test_rotation_vectors_at_the_extremes():
+    q = np.array([[1, 0, 0, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [1, 1e-12, 0, 0]])
+    v = to_rotation_vector(q)
+    np.testing.assert_allclose(v, [[0, 0, 0], [0, 0, 0], [np.pi, 0, 0], [2e-12, 0, 0]], atol=1e-15)
