@@ -3,10 +3,20 @@
 import numpy as np
 import pytest
 
+from airgs_codec.errors import ConfigError
+from airgs_codec.scene.gaussians import SH_C0
 from airgs_codec.scene.repair import repair
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX
 from tests.support.scenes import moving_frames
-from tools.baselines import mpeg_anchor_layout, v3_layout
-from tools.bench_rd import MPEG_QPS, RdPoint, bd_rate
+from tools.rd.coders import MPEG_QPS
+from tools.rd.layouts import mpeg_anchor_layout, v3_layout
+from tools.rd.points import RdPoint, bd_rate
+from tools.rd.programs import fourdgs_trials, read_splat, write_splat
+from tools.rd.report import markdown, write_csv
+from tools.rd.subject import Subject
+
+PRESET = "medium"
 
 
 def curve(*pairs):
@@ -36,7 +46,7 @@ def test_points_beaten_at_fewer_bytes_do_not_count():
 def test_both_layouts_decode_to_what_they_were_given():
     frames = repair(moving_frames(300, 3, degree=1), "scene").frames
     rows = slice(None)
-    for coded in (v3_layout(frames, 6), mpeg_anchor_layout(frames, MPEG_QPS[0])):
+    for coded in (v3_layout(frames, 6, PRESET), mpeg_anchor_layout(frames, MPEG_QPS[0], PRESET)):
         assert len(coded.frames) == 3 and coded.bytes > 1000
         for shown, given in zip(coded.frames, frames, strict=True):
             assert shown.sh_rest.shape == given.sh_rest.shape
@@ -48,5 +58,36 @@ def test_both_layouts_decode_to_what_they_were_given():
 
 def test_finer_settings_cost_more():
     frames = repair(moving_frames(300, 3), "scene").frames
-    assert v3_layout(frames, 6).bytes > v3_layout(frames, 26).bytes
-    assert mpeg_anchor_layout(frames, MPEG_QPS[0]).bytes > mpeg_anchor_layout(frames, MPEG_QPS[-1]).bytes
+    assert v3_layout(frames, 6, PRESET).bytes > v3_layout(frames, 26, PRESET).bytes
+    finest, coarsest = (mpeg_anchor_layout(frames, qps, PRESET) for qps in (MPEG_QPS[0], MPEG_QPS[-1]))
+    assert finest.bytes > coarsest.bytes
+
+
+def test_a_splat_file_comes_back_but_for_its_bytes(tmp_path):
+    given = repair(moving_frames(300, 1, degree=1), "scene").frames[0]
+    write_splat(tmp_path / "a.splat", given)
+    shown = read_splat(tmp_path / "a.splat")
+    assert (tmp_path / "a.splat").stat().st_size == 32 * len(given)
+    np.testing.assert_array_equal(shown.means, given.means)
+    np.testing.assert_allclose(shown.log_scales, given.log_scales, atol=1e-5)
+    assert np.abs(shown.opacities() - given.opacities()).max() <= 0.5 / 255 + 1e-4
+    unit = given.quaternions / np.linalg.norm(given.quaternions, axis=1, keepdims=True)
+    assert np.abs(np.clip(unit, -1, 127 / 128) - shown.quaternions).max() <= 0.5 / 128 + 1e-6
+    drawn = np.clip(given.sh_dc, -0.5 / SH_C0, 0.5 / SH_C0)
+    assert np.abs(shown.sh_dc - drawn).max() <= 0.5 / 255 / SH_C0 + 1e-6
+
+
+@pytest.mark.parametrize("program", ["false", "/nowhere/splat4d"])
+def test_an_outside_program_that_fails_is_one_line(program):
+    sequence = open_sequence(FOX)
+    subject = Subject(sequence, [(i, [sequence.read(i)]) for i in range(10)], [], [0], {}, {})
+    with pytest.raises(ConfigError, match=program):
+        next(fourdgs_trials(program)).code(subject)
+
+
+def test_the_report_has_a_row_for_every_coder(tmp_path):
+    points = [*WIDE, RdPoint("airgs", "only", 9.0, 40.0, 31.0, 1.0, 1.0)]
+    table = markdown(points, 41, 46).splitlines()
+    assert len(table) == 4 and "9.0 kB, 40.0 dB" in table[3]
+    write_csv(points, tmp_path / "rd.csv")
+    assert len((tmp_path / "rd.csv").read_text().splitlines()) == 1 + len(points)
