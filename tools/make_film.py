@@ -1,0 +1,162 @@
+"""Write docs/session.gif: a simulated session on the embedded scene; left the screen, right the link and the rungs.
+
+    python -m tools.make_film [-o docs/session.gif]
+
+The scene is encoded at 12 frames a second, half its speed, so that a viewer of the film can follow it, and the measured
+rates of the LTE trace beside it are scaled so that the top rung does not always fit. The camera swings from one of the
+scene's test cameras towards another and back. H x W pixels; pictures are (H, W, 3) RGB of 8 bits.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import tempfile
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import cast
+
+import av
+import matplotlib.pyplot as plt
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.encoder.publish import author_package
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.media.image import label, to_bytes
+from airgs_codec.package.store import Package, open_package
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.link import Link
+from airgs_codec.play.metrics import screen_ticks
+from airgs_codec.play.player import SessionSettings
+from airgs_codec.play.report.film import screen_frames
+from airgs_codec.play.session import SessionLog, simulate
+from airgs_codec.play.trace import open_trace
+from airgs_codec.render import render
+from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.orbits import camera_path
+from airgs_codec.scene.sequence import open_sequence
+
+REPOSITORY = Path(__file__).parent.parent
+SCENE = REPOSITORY / "tests" / "data" / "fox"
+FPS = 12
+LOOPS = 10  # of the ten frames: about eight seconds
+BUFFER_S = 3.0  # short, so that the choices follow the link
+OFFSET_S, SCALE = 462.0, 0.6  # of the trace: a stretch where the rate falls and comes back
+CAMERAS, SWING = ("cam16", "cam17"), 4  # the way towards the second one, as a part of the whole
+CROP = slice(40, 300)  # rows of the 320 that are shown
+COLOURS = 96  # of the palette
+
+
+def play(folder: Path) -> tuple[Package, SessionLog, list[Camera]]:
+    """Encode the scene into `folder`, play it over its trace, and choose a camera for every tick of the screen."""
+    sequence = open_sequence(SCENE, fps=Fraction(FPS))
+    author_package(sequence, folder / "fox.airgs", EncodeSettings())
+    package = open_package(folder / "fox.airgs")
+    settings = SessionSettings("robust-mpc", buffer_s=BUFFER_S, loops=LOOPS)
+    link = Link.over(open_trace(str(SCENE / "trace.csv")).cut(OFFSET_S, SCALE))
+    log = simulate(Catalogue(package.manifest), package.manifest_bytes, link, settings)
+    return package, log, swing(sequence.cameras, len(screen_ticks(log)))
+
+
+def swing(cameras: Sequence[Camera], ticks: int) -> list[Camera]:
+    """A camera a tick: a part of the way from the first of CAMERAS towards the second, and back."""
+    ends = [next(c for c in cameras if c.name == name) for name in CAMERAS]
+    half = -(-ticks // 2)
+    there = camera_path(ends, SWING * half)[:half]
+    return (there + there[::-1])[:ticks]
+
+
+def screens(package: Package, log: SessionLog, cameras: Sequence[Camera]) -> Iterable[NDArray[np.uint8]]:
+    """What is on the screen at every tick, with the name and the quality of its rung."""
+    seen = [0] * len(log.shown)
+    for (gaussians, entry), camera in zip(screen_frames(package, log), cameras, strict=True):
+        shown = log.shown[entry]
+        waits = seen[entry] == shown.frames
+        seen[entry] += not waits
+        assert gaussians is not None and shown.rung is not None, "nothing is lost on this link"
+        text = "waiting for data" if waits else f"{log.catalogue.names[shown.rung]}   {shown.psnr:.1f} dB"
+        yield label(to_bytes(render(gaussians, camera).rgb)[CROP], text)
+
+
+def chart(log: SessionLog, height: int, width: int) -> tuple[NDArray[np.uint8], tuple[float, float]]:
+    """(height, width, 3) the link's rate over the rungs on the screen, and the columns of its first and last tick."""
+    start, ticks = log.shown[0].start_s, len(screen_ticks(log))
+    stop = start + ticks / FPS
+    figure, (rate, rungs) = plt.subplots(
+        2, 1, figsize=(width / 100, height / 100), dpi=100, sharex=True, height_ratios=(3, 1), layout="constrained"
+    )
+    seconds = np.linspace(start, stop, 400)
+    rate.fill_between(seconds, [log.link.trace.rate_at(s) / 1e6 for s in seconds], step="mid", color="#9db8d6")
+    rate.set(xlim=(start, stop), ylim=(0, None))
+    rate.set_title("the link, Mbit/s", fontsize=8, loc="left")
+    qualities = [shown.psnr or 0.0 for shown in log.shown]
+    shade = plt.Normalize(min(qualities), max(qualities))
+    for shown, quality in zip(log.shown, qualities, strict=True):
+        colour = plt.get_cmap("RdYlGn")(shade(quality))
+        rungs.axvspan(shown.start_s, shown.start_s + shown.frames / FPS, color=colour, linewidth=0)
+    rungs.set(yticks=[], xlabel="seconds")
+    rungs.set_title(
+        f"on the screen: {min(qualities):.1f} dB (red) to {max(qualities):.1f} dB (green)", fontsize=8, loc="left"
+    )
+    for axes in (rate, rungs):
+        axes.tick_params(labelsize=7)
+    rungs.xaxis.label.set_size(7)
+    data = io.BytesIO()
+    figure.savefig(data, format="rgba")
+    columns = [float(rungs.transData.transform((s, 0))[0]) for s in (start, stop)]
+    plt.close(figure)
+    picture = np.frombuffer(data.getvalue(), np.uint8).reshape(height, width, 4)[..., :3]
+    return picture, (columns[0], columns[1])
+
+
+def with_playhead(picture: NDArray[np.uint8], column: float) -> NDArray[np.uint8]:
+    """A copy with a dark line two pixels wide."""
+    out = picture.copy()
+    out[:, round(column) : round(column) + 2] = (40, 40, 40)
+    return out
+
+
+def write_gif(path: Path, pictures: Sequence[NDArray[np.uint8]]) -> None:
+    """An endless GIF at FPS with one palette for all pictures, without dithering: what stands still costs nothing."""
+    height, width = pictures[0].shape[:2]
+    graph = av.filter.Graph()
+    source = graph.add_buffer(width=width, height=height, format=av.VideoFormat("rgb24"), time_base=Fraction(1, FPS))
+    split, palette = graph.add("split"), graph.add("palettegen", f"max_colors={COLOURS}:stats_mode=full")
+    use, sink = graph.add("paletteuse", "dither=none:diff_mode=rectangle"), graph.add("buffersink")
+    source.link_to(split)
+    split.link_to(palette, 0)
+    split.link_to(use, 1, 0)
+    palette.link_to(use, 0, 1)
+    use.link_to(sink)
+    graph.configure()
+    for number, picture in enumerate(pictures):
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
+        frame.pts, frame.time_base = number, Fraction(1, FPS)
+        source.push(frame)
+    source.push(None)
+    with av.open(str(path), "w", format="gif") as container:
+        stream = container.add_stream("gif", rate=FPS, width=width, height=height, pix_fmt="pal8")
+        for _ in pictures:
+            container.mux(stream.encode(cast(av.VideoFrame, sink.pull())))
+        container.mux(stream.encode(None))
+
+
+def main() -> None:
+    """Make the film."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, default=REPOSITORY / "docs" / "session.gif")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        package, log, cameras = play(Path(folder))
+        shots = list(screens(package, log, cameras))
+    beside, (first, last) = chart(log, *shots[0].shape[:2])
+    columns = np.linspace(first, last - 2, len(shots))
+    pictures = [np.hstack([shot, with_playhead(beside, c)]) for shot, c in zip(shots, columns, strict=True)]
+    write_gif(args.output, pictures)
+    print(f"{args.output}: {len(pictures)} pictures, {args.output.stat().st_size / 1e6:.2f} MB")
+
+
+if __name__ == "__main__":
+    main()
