@@ -13,6 +13,7 @@ import argparse
 import io
 import tempfile
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import cast
@@ -42,11 +43,11 @@ REPOSITORY = Path(__file__).parent.parent
 SCENE = REPOSITORY / "tests" / "data" / "fox"
 FPS = 12
 LOOPS = 10  # of the ten frames: about eight seconds
-BUFFER_S = 3.0  # short, so that the choices follow the link
-OFFSET_S, SCALE = 462.0, 0.6  # of the trace: a stretch where the rate falls and comes back
+BUFFER_S = 1.5  # short, so that the choices follow the link
+OFFSET_S, SCALE = 278.0, 0.7  # of the trace: a stretch where the rate falls and comes back
 CAMERAS, SWING = ("cam16", "cam17"), 4  # the way towards the second one, as a part of the whole
 CROP = slice(40, 300)  # rows of the 320 that are shown
-COLOURS = 96  # of the palette
+COLOURS = 64  # of the palette
 
 
 def play(folder: Path) -> tuple[Package, SessionLog, list[Camera]]:
@@ -80,8 +81,25 @@ def screens(package: Package, log: SessionLog, cameras: Sequence[Camera]) -> Ite
         yield label(to_bytes(render(gaussians, camera).rgb)[CROP], text)
 
 
-def chart(log: SessionLog, height: int, width: int) -> tuple[NDArray[np.uint8], tuple[float, float]]:
-    """(height, width, 3) the link's rate over the rungs on the screen, and the columns of its first and last tick."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Chart:
+    """(H, W, 3) the link's rate above the rungs on the screen, and where its axes are."""
+
+    picture: NDArray[np.uint8]
+    first: float  # column of the first tick
+    last: float  # column of the last tick
+    rows: slice
+
+    def at(self, share: float) -> NDArray[np.uint8]:
+        """A copy with a dark line two pixels wide where this share of the session is over."""
+        out = self.picture.copy()
+        column = round(self.first + share * (self.last - self.first))
+        out[self.rows, column - 1 : column + 1] = (40, 40, 40)
+        return out
+
+
+def draw_chart(log: SessionLog, height: int, width: int) -> Chart:
+    """The chart of a session in so many pixels."""
     start, ticks = log.shown[0].start_s, len(screen_ticks(log))
     stop = start + ticks / FPS
     figure, (rate, rungs) = plt.subplots(
@@ -105,17 +123,11 @@ def chart(log: SessionLog, height: int, width: int) -> tuple[NDArray[np.uint8], 
     rungs.xaxis.label.set_size(7)
     data = io.BytesIO()
     figure.savefig(data, format="rgba")
-    columns = [float(rungs.transData.transform((s, 0))[0]) for s in (start, stop)]
+    first, last = (float(rungs.transData.transform((s, 0))[0]) for s in (start, stop))
+    rows = slice(round(height - rate.bbox.y1), round(height - rungs.bbox.y0))
     plt.close(figure)
     picture = np.frombuffer(data.getvalue(), np.uint8).reshape(height, width, 4)[..., :3]
-    return picture, (columns[0], columns[1])
-
-
-def with_playhead(picture: NDArray[np.uint8], column: float) -> NDArray[np.uint8]:
-    """A copy with a dark line two pixels wide."""
-    out = picture.copy()
-    out[:, round(column) : round(column) + 2] = (40, 40, 40)
-    return out
+    return Chart(picture, first, last, rows)
 
 
 def write_gif(path: Path, pictures: Sequence[NDArray[np.uint8]]) -> None:
@@ -151,9 +163,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         package, log, cameras = play(Path(folder))
         shots = list(screens(package, log, cameras))
-    beside, (first, last) = chart(log, *shots[0].shape[:2])
-    columns = np.linspace(first, last - 2, len(shots))
-    pictures = [np.hstack([shot, with_playhead(beside, c)]) for shot, c in zip(shots, columns, strict=True)]
+    chart = draw_chart(log, *shots[0].shape[:2])
+    shares = np.linspace(0, 1, len(shots))
+    pictures = [np.hstack([shot, chart.at(float(share))]) for shot, share in zip(shots, shares, strict=True)]
     write_gif(args.output, pictures)
     print(f"{args.output}: {len(pictures)} pictures, {args.output.stat().st_size / 1e6:.2f} MB")
 
