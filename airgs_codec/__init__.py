@@ -1,3 +1,67 @@
-"""AirGS codec: dynamic 3D Gaussian Splatting scenes as H.264 pictures, pruning levels and a DASH manifest."""
+"""AirGS codec: dynamic 3D Gaussian Splatting scenes as H.264 pictures, pruning levels and a DASH manifest.
+
+    import airgs_codec as airgs
+
+    sequence = airgs.open_sequence("scene/")
+    airgs.encode(sequence, "scene.airgs", airgs.EncodeSettings(quality=0.6))
+    package = airgs.open_package("scene.airgs")
+    gaussians = airgs.decode(package, 12, level="L1", key_quality="Q0")
+
+These names are the interface; modules behind them may move. Each is loaded when it is first used, so that importing the
+package costs nothing. Paths are `str` or `Path` everywhere. All errors raised on purpose are `AirgsError`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from airgs_codec.decoder.decode import decode
+    from airgs_codec.encoder.settings import EncodeSettings
+    from airgs_codec.errors import AirgsError
+    from airgs_codec.inspect.validate import validate
+    from airgs_codec.package.store import open_package
+    from airgs_codec.play.player import SessionSettings
+    from airgs_codec.play.trace import open_trace
+    from airgs_codec.scene.gaussians import Gaussians
+    from airgs_codec.scene.sequence import open_sequence
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "AirgsError",
+    "EncodeSettings",
+    "Gaussians",
+    "SessionSettings",
+    "decode",
+    "open_package",
+    "open_sequence",
+    "open_trace",
+    "validate",
+]
+
+_HOMES = {
+    "AirgsError": "errors",
+    "EncodeSettings": "encoder.settings",
+    "Gaussians": "scene.gaussians",
+    "SessionSettings": "play.player",
+    "decode": "decoder.decode",
+    "open_package": "package.store",
+    "open_sequence": "scene.sequence",
+    "open_trace": "play.trace",
+    "validate": "inspect.validate",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """The public name `name`, from the module that defines it (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])
