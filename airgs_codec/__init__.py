@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from airgs_codec.decoder.decode import decode
+    from airgs_codec.encoder.publish import encode
     from airgs_codec.encoder.settings import EncodeSettings
     from airgs_codec.errors import AirgsError
     from airgs_codec.inspect.validate import validate
@@ -35,6 +36,7 @@ __all__ = [
     "Gaussians",
     "SessionSettings",
     "decode",
+    "encode",
     "open_package",
     "open_sequence",
     "open_trace",
@@ -47,6 +49,7 @@ _HOMES = {
     "Gaussians": "scene.gaussians",
     "SessionSettings": "play.player",
     "decode": "decoder.decode",
+    "encode": "encoder.publish",
     "open_package": "package.store",
     "open_sequence": "scene.sequence",
     "open_trace": "play.trace",

@@ -15,6 +15,13 @@ def test_commands_parse_and_paths_names_and_links_exist(page):
     assert list(check_docs.findings(page)) == []
 
 
+def test_the_python_examples_of_the_readme_run(tmp_path):
+    (tmp_path / "tests").symlink_to(REPOSITORY / "tests")
+    examples = [b for b in check_docs.blocks((REPOSITORY / "README.md").read_text()) if b.info == "python"]
+    assert examples
+    assert [check_docs.run_block(block, tmp_path) for block in examples] == [None] * len(examples)
+
+
 def test_the_readme_is_short():
     assert len((REPOSITORY / "README.md").read_text().split()) <= README_WORDS
 
@@ -25,7 +32,7 @@ def test_the_readme_is_short():
         ("airgs-encode scene/ --no-such-option", "unrecognized arguments"),
         ("airgs-play scene.airgs --decode 4 --policy", "expected one argument"),
         ("python -m tools.no_such_tool --quick", "No module"),
-        ("python -m tools.fuzz --lots 3", "unrecognized arguments"),
+        ("python -m tools.bench_encode fox/ --lots 3", "unrecognized arguments"),
         ("tools/no_such_tool.py", "no such file"),
         ("airgs_codec.coding.motion.no_such_name", "no such name"),
         ("airgs.no_such_name", "no such name"),

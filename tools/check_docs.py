@@ -3,12 +3,13 @@
     python -m tools.check_docs [--run] [PAGE ...]
 
 Always checked, in every markdown page: each command line in a ```sh block and in `code` goes through the real parser of
-its program (a command, a module of tools/, a target of the Makefile); each path of this repository, each dotted name of
-airgs_codec and each option exists; each relative link leads somewhere. With --run the ```sh blocks are run as well, in
-one empty folder a page that has links to tests/ and tools/; not those marked ```sh not-run, whose data is not in the
-repository. A ```text block that follows is what the block prints: its lines must come in that order, "…" stands for any
-lines between, and numbers may differ by 5 % (TOLERANCE), those of another machine or build of x264. Exit status 1 with
-one line a finding.
+its program (a command, a module run by python -m, a target of the Makefile); each path of this repository, each dotted
+name of airgs_codec and each option exists; each relative link leads somewhere.
+
+With --run the ```sh and ```python blocks are run as well, in one empty folder a page that has links to tests/ and
+tools/; not those marked ```sh not-run, whose data is not in the repository. A ```text block that comes next is what the
+block prints: its lines must come in that order, "…" stands for any lines between, and numbers may differ by 5 %
+(TOLERANCE), those of another machine or build of x264. Exit status 1 with one line a finding.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ import tempfile
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from unittest.mock import patch
 
@@ -40,7 +40,7 @@ OTHER_PROGRAMS = {"git", "cd", "pip", "python3", "source"}
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A fenced block of a page, and the text of the ```text block that follows it directly."""
+    """A fenced block of a page, and the text of the next block if that is a ```text block."""
 
     info: str
     code: str
@@ -63,8 +63,7 @@ def pages() -> list[Path]:
 def blocks(text: str) -> list[Block]:
     """The fenced blocks of a page."""
     found = list(FENCE.finditer(text))
-    between = [text[m.end() : n.start()] for m, n in pairwise(found)]
-    outputs = [n[2] if n[1] == "text" and not gap.strip() else "" for n, gap in zip(found[1:], between, strict=True)]
+    outputs = [m[2] if m[1] == "text" else "" for m in found[1:]]
     return [Block(m[1], m[2], output) for m, output in zip(found, [*outputs, ""], strict=False)]
 
 
@@ -126,7 +125,8 @@ def scripts() -> dict[str, str]:
 
 def known_options() -> set[str]:
     """Every option that a command or a tool of this repository declares."""
-    sources = [*(REPOSITORY / "airgs_codec" / "cli").glob("*.py"), *(REPOSITORY / "tools").glob("*.py")]
+    folders = ("airgs_codec/cli", "tools", "tests/long", "tests/makers")
+    sources = [path for folder in folders for path in (REPOSITORY / folder).glob("*.py")]
     return {option for path in sources for option in re.findall(r'"(--[a-z][a-z0-9-]*)"', path.read_text())}
 
 
@@ -197,20 +197,28 @@ def _refusal(entry: str, arguments: list[str]) -> str | None:
 
 
 def run_page(page: Path, folder: Path) -> Iterator[str]:
-    """Run the ```sh blocks of a page in `folder`, one line for each that fails or prints something else."""
+    """Run the ```sh and ```python blocks of a page in `folder`, an empty one; a line for each that fails."""
     for name in ("tests", "tools"):
         (folder / name).symlink_to(REPOSITORY / name)
+    found = (run_block(block, folder) for block in blocks(page.read_text(encoding="utf-8")))
+    yield from (wrong for wrong in found if wrong)
+
+
+def run_block(block: Block, folder: Path) -> str | None:
+    """Run a ```sh or ```python block in `folder`; None for others, and when it prints what the page says."""
+    shell = ["bash", "-e", "-o", "pipefail", "-c"]
+    runner = {"sh": shell, "python": [sys.executable, "-c"]}.get(block.info)
+    if runner is None:
+        return None
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     environment = os.environ | {"PATH": path, "PYTHONPATH": str(REPOSITORY)}
-    for block in blocks(page.read_text(encoding="utf-8")):
-        if block.info != "sh":
-            continue
-        command = ["bash", "-e", "-o", "pipefail", "-c", block.code]
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-        if done.returncode:
-            yield f"{block.code.strip()}: exit status {done.returncode}: {done.stderr.strip()[-500:]}"
-        elif (missing := first_difference(block.output, done.stdout)) is not None:
-            yield f"{block.code.strip()}: does not print {missing!r}"
+    done = subprocess.run(
+        [*runner, block.code], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    if done.returncode:
+        return f"{block.code.strip()}: exit status {done.returncode}: {done.stderr.strip()[-500:]}"
+    missing = first_difference(block.output, done.stdout)
+    return None if missing is None else f"{block.code.strip()}: does not print {missing!r}"
 
 
 def first_difference(expected: str, printed: str) -> str | None:

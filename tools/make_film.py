@@ -23,8 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.encoder.publish import author_package
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.publish import encode
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.play.catalogue import Catalogue
@@ -53,7 +52,7 @@ COLOURS = 64  # of the palette
 def play(folder: Path) -> tuple[Package, SessionLog, list[Camera]]:
     """Encode the scene into `folder`, play it over its trace, and choose a camera for every tick of the screen."""
     sequence = open_sequence(SCENE, fps=Fraction(FPS))
-    author_package(sequence, folder / "fox.airgs", EncodeSettings())
+    encode(sequence, folder / "fox.airgs")
     package = open_package(folder / "fox.airgs")
     settings = SessionSettings("robust-mpc", buffer_s=BUFFER_S, loops=LOOPS)
     link = Link.over(open_trace(str(SCENE / "trace.csv")).cut(OFFSET_S, SCALE))

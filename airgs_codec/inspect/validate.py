@@ -32,11 +32,12 @@ class Finding:
         return f"{self.where}: {self.detail} [{self.reason}]"
 
 
-def validate(path: Path) -> list[Finding]:
-    """Everything that is wrong with the package in folder `path`; empty for a good one. Never raises for a bad one.
+def validate(path: str | Path) -> list[Finding]:
+    """Everything that is wrong with the package in the folder `path`: an empty list for a good one.
 
-    Checks the tables, the MPD against them, every file's length and digest, foreign files, and that every key unit
-    and every segment of every level decodes to the promised pictures and to finite numbers.
+    Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
+    key unit and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
+    for a bad package.
     """
     try:
         package = open_package(path)

@@ -119,20 +119,24 @@ class Trace:
         return replace(self, starts_s=starts[kept], rates_bps=rates[kept], scale=self.scale * scale, offset_s=begins)
 
 
-def open_trace(text: str) -> Trace:
-    """const:MBPS, markov:SEED[:MEAN_MBPS], or the path of a file that `read_trace` reads. Raises TransportError."""
-    kind, _, rest = text.partition(":")
+def open_trace(source: str | Path) -> Trace:
+    """The bandwidth trace that `source` names.
+
+    A path: a file that `read_trace` reads. `const:MBPS`: a constant rate. `markov:SEED` or `markov:SEED:MEAN_MBPS`: the
+    synthetic trace of `markov_trace`. Raises TransportError for a file that cannot be read and for anything else.
+    """
+    kind, _, rest = str(source).partition(":")
     numbers = rest.split(":")
     if kind not in ("const", "markov"):
-        return read_trace(Path(text))
+        return read_trace(Path(source))
     try:
         if kind == "const" and len(numbers) == 1:
-            return Trace(text, np.zeros(1), np.array([1e6 * float(rest)]), CONSTANT_S)
+            return Trace(str(source), np.zeros(1), np.array([1e6 * float(rest)]), CONSTANT_S)
         if kind == "markov" and len(numbers) <= 2:
             return markov_trace(int(numbers[0]), 1e6 * float(numbers[1]) if len(numbers) > 1 else MARKOV_MEAN_BPS)
     except ValueError:
         pass
-    raise TransportError(f"{text}: expected const:MBPS or markov:SEED[:MEAN_MBPS]")
+    raise TransportError(f"{source}: expected const:MBPS or markov:SEED[:MEAN_MBPS]")
 
 
 def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS, duration_s: float = MARKOV_S) -> Trace:
