@@ -1,4 +1,4 @@
-"""Planes tiled into one picture. T frames, P planes, N rows; a plane holds one channel, one sample a row.
+"""Atlases: planes tiled into one picture. T frames, P planes, N rows; a plane holds one channel, one sample a row.
 
 Row i goes to the i-th cell of 16x16 blocks; cells of a block follow a Z-curve, blocks run row by row over the plane.
 """
@@ -20,7 +20,7 @@ GREY = 128
 
 
 def choose_layout(rows: int, planes: int) -> tuple[int, int]:
-    """Plane width and columns that make the picture nearly square."""
+    """The plane width in samples and the columns of planes that make the picture nearly square."""
     blocks = -(-rows // CELLS)
     wide = max(1, round(float(np.sqrt(blocks))))
     high = -(-blocks // wide)
@@ -29,13 +29,13 @@ def choose_layout(rows: int, planes: int) -> tuple[int, int]:
 
 
 def plane_height(rows: int, plane_width: int) -> int:
-    """Samples."""
+    """Samples from the top to the bottom of a plane of `rows` rows."""
     blocks = -(-rows // CELLS)
     return BLOCK * -(-blocks // (plane_width // BLOCK))
 
 
 def picture_size(atlas: Atlas) -> tuple[int, int]:
-    """Least width and height that hold the atlas."""
+    """The least width and height in samples that hold the atlas."""
     height = plane_height(atlas.rows, atlas.plane_width) * -(-len(atlas.planes) // atlas.columns)
     return max(MIN_SIDE, atlas.plane_width * atlas.columns), max(MIN_SIDE, height)
 
@@ -57,7 +57,7 @@ def fit_atlas(codes: NDArray[np.int32], limit: float, spare: NDArray[np.bool_] |
 
 @lru_cache(maxsize=64)
 def sample_index(rows: int, plane_width: int, columns: int, planes: int, stride: int) -> NDArray[np.intp]:
-    """(P, N) flat index of each sample in a picture of `stride` samples a line."""
+    """(P, N) place of each sample in a picture of `stride` samples a line, counted line by line."""
     i = np.arange(rows)
     block, cell = i // CELLS, i % CELLS
     x, y = np.zeros(rows, np.intp), np.zeros(rows, np.intp)
@@ -76,7 +76,7 @@ def sample_index(rows: int, plane_width: int, columns: int, planes: int, stride:
 
 
 def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) -> NDArray[np.uint8]:
-    """(T, P, N) samples -> (T, height, width) pictures; unused cells are 128."""
+    """(T, P, N) samples -> (T, height, width) pictures; cells that no sample has are 128."""
     index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), width)
     pictures = np.full((len(samples), height * width), GREY, np.uint8)
     pictures[:, index.ravel()] = samples.reshape(len(samples), -1)
@@ -90,9 +90,9 @@ def extract(picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
 
 
 def read_codes(picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32] | None) -> NDArray[np.int32]:
-    """A picture and (P, n) escape bases -> (channels, n) codes; without a plane a channel is its centre.
+    """A picture and the (P, N) bases in force -> (channels, N) codes; a channel without a plane is its centre.
 
-    No bases: there are no escapes.
+    None for the bases where there are no escapes.
     """
     centres = np.array(atlas.centres, np.int32)[:, None]
     codes = np.empty((len(atlas.centres), atlas.rows), np.int32)

@@ -1,4 +1,4 @@
-"""Opacity as it is coded: alpha in [0, 1], not its logit."""
+"""Opacity as it is coded: alpha in [0, 1], not its logit. Arrays of any shape."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ OPACITY_MARGIN = np.float32(2.0**-20)
 
 
 def to_opacity(logits: Floats) -> Floats:
-    """Logit -> alpha in [0, 1]."""
+    """Logits -> alpha in [0, 1]."""
     return sigmoid(logits)
 
 
 def from_opacity(opacity: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Decoded alpha, which coding error may carry out of [0, 1], -> finite logit."""
+    """Decoded alpha -> finite logits; alpha that coding error carried out of [0, 1] is limited first (FORMAT.md §5)."""
     a = np.clip(opacity, OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     return np.log(a / (1 - a))

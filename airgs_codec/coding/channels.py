@@ -1,4 +1,4 @@
-"""Attributes of Gaussians <-> channels of atlases, by way of the canonical space of a group.
+"""Attributes of Gaussians <-> channels of atlases, by way of the canonical space of a group (FORMAT.md §5).
 
 N rows of all decoded tiers, n rows of a level, T frames, C colour channels. `key_channels` and `dequantise_key`,
 `state_channels` and `StateApplier.apply` are inverse pairs up to quantisation. The order of channels is
@@ -24,7 +24,7 @@ from airgs_codec.scene.rotations import conjugate, from_rotation_vector, multipl
 
 _MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
 _OPACITY, _COLOUR = STATE.slice("opacity"), STATE.slice(COLOUR)
-LEAST_DRAWN = 1 / 255  # a Gaussian of less alpha is not drawn, by INRIA's renderer and every one after it
+LEAST_DRAWN = 1 / 255  # INRIA's renderer and all after it do not draw a Gaussian of less alpha
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,12 +41,12 @@ class Canonical:
     transform: NDArray[np.float64]  # (C, C) KLT, as stored
 
     def to_gaussians(self) -> Gaussians:
-        """The canonical space itself as a frame."""
+        """The canonical space as a frame: what is shown where no state says otherwise."""
         return _to_gaussians(self.means, self.quaternions, self.log_scales, self.opacity, self.colours)
 
 
 def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps) -> NDArray[np.float64]:
-    """(7 + C, N) channels of the canonical frame."""
+    """(7 + C, N) channels of the canonical frame; `transform` is the (C, C) KLT as stored."""
     colour = colours(g.sh_dc, g.sh_rest).astype(np.float64)
     parts = {
         "log_scales": g.log_scales.astype(np.float64),
@@ -66,7 +66,7 @@ def dequantise_key(
     grid: Grid,
     steps: KeySteps,
 ) -> Canonical:
-    """Decoded (7 + C, N) key channels and the columns of the sidecar -> canonical space."""
+    """Decoded (7 + C, N) key channels and the columns of the sidecar -> the canonical space of the group."""
     colour = from_klt(channels[KEY.slice(COLOUR)].T, transform.astype(np.float32))
     scale = colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1]).astype(np.float32)
     return Canonical(
@@ -82,10 +82,11 @@ def dequantise_key(
 
 
 def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSteps) -> NDArray[np.float64]:
-    """(T, 10 + C, N) channels of frames whose rows are `base`'s, samples of undrawn Gaussians filled.
+    """(T, 10 + C, N) channels of frames with the rows of `base`.
 
-    A Gaussian with alpha < 1/255 is not drawn, so its other channels hold their last drawn value (before the first
-    time it is drawn: that value; never drawn: 0).
+    While a Gaussian has alpha < 1/255 it is not drawn, so its channels but opacity hold the value they had when it was
+    last drawn: changes that nobody sees cost nothing. Before it is first drawn they hold that first value, and 0 if it
+    is never drawn.
     """
     inverse = conjugate(base.quaternions.astype(np.float64))
     scale = colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1])
@@ -105,7 +106,7 @@ def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSte
 
 
 def _fill_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> None:
-    """Hold the last drawn value of every channel but opacity, in place; `drawn` is (T, N)."""
+    """Hold the last drawn value of every channel but opacity; writes into `channels`. `drawn` is (T, N)."""
     rows = np.flatnonzero(~drawn.all(axis=0))
     others = np.setdiff1d(np.arange(channels.shape[1]), np.arange(channels.shape[1])[_OPACITY])
     first = np.argmax(drawn[:, rows], axis=0)
@@ -117,10 +118,10 @@ def _fill_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> No
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StateApplier:
-    """Adds decoded states to the rows of one level; what every frame of a segment shares is gathered once."""
+    """Adds decoded states to the n rows of one level; what all frames of a segment share is gathered once."""
 
     base: Canonical
-    rows: NDArray[np.intp]  # (n,) of the level
+    rows: NDArray[np.intp]  # (n,) the level's rows among the N
     motion_units: NDArray[np.float32]  # (n,)
     quaternions: NDArray[np.float32]  # (n, 4)
     colour_steps: NDArray[np.float32]  # (C,)
@@ -132,16 +133,16 @@ class StateApplier:
     def of(
         base: Canonical, rows: NDArray[np.intp], steps: StateSteps, has_rotation: bool = True, has_colour: bool = True
     ) -> StateApplier:
-        """Gather the rows."""
+        """An applier for these rows (n,); without `has_rotation` or `has_colour` those channels are taken to be 0."""
         scale = colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1]).astype(np.float32)
         transform = base.transform.astype(np.float32)
         units, quaternions = base.motion_units[rows], base.quaternions[rows]
         return StateApplier(base, rows, units, quaternions, scale, transform, has_rotation, has_colour)
 
     def apply(self, channels: NDArray[np.float32]) -> Gaussians:
-        """The frame that decoded state channels (10 + C, n) make of the canonical space.
+        """The frame that decoded state channels (10 + C, n) make of the canonical space: all N rows.
 
-        Columns are scattered one by one: twice as fast in numpy as rows.
+        Columns are written one by one, which numpy does twice as fast as rows.
         """
         base, rows = self.base, self.rows
         means, log_scales, opacity = base.means.copy(), base.log_scales.copy(), base.opacity.copy()
@@ -168,7 +169,7 @@ def _to_gaussians(
     opacity: NDArray[np.float32],
     colour: NDArray[np.float32],
 ) -> Gaussians:
-    """Decoded columns -> stored domain."""
+    """Decoded columns -> Gaussians in stored domain."""
     dc, rest = split_colours(colour)
     logits = from_opacity(opacity)
     return Gaussians(means.astype(np.float32), quaternions, log_scales, logits, np.ascontiguousarray(dc), rest)

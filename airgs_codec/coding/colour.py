@@ -1,6 +1,7 @@
-"""Colours in units of their steps and the KLT that decorrelates them. N rows, C = 3 (1 + K) colour channels.
+"""Colours and the KLT that decorrelates them. N rows, K SH coefficients past DC, C = 3 (1 + K) colour channels.
 
-Every function has its inverse beside it. The encoder works in float64, the decoder in float32.
+A colour is the SH coefficients of a row; it is transformed in units of its steps. Every function has its inverse beside
+it. The encoder works in float64, the decoder in float32.
 """
 
 from __future__ import annotations
@@ -20,20 +21,20 @@ def colours(sh_dc: Floats, sh_rest: Floats) -> Floats:
 
 
 def split_colours(channels: Floats) -> tuple[Floats, Floats]:
-    """Inverse of `colours`."""
+    """Inverse of `colours`: (..., N, C) -> (..., N, 3) and (..., N, K, 3)."""
     rest = channels[..., 3:]
     return channels[..., :3], rest.reshape(*rest.shape[:-1], -1, 3)
 
 
 def colour_steps(sh_dc: float, sh_rest: float, channels: int) -> NDArray[np.float64]:
-    """(C,) step of each colour channel before the KLT; after it every step is 1."""
+    """(C,) step of each colour channel before the KLT, from those of SH DC and SH rest; after it every step is 1."""
     return np.where(np.arange(channels) < 3, sh_dc, sh_rest)
 
 
 def fit_colour_transform(scaled: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Orthonormal KLT of (N, C) colours in units of their steps: (C, C), row k the k-th strongest direction.
+    """The orthonormal KLT (C, C) of (N, C) colours in units of their steps: row k is the k-th strongest direction.
 
-    Row signs are fixed (largest entry positive), so that equal scenes give equal packages.
+    The entry of a row that is largest by size is positive, so that equal scenes give equal packages.
     """
     centred = scaled - scaled.mean(axis=0)
     _, vectors = np.linalg.eigh(centred.T @ centred)
@@ -43,7 +44,10 @@ def fit_colour_transform(scaled: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def to_klt(scaled: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(..., C) colours in steps -> KLT channels, exact inverse of `from_klt` for the stored (rounded) transform."""
+    """(..., C) colours in units of their steps -> KLT channels.
+
+    The exact inverse of `from_klt`: the stored transform is rounded, so it is inverted, not transposed.
+    """
     return scaled @ np.linalg.inv(transform)
 
 
@@ -53,6 +57,6 @@ def from_klt(channels: Floats, transform: Floats) -> Floats:
 
 
 def colour_transform(key: Gaussians, steps: KeySteps) -> str:
-    """The KLT of a group's colours, as airgs.json stores it."""
+    """The KLT of the colours of a canonical frame, as airgs.json stores it (base64 of C x C int16)."""
     colour = colours(key.sh_dc, key.sh_rest).astype(np.float64)
     return pack_matrix(fit_colour_transform(colour / colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1])))

@@ -1,6 +1,6 @@
-"""Escapes: changes of a channel's base value, so that what is left fits 8 bits. T frames, P planes, N rows.
+"""Escapes: changes of a channel's base value, so that what is left fits 8 bits (FORMAT.md §6).
 
-code = 128-centred luma level + UNIT * base; the base of a sample is 0 until an escape changes it.
+T frames, P planes, N rows; code - centre = luma - 128 + UNIT * base. A sample has base 0 until an escape changes it.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from airgs_codec.coding.rangecoder import Column, Reader
 from airgs_codec.errors import FormatError
 
-UNIT = 128  # codes a base counts
-LIMIT = 108  # |code - UNIT * base| never exceeds it; 20 levels are left for the video codec's error
+UNIT = 128  # codes that a base of 1 stands for
+LIMIT = 108  # |luma - 128| never exceeds it as encoded; 20 levels are left for the error of the video codec
 
 
 def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
-    """(T, P, N) codes -> luma samples around 128, and the bases (T, P, N). Nothing is clipped.
+    """(T, P, N) codes less their centres -> luma samples around 128 and bases, both (T, P, N). Nothing is clipped.
 
-    A base stays while any one value serves all frames since its last jump, so no other choice needs fewer jumps.
+    A base stays as long as some value serves all frames since its last jump, so that no choice needs fewer jumps.
     """
     low, high = -((LIMIT - codes) // UNIT), (codes + LIMIT) // UNIT  # bases that serve a frame alone
     first = np.zeros(codes.shape, np.bool_)  # does a new base start here
@@ -40,7 +40,7 @@ def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32
 
 
 def columns(bases: NDArray[np.int32]) -> list[Column]:
-    """Jumps of (T, P, N) bases: their count, the gaps between their flat indices, and their sizes in zigzag coding."""
+    """The columns of an escape file for (T, P, N) bases: number of jumps, gaps of their flat indices, zigzag sizes."""
     jumps = np.diff(bases, axis=0, prepend=np.zeros_like(bases[:1])).ravel()
     index = np.flatnonzero(jumps)
     values = jumps[index].astype(np.int64)
@@ -49,9 +49,9 @@ def columns(bases: NDArray[np.int32]) -> list[Column]:
 
 
 def read(reader: Reader, shape: tuple[int, int, int], where: str) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Inverse of `columns`: ascending flat indices into (T, P, N) and the jumps there.
+    """Inverse of `columns`: ascending flat indices into the `shape` (T, P, N), and the jumps there.
 
-    Raises FormatError(bad_sidecar) when an index leaves the shape.
+    Raises FormatError(bad_sidecar) when there are more jumps than samples, an index leaves the shape or a jump 31 bits.
     """
     area = int(np.prod(shape, dtype=np.int64))
     count = int(reader.column(1, 0)[0])
@@ -69,7 +69,7 @@ def read(reader: Reader, shape: tuple[int, int, int], where: str) -> tuple[NDArr
 def bases_at(
     index: NDArray[np.int64], jumps: NDArray[np.int32], shape: tuple[int, int, int], frame: int
 ) -> NDArray[np.int32]:
-    """(P, N) bases in force at `frame` of the segment."""
+    """(P, N) bases in force at a frame, counted from the start of the segment."""
     area = shape[1] * shape[2]
     upto = np.searchsorted(index, (frame + 1) * area)
     bases = np.zeros(area, np.int32)

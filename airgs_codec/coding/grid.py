@@ -1,4 +1,4 @@
-"""The grid of canonical means: nested cubic cells, finer for rows that pictures depend on more. N rows."""
+"""The grid of canonical means: nested cubic cells, finer where pictures depend on them more (FORMAT.md §3). N rows."""
 
 from __future__ import annotations
 
@@ -11,25 +11,29 @@ from airgs_codec.package.tables import Grid
 
 
 def cell_bits(classes: NDArray[np.int16], grid: Grid) -> NDArray[np.int64]:
-    """(N,) k: the cell of a row is 2^k steps wide."""
+    """(N,) k of the rows with these motion classes: a cell is 2^k steps of the grid wide."""
     return np.clip(classes.astype(np.int64) - grid.finest, 0, grid.bits)
 
 
 def grid_codes(means: NDArray[np.floating], classes: NDArray[np.int16], grid: Grid) -> NDArray[np.uint64]:
-    """(N, 3) means -> (N,) Morton codes of their cells; |mean - grid_means| <= 2^k step / 2 an axis."""
+    """(N, 3) means -> (N,) Morton codes of their cells; `grid_means` is at most 2^k step / 2 off on each axis."""
     bits = cell_bits(classes, grid)[:, None]
     index = np.floor((means.astype(np.float64) - np.asarray(grid.origin)) / (grid.step or 1.0)).astype(np.int64)
     return morton_encode(index >> bits << bits)
 
 
 def grid_means(codes: NDArray[np.uint64], classes: NDArray[np.int16], grid: Grid) -> NDArray[np.float64]:
-    """(N,) Morton codes -> (N, 3) middles of the cells in world units."""
+    """(N,) Morton codes -> (N, 3) middles of their cells in world units."""
     middle = np.exp2(cell_bits(classes, grid))[:, None] / 2
     return np.asarray(grid.origin) + grid.step * (morton_decode(codes).astype(np.float64) + middle)
 
 
 def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float) -> Grid:
-    """Cells of `cell` motion units; wider ones for the finest classes where more than 21 bits an axis were needed."""
+    """The grid whose cells are `cell` motion units wide.
+
+    Where the finest class would need more than 21 bits an axis, it shares the cells of a coarser one. Raises SceneError
+    when the (N, 3) means span more than 1e30 world units.
+    """
     low, high = means.min(axis=0).astype(np.float64), means.max(axis=0).astype(np.float64)
     extent = float((high - low).max())
     if not np.isfinite(extent) or extent > 1e30:

@@ -1,11 +1,11 @@
-"""Morton (Z-order) codes in three dimensions, and their lossless packing. M codes of up to 63 bits."""
+"""Morton (Z-order) codes in three dimensions. M codes of up to 63 bits."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-# Each step spreads the bits of a 21-bit number further apart: shift, then keep what belongs there.
+# Each step moves the bits of a 21-bit number further apart: shift, then keep the bits of the mask.
 _SPREAD = (
     (32, 0x001F00000000FFFF),
     (16, 0x001F0000FF0000FF),
@@ -28,7 +28,7 @@ def morton_encode(index: NDArray[np.integer]) -> NDArray[np.uint64]:
 
 
 def morton_decode(code: NDArray[np.uint64]) -> NDArray[np.uint32]:
-    """Inverse of `morton_encode`: (M,) -> (M, 3)."""
+    """Inverse of `morton_encode`: (M,) codes -> (M, 3) grid indices."""
     index = np.empty((len(code), 3), np.uint32)
     for axis in range(3):
         v = (code >> np.uint64(axis)) & np.uint64(_SPREAD[-1][1])

@@ -1,4 +1,7 @@
-"""Motion classes and units: a row that pictures depend on more has its displacement sent finer. N rows."""
+"""Motion classes and units: the displacement of a row is sent the finer, the more pictures depend on it. N rows.
+
+A row of class c has the motion unit 2^c world units.
+"""
 
 from __future__ import annotations
 
@@ -12,21 +15,21 @@ from airgs_codec.scene.gaussians import Gaussians
 
 
 def motion_classes(sensitivity: NDArray[np.float64], floor: float) -> NDArray[np.int16]:
-    """(N,) squared derivative of the picture by a row's mean, 1 / world unit^2 -> class c, its motion unit 2^c.
+    """(N,) mean squared derivatives of pictures by the rows' means, in 1 / world unit^2 -> (N,) motion classes.
 
-    The unit is the nearest power of two to 1 / sqrt(derivative): a row that the picture depends on more is sent finer.
-    `floor` (> 0) is the least sensitivity that counts.
+    The motion unit is the power of two nearest to the fourth root of 1 / `sensitivity`. `floor` (> 0) is the least
+    sensitivity that counts: of a row that no picture shows the logarithm is infinite.
     """
     return np.clip(np.rint(-0.25 * np.log2(np.maximum(sensitivity, floor))), -128, 127).astype(np.int16)
 
 
 def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
-    """(N,) class -> 2^c, what a row's displacement is counted in (world units)."""
+    """(N,) motion classes -> (N,) motion units 2^c in world units."""
     return np.exp2(classes.astype(np.float32))
 
 
 def classify_motion(sensitivity: Sensitivity, g: Gaussians) -> NDArray[np.int16]:
-    """(N,) motion classes: by what the pictures depend on a row; by the median size where no row is visible."""
+    """(N,) motion classes by how much pictures depend on each row; where no row is visible, by the median size."""
     seen = sensitivity.means[sensitivity.means > 0]
     if not len(seen):  # nothing is visible: every row counts alike
         return np.full(len(g), round(math.log2(_median_size(g))), np.int16)

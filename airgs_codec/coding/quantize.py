@@ -1,4 +1,4 @@
-"""Uniform quantisation by step: values <-> integer codes, `gain` codes a step."""
+"""Uniform quantisation: values <-> whole codes, `gain` codes a step. T frames, C channels, N rows."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 
-CODE_LIMIT = 1 << 30  # |code| stays below: sums of a code, a centre and an escape fit int32
+CODE_LIMIT = 1 << 30  # |code| stays below it, so that sums of a code, a centre and a base fit int32
 
 
 def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: float) -> NDArray[np.int32]:
-    """(T, C, N) values, (C,) steps -> (T, C, N) codes. |value - from_codes(code)| <= step / (2 gain).
+    """(T, C, N) values, (C,) steps -> (T, C, N) codes; `from_codes` is at most step / (2 gain) off.
 
-    Raises SceneError for a value more than 2^30 codes from 0: nothing is clipped.
+    Raises SceneError for a value 2^30 codes or more from 0, since nothing is clipped.
     """
     codes = np.rint(values * (gain / steps)[:, None])
     if codes.size and not np.abs(codes).max() < CODE_LIMIT:
@@ -26,5 +26,5 @@ def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: floa
 
 
 def from_codes(codes: NDArray[np.int32], steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
-    """(C, N) codes -> values."""
+    """(C, N) codes, (C,) steps -> (C, N) values."""
     return codes.astype(np.float32) * (steps / gain).astype(np.float32)[:, None]

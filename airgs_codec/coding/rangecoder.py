@@ -1,4 +1,4 @@
-"""Adaptive binary range coder for columns of whole numbers: what must be exact in few bytes.
+"""Adaptive binary range coder for columns of whole numbers: exact, in few bytes (FORMAT.md §7, normative). M numbers.
 
 A number is sent as its bit length (six binary decisions, a tree) and then the bits below its leading one: the upper
 three each by a model, the others as they are. A model learns how often its decision is 1. The models of a number are
@@ -21,13 +21,13 @@ MOST = (1 << 63) - 1  # largest number
 _TOP = 1 << 24  # the range is kept at or above it
 _HALF = 1 << 15  # probabilities are in 1 / 65536
 _MEMORY = 60  # decisions that a model remembers
-_LENGTHS = 64
-_MODELLED = 3  # bits below the leading one
+_LENGTHS = 64  # nodes of the tree of bit lengths
+_MODELLED = 3  # bits below the leading one that have models
 _NODES = _LENGTHS + (_LENGTHS << _MODELLED)
 _SEEN = 16  # numbers from 15 up choose the same model
-_CODE, _RANGE, _AT, _CACHE, _PENDING, _CONTEXT = range(6)  # of the coder's state
+_CODE, _RANGE, _AT, _CACHE, _PENDING, _CONTEXT = range(6)  # places in the array that is the state of the coder
 _BATCH = 1 << 14  # numbers coded into one buffer
-_MOST_BYTES = 40  # a number: 9 modelled decisions of at most 11 bits, 60 plain ones, and bytes kept back
+_MOST_BYTES = 40  # of a number: 9 modelled decisions of at most 11 bits, 60 plain ones, and bytes kept back
 _FLUSH = 5  # bytes at the end, and at the start of decoding
 
 
@@ -50,7 +50,7 @@ def _shift(state: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
 
 @numba.njit(cache=True)
 def _update(models: NDArray[np.int32], node: int, bit: int) -> None:
-    """Move towards the decision by one over the number of decisions seen so far, at least by 1/_MEMORY."""
+    """Move the chance of a 1 towards the decision: by one over the decisions seen so far, at least by 1/_MEMORY."""
     seen = models[node, 1]
     error = (65535 if bit else 0) - models[node, 0]
     models[node, 0] += 2 * error // (2 * seen + 3)
@@ -123,7 +123,7 @@ def _take(part: int, state: NDArray[np.int64], data: NDArray[np.uint8]) -> int:
 def _decode(
     values: NDArray[np.int64], models: NDArray[np.int32], state: NDArray[np.int64], data: NDArray[np.uint8]
 ) -> None:
-    """Fills `values`; stops once it has read past the end."""
+    """Fill `values`; stop once the end of the data was passed."""
     for k in range(len(values)):
         base = state[_CONTEXT] * _NODES
         node = 1
@@ -153,14 +153,14 @@ Column = tuple[NDArray[np.integer], int]  # numbers (M,) in 0..MOST; order 0, or
 
 
 def _models(order: int) -> NDArray[np.int32]:
-    """Of every context and decision: the chance of a 1 in 1/65536, and the decisions seen."""
+    """A fresh model for each context and node, (contexts * nodes, 2): the chance of a 1 in 1/65536, decisions seen."""
     models = np.zeros((_SEEN**order * _NODES, 2), np.int32)
     models[:, 0] = _HALF
     return models
 
 
 def encode_columns(columns: Sequence[Column]) -> bytes:
-    """Columns -> bytes; `Reader` gives them back."""
+    """Columns -> bytes, which `Reader` gives back. Raises ValueError for a number below 0."""
     state = np.array([0, 0xFFFFFFFF, 0, 0, 1, 0], np.int64)
     out = np.empty(_MOST_BYTES * _BATCH, np.uint8)
     parts = []
@@ -180,7 +180,10 @@ def encode_columns(columns: Sequence[Column]) -> bytes:
 
 
 class Reader:
-    """Decodes columns in the order in which they were encoded. Raises FormatError(bad_sidecar)."""
+    """Decodes columns in the order in which they were encoded; `where` names the file in errors.
+
+    Everything raises FormatError(bad_sidecar) when the data is not what `encode_columns` writes.
+    """
 
     def __init__(self, data: bytes, where: str) -> None:
         self._data = np.frombuffer(data, np.uint8)
@@ -192,7 +195,7 @@ class Reader:
             raise FormatError("bad_sidecar", where, f"expected a first byte of 0, got {data[0]}")
 
     def column(self, count: int, order: int) -> NDArray[np.int64]:
-        """The next (count,) numbers."""
+        """The next column, (count,) numbers of this order."""
         values = np.zeros(count, np.int64)
         self._state[_CONTEXT] = 0
         _decode(values, _models(order), self._state, self._data)
@@ -209,7 +212,10 @@ class Reader:
 
 @numba.njit(cache=True)
 def sum_gaps(gaps: NDArray[np.int64], low: NDArray[np.int64], bits: int, codes: NDArray[np.uint64]) -> bool:
-    """Codes from gaps between neighbours without their `low` bits; False when a code leaves `bits`."""
+    """Fill (M,) Morton codes from gaps between neighbours without their `low` bits (FORMAT.md §3).
+
+    False when a code does not fit `bits`.
+    """
     code = 0
     for i in range(len(gaps)):
         high = code >> low[i]

@@ -1,4 +1,4 @@
-"""Planes coded and decoded on the spot, to see what they cost and what is left. T frames, c channels, n rows."""
+"""Trial encodes: what channels cost as one atlas, and what they decode to. T frames, C channels, N rows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from airgs_codec.media.h264 import ClosedGop, CodecSettings, decode_pictures, en
 def encode_and_decode(
     values: NDArray[np.float64], steps: NDArray[np.float64], codec: CodecSettings
 ) -> tuple[list[int], NDArray[np.float64]]:
-    """(T, c, n) values -> bytes of each picture (escapes in the first) and what they decode to."""
+    """(T, C, N) values, (C,) steps -> bytes of each of T pictures, escapes in the first, and the decoded (T, C, N)."""
     gain = qp_step(codec.qp)
     codes = to_codes(values, steps, gain)
     atlas = fit_atlas(codes, gain / 2)

@@ -1,4 +1,4 @@
-"""The sidecar of a key unit: what must be exact. N rows of one tier, in Morton order."""
+"""The sidecar of a key unit: what must be exact (FORMAT.md §3). N rows of one tier, in Morton order."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class KeySidecar:
 
     codes: NDArray[np.uint64]  # (N,) ascending Morton codes of the canonical means
     classes: NDArray[np.int16]  # (N,) motion classes, -128..127
-    depths: NDArray[np.uint8]  # (N,)
+    depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
 
 
 def pack_key_sidecar(sidecar: KeySidecar, grid: Grid) -> bytes:
-    """The bytes of key/T{k}/{n}.bin."""
+    """The bytes of key/T{k}/{n}.bin, a column file."""
     low = (3 * cell_bits(sidecar.classes, grid)).astype(np.uint64)
     before = np.concatenate([np.zeros(1, np.uint64), sidecar.codes[:-1]])
     gaps = ((sidecar.codes >> low) - (before >> low)).astype(np.int64)
@@ -34,7 +34,7 @@ def pack_key_sidecar(sidecar: KeySidecar, grid: Grid) -> bytes:
 
 
 def unpack_key_sidecar(data: bytes, rows: int, grid: Grid, where: str) -> KeySidecar:
-    """Inverse of `pack_key_sidecar`. Raises FormatError(bad_sidecar)."""
+    """Inverse of `pack_key_sidecar` for `rows` rows; `where` names the file. Raises FormatError(bad_sidecar)."""
     reader = Reader(data, where)
     classes = int(reader.column(1, 0)[0]) - 128 + reader.column(rows, 1)
     gaps, carried = reader.column(rows, 0), reader.column(rows, 1)

@@ -9,9 +9,9 @@ from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES, KeyStep
 
 @dataclass(frozen=True, slots=True)
 class StepSettings:
-    """Quantiser steps at quality factor 1; lengths in motion units (see `motion.motion_units`).
+    """Quantiser steps at quality factor 1; lengths are in motion units (see `motion`).
 
-    Where calibration starts: between what the walking fox and the N3DV spinach scenes ask for.
+    Calibration starts from the defaults, which lie between what the walking fox and the N3DV spinach scene ask for.
     """
 
     key: KeySteps = field(
@@ -22,8 +22,8 @@ class StepSettings:
             means=0.0007, quaternions=0.03, log_scales=0.12, opacity=0.058, sh_dc=0.063, sh_rest=0.08
         )
     )
-    grid: float = 0.0007  # cells of canonical means, in motion units
-    rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) allowed by leaving out Gaussians
+    grid: float = 0.0007  # side of the cells of canonical means, in motion units
+    rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) that leaving out Gaussians may make
 
 
 def world_steps(steps: StepSettings, quality: float) -> tuple[KeySteps, StateSteps, float]:

@@ -1,4 +1,4 @@
-"""What an error in a channel costs in pictures, and what withholding updates does. N rows, T frames, C colours."""
+"""What errors in channels, and updates that are withheld, cost in pictures. N rows, T frames, C colour channels."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from airgs_codec.package.tables import StateSteps
 def channel_weights(
     classes: NDArray[np.int16], s: Sensitivity, steps: StateSteps, transform: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """(10 + C, N) what a squared step in a state channel adds to the mean squared error of pictures.
+    """(10 + C, N) what an error of one step in a state channel adds to the mean squared error of pictures.
 
-    Derivatives by the channels of an attribute count as equal. A colour channel, row k of the KLT `transform` (C, C),
-    changes DC and SH rest by its entries; errors of different channels count as independent.
+    Derivatives by the channels of one attribute are taken to be equal, and errors of different channels independent.
+    Colour channel k changes SH DC and SH rest by the entries of row k of the KLT `transform` (C, C).
     """
     unit = motion_units(classes).astype(np.float64) * steps.means
     colours = len(transform)
@@ -34,5 +34,5 @@ def channel_weights(
 
 
 def withheld_error(changes: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) mean squared error, over picture samples and frames, of leaving changes (T, 10 + C, N), in steps, undone."""
+    """(N,) mean squared error over all pixels and frames when changes (T, 10 + C, N), in steps, are not sent."""
     return np.einsum("tcn,tcn,cn->n", changes, changes, weights, optimize=True) / len(changes)
