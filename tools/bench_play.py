@@ -20,9 +20,8 @@ from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Ladder, Option, select
 from airgs_codec.play.link import Link
-from airgs_codec.play.metrics import session_bound
-from airgs_codec.play.player import SessionSettings
-from airgs_codec.play.policy import NAMES
+from airgs_codec.play.policies.named import NAMES
+from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import simulate
 from airgs_codec.play.trace import open_trace
 
@@ -63,14 +62,13 @@ def main() -> None:
         choose = seconds(lambda x=ladder, c=count: select(x, 500.0 * c))  # type: ignore[misc]
         print(f"{count:8d}{1e6 * build:12.1f}{1e6 * build / count:10.2f}{1e6 * choose:12.2f}")
     package = open_package(args.package)
-    c = Catalogue(package.manifest)
+    c = Catalogue.of(package)
     link = Link(open_trace(args.trace).cut(scale=args.scale))
     heads = f"{'ms a session':>14}{'x real time':>13}{'LP bound ms':>13}{'MILP ms':>10}{'LP - MILP dB':>14}"
     print(f"\n{'policy':<16}{heads}")
     for name in (*NAMES, "fixed:0"):
-        rules = SessionSettings(name)
-        log = simulate(c, package.manifest_bytes, link, rules)
-        took = seconds(lambda r=rules: simulate(c, package.manifest_bytes, link, r))  # type: ignore[misc]
+        log = simulate(c, link, name)
+        took = seconds(lambda n=name: simulate(c, link, n))  # type: ignore[misc]
         played = sum(s.frames for s in log.shown) / c.fps
         relaxed, exact = (session_bound(log, integer) for integer in (False, True))
         lp, milp = (seconds(lambda x=log, i=i: session_bound(x, i), 0.0) for i in (False, True))  # type: ignore[misc]

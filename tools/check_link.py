@@ -22,8 +22,8 @@ import numpy as np
 from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import HEADER_BYTES, Catalogue
 from airgs_codec.play.link import Link
-from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.session import SessionLog, simulate
+from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import open_trace
 
 TICK_S = 0.001  # between two looks at the bucket
@@ -96,9 +96,9 @@ def ask(client: socket.socket, log: SessionLog, zero: float) -> None:
         client.sendall(lines.encode())
 
 
-def replay(log: SessionLog) -> list[float]:
+def replay(log: SessionLog, link: Link) -> list[float]:
     """Ask for every batch of a session at its simulated time; gives seconds of arrival."""
-    server = ShapedServer(log.link)
+    server = ShapedServer(link)
     arrivals = []
     with socket.create_connection(("127.0.0.1", server.port)) as client:
         client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -123,14 +123,14 @@ def main() -> None:
     parser.add_argument("--policy", default="robust-mpc")
     args = parser.parse_args()
     package = open_package(args.package)
-    c = Catalogue(package.manifest)
+    c = Catalogue.of(package)
     loops = max(1, round(args.seconds / sum(c.seconds)))
     print(f"{'trace':<32}{'batches':>8}{'arrival: mean':>15}{'worst':>9}{'time on the way, real / simulated':>36}")
     for name in args.traces:
         link = Link(open_trace(name))
-        rules = SessionSettings(args.policy, loops=loops, abandon=False)
-        log = simulate(c, package.manifest_bytes, link, rules)
-        real = np.array(replay(log))
+        rules = SessionSettings(loops=loops, abandon=False)
+        log = simulate(c, link, args.policy, rules)
+        real = np.array(replay(log, link))
         simulated = np.array([f.arrival_s for f in log.fetches])
         asked = np.array([f.request_s for f in log.fetches])
         error = np.abs(real - simulated) / simulated

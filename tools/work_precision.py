@@ -46,10 +46,10 @@ from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import pooled_quality
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
-from airgs_codec.play.metrics import mean_quality, session_bound
-from airgs_codec.play.player import SessionSettings
-from airgs_codec.play.policy import NAMES
+from airgs_codec.play.policies.named import NAMES
+from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import simulate
+from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import markov_trace
 from airgs_codec.render import Camera, read_cameras, render
 from airgs_codec.render.cpu import activate
@@ -278,20 +278,20 @@ def measure_train(folder: Path, quick: bool) -> Iterator[Row]:
 
 def measure_select(package: Package, quick: bool) -> Iterator[Row]:
     """Mean regret over seeded links, and seconds of a choice."""
-    c = Catalogue(package.manifest)
+    c = Catalogue.of(package)
     rate = 20 * package.manifest.bytes_of(package.manifest.rung_files(0, 0)) / sum(c.seconds)  # 2.5 times its own
     for name in NAMES:
         regrets, took, choices = [], 0.0, 0
         for seed in range(4 if quick else 12):
             link = Link(markov_trace(seed, rate))
-            rules = SessionSettings(name, loops=max(1, round(20 / sum(c.seconds))))
+            rules = SessionSettings(loops=max(1, round(20 / sum(c.seconds))))
             began = time.perf_counter()
-            log = simulate(c, package.manifest_bytes, link, rules)
+            log = simulate(c, link, name, rules)
             took += time.perf_counter() - began
             choices += len(log.fetches) - 1
             bound = session_bound(log)
             assert bound is not None
-            regrets.append(bound - mean_quality(log))
+            regrets.append(bound - log.mean_quality)
         yield Row("select", name, "", took / choices, float(np.mean(regrets)), "dB of regret")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 import os
 from collections.abc import Sequence
@@ -12,21 +13,20 @@ from airgs_codec._files import to_json
 from airgs_codec._report import require_matplotlib
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.decoder.decode import decode
+from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
-from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.store import Package, find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.check import find_faults, measure_decoding
 from airgs_codec.play.closed_loop import ClosedLoopSettings, adaptive, closed_loop_table, run_closed_loop
 from airgs_codec.play.frame_mode import CHOOSERS, frame_table, simulate_frames
-from airgs_codec.play.link import Link
-from airgs_codec.play.metrics import metrics
-from airgs_codec.play.player import SessionSettings
-from airgs_codec.play.policy import NAMES, make_policy
+from airgs_codec.play.link import DEFAULT_RTT_S, Link
+from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report.film import film, first_shown, still
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.report.study import format_study, frame_lines, write_study
 from airgs_codec.play.session import SessionLog, simulate
+from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import ENDS, open_trace
 from airgs_codec.render import Camera, read_cameras
@@ -47,22 +47,15 @@ def _parser() -> argparse.ArgumentParser:
     traces = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
     parser.add_argument("--trace", metavar="TRACE", help=traces)
     parser.add_argument("--mode", choices=MODES, default="segments", help="frames, closed-loop: as the paper streams")
-    names = f"{', '.join(NAMES)}, fixed:J (level J) or fixed:RUNG (default: paper)"
-    parser.add_argument("--policy", default="paper", help=names)
+    names = f"{', '.join(NAMES)}, fixed:J (level J) or fixed:RUNG (default: %(default)s)"
+    parser.add_argument("--policy", default=DEFAULT_POLICY, help=names)
     link = parser.add_argument_group("link")
-    link.add_argument("--rtt", type=float, metavar="MS", help=f"round trip (default: the trace's, else {80})")
+    trip = f"round trip (default: the trace's, else {1e3 * DEFAULT_RTT_S:g})"
+    link.add_argument("--rtt", type=float, metavar="MS", help=trip)
     link.add_argument("--offset", type=float, default=0.0, metavar="S", help="where in the trace to begin (default: 0)")
     link.add_argument("--scale", type=float, default=1.0, help="factor on the trace's rates (default: 1, as measured)")
     link.add_argument("--end", choices=ENDS, default="loop", help="what follows the trace's last second")
-    player = parser.add_argument_group("player")
-    player.add_argument("--buffer", type=float, default=10.0, metavar="S", help="most media ahead (default: 10)")
-    player.add_argument("--startup", type=float, default=1.0, metavar="S", help="at hand at the start (default: 1)")
-    player.add_argument("--resume", type=float, default=0.5, metavar="S", help="the same after a stall (default: 0.5)")
-    player.add_argument("--decode-ms", default="4", metavar="MS", help="a frame, or measure (default: 4)")
-    player.add_argument("--no-replace", action="store_true", help="never fetch a better rung for what is buffered")
-    player.add_argument("--no-abandon", action="store_true", help="never give up a download")
-    player.add_argument("--no-ahead", action="store_true", help="ask for a segment only when the last has come")
-    player.add_argument("--loops", type=int, help="times the sequence is played (default: about 30 s of play)")
+    _add_player_options(parser)
     study = parser.add_argument_group("study")
     study.add_argument("--compare", action="store_true", help="policies against each other on --traces")
     study.add_argument("--traces", nargs="+", default=[], metavar="DIR|TRACE", help="folders of traces, or traces")
@@ -77,6 +70,22 @@ def _parser() -> argparse.ArgumentParser:
     out.add_argument("--video", type=Path, metavar="OUT.mp4", help="film what was on the screen")
     out.add_argument("--json", action="store_true", help="print the figures as JSON")
     return parser
+
+
+def _add_player_options(parser: argparse.ArgumentParser) -> None:
+    """Options for the fields of SessionSettings, which say what they mean and their defaults."""
+    player = parser.add_argument_group("player")
+    rules = {field.name: field for field in dataclasses.fields(SessionSettings)}
+    for option, name in (("--buffer", "buffer_s"), ("--startup", "startup_s"), ("--resume", "resume_s")):
+        words = f"{rules[name].metadata['help']} (default: %(default)g)"
+        player.add_argument(option, dest=name, type=float, default=rules[name].default, metavar="S", help=words)
+    milliseconds = f"{1e3 * SessionSettings().decode_frame_s:g}"
+    words = f"{rules['decode_frame_s'].metadata['help']}, or measure (default: %(default)s)"
+    player.add_argument("--decode-ms", default=milliseconds, metavar="MS", help=words)
+    for option, name in (("--no-replace", "replace"), ("--no-abandon", "abandon"), ("--no-pipelining", "pipelined")):
+        words = f"do not {rules[name].metadata['help']}"
+        player.add_argument(option, dest=name, action="store_false", help=words)
+    player.add_argument("--loops", type=int, help=rules["loops"].metadata["help"])
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -116,23 +125,14 @@ def _settings(package: Package, args: argparse.Namespace) -> SessionSettings:
             decode_s = float(args.decode_ms) / 1e3
         except ValueError as error:
             raise ConfigError(f"--decode-ms: expected milliseconds or measure, got {args.decode_ms}") from error
-    return SessionSettings(
-        args.policy,
-        args.buffer,
-        args.startup,
-        args.resume,
-        decode_s,
-        not args.no_replace,
-        not args.no_abandon,
-        not args.no_ahead,
-        args.loops,
-    )
+    names = ("buffer_s", "startup_s", "resume_s", "replace", "abandon", "pipelined", "loops")
+    return SessionSettings(decode_frame_s=decode_s, **{name: getattr(args, name) for name in names})
 
 
 def _session(package: Package, link: Link, args: argparse.Namespace) -> int:
     original = open_sequence(args.original) if args.original else None
     settings, faults = _settings(package, args), find_faults(package)
-    log = simulate(Catalogue(package.manifest), package.manifest_bytes, link, settings, faults)
+    log = simulate(package, link, args.policy, settings, faults)
     cameras = _cameras(package, log, args) if args.report or args.video else []
     if args.report:
         args.report.mkdir(parents=True, exist_ok=True)
@@ -142,7 +142,7 @@ def _session(package: Package, link: Link, args: argparse.Namespace) -> int:
         bar = Bar(args.json)
         film(package, log, cameras, args.video, original, bar)
         bar.close()
-    print(to_json(metrics(log) | {"policy": args.policy}) if args.json else _as_words(log, args))
+    print(to_json(dataclasses.asdict(log.metrics) | {"policy": log.policy}) if args.json else _as_words(log, args))
     return 0
 
 

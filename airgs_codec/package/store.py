@@ -62,3 +62,14 @@ def open_package(path: str | Path) -> Package:
         raise FormatError("too_large", str(tables), f"expected at most {MAX_JSON_BYTES} bytes")
     data = tables.read_bytes()
     return Package(path, parse_manifest(data), len(data) + mpd.stat().st_size)
+
+
+def find_faults(package: Package) -> dict[str, FormatError]:
+    """Listed files that cannot be used, each with the reason why `Package.read` refuses it."""
+    faults: dict[str, FormatError] = {}
+    for path in package.manifest.files:
+        try:
+            package.read(path)
+        except FormatError as error:
+            faults[path] = error
+    return faults

@@ -10,6 +10,7 @@ import base64
 import dataclasses
 import json
 from dataclasses import dataclass
+from enum import StrEnum
 from fractions import Fraction
 
 import numpy as np
@@ -22,6 +23,7 @@ from airgs_codec.scene.gaussians import SH_REST
 VERSION = 1
 JSON_NAME = "airgs.json"
 MPD_NAME = "manifest.mpd"
+INIT_NAME = "init.mp4"
 
 MAX_COUNT = 1 << 24  # Gaussians a group
 MAX_FRAMES = 1_000_000
@@ -302,9 +304,29 @@ def _index_of(what: str, choice: str | int, ids: list[str]) -> int:
     raise ConfigError(f"{what}: expected one of {', '.join(ids)}, got {choice!r}")
 
 
+class FileKind(StrEnum):
+    """What a file of a package carries; the values are the names in reports."""
+
+    MANIFESTS = "manifests"
+    INIT = "init"
+    KEY = "key"  # pictures of a key unit
+    STATE = "state"  # pictures of a state segment
+    SIDECARS = "sidecars"  # positions and escapes
+
+
+def file_kind(path: str) -> FileKind:
+    """What a file carries, by its place in the package: the inverse of the functions below."""
+    folder, _, name = path.rpartition("/")
+    if not folder:
+        return FileKind.MANIFESTS
+    if name == INIT_NAME:
+        return FileKind.INIT
+    return FileKind.SIDECARS if name.endswith(".bin") else FileKind(folder.split("/")[0])
+
+
 def key_init_path(tier: int, quality: int) -> str:
     """Init segment of a key representation."""
-    return f"key/T{tier}/Q{quality}/init.mp4"
+    return f"key/T{tier}/Q{quality}/{INIT_NAME}"
 
 
 def key_media_path(tier: int, quality: int, number: int | str) -> str:
@@ -324,7 +346,7 @@ def key_escapes_path(tier: int, quality: int, number: int) -> str:
 
 def state_init_path(level: int) -> str:
     """Init segment of a state representation."""
-    return f"state/L{level}/init.mp4"
+    return f"state/L{level}/{INIT_NAME}"
 
 
 def state_media_path(level: int, number: int | str) -> str:

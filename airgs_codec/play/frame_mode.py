@@ -19,7 +19,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Ladder, Option, frame_budget, select, select_literal
 from airgs_codec.play.link import Link
-from airgs_codec.play.policy import Download, estimate_throughput
+from airgs_codec.play.policies.state import Download, estimate_throughput
 
 MEMORY = 24  # frames that the throughput estimate looks back on
 PROBE_BYTES = 1500

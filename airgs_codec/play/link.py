@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
+from airgs_codec.errors import ConfigError
 from airgs_codec.play.trace import Trace
 
 DEFAULT_RTT_S = 0.08  # median ping of LTE driving measurements
@@ -11,21 +13,28 @@ DEFAULT_RTT_S = 0.08  # median ping of LTE driving measurements
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """Files of one batch are requested together: they share a round trip and arrive one after another."""
+    """Files of one batch are requested together: they share a round trip and arrive one after another.
+
+    Raises ConfigError for a round trip that is negative, infinite or no number.
+    """
 
     trace: Trace
     rtt_s: float = DEFAULT_RTT_S
 
+    def __post_init__(self) -> None:
+        if not 0 <= self.rtt_s < math.inf:
+            raise ConfigError(f"round trip: expected 0 s or more, got {self.rtt_s:g}")
+
     @staticmethod
     def over(trace: Trace, rtt_s: float | None = None) -> Link:
-        """With the round trip that is given, else the trace's own, else DEFAULT_RTT_S."""
+        """A link with the round trip that is given, else the trace's own, else DEFAULT_RTT_S."""
         known = trace.rtt_s if rtt_s is None else rtt_s
         return Link(trace, DEFAULT_RTT_S if known is None else known)
 
     def arrival_s(self, wire_bytes: float, at_s: float) -> float:
-        """When the last byte of a batch requested at `at_s` is there."""
+        """When the last byte of a batch arrives that is requested at `at_s`."""
         return self.trace.arrival_s(wire_bytes, at_s + self.rtt_s)
 
     def bytes_between(self, start_s: float, stop_s: float) -> float:
-        """What can pass from one moment to another."""
+        """How many bytes can pass from one moment to another."""
         return max(0.0, self.trace.bits_until(stop_s) - self.trace.bits_until(start_s)) / 8

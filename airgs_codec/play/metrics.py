@@ -1,118 +1,161 @@
-"""What a session was like: figures derived from its log, and the best that could have been shown."""
+"""What a session was like: figures over the batches that were fetched and the segments that were shown."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.play.bound import Horizon, Unit, solve_horizon
+from airgs_codec.package.tables import FileKind
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.events import BatchKind, Shown
+from airgs_codec.play.link import Link
 from airgs_codec.play.player import SHORTEST_S
-from airgs_codec.play.policy import STALL_DB
-from airgs_codec.play.session import SessionLog
+from airgs_codec.play.policies.state import STALL_DB
 
 
-def screen_ticks(log: SessionLog) -> list[tuple[int, int]]:
+@dataclass(frozen=True, slots=True)
+class Fetch:
+    """One batch on the wire."""
+
+    kind: BatchKind
+    position: int  # of the segment in the session
+    rung: int
+    bytes: int  # with headers; of an abandoned batch, what had passed
+    wasted: int  # of them: abandoned, broken, too late or replaced later
+    request_s: float
+    arrival_s: float
+    budget_bytes: float
+    throughput_bps: float  # the estimate at the request
+    fits: bool
+    abandoned: bool
+    shown: bool  # the segment was put on the timeline with what this batch brought
+    reason: str  # of the choice, for people
+
+
+@dataclass(frozen=True, slots=True)
+class SessionMetrics:
+    """Figures of one session. Frames of lost segments have no quality: they are counted apart and not in PSNR."""
+
+    frames: int
+    played_s: float
+    startup_s: float  # from the first request to the first picture
+    stalls: int
+    stall_s: float  # waited after the first picture
+    stall_ratio: float  # of the time from the first picture to the last
+    switches: int  # changes of the rung from one segment to the next
+    psnr_mean: float | None  # dB, mean over display ticks, frozen ones with the picture that stood
+    psnr_p5: float | None  # dB, 5th percentile of the same
+    change_db: float  # mean change of PSNR from one segment to the next
+    qoe: float | None  # dB a segment: quality - changes - STALL_DB a second of waiting
+    bytes: Mapping[str, int]  # by FileKind, of files that were of use, without headers
+    bytes_per_frame: float
+    wire_bytes: int  # everything that passed, with headers
+    wasted: float  # share of wire_bytes
+    utilisation: float | None  # wire_bytes as a share of what could have passed; None over a real connection
+    replaced: int  # replacements that were fetched
+    abandoned: int
+    late: float  # share of segments that were waited for
+    infeasible: float  # share of choices for which no rung fitted
+    lost_frames: int
+    frame_ms_mean: float  # ms that a frame was on its way, its share of the batch that brought it
+    frame_ms_p50: float
+    frame_ms_p95: float
+    frame_ms_max: float
+    rungs: Mapping[str, int]  # segments shown with each; "lost" counts the others
+    trace: str | None  # these are None over a real connection
+    trace_mean_bps: float | None
+    trace_scale: float | None
+    trace_offset_s: float | None
+    trace_end: str | None  # what follows the trace's last second
+    trace_ended: bool | None  # whether the session was longer than the trace
+    rtt_s: float | None
+
+
+def screen_ticks(shown: Sequence[Shown], fps: float) -> list[tuple[int, int]]:
     """For every display tick (1 / fps) from the first picture on: which entry of `shown`, which frame of it.
 
     While the player waits, the last frame stays.
     """
     ticks: list[tuple[int, int]] = []
-    for i, shown in enumerate(log.shown):
+    for i, entry in enumerate(shown):
         if i:
-            ticks += [(i - 1, log.shown[i - 1].frames - 1)] * round(shown.stall_s * log.catalogue.fps)
-        ticks += [(i, frame) for frame in range(shown.frames)]
+            ticks += [(i - 1, shown[i - 1].frames - 1)] * round(entry.stall_s * fps)
+        ticks += [(i, frame) for frame in range(entry.frames)]
     return ticks
 
 
-def metrics(log: SessionLog) -> dict[str, object]:
-    """What the session was like. PSNR counts every display tick, frozen ones with the picture that stood.
+def frame_times(fetches: Sequence[Fetch], shown: Sequence[Shown]) -> NDArray[np.float64]:
+    """Seconds that every frame shown was on its way: its share of the batch that brought what was shown."""
+    took = {f.position: f.arrival_s - f.request_s for f in fetches if f.shown}
+    frames = [shown[position].frames for position in took]
+    return np.repeat([seconds / n for seconds, n in zip(took.values(), frames, strict=True)], frames)
 
-    Frames of lost segments have no measured quality; they are counted apart and not in PSNR.
-    """
-    c, shown = log.catalogue, log.shown
+
+def mean_quality(shown: Sequence[Shown]) -> float:
+    """PSNR in dB, mean over media time; segments without a quality are left out."""
+    known = [(s.psnr, s.frames) for s in shown if s.psnr is not None]
+    return sum(p * n for p, n in known) / sum(n for _, n in known)
+
+
+def session_metrics(
+    catalogue: Catalogue,
+    link: Link | None,
+    fetches: Sequence[Fetch],
+    shown: Sequence[Shown],
+    bytes_by_kind: Mapping[FileKind, int],
+) -> SessionMetrics:
+    """All figures of a session; `link` is None over a real connection."""
     frames = sum(s.frames for s in shown)
-    played = frames / c.fps
     stalls = [s.stall_s for s in shown if s.stall_s > SHORTEST_S]
-    stall = math.fsum(stalls)
-    per_tick = [shown[i].psnr for i, _ in screen_ticks(log)]
-    psnr = np.array([p for p in per_tick if p is not None])
+    played, stall = frames / catalogue.fps, math.fsum(stalls)
+    psnr = np.array([p for i, _ in screen_ticks(shown, catalogue.fps) if (p := shown[i].psnr) is not None])
     quality = [s.psnr for s in shown if s.psnr is not None]
     changes = [abs(b - a) for a, b in itertools.pairwise(quality)]
     rungs = [s.rung for s in shown]
-    wire = sum(f.bytes for f in log.fetches)
-    choices = [f for f in log.fetches if f.kind in ("group", "state")]
-    end = max(f.arrival_s for f in log.fetches)
-    took = frame_times(log)
-    return {
-        "frames": frames,
-        "played_s": played,
-        "startup_s": shown[0].start_s,
-        "stalls": len(stalls),
-        "stall_s": stall,
-        "stall_ratio": stall / (played + stall),
-        "switches": sum(a != b for a, b in itertools.pairwise(rungs)),
-        "psnr_mean": float(psnr.mean()) if len(psnr) else None,
-        "psnr_p5": float(np.percentile(psnr, 5)) if len(psnr) else None,
-        "change_db": float(np.mean(changes)) if changes else 0.0,
-        "qoe": (sum(quality) - sum(changes) - STALL_DB * stall) / len(quality) if quality else None,
-        "bytes": dict(log.bytes_by_kind),
-        "bytes_per_frame": sum(log.bytes_by_kind.values()) / frames,
-        "wire_bytes": wire,
-        "wasted": sum(f.wasted for f in log.fetches) / wire,
-        "utilisation": wire / max(1.0, log.link.bytes_between(0.0, end)),
-        "replaced": sum(f.kind == "better" for f in log.fetches),
-        "abandoned": sum("abandoned" in f.reason for f in log.fetches),
-        "late": sum(s.stall_s > SHORTEST_S for s in shown) / len(shown),
-        "infeasible": sum(not f.fits for f in choices) / max(1, len(choices)),
-        "lost_frames": sum(s.frames for s in shown if s.rung is None),
-        "frame_ms_mean": float(1e3 * took.mean()) if len(took) else 0.0,
-        "frame_ms_p50": float(1e3 * np.percentile(took, 50)) if len(took) else 0.0,
-        "frame_ms_p95": float(1e3 * np.percentile(took, 95)) if len(took) else 0.0,
-        "frame_ms_max": float(1e3 * took.max()) if len(took) else 0.0,
-        "rungs": {"lost" if r is None else c.names[r]: count for r, count in Counter(rungs).most_common()},
-        "trace": log.link.trace.name,
-        "trace_mean_bps": log.link.trace.mean_bps,
-        "trace_scale": log.link.trace.scale,
-        "trace_offset_s": log.link.trace.offset_s,
-        "trace_end": log.link.trace.end,
-        "trace_ended": end > log.link.trace.duration_s,
-        "rtt_s": log.link.rtt_s,
-    }
-
-
-def frame_times(log: SessionLog) -> NDArray[np.float64]:
-    """Seconds that every frame shown was on its way: its share of the batch that brought it."""
-    took = {f.position: f.arrival_s - f.request_s for f in log.fetches if f.kind != "manifests"}
-    frames = [log.shown[p].frames for p in took]
-    return np.repeat([t / n for t, n in zip(took.values(), frames, strict=True)], frames)
-
-
-def session_bound(log: SessionLog, integer: bool = False) -> float | None:
-    """dB: no player could have shown better at the same moments, see `optimum`. None when segments were lost."""
-    units = []
-    manifest_s = log.fetches[0].arrival_s
-    c, link, limit = log.catalogue, log.link, log.settings.buffer_s
-    fronts = np.cumsum([0.0, *(s.frames / c.fps for s in log.shown)])  # media time at which each begins
-    for k, shown in enumerate(log.shown):
-        if shown.rung is None:
-            return None
-        release = manifest_s
-        wanted = float(fronts[k + 1]) - limit  # media that must have been shown before the request
-        if wanted > 0:
-            i = int(np.searchsorted(fronts, wanted - SHORTEST_S)) - 1  # before a stall, if one follows just there
-            release = max(release, log.shown[i].start_s + wanted - float(fronts[i]))
-        begin, deadline = release + link.rtt_s, shown.start_s - log.settings.decode_frame_s
-        capacities = link.bytes_between(0.0, begin), link.bytes_between(0.0, deadline)
-        units.append(Unit(shown.segment, c.starts_group(shown.segment), *capacities))
-    plan = solve_horizon(Horizon(c, tuple(units), {}), integer)
-    return None if plan is None else plan.quality
-
-
-def mean_quality(log: SessionLog) -> float:
-    """dB over media time, as `session_bound` counts it."""
-    known = [(s.psnr, s.frames) for s in log.shown if s.psnr is not None]
-    return sum(p * n for p, n in known) / sum(n for _, n in known)
+    names = Counter("lost" if rung is None else catalogue.names[rung] for rung in rungs)
+    wire, end_s = sum(f.bytes for f in fetches), max(f.arrival_s for f in fetches)
+    choices = [f.fits for f in fetches if f.kind in (BatchKind.GROUP, BatchKind.STATE)]
+    took_ms = 1e3 * frame_times(fetches, shown)
+    took_ms = took_ms if len(took_ms) else np.zeros(1)
+    trace = link.trace if link else None
+    return SessionMetrics(
+        frames=frames,
+        played_s=played,
+        startup_s=shown[0].start_s,
+        stalls=len(stalls),
+        stall_s=stall,
+        stall_ratio=stall / (played + stall),
+        switches=sum(a != b for a, b in itertools.pairwise(rungs)),
+        psnr_mean=float(psnr.mean()) if len(psnr) else None,
+        psnr_p5=float(np.percentile(psnr, 5)) if len(psnr) else None,
+        change_db=float(np.mean(changes)) if changes else 0.0,
+        qoe=(sum(quality) - sum(changes) - STALL_DB * stall) / len(quality) if quality else None,
+        bytes={kind.value: size for kind, size in bytes_by_kind.items()},
+        bytes_per_frame=sum(bytes_by_kind.values()) / frames,
+        wire_bytes=wire,
+        wasted=sum(f.wasted for f in fetches) / wire,
+        utilisation=wire / max(1.0, link.bytes_between(0.0, end_s)) if link else None,
+        replaced=sum(f.kind is BatchKind.REPLACEMENT for f in fetches),
+        abandoned=sum(f.abandoned for f in fetches),
+        late=len(stalls) / len(shown),
+        infeasible=sum(not fits for fits in choices) / max(1, len(choices)),
+        lost_frames=sum(s.frames for s in shown if s.rung is None),
+        frame_ms_mean=float(took_ms.mean()),
+        frame_ms_p50=float(np.percentile(took_ms, 50)),
+        frame_ms_p95=float(np.percentile(took_ms, 95)),
+        frame_ms_max=float(took_ms.max()),
+        rungs=dict(names.most_common()),
+        trace=trace.name if trace else None,
+        trace_mean_bps=trace.mean_bps if trace else None,
+        trace_scale=trace.scale if trace else None,
+        trace_offset_s=trace.offset_s if trace else None,
+        trace_end=trace.end if trace else None,
+        trace_ended=end_s > trace.duration_s if trace else None,
+        rtt_s=link.rtt_s if link else None,
+    )

@@ -1,225 +1,262 @@
-"""The player: what it has, what it waits for, when each segment is shown. It chooses nothing; see `session`."""
+"""A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
+
+One batch passes at a time: those key units of the chosen rung that are not decoded, in tier order, then the state
+segment. When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it better keys of
+its group) as long as it will be there in time. A download that would come too late is abandoned when a smaller one
+would come sooner; whole key files that have arrived are kept. A segment none of whose rungs can be had is lost: the
+last picture stands for its time, and the session goes on.
+
+The sequence may be played several times, as if it were longer: keys and states are fetched again, init segments and
+manifests are not. Times are seconds from the first request.
+"""
 
 from __future__ import annotations
 
-import itertools
-import math
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import Link
-from airgs_codec.play.policy import Download
+from airgs_codec.errors import ConfigError
+from airgs_codec.package.tables import JSON_NAME
+from airgs_codec.play.catalogue import Batch, Catalogue
+from airgs_codec.play.downloader import Downloader, GiveUp, Partial
+from airgs_codec.play.events import Arrival, Arrived, BatchKind, Event, Lost, Replaced, Request, Shown
+from airgs_codec.play.keys import KeyStore
+from airgs_codec.play.ladder import Decision, Option
+from airgs_codec.play.playout import Playout, Slot
+from airgs_codec.play.policies.state import (
+    SAFETY,
+    Download,
+    PlayerState,
+    Policy,
+    budget_bytes,
+    estimate_throughput,
+)
+from airgs_codec.play.settings import SessionSettings
 
-MISSING = "missing"  # what is wrong with a file that is not there
+REPLACE_GAIN_DB = 0.5  # least gain that a replacement must bring
+REMEMBERED = 24  # downloads that policies know
 SHORTEST_S = 1e-9  # a download that rounds to no time still has a rate
 
 
-@dataclass(frozen=True, slots=True)
-class SessionSettings:
-    """Rules of the player."""
+def run(
+    catalogue: Catalogue, downloader: Downloader, policy: Policy, settings: SessionSettings | None = None
+) -> Iterator[Event]:
+    """Play a package from the first request to the last picture.
 
-    policy: str = "paper"
-    buffer_s: float = 10.0  # most media time ahead of the playhead
-    startup_s: float = 1.0  # media at hand before playing begins; one segment at least
-    resume_s: float = 0.5  # the same after a stall
-    decode_frame_s: float = 0.004  # time to decode and apply a frame
-    replace: bool = True  # buffered segments by better ones
-    abandon: bool = True
-    ahead: bool = True  # ask for the next segment a round trip before the last batch is there, knowing so much less
-    loops: int | None = None  # default: see Catalogue.loops
-
-
-@dataclass(frozen=True, slots=True)
-class Fetch:
-    """One batch on the wire."""
-
-    kind: str  # manifests, group (keys and state), state, better (a replacement)
-    position: int  # of the segment in the session
-    rung: int
-    bytes: int  # with headers; of an abandoned batch, what had passed
-    wasted: int  # of them: abandoned, too late or replaced later
-    request_s: float
-    arrival_s: float
-    budget_bytes: float
-    throughput_bps: float  # the estimate at the request
-    fits: bool
-    reason: str
-
-
-@dataclass(slots=True)
-class Buffered:
-    """A segment at hand or on the screen."""
-
-    position: int
-    rung: int | None  # None: lost
-    ready_s: float
-    fetch: int = -1  # which batch brought it
-    start_s: float = math.inf  # unknown while the player waits for more
-    stall_s: float = 0.0
+    Raises ConfigError where the policy needs quality that was not measured, TransportError when the link fails.
+    """
+    if policy.needs_quality and not catalogue.measured:
+        raise ConfigError(
+            f"policy {policy.name}: the package has no measured quality, encode it without --measure-frames 0"
+        )
+    return _Player.new(catalogue, downloader, policy, settings or SessionSettings()).play()
 
 
 @dataclass(slots=True, eq=False)
-class Player:
-    """State of one session; time only goes on in `receive` and where `now_s` is set."""
+class _Player:
+    """State of one session."""
 
     catalogue: Catalogue
-    link: Link
+    downloader: Downloader
+    policy: Policy
     settings: SessionSettings
-    end: int  # positions of the session
-    faults: Mapping[str, str]
-    trip_s: float  # of the round trip of the next batch, what is left when the one before is there
-    now_s: float = 0.0
+    keys: KeyStore
+    playout: Playout
+    now_s: float = 0.0  # when the last batch was over, or when there was room for the next
     downloads: list[tuple[float, Download]] = field(default_factory=list)  # with their arrivals
-    fetches: list[Fetch] = field(default_factory=list)
-    line: list[Buffered] = field(default_factory=list)  # by position
-    first_waiting: int = 0  # of `line`: those from here on have no start yet
-    keys: dict[tuple[int, int], dict[int, int]] = field(default_factory=dict)  # (loop, group) -> quality -> tiers
-    once: set[str] = field(default_factory=set)  # init segments at hand
-    bytes_by_kind: Counter[str] = field(default_factory=Counter)
-    lost: list[str] = field(default_factory=list)
+    unusable: set[str] = field(default_factory=set)  # files found missing or corrupt
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for there again
-    bad: set[str] = field(default_factory=set)  # files found missing or corrupt
 
-    def index(self, position: int) -> int:
-        """Of the segment in the package."""
-        return position % len(self.catalogue.seconds)
+    @staticmethod
+    def new(c: Catalogue, downloader: Downloader, policy: Policy, settings: SessionSettings) -> _Player:
+        end = c.loops(settings.loops) * len(c.seconds)
+        return _Player(c, downloader, policy, settings, KeyStore(c), Playout(c, settings, end))
 
-    def seconds(self, position: int) -> float:
-        """Of play."""
-        return self.catalogue.seconds[self.index(position)]
+    def play(self) -> Iterator[Event]:
+        """All events of the session, in the order in which they happen."""
+        yield self._fetch_manifests()
+        for position in range(self.playout.end):
+            self.playout.make_room(position)
+            room_s = self.playout.earliest_request_s(position)
+            while self.now_s < room_s and (yield from self._replace_best()):
+                pass
+            latency_s = self._latency_s(position, room_s)
+            self.now_s = max(self.now_s, room_s)
+            while not (yield from self._fetch_next(position, latency_s)):
+                latency_s = self.downloader.rtt_s
+            yield from self._shown(self.playout.started(self.now_s))
+        while (yield from self._replace_best()):
+            pass
+        yield from self._shown(self.playout.started())
 
-    def group(self, position: int) -> tuple[int, int]:
-        """(loop, group) that a position belongs to."""
-        loop, index = divmod(position, len(self.catalogue.seconds))
-        return loop, self.catalogue.manifest.segments[index].group
+    def _fetch_manifests(self) -> Arrived:
+        request = Request(BatchKind.MANIFESTS, 0, 0, Batch((JSON_NAME,)), 0.0, self.downloader.rtt_s)
+        arrival = self._receive(request)
+        return Arrived(arrival, Decision(0, True, "start", arrival.bytes), 0.0, 0.0)
 
-    def held(self, position: int) -> dict[int, int]:
-        """Key quality -> tiers at hand of the group there."""
-        return self.keys.setdefault(self.group(position), {})
+    def _latency_s(self, position: int, room_s: float) -> float:
+        """What is left of the round trip when the link is free: pipelined, the request was sent before."""
+        rtt_s = self.downloader.rtt_s
+        if self.settings.pipelined and self.downloader.pipelines and position and room_s < self.now_s:
+            return max(0.0, rtt_s - (self.now_s - room_s))
+        return rtt_s
 
-    def quality(self, segment: Buffered) -> float | None:
-        """dB, None of a lost segment."""
-        if segment.rung is None:
-            return None
-        return float(self.catalogue.quality[self.index(segment.position), segment.rung])
+    def _sent_s(self, latency_s: float) -> float:
+        return self.now_s - (self.downloader.rtt_s - latency_s)
 
-    @property
-    def asked_s(self) -> float:
-        """When the next batch is requested."""
-        return self.now_s - (self.link.rtt_s - self.trip_s)
+    def _history(self, sent_s: float) -> tuple[Download, ...]:
+        """The last downloads that are over when a request is sent, oldest first."""
+        return tuple(d for at_s, d in self.downloads[-REMEMBERED:] if at_s <= sent_s + SHORTEST_S)
 
-    @property
-    def history(self) -> tuple[Download, ...]:
-        """The last downloads that are over when the next batch is requested, oldest first."""
-        return tuple(download for arrival, download in self.downloads[-24:] if arrival <= self.asked_s + SHORTEST_S)
+    def _receive(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
+        """Fetch a batch and keep what is of use; time goes on."""
+        arrival = self.downloader.fetch(request, give_up)
+        self.now_s = arrival.at_s
+        took_s = max(arrival.at_s - arrival.first_byte_s, SHORTEST_S)
+        self.downloads.append((arrival.at_s, Download(arrival.bytes, took_s)))
+        self.unusable.update(arrival.refused)
+        if request.kind is not BatchKind.MANIFESTS:
+            self.keys.add(arrival)
+            self._use_keys(request)
+        return arrival
 
-    def due_s(self) -> float:
-        """When the segments that have a start are over; the distant past before there are any."""
-        if not self.first_waiting:
-            return -math.inf
-        last = self.line[self.first_waiting - 1]
-        return last.start_s + self.seconds(last.position)
-
-    def end_s(self) -> float:
-        """When what is at hand will have been shown; while it waits, as if it went on now."""
-        waiting = sum(self.seconds(s.position) for s in self.line[self.first_waiting :])
-        return max(self.due_s(), self.now_s if waiting or not self.first_waiting else -math.inf) + waiting
-
-    def room_s(self, position: int) -> float:
-        """When the segment fits the buffer: media ahead of the playhead and the segment <= buffer_s; past if now."""
-        ahead = self.seconds(position)
-        for segment in reversed(self.line):
-            length = self.seconds(segment.position)
-            if ahead + length > self.settings.buffer_s:
-                if segment.start_s == math.inf:  # it waits to resume with a full buffer: it need not
-                    self.resume()
-                return segment.start_s + length - max(0.0, self.settings.buffer_s - ahead)
-            ahead += length
-        return -math.inf
-
-    def files(self, position: int, rung: int) -> list[str]:
-        """What a rung of a segment still needs, each init segment before the first of its files."""
-        c = self.catalogue
-        files = c.files(self.index(position), rung, self.held(position))
-        folders = {path.rpartition("/")[0] for path in files}
-        inits = [p for p in c.manifest.init_files(*c.rungs[rung]) if p.rpartition("/")[0] in folders]
-        return [path for path in inits if path not in self.once] + files
-
-    def wire_sizes(self, files: list[str]) -> list[int]:
-        """Bytes of files with their headers; of a missing one the header alone."""
-        sizes = [0 if self.faults.get(f) == MISSING else self.catalogue.manifest.files[f].bytes for f in files]
-        return [self.catalogue.wire_bytes([size]) for size in sizes]
-
-    def wait(self, wire: int, stop_s: float | None = None) -> float:
-        """Request so many bytes and let time pass until the last of them, or until `stop_s`; gives what passed."""
-        first = self.now_s + self.trip_s
-        self.now_s = self.link.trace.arrival_s(wire, first) if stop_s is None else stop_s
-        passed = float(wire) if stop_s is None else self.link.bytes_between(first, stop_s)
-        self.downloads.append((self.now_s, Download(max(1, round(passed)), max(self.now_s - first, SHORTEST_S))))
-        return passed
-
-    def receive(self, position: int, rung: int, files: list[str], stop_s: float | None = None) -> tuple[int, list[str]]:
-        """Request a batch; gives its bytes on the wire, and the files of it that are at hand afterwards.
-
-        Those came whole and are what they should be; a state without the rest of its batch is of no use and is
-        dropped. With `stop_s` the batch is given up then.
-        """
-        manifest = self.catalogue.manifest
-        sizes = self.wire_sizes(files)
-        passed = self.wait(sum(sizes), stop_s)
-        came = [f for f, end in zip(files, itertools.accumulate(sizes), strict=True) if end <= passed]
-        for path in came:
-            if path in self.faults:
-                self.bad.add(path)
-                self.lost.append(f"{path} at {self.now_s:.2f} s: {self.faults[path]}")
-        whole = [path for path in came if path not in self.faults]
-        if len(whole) < len(files):
-            whole = [path for path in whole if path.startswith("key/") or path.endswith("init.mp4")]
-        for path in whole:
-            kind = "init" if path.endswith("init.mp4") else "sidecars" if path.endswith(".bin") else path.split("/")[0]
-            self.bytes_by_kind[kind] += manifest.files[path].bytes
-        self.once.update(path for path in whole if path.endswith("init.mp4"))
-        held, (quality, level) = self.held(position), self.catalogue.rungs[rung]
-        while (tier := held.get(quality, 0)) < manifest.levels[level].tiers:
-            if not set(manifest.key_files(self.group(position)[1], tier, quality)) <= set(whole):
-                break
-            held[quality] = tier + 1
-        self._use_keys(position, quality)
-        return self.downloads[-1][1].bytes, whole
-
-    def _use_keys(self, position: int, quality: int) -> None:
+    def _use_keys(self, request: Request) -> None:
         """Show what is buffered of a group with its best keys, where they are decoded in time."""
-        c, held = self.catalogue, self.held(position)
+        c, position = self.catalogue, request.position
+        quality = c.rungs[request.rung][0]
+        tiers = self.keys.decoded_tiers(position).get(quality, 0)
         ready_s = self.now_s + self.settings.decode_frame_s
-        for segment in self.line:
-            if segment.rung is None or self.group(segment.position) != self.group(position):
+        for slot in self.playout.pending():
+            if c.group(slot.position) != c.group(position) or slot.start_s < ready_s:
                 continue
-            q, j = c.rungs[segment.rung]
-            if quality < q and segment.start_s >= ready_s and held.get(quality, 0) >= c.manifest.levels[j].tiers:
-                segment.rung = c.rungs.index((quality, j))
+            shown_quality, level = c.rungs[slot.rung or 0]
+            if quality < shown_quality and tiers >= c.manifest.levels[level].tiers:
+                self.playout.replace(slot, c.rungs.index((quality, level)))
 
-    def line_up(self, position: int, rung: int | None) -> None:
-        """A segment is at hand, or lost; playing begins or goes on when enough is."""
-        ready = self.now_s + (self.settings.decode_frame_s if rung is not None else 0.0)
-        segment = Buffered(position, rung, ready, len(self.fetches) - 1)
-        self.line.append(segment)
-        waiting = self.line[self.first_waiting :]
-        if len(waiting) == 1 and ready <= self.due_s():
-            segment.start_s = self.due_s()
-            self.first_waiting += 1
-            return
-        wanted = self.settings.resume_s if self.first_waiting else self.settings.startup_s
-        if position == self.end - 1 or sum(self.seconds(s.position) for s in waiting) >= wanted:
-            self.resume()
+    def _fetch_next(self, position: int, latency_s: float) -> Generator[Event, None, bool]:
+        """Choose a rung of the next segment and fetch it; False: it was abandoned or broken, choose again."""
+        state = self._state(position, latency_s)
+        if not state.options:
+            yield Lost(position, self.now_s)
+            self.playout.enqueue(position, None, self.now_s)
+            return True
+        decision = self.policy.choose(state)
+        batch = self.keys.missing(position, decision.index)
+        if batch.files:  # without files nothing moves: the canonical space is decoded
+            kind = BatchKind.GROUP if batch.keys else BatchKind.STATE
+            request = Request(kind, position, decision.index, batch, self._sent_s(latency_s), latency_s)
+            arrival = self._receive(request, self._give_up(state, decision))
+            yield Arrived(arrival, decision, budget_bytes(state), estimate_throughput(state.history))
+            if arrival.abandoned:
+                self.given_up = position, decision.size_bytes
+            if not arrival.complete:
+                return False
+        self.playout.enqueue(position, decision.index, self.now_s)
+        return True
 
-    def resume(self) -> None:
-        """Show what waits, one segment after another, from the moment all of it was ready."""
-        waiting, due = self.line[self.first_waiting :], self.due_s()
-        at = max(due, *(segment.ready_s for segment in waiting))
-        waiting[0].stall_s = at - due if self.first_waiting else 0.0
-        for segment in waiting:
-            segment.start_s = at
-            at += self.seconds(segment.position)
-        self.first_waiting = len(self.line)
+    def _state(self, position: int, latency_s: float) -> PlayerState:
+        last = self.playout.last
+        return PlayerState(
+            catalogue=self.catalogue,
+            position=position,
+            end=self.playout.end,
+            decoded_tiers=self.keys.decoded_tiers(position),
+            options=self._options(position),
+            now_s=self.now_s,
+            deadline_s=self.playout.deadline_s(self.now_s),
+            buffer_limit_s=self.settings.buffer_s,
+            request_latency_s=latency_s,
+            shown_quality=self._quality(last) if last else None,
+            history=self._history(self._sent_s(latency_s)),
+        )
+
+    def _options(self, position: int) -> tuple[Option, ...]:
+        """The rungs of the next segment that can be had and are smaller than what was given up."""
+        options = self.catalogue.options(self.catalogue.index(position), self.keys.decoded_tiers(position))
+        if self.given_up[0] == position:
+            options = tuple(p for p in options if p.size_bytes < self.given_up[1])
+        if self.unusable:
+            options = tuple(p for p in options if self._usable(self.keys.missing(position, p.index)))
+        return options
+
+    def _usable(self, batch: Batch) -> bool:
+        return self.unusable.isdisjoint(batch.files)
+
+    def _give_up(self, state: PlayerState, decision: Decision) -> GiveUp | None:
+        """Abandon a download that, at the rate so far, would come after its deadline, and after the smallest rung
+        if that were requested now.
+        """
+        smallest = min(p.size_bytes for p in state.options)
+        if not (self.settings.abandon and self.policy.may_abandon) or smallest >= decision.size_bytes:
+            return None
+        deadline_s, rtt_s = max(state.deadline_s, self.now_s), self.downloader.rtt_s
+
+        def too_late(partial: Partial) -> bool:
+            rate = max(partial.bytes, 1.0) / partial.elapsed_s
+            left_s = (partial.expected_bytes - partial.bytes) / rate
+            return partial.at_s + left_s > deadline_s and left_s > rtt_s + smallest / rate
+
+        return too_late
+
+    def _replace_best(self) -> Generator[Event, None, bool]:
+        """Fetch the replacement that gains most for its bytes, if any will be in time; False if there is none."""
+        if not (self.settings.replace and self.policy.may_replace):
+            return False
+        estimate_bps = estimate_throughput(self._history(self.now_s))
+        best = max(self._replacements(SAFETY * estimate_bps), key=lambda r: r[0], default=None)
+        if best is None:
+            return False
+        _, slot, option = best
+        reason = f"{option.quality:.1f} dB in place of {self._quality(slot):.1f}"
+        batch, rtt_s = self._replacing(slot, option.index), self.downloader.rtt_s
+        request = Request(BatchKind.REPLACEMENT, slot.position, option.index, batch, self.now_s, rtt_s)
+        arrival = self._receive(request)
+        yield Arrived(arrival, Decision(option.index, True, reason, option.size_bytes), 0.0, estimate_bps)
+        if arrival.complete and self.now_s + self.settings.decode_frame_s <= slot.start_s:
+            yield Replaced(slot.position, slot.rung or 0, option.index)
+            self.playout.replace(slot, option.index)
+        return True
+
+    def _replacements(self, rate_bps: float) -> Iterator[tuple[float, Slot, Option]]:
+        """(dB seconds a byte, segment, rung) of everything that would be better and is expected in time."""
+        c = self.catalogue
+        for slot in self.playout.pending():
+            if not self.now_s < slot.start_s < float("inf"):
+                continue
+            here, index, level = self._quality(slot), c.index(slot.position), c.rungs[slot.rung or 0][1]
+            for option in c.options(index, self.keys.decoded_tiers(slot.position)):
+                gain = option.quality - (here or 0.0)
+                size = option.size_bytes  # the state is decoded where only the keys would be better
+                size -= int(c.state_bytes[index, level]) if c.rungs[option.index][1] == level else 0
+                arrival_s = self.now_s + self.downloader.rtt_s + 8 * size / rate_bps
+                if gain < REPLACE_GAIN_DB or arrival_s + self.settings.decode_frame_s > slot.start_s:
+                    continue
+                if not self.unusable or self._usable(self._replacing(slot, option.index)):
+                    yield gain * c.seconds_at(slot.position) / max(1, size), slot, option
+
+    def _replacing(self, slot: Slot, rung: int) -> Batch:
+        """What it takes to show another rung of a buffered segment: with the same level, only its keys."""
+        rungs, batch = self.catalogue.rungs, self.keys.missing(slot.position, rung)
+        return Batch(batch.init, batch.keys) if rungs[rung][1] == rungs[slot.rung or 0][1] else batch
+
+    def _quality(self, slot: Slot) -> float | None:
+        """dB, None of a lost segment."""
+        return (
+            None if slot.rung is None else float(self.catalogue.quality[self.catalogue.index(slot.position), slot.rung])
+        )
+
+    def _shown(self, slots: Iterator[Slot]) -> Iterator[Shown]:
+        c = self.catalogue
+        for slot in slots:
+            loop, index = divmod(slot.position, len(c.seconds))
+            segment = c.manifest.segments[index]
+            yield Shown(
+                segment=index,
+                loop=loop,
+                rung=slot.rung,
+                ready_s=slot.ready_s,
+                start_s=slot.start_s,
+                frames=segment.stop - segment.start,
+                stall_s=slot.stall_s,
+                psnr=self._quality(slot) if c.measured else None,
+            )

@@ -9,7 +9,7 @@ import csv
 import math
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from airgs_codec._files import write_json
 from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import FileKind
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.frame_mode import CHOOSERS, frame_table, simulate_frames
 from airgs_codec.play.link import Link
-from airgs_codec.play.metrics import frame_times, mean_quality, metrics, session_bound
-from airgs_codec.play.player import SessionSettings
+from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import simulate
+from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.progress import Progress, silent
 
@@ -50,7 +51,7 @@ FIGURES = (
     "frame_ms_p95",
     "frame_ms_max",
 )
-KINDS = ("key", "state", "sidecars", "init", "manifests")  # of bytes
+KINDS = (FileKind.KEY, FileKind.STATE, FileKind.SIDECARS, FileKind.INIT, FileKind.MANIFESTS)  # of bytes
 Row = dict[str, Any]
 
 
@@ -98,16 +99,16 @@ def offsets_of(trace: Trace, count: int, seed: int) -> list[float]:
     return [round(float(v), 3) for v in random.uniform(0, trace.duration_s, count)]
 
 
-def is_feasible(c: Catalogue, manifest_bytes: int, link: Link, settings: SessionSettings, loops: int) -> bool:
+def is_feasible(c: Catalogue, link: Link, settings: SessionSettings, loops: int) -> bool:
     """Whether a player that always takes the smallest rung shows all of it without a stall from FEASIBLE_START_S on."""
-    at = link.arrival_s(c.wire_bytes([manifest_bytes]), 0.0)
+    at = link.arrival_s(c.wire_bytes([c.manifest_bytes]), 0.0)
     due = FEASIBLE_START_S
     inits = c.manifest.init_files(*c.rungs[int(np.argmin(c.bytes_from_scratch[0]))])
     first = c.wire_bytes([c.manifest.files[path].bytes for path in inits])
     for position in range(loops * len(c.seconds)):
         segment = position % len(c.seconds)
         room = due + c.seconds[segment] - settings.buffer_s
-        asked = max(at - link.rtt_s if settings.ahead and position else at, room)
+        asked = max(at - link.rtt_s if settings.pipelined and position else at, room)
         size = int(c.bytes_from_scratch[segment].min()) + (0 if position else first)
         at = link.trace.arrival_s(size, max(at, asked + link.rtt_s))
         if at + settings.decode_frame_s > due:
@@ -139,7 +140,7 @@ def run_study(
 def _one_trace(task: tuple[Path, str, StudySettings]) -> tuple[list[Row], list[Row]]:
     path, name, settings = task
     package = open_package(path)
-    c = Catalogue(package.manifest)
+    c = Catalogue.of(package)
     whole = open_trace(name)
     loops = c.loops(settings.session.loops)
     rows, frame_rows = [], []
@@ -147,18 +148,18 @@ def _one_trace(task: tuple[Path, str, StudySettings]) -> tuple[list[Row], list[R
         trace = whole.cut(offset, settings.scale).ending(settings.end)
         link = Link.over(trace, settings.rtt_s)
         try:
-            feasible = is_feasible(c, package.manifest_bytes, link, settings.session, loops)
+            feasible = is_feasible(c, link, settings.session, loops)
         except TransportError:
             feasible = False
         start = {"trace": trace.name, "offset_s": offset, "scale": settings.scale, "mean_bps": trace.mean_bps}
         for policy in settings.policies:
-            log = simulate(c, package.manifest_bytes, link, replace(settings.session, policy=policy, loops=loops))
+            log = simulate(c, link, policy, replace(settings.session, loops=loops))
             bound = session_bound(log)
-            row = start | {"policy": policy, "feasible": feasible} | metrics(log)
-            row |= {"bound": bound, "regret": None if bound is None else bound - mean_quality(log)}
+            row = start | {"policy": policy, "feasible": feasible} | asdict(log.metrics)
+            row |= {"bound": bound, "regret": None if bound is None else bound - log.mean_quality}
             shown = sum(s.frames for s in log.shown)
             row |= {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / shown / 1e3 for kind in KINDS}
-            row["frame_ms_percentiles"] = (1e3 * np.percentile(frame_times(log), PERCENTILES)).round(3).tolist()
+            row["frame_ms_percentiles"] = (1e3 * np.percentile(log.frame_times, PERCENTILES)).round(3).tolist()
             rows.append(row)
         for chooser in CHOOSERS:
             frames = simulate_frames(c, link, chooser, loops)

@@ -13,12 +13,12 @@ from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
-from airgs_codec.play.metrics import screen_ticks
-from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.report.film import screen_frames
 from airgs_codec.play.session import simulate
+from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import open_trace
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.manifests import missing
 from tests.support.scenes import moving_frames, write_sequence
 
 
@@ -75,13 +75,13 @@ def test_a_session_over_a_bad_link_shows_the_bits_of_fresh_decodes(package):
     m = package.manifest
     levels = [[replace(v, psnr=[45.0 - 2 * j, 38.0 - j]) for j, v in enumerate(s.levels)] for s in m.segments]
     segments = [replace(s, levels=row) for s, row in zip(m.segments, levels, strict=True)]
-    c = Catalogue(replace(m, segments=segments))  # something for the policy to weigh
-    lost = {f"state/L0/{n}.m4s": "missing" for n in range(3, 30, 5)} | {"key/T0/7.bin": "missing"}
+    c = Catalogue(replace(m, segments=segments), manifest_bytes=package.manifest_bytes)  # something to weigh
+    lost = missing(*(f"state/L0/{n}.m4s" for n in range(3, 30, 5)), "key/T0/7.bin")
     link = Link(open_trace("markov:5:0.2"))
-    log = simulate(c, package.manifest_bytes, link, SessionSettings("paper", loops=1), lost)
+    log = simulate(c, link, "paper", SessionSettings(loops=1), lost)
     assert len({s.rung for s in log.shown}) > 3 and any(s.rung is None for s in log.shown)
     chance = random.Random(2)
-    ticks = screen_ticks(log)
+    ticks = log.screen_ticks
     for (gaussians, entry), (_, frame) in zip(screen_frames(package, log), ticks, strict=True):
         s = log.shown[entry]
         if s.rung is not None and chance.random() < 0.05:

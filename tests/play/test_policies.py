@@ -10,26 +10,20 @@ from hypothesis import strategies as st
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
-from airgs_codec.play.policy import (
-    LOW_BUFFER_DB,
-    NAMES,
+from airgs_codec.play.policies.bola import choose_bola
+from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, choose_robust_mpc, discounted_throughput
+from airgs_codec.play.policies.named import NAMES, make_policy
+from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
+from airgs_codec.play.policies.paper import choose_paper, choose_paper_literal
+from airgs_codec.play.policies.state import (
     RESERVE_S,
     STALL_DB,
-    SWITCH_DB,
     Download,
     PlayerState,
     budget_bytes,
-    choose_bola,
-    choose_oracle_frame,
-    choose_oracle_lp,
-    choose_paper,
-    choose_paper_literal,
-    choose_robust_mpc,
-    choose_throughput,
-    discounted_throughput,
     estimate_throughput,
-    make_policy,
 )
+from airgs_codec.play.policies.throughput import choose_throughput
 from airgs_codec.play.trace import Trace
 from tests.support.manifests import tiny_manifest
 
@@ -49,12 +43,12 @@ def state(
         catalogue=catalogue,
         position=position,
         end=end,
-        held=held,
+        decoded_tiers=held,
         options=catalogue.options(position % 2, held),
         now_s=100.0,
         deadline_s=100.0 + buffer_s,
         buffer_limit_s=limit,
-        rtt_s=rtt,
+        request_latency_s=rtt,
         shown_quality=shown,
         history=(Download(max(1, round(rate / 8)), 1.0),) * 4 if rate else (),
     )
@@ -158,10 +152,10 @@ def test_any_policy_answers_with_an_option(rates, buffer_s, held, name, position
     s = state(1.0, buffer_s, held=held, position=position)
     history = tuple(Download(max(1, round(r / 8)), 1.0) for r in rates)
     s = PlayerState(**{f: getattr(s, f) for f in s.__dataclass_fields__} | {"history": history})
-    decision = make_policy(name, CATALOGUE, constant(5e4))(s)
+    decision = make_policy(name, CATALOGUE, constant(5e4)).choose(s)
     assert decision.index in [p.index for p in s.options]
     assert decision.size_bytes == s.options[decision.index].size_bytes and decision.reason
-    again = make_policy(name, CATALOGUE, constant(5e4))(s)
+    again = make_policy(name, CATALOGUE, constant(5e4)).choose(s)
     assert again == decision
 
 
@@ -194,4 +188,4 @@ def test_unknown_policies(text):
 
 @pytest.mark.parametrize(("text", "rung"), [("fixed:2", "Q0+L2"), ("fixed:Q1+L1", "Q1+L1")])
 def test_fixed_rungs(text, rung):
-    assert names(make_policy(text, CATALOGUE, constant(1e6))(state())) == rung
+    assert names(make_policy(text, CATALOGUE, constant(1e6)).choose(state())) == rung

@@ -8,19 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.parse import parse_manifest
-from airgs_codec.play import session
 from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.events import BatchKind
 from airgs_codec.play.link import Link
-from airgs_codec.play.metrics import mean_quality, metrics, screen_ticks, session_bound
-from airgs_codec.play.player import SessionSettings
+from airgs_codec.play.regret import session_bound
 from airgs_codec.play.report.session import format_metrics, write_report
+from airgs_codec.play.session import simulate
+from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace
-from tests.support.manifests import tiny_manifest
+from tests.support.manifests import missing, tiny_manifest
 
 BARE = {"startup_s": 0.0, "resume_s": 0.0, "decode_frame_s": 0.0, "loops": 1}
-BARE |= {"ahead": False, "replace": False, "abandon": False}
+BARE |= {"pipelined": False, "replace": False, "abandon": False}
 
 
 def link(rates, starts=None, duration=None, rtt=0.0, end="loop"):
@@ -29,12 +30,13 @@ def link(rates, starts=None, duration=None, rtt=0.0, end="loop"):
     return Link(trace, rtt)
 
 
-def fixed(level, **options):
-    return SessionSettings(f"fixed:{level}", **(BARE | options))
+def rules(**options):
+    return SessionSettings(**(BARE | options))
 
 
-def simulate(manifest, manifest_bytes, link, settings, headers=0, faults=None):
-    return session.simulate(Catalogue(manifest, headers), manifest_bytes, link, settings, faults)
+def play(manifest, over, policy="fixed:0", headers=0, faults=None, **options):
+    """A session with 1000 bytes of manifests and the bare rules but for `options`."""
+    return simulate(Catalogue(manifest, headers, 1000), over, policy, rules(**options), faults)
 
 
 def pairs(log):
@@ -50,17 +52,17 @@ def test_the_test_manifest_is_a_manifest(options):
 
 def test_a_session_by_hand():
     """10,000 B/s: 1000 B of manifests, then 150 init + 4000 key + 2000 state + 300 sidecars, and less init."""
-    log = simulate(tiny_manifest(), 1000, link([8e4]), fixed(0))
+    log = play(tiny_manifest(), link([8e4]))
     assert [(f.kind, f.bytes) for f in log.fetches] == [("manifests", 1000), ("group", 6450), ("group", 6300)]
     assert [f.arrival_s for f in log.fetches] == pytest.approx([0.1, 0.745, 1.375])
     assert [s.start_s for s in log.shown] == pytest.approx([0.745, 1.745])
-    result = metrics(log)
-    assert result["startup_s"] == pytest.approx(0.745)
-    assert (result["stalls"], result["stall_s"], result["switches"], result["frames"]) == (0, 0, 0, 20)
-    assert result["bytes"] == {"manifests": 1000, "init": 150, "key": 8000, "sidecars": 600, "state": 4000}
-    assert result["wire_bytes"] == 13_750
-    assert result["psnr_mean"] == 40.0
-    assert result["trace_mean_bps"] == 8e4
+    result = log.metrics
+    assert result.startup_s == pytest.approx(0.745)
+    assert (result.stalls, result.stall_s, result.switches, result.frames) == (0, 0, 0, 20)
+    assert result.bytes == {"manifests": 1000, "init": 150, "key": 8000, "sidecars": 600, "state": 4000}
+    assert result.wire_bytes == 13_750
+    assert result.psnr_mean == 40.0
+    assert result.trace_mean_bps == 8e4
 
 
 def test_a_tier_is_fetched_when_a_level_first_needs_it():
@@ -68,67 +70,67 @@ def test_a_tier_is_fetched_when_a_level_first_needs_it():
     m = segmented(tiny_manifest(groups=(30,), psnr=None))
     m = replace(m, levels=[*m.levels[:2], replace(m.levels[2], tiers=1)])
     assert parse_manifest(m.to_json()) == m
-    low = simulate(m, 1000, link([8e4]), fixed(2))
+    low = play(m, link([8e4]), "fixed:2")
     assert low.bytes_by_kind["key"] == 3000 and low.bytes_by_kind["sidecars"] == 100 + 3 * 100
-    high = simulate(m, 1000, link([8e4]), fixed(0))
+    high = play(m, link([8e4]))
     assert high.bytes_by_kind["key"] == 4000 and high.bytes_by_kind["sidecars"] == 200 + 3 * 100
 
 
 def test_half_the_rate_stalls_and_the_frozen_picture_counts():
-    log = simulate(tiny_manifest(psnr=[[40.0, 0.0]] * 3), 1000, link([4e4]), fixed(0))
+    log = play(tiny_manifest(psnr=[[40.0, 0.0]] * 3), link([4e4]))
     assert [f.arrival_s for f in log.fetches] == pytest.approx([0.2, 1.49, 2.75])
     assert [s.stall_s for s in log.shown] == pytest.approx([0, 0.26])
-    ticks = screen_ticks(log)
+    ticks = log.screen_ticks
     assert len(ticks) == 23  # 20 frames, 0.26 s of waiting at 10 fps
     assert ticks[10:13] == [(0, 9)] * 3
-    assert metrics(log)["stall_ratio"] == pytest.approx(0.26 / 2.26)
+    assert log.metrics.stall_ratio == pytest.approx(0.26 / 2.26)
 
 
 def test_headers_round_trips_and_decoding_cost_time():
-    log = simulate(tiny_manifest(), 1000, link([8e4], rtt=0.1), fixed(0, decode_frame_s=0.05), headers=100)
+    log = play(tiny_manifest(), link([8e4], rtt=0.1), decode_frame_s=0.05, headers=100)
     # manifests 1 file; 3 init, 2 tiers of 3 files, state of 2; then without init
     assert [f.arrival_s for f in log.fetches] == pytest.approx([0.21, 1.065, 1.875])
     assert log.shown[0].start_s == pytest.approx(1.115)
 
 
 def test_an_outage_is_waited_out():
-    log = simulate(tiny_manifest(), 1000, link([8e4, 0, 8e4], [0, 1, 6], 100), fixed(0))
+    log = play(tiny_manifest(), link([8e4, 0, 8e4], [0, 1, 6], 100))
     assert log.fetches[-1].arrival_s == pytest.approx(6.375)
     assert log.shown[1].stall_s == pytest.approx(6.375 - 1.745)
 
 
 def test_a_level_with_nothing_to_fetch_costs_only_its_key():
-    log = simulate(tiny_manifest(state_bytes=(2000, 1000, 0)), 1000, link([8e4]), fixed(2))
+    log = play(tiny_manifest(state_bytes=(2000, 1000, 0)), link([8e4]), "fixed:2")
     assert [f.bytes for f in log.fetches[1:]] == [100 + 4000 + 200, 4200]
-    assert metrics(log)["bytes"].get("state", 0) == 0
+    assert log.metrics.bytes.get("state", 0) == 0
 
 
 def test_the_buffer_holds_requests_back():
-    log = simulate(tiny_manifest(), 1000, link([8e9]), fixed(0, loops=20, buffer_s=3.0))
+    log = play(tiny_manifest(), link([8e9]), loops=20, buffer_s=3.0)
     begin = log.shown[0].start_s
     for i, fetch in enumerate(log.fetches[1:]):
         assert fetch.request_s >= begin + i + 1 - 3.0 - 1e-9
     assert log.fetches[-1].request_s == pytest.approx(begin + 40 - 3.0)
-    assert metrics(log)["stalls"] == 0
+    assert log.metrics.stalls == 0
 
 
 def test_loops_fetch_keys_and_states_again_but_not_init_segments():
-    once, twice = (metrics(simulate(tiny_manifest(), 1000, link([8e6]), fixed(1, loops=n)))["bytes"] for n in (1, 2))
+    once, twice = (play(tiny_manifest(), link([8e6]), "fixed:1", loops=n).metrics.bytes for n in (1, 2))
     assert twice == {k: v * (1 if k in ("init", "manifests") else 2) for k, v in once.items()}
-    default = simulate(tiny_manifest(), 1000, link([8e6]), fixed(1, loops=None))
-    assert metrics(default)["played_s"] == 30.0
+    default = play(tiny_manifest(), link([8e6]), "fixed:1", loops=None)
+    assert default.metrics.played_s == 30.0
 
 
 def test_key_quality_and_level_are_chosen_together():
-    rich = simulate(tiny_manifest(), 1000, link([8e7]), SessionSettings(**BARE))
-    poor = simulate(tiny_manifest(), 1000, link([2e4]), SessionSettings(**BARE))
+    rich = play(tiny_manifest(), link([8e7]), "paper")
+    poor = play(tiny_manifest(), link([2e4]), "paper")
     assert pairs(rich) == {(0, 0, 40.0)}
     assert pairs(poor) == {(1, 2, 32.0)}
     assert "nothing fits" in poor.fetches[1].reason and "fit" in rich.fetches[1].reason
 
 
 def test_a_faster_link_is_no_worse_however_fast():
-    log = simulate(tiny_manifest(), 1000, link([8e18]), SessionSettings(**BARE))
+    log = play(tiny_manifest(), link([8e18]), "paper")
     assert pairs(log) == {(0, 0, 40.0)}
 
 
@@ -138,9 +140,9 @@ def test_paper_needs_measured_quality_everywhere():
     holes = replace(m, segments=[m.segments[0], replace(m.segments[1], levels=levels)])
     for unmeasured in (tiny_manifest(psnr=None), holes):
         with pytest.raises(ConfigError, match="no measured quality"):
-            simulate(unmeasured, 1000, link([8e6]), SessionSettings(**BARE))
-    log = simulate(tiny_manifest(psnr=None), 1000, link([8e6]), fixed(0))
-    assert metrics(log)["psnr_mean"] is None and "not measured" in format_metrics(log)
+            play(unmeasured, link([8e6]), "paper")
+    log = play(tiny_manifest(psnr=None), link([8e6]))
+    assert log.metrics.psnr_mean is None and "not measured" in format_metrics(log)
 
 
 @pytest.mark.parametrize(
@@ -159,27 +161,27 @@ def test_paper_needs_measured_quality_everywhere():
 )
 def test_settings_that_cannot_work(options, words):
     with pytest.raises(ConfigError, match=words):
-        simulate(tiny_manifest(), 1000, link([8e6]), replace(fixed(0), **options))
+        play(tiny_manifest(), link([8e6]), **options)
 
 
 @pytest.mark.parametrize("rtt", [-0.1, float("nan"), float("inf")])
 def test_round_trips_that_cannot_be(rtt):
     with pytest.raises(ConfigError, match="round trip"):
-        simulate(tiny_manifest(), 1000, link([8e6], rtt=rtt), fixed(0))
+        play(tiny_manifest(), link([8e6], rtt=rtt))
 
 
 def test_playing_begins_when_enough_is_at_hand():
     """0.645 and 0.63 s of download: the second segment is there at 1.375 s."""
-    log = simulate(tiny_manifest(), 1000, link([8e4]), fixed(0, startup_s=1.5))
+    log = play(tiny_manifest(), link([8e4]), startup_s=1.5)
     assert [s.start_s for s in log.shown] == pytest.approx([1.375, 2.375])
     assert [s.stall_s for s in log.shown] == [0, 0]
 
 
 def test_it_goes_on_when_enough_is_at_hand_again():
     """Half the rate: the second segment stalls by 0.26 s; with 1.5 s wanted the player waits for the third too."""
-    one = simulate(tiny_manifest(), 1000, link([4e4]), fixed(0, loops=2))
+    one = play(tiny_manifest(), link([4e4]), loops=2)
     assert [s.stall_s for s in one.shown] == pytest.approx([0, 0.26, 0.26, 0.26])
-    two = simulate(tiny_manifest(), 1000, link([4e4]), fixed(0, loops=2, resume_s=1.5))
+    two = play(tiny_manifest(), link([4e4]), loops=2, resume_s=1.5)
     assert [s.ready_s for s in two.shown] == pytest.approx([1.49, 2.75, 4.01, 5.27])
     assert [s.start_s for s in two.shown] == pytest.approx([1.49, 4.01, 5.01, 6.01])
     assert [s.stall_s for s in two.shown] == pytest.approx([0, 1.52, 0, 0])
@@ -187,7 +189,7 @@ def test_it_goes_on_when_enough_is_at_hand_again():
 
 
 def test_a_full_buffer_need_not_wait_for_more():
-    log = simulate(tiny_manifest(), 1000, link([4e4]), fixed(0, loops=2, resume_s=9.0, startup_s=9.0, buffer_s=2.0))
+    log = play(tiny_manifest(), link([4e4]), loops=2, resume_s=9.0, startup_s=9.0, buffer_s=2.0)
     assert log.shown[0].start_s == pytest.approx(2.75)  # two segments are all it may hold
     assert len(log.shown) == 4
 
@@ -196,69 +198,70 @@ def test_buffered_segments_are_replaced_by_better_ones_in_time():
     """A slow second, then a fast link: what waits in the buffer is fetched again, the first one is on the screen."""
     quick = {"policy": "paper", "buffer_s": 4.0, "loops": 4}
     m = tiny_manifest()
-    kept = simulate(m, 1000, link([3e4, 8e6], [0, 2], 1000), SessionSettings(**(BARE | quick)))
-    better = simulate(m, 1000, link([3e4, 8e6], [0, 2], 1000), SessionSettings(**(BARE | quick | {"replace": True})))
-    replaced = [f for f in better.fetches if f.kind == "better"]
-    assert replaced and mean_quality(better) > mean_quality(kept)
+    kept = play(m, link([3e4, 8e6], [0, 2], 1000), **quick)
+    better = play(m, link([3e4, 8e6], [0, 2], 1000), **quick, replace=True)
+    replaced = [f for f in better.fetches if f.kind is BatchKind.REPLACEMENT]
+    assert replaced and better.mean_quality > kept.mean_quality
     for f in replaced:
         shown = better.shown[f.position]
         assert f.arrival_s <= shown.start_s and shown.rung == f.rung
-    assert metrics(better)["wasted"] > 0 == metrics(kept)["wasted"]
+    assert better.metrics.wasted > 0 == kept.metrics.wasted
 
 
 def test_a_better_key_serves_the_rest_of_its_group():
     """Six segments in one group; the first comes with the coarse key, a later one brings the fine one."""
     m = segmented(tiny_manifest(groups=(60,)), 6)
-    log = simulate(m, 1000, link([2.4e4, 8e6], [0, 1.2], 1000), SessionSettings("robust-mpc", **BARE))
+    log = play(m, link([2.4e4, 8e6], [0, 1.2], 1000), "robust-mpc")
     qualities = [log.catalogue.rungs[s.rung][0] for s in log.shown]
     assert qualities[0] == 1 and qualities[-1] == 0 and qualities == sorted(qualities, reverse=True)
-    keys = [f for f in log.fetches if f.kind == "group"]
-    assert len(keys) == 2 and metrics(log)["bytes"]["key"] == 1500 + 4000
+    keys = [f for f in log.fetches if f.kind is BatchKind.GROUP]
+    assert len(keys) == 2 and log.metrics.bytes["key"] == 1500 + 4000
 
 
 def test_a_download_that_would_come_too_late_is_given_up():
     """The link collapses in the middle of a large segment; whole files of it are kept."""
     slow = link([8e4, 4e3, 8e4], [0, 1.0, 9.0], 1000)
-    patient = simulate(tiny_manifest(), 1000, slow, fixed(0))
-    hasty = simulate(tiny_manifest(), 1000, slow, replace(fixed(0), policy="paper", abandon=True))
-    assert metrics(patient)["abandoned"] == 0 and metrics(hasty)["abandoned"] >= 1
-    assert metrics(hasty)["stall_s"] < metrics(patient)["stall_s"]
-    given_up = next(f for f in hasty.fetches if "abandoned" in f.reason)
+    patient = play(tiny_manifest(), slow)
+    hasty = play(tiny_manifest(), slow, "paper", abandon=True)
+    assert patient.metrics.abandoned == 0 and hasty.metrics.abandoned >= 1
+    assert hasty.metrics.stall_s < patient.metrics.stall_s
+    given_up = next(f for f in hasty.fetches if f.abandoned)
     assert given_up.arrival_s - given_up.request_s >= 0.5 and 0 < given_up.wasted <= given_up.bytes
 
 
 def test_missing_and_corrupt_files_cost_their_rung_and_no_more():
     m = tiny_manifest()
-    whole = simulate(m, 1000, link([8e6]), fixed(0))
-    missing = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults={"state/L0/1.m4s": "missing"})
-    assert [log_rung(missing, i) for i in (0, 1)] == ["Q0+L1", "Q0+L0"]
-    assert "state/L0/1.m4s" in missing.lost[0] and metrics(missing)["lost_frames"] == 0
-    assert metrics(missing)["bytes"]["state"] == 3000 and metrics(whole)["bytes"]["state"] == 4000
-    corrupt = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults={"state/L0/1.m4s": "the SHA-256 differs"})
-    assert corrupt.fetches[1].bytes == missing.fetches[1].bytes + 2000  # it travels before it can be found wrong
-    assert corrupt.fetches[1].wasted > missing.fetches[1].wasted
+    whole = play(m, link([8e6]))
+    absent = play(m, link([8e6]), "paper", faults=missing("state/L0/1.m4s"))
+    assert [log_rung(absent, i) for i in (0, 1)] == ["Q0+L1", "Q0+L0"]
+    assert "state/L0/1.m4s" in absent.lost[0] and absent.metrics.lost_frames == 0
+    assert absent.metrics.bytes["state"] == 3000 and whole.metrics.bytes["state"] == 4000
+    broken = {"state/L0/1.m4s": FormatError("hash_mismatch", "state/L0/1.m4s", "the SHA-256 differs")}
+    corrupt = play(m, link([8e6]), "paper", faults=broken)
+    assert corrupt.fetches[1].bytes == absent.fetches[1].bytes + 2000  # it travels before it can be found wrong
+    assert corrupt.fetches[1].wasted > absent.fetches[1].wasted
 
 
 def test_asking_ahead_hides_the_round_trip():
     """As by hand, with a round trip of 0.1 s: paid once for the manifests and once for the first batch."""
-    log = simulate(tiny_manifest(), 1000, link([8e4], rtt=0.1), fixed(0, ahead=True))
+    log = play(tiny_manifest(), link([8e4], rtt=0.1), pipelined=True)
     assert [f.arrival_s for f in log.fetches] == pytest.approx([0.2, 0.945, 1.575])
     assert [f.request_s for f in log.fetches] == pytest.approx([0, 0.2, 0.845])
-    full = simulate(tiny_manifest(), 1000, link([8e9], rtt=0.1), fixed(0, ahead=True, loops=20, buffer_s=3.0))
+    full = play(tiny_manifest(), link([8e9], rtt=0.1), pipelined=True, loops=20, buffer_s=3.0)
     for i, fetch in enumerate(full.fetches[5:], 4):  # a full buffer lets nobody ask before there is room
         assert fetch.arrival_s >= full.shown[0].start_s + i + 1 - 3.0 + 0.1 - 1e-6
 
 
 def test_without_its_key_a_group_is_lost_and_the_next_one_is_not():
     m = tiny_manifest()
-    log = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults={"key/T0/1.bin": "missing"})
+    log = play(m, link([8e6]), "paper", faults=missing("key/T0/1.bin"))
     assert [s.rung is None for s in log.shown] == [True, False]
-    assert metrics(log)["lost_frames"] == 10 and log_rung(log, 1) == "Q0+L0"
-    assert "frames 0-9" in log.lost[-1] and metrics(log)["psnr_mean"] == 40.0
+    assert log.metrics.lost_frames == 10 and log_rung(log, 1) == "Q0+L0"
+    assert "frames 0-9" in log.lost[-1] and log.metrics.psnr_mean == 40.0
     assert log.shown[1].start_s == pytest.approx(log.shown[0].start_s + 1)  # the last picture stands for its time
     assert "lost" in format_metrics(log)
-    nothing = simulate(m, 1000, link([8e6]), SessionSettings(**BARE), faults=dict.fromkeys(m.files, "missing"))
-    assert all(s.rung is None for s in nothing.shown) and metrics(nothing)["psnr_mean"] is None
+    nothing = play(m, link([8e6]), "paper", faults=missing(*m.files))
+    assert all(s.rung is None for s in nothing.shown) and nothing.metrics.psnr_mean is None
     assert session_bound(nothing) is None
 
 
@@ -282,12 +285,12 @@ policies = st.sampled_from(["paper", "paper-literal", "throughput", "bola", "rob
 )
 def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, buffer_s, extras, split, ahead, bad):
     m = segmented(tiny_manifest(groups=(30,))) if split else tiny_manifest()
-    faults = {bad: "missing"} if bad in m.files else {}
+    faults = missing(bad) if bad in m.files else {}
     again, give_up, wait = extras
-    rules = SessionSettings(policy, buffer_s, wait, wait, 0.01, again, give_up, ahead, loops=3)
+    options = SessionSettings(buffer_s, wait, wait, 0.01, again, give_up, ahead, loops=3)
     over = link(rates, rtt=0.08)
-    a, b = (simulate(m, 1000, over, rules, 350, faults) for _ in range(2))
-    assert (a.fetches, a.shown, metrics(a)) == (b.fetches, b.shown, metrics(b))
+    a, b = (simulate(Catalogue(m, manifest_bytes=1000), over, policy, options, faults) for _ in range(2))
+    assert (a.fetches, a.shown, a.metrics) == (b.fetches, b.shown, b.metrics)
     for first, second in itertools.pairwise(a.fetches):
         assert first.request_s <= first.arrival_s <= second.request_s + over.rtt_s * ahead + 1e-9
         assert first.arrival_s <= second.arrival_s
@@ -296,13 +299,13 @@ def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, bu
     ends = [s.start_s + s.frames / 10 for s in a.shown]
     for end, later in zip(ends, a.shown[1:], strict=False):
         assert later.stall_s >= 0 and later.start_s == pytest.approx(end + later.stall_s)
-    assert sum(a.bytes_by_kind.values()) <= metrics(a)["wire_bytes"]
+    assert sum(a.bytes_by_kind.values()) <= a.metrics.wire_bytes
     assert all(0 <= f.wasted <= f.bytes for f in a.fetches)
     used = over.bytes_between(0.0, a.fetches[-1].arrival_s)
-    assert metrics(a)["wire_bytes"] <= used * (1 + 1e-9) + len(a.fetches)  # nothing travels that the trace lacks
+    assert a.metrics.wire_bytes <= used * (1 + 1e-9) + len(a.fetches)  # nothing travels that the trace lacks
     bound = session_bound(a)
     if bound is not None:
-        assert bound >= mean_quality(a) - 1e-6
+        assert bound >= a.mean_quality - 1e-6
 
 
 def segmented(m, count=3):
@@ -320,16 +323,18 @@ def segmented(m, count=3):
 
 
 def test_a_report_is_written(tmp_path):
-    log = simulate(tiny_manifest(), 1000, link([4e4, 0, 2e5], rtt=0.08), SessionSettings(loops=5))
+    log = simulate(
+        Catalogue(tiny_manifest(), 0, 1000), link([4e4, 0, 2e5], rtt=0.08), settings=SessionSettings(loops=5)
+    )
     page = write_report(log, tmp_path / "report")
     assert {p.name for p in page.parent.iterdir()} == {"index.html", "session.json", "session.png"}
     assert (page.parent / "session.png").read_bytes().startswith(b"\x89PNG")
-    unmeasured = simulate(tiny_manifest(psnr=None), 1000, link([8e6]), fixed(0))
+    unmeasured = play(tiny_manifest(psnr=None), link([8e6]))
     assert "not measured" in write_report(unmeasured, tmp_path / "bare").read_text()
 
 
 def test_a_report_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
-    log = simulate(tiny_manifest(), 1000, link([8e6]), fixed(0))
+    log = play(tiny_manifest(), link([8e6]))
     with pytest.raises(ConfigError, match="cannot write"):
         write_report(log, tmp_path / "file")

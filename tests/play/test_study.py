@@ -10,14 +10,14 @@ import pytest
 from airgs_codec.cli.manifest import main as manifest_main
 from airgs_codec.cli.play import main
 from airgs_codec.decoder.decode import decode
+from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.dense import DROP, HOLD, MEASURED, cliff, measure_dense, pruning_levels, saving_levels
-from airgs_codec.package.store import open_package
+from airgs_codec.package.store import find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.check import find_faults, measure_decoding
 from airgs_codec.play.link import Link
-from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.session import simulate
+from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.scene.orbits import orbit_views
@@ -50,10 +50,10 @@ def test_offsets_are_seeded_and_a_traces_own():
 
 
 def test_feasible_means_that_the_smallest_rungs_keep_up():
-    c = Catalogue(tiny_manifest(), 0)
-    rules = SessionSettings(decode_frame_s=0.0, ahead=False)
-    assert is_feasible(c, 1000, constant(8 * 2300), rules, 10)  # exactly what a second of Q1+L2 takes
-    assert not is_feasible(c, 1000, constant(8 * 2000), rules, 30)
+    c = Catalogue(tiny_manifest(), 0, manifest_bytes=1000)
+    rules = SessionSettings(decode_frame_s=0.0, pipelined=False)
+    assert is_feasible(c, constant(8 * 2300), rules, 10)  # exactly what a second of Q1+L2 takes
+    assert not is_feasible(c, constant(8 * 2000), rules, 30)
 
 
 def test_intervals_are_over_traces():
@@ -148,7 +148,7 @@ def test_damaged_packages_play_on(measured, tmp_path, capsys):
     (broken / first).unlink()
     (broken / second).write_bytes(b"x" * package.manifest.files[second].bytes)
     faults = find_faults(package)
-    assert faults[first] == "missing" and "SHA-256" in faults[second]
+    assert (faults[first].reason, faults[second].reason) == ("missing_file", "hash_mismatch")
     film = tmp_path / "film.mp4"
     play = [str(broken), "--trace", "const:50", "--loops", "1", "--video", str(film)]
     assert main([*play, "--policy", "fixed:0"]) == 0
@@ -204,10 +204,10 @@ def test_dense_levels_need_a_measured_top_rung(moving, cameras):
 
 def test_the_real_link_is_never_faster_than_the_simulated_one():
     """A second of play over loopback; how close it comes is measured by tools/check_link, not here."""
-    c = Catalogue(tiny_manifest())
+    c = Catalogue(tiny_manifest(), manifest_bytes=1000)
     link = Link(Trace("t", np.array([0.0, 0.3, 0.5]), np.array([4e5, 0.0, 8e5]), 10.0), 0.02)
-    log = simulate(c, 1000, link, SessionSettings("fixed:0", loops=2, abandon=False))
-    real = replay(log)
+    log = simulate(c, link, "fixed:0", SessionSettings(loops=2, abandon=False))
+    real = replay(log, link)
     assert len(real) == len(log.fetches)
     assert all(a >= f.arrival_s - 0.005 for a, f in zip(real, log.fetches, strict=True))
 

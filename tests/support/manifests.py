@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from airgs_codec.errors import FormatError
 from airgs_codec.package import tables as mf
+
+
+def missing(*paths: str) -> dict[str, FormatError]:
+    """Faults of a package without these files, as `find_faults` gives them."""
+    return {path: FormatError("missing_file", path, "expected a file, got nothing") for path in paths}
+
 
 HASH = "0" * 64
 

@@ -14,7 +14,6 @@ from airgs_codec.media.image import label, to_bytes
 from airgs_codec.media.movie import write_movie
 from airgs_codec.package.store import Package
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.metrics import screen_ticks
 from airgs_codec.play.session import SessionLog
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
@@ -42,7 +41,7 @@ def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians
     shown_at = -1
     frames: list[Gaussians] = []
     last: Gaussians | None = None
-    for entry, frame in screen_ticks(log):
+    for entry, frame in log.screen_ticks:
         s = log.shown[entry]
         if entry != shown_at and s.rung is not None:
             frames = _segment(package, s.segment, *log.catalogue.rungs[s.rung])
@@ -90,7 +89,7 @@ def film(
 
     Raises CodecError.
     """
-    ticks = screen_ticks(log)
+    ticks = log.screen_ticks
     cameras = viewer_path(cameras, len(ticks), log.catalogue.fps)
     write_movie(path, _pictures(package, log, ticks, cameras, original, progress), log.catalogue.manifest.fps)
 

@@ -12,7 +12,9 @@ import numpy as np
 from airgs_codec._files import write_json
 from airgs_codec._report import new_figure, page, save_figure
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.metrics import frame_times, mean_quality, metrics, screen_ticks, session_bound
+from airgs_codec.play.events import BatchKind
+from airgs_codec.play.metrics import SessionMetrics
+from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import SessionLog
 
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
@@ -23,7 +25,7 @@ def write_report(log: SessionLog, directory: Path) -> Path:
     try:
         directory.mkdir(parents=True, exist_ok=True)
         record = {
-            "metrics": metrics(log),
+            "metrics": dataclasses.asdict(log.metrics),
             "fetches": [dataclasses.asdict(f) for f in log.fetches],
             "shown": [dataclasses.asdict(s) for s in log.shown],
         }
@@ -56,15 +58,22 @@ def _end(log: SessionLog) -> float:
 
 
 def _throughput(axis: Any, log: SessionLog) -> None:
-    trace = log.link.trace
-    grid = np.linspace(0, _end(log), 1500)
-    axis.fill_between(grid, [trace.rate_at(t) / 1e6 for t in grid], color=_BLUE, alpha=0.25, linewidth=0, label="trace")
+    title = "Throughput of a real connection"
+    if log.link is not None:
+        trace, grid = log.link.trace, np.linspace(0, _end(log), 1500)
+        rates = [trace.rate_at(t) / 1e6 for t in grid]
+        axis.fill_between(grid, rates, color=_BLUE, alpha=0.25, linewidth=0, label="trace")
+        title = f"Throughput: {trace.name}, mean {trace.mean_bps / 1e6:.1f} Mbit/s"
     times = [f.request_s for f in log.fetches]
     axis.step(times, [f.throughput_bps / 1e6 for f in log.fetches], where="post", color=_BLUE, label="estimate")
-    axis.set(ylabel="Mbit/s", title=f"Throughput: {trace.name}, mean {trace.mean_bps / 1e6:.1f} Mbit/s", ylim=(0, None))
+    axis.set(ylabel="Mbit/s", title=title, ylim=(0, None))
     sizes = axis.twinx()
-    for kind, marker, color in (("group", "s", _ORANGE), ("state", "o", _GREEN), ("better", "^", _RED)):
-        batch = [f for f in log.fetches if f.kind == kind]
+    for kind, marker, color in (
+        (BatchKind.GROUP, "s", _ORANGE),
+        (BatchKind.STATE, "o", _GREEN),
+        (BatchKind.REPLACEMENT, "^", _RED),
+    ):
+        batch = [f for f in log.fetches if f.kind is kind]
         if not batch:
             continue
         sizes.plot(
@@ -73,7 +82,7 @@ def _throughput(axis: Any, log: SessionLog) -> None:
             marker,
             color=color,
             ms=4,
-            label="key + state" if kind == "group" else kind,
+            label="key + state" if kind is BatchKind.GROUP else kind,
         )
     budgets = [(f.request_s, f.budget_bytes / 1e3) for f in log.fetches if f.budget_bytes > 0]
     if budgets:
@@ -109,13 +118,13 @@ def _buffer(axis: Any, log: SessionLog) -> None:
     played = np.array([np.clip(t - starts, 0, lengths).sum() for t in grid])
     at_hand = np.array(ready)[np.searchsorted(arrivals, grid, side="right")]
     axis.fill_between(grid, at_hand - played, color=_ORANGE, alpha=0.5, linewidth=0)
-    result = metrics(log)
-    title = f"Buffer: {result['stalls']} stalls, {result['stall_s']:.2f} s of waiting after the start"
+    result = log.metrics
+    title = f"Buffer: {result.stalls} stalls, {result.stall_s:.2f} s of waiting after the start"
     axis.set(ylabel="s of media", title=title, ylim=(0, None))
 
 
 def _psnr(axis: Any, log: SessionLog) -> None:
-    values = [log.shown[i].psnr for i, _ in screen_ticks(log)]
+    values = [log.shown[i].psnr for i, _ in log.screen_ticks]
     if all(v is None for v in values):
         axis.text(0.5, 0.5, "quality was not measured", ha="center", transform=axis.transAxes)
     else:
@@ -138,12 +147,12 @@ def _arrivals(axis: Any, log: SessionLog) -> None:
 
 def _transfers(axis: Any, log: SessionLog) -> None:
     """The paper's transmission time: request to arrival of a batch, shared by the frames it shows."""
-    batches = [f for f in log.fetches if f.kind != "manifests"]
+    batches = [f for f in log.fetches if f.kind is not BatchKind.MANIFESTS]
     frames = np.array([log.shown[f.position].frames for f in batches])
     took = 1e3 * np.array([f.arrival_s - f.request_s for f in batches]) / np.maximum(frames, 1)
     axis.axhline(1e3 / log.catalogue.fps, color=_GREY, linestyle="--", label="a frame on the screen")
     axis.plot([f.arrival_s for f in batches], took, ".", color=_GREEN, label="a frame on its way")
-    every = 1e3 * frame_times(log)
+    every = 1e3 * log.frame_times
     title = "Time a frame was on its way, its share of round trip and key included"
     if len(every):
         title += f": mean {every.mean():.0f} ms, 95 % under {np.percentile(every, 95):.0f} ms"
@@ -157,18 +166,16 @@ def format_metrics(log: SessionLog) -> str:
 
 
 def _readable(log: SessionLog) -> list[tuple[str, str]]:
-    r: dict[str, Any] = metrics(log)
+    r: dict[str, Any] = dataclasses.asdict(log.metrics)
     bound = session_bound(log) if log.catalogue.measured else None
-    notes = [f"from {r['trace_offset_s']:g} s"] * (r["trace_offset_s"] > 0)
-    notes += [f"rates x{r['trace_scale']:g}"] * (r["trace_scale"] != 1)
-    notes += [{"loop": "repeated", "hold": "last rate held", "error": ""}[r["trace_end"]]] * r["trace_ended"]
     quality = "not measured"
     if r["psnr_mean"] is not None:
         quality = f"mean {r['psnr_mean']:.2f} dB, 5th percentile {r['psnr_p5']:.2f} dB"
     wire = ", ".join(f"{kind} {size / 1e3:.1f}" for kind, size in r["bytes"].items())
+    used = "" if r["utilisation"] is None else f", {100 * r['utilisation']:.0f} % of what could pass"
     rows = [
-        ("policy", log.settings.policy),
-        ("trace", f"{r['trace']}, mean {r['trace_mean_bps'] / 1e6:.2f} Mbit/s" + "".join(f", {n}" for n in notes)),
+        ("policy", log.policy),
+        ("trace", _trace_words(log.metrics)),
         ("played", f"{r['frames']} frames, {r['played_s']:.2f} s"),
         ("start-up", f"{r['startup_s']:.3f} s"),
         ("stalls", f"{r['stalls']}, {r['stall_s']:.3f} s, {100 * r['stall_ratio']:.2f} %"),
@@ -176,19 +183,28 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
         ("rungs", ", ".join(f"{name} x{count}" for name, count in r["rungs"].items())),
         ("switches", f"{r['switches']}, mean change {r['change_db']:.2f} dB"),
         ("fetched, kB", f"{wire}; {r['bytes_per_frame'] / 1e3:.2f} a frame"),
-        ("wire", f"{r['wire_bytes'] / 1e3:.1f} kB with headers, {100 * r['utilisation']:.0f} % of what could pass"),
+        ("wire", f"{r['wire_bytes'] / 1e3:.1f} kB with headers" + used),
         ("wasted", f"{100 * r['wasted']:.1f} %: {r['replaced']} replacements, {r['abandoned']} abandoned"),
         ("frame on its way", f"mean {r['frame_ms_mean']:.0f} ms, 95 % under {r['frame_ms_p95']:.0f} ms"),
-        ("choices without fit", f"{100 * r['infeasible']:.0f} %"),
+        ("no rung fitted", f"{100 * r['infeasible']:.0f} %"),
     ]
     if r["qoe"] is not None:
         rows.append(("QoE", f"{r['qoe']:.2f} dB: quality - changes - 20 dB for a second of waiting"))
     if bound is not None:
-        regret = f"regret {bound - mean_quality(log):.2f} dB"
+        regret = f"regret {bound - log.mean_quality:.2f} dB"
         rows.append(("best possible", f"at most {bound:.2f} dB at the same moments, mean of segments: {regret}"))
     if log.lost:
         rows.append(("lost", f"{r['lost_frames']} frames; {'; '.join(log.lost)}"))
     return rows
+
+
+def _trace_words(m: SessionMetrics) -> str:
+    if m.trace is None or m.trace_mean_bps is None:
+        return "none: a real connection"
+    notes = [f"from {m.trace_offset_s:g} s"] * bool(m.trace_offset_s)
+    notes += [f"rates x{m.trace_scale:g}"] * (m.trace_scale != 1)
+    notes += [{"loop": "repeated", "hold": "last rate held", "error": ""}[m.trace_end or "loop"]] * bool(m.trace_ended)
+    return ", ".join([f"{m.trace}, mean {m.trace_mean_bps / 1e6:.2f} Mbit/s", *notes])
 
 
 def _page(log: SessionLog, directory: Path) -> str:

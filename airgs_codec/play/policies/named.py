@@ -1,0 +1,63 @@
+"""The table of policies by name, for command lines and studies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.ladder import Decision
+from airgs_codec.play.link import Link
+from airgs_codec.play.policies.bola import choose_bola
+from airgs_codec.play.policies.fixed import choose_fixed
+from airgs_codec.play.policies.mpc import choose_robust_mpc
+from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
+from airgs_codec.play.policies.paper import choose_paper, choose_paper_literal
+from airgs_codec.play.policies.state import PlayerState, Policy
+from airgs_codec.play.policies.throughput import choose_throughput
+
+DEFAULT_POLICY = "paper"
+ADAPTIVE = {
+    policy.name: policy
+    for policy in (
+        Policy("paper", choose_paper),
+        Policy("paper-literal", choose_paper_literal),
+        Policy("throughput", choose_throughput),
+        Policy("bola", choose_bola),
+        Policy("robust-mpc", choose_robust_mpc),
+    )
+}
+ORACLES: dict[str, Callable[[PlayerState, Link], Decision]] = {
+    "oracle-frame": choose_oracle_frame,
+    "oracle-lp": choose_oracle_lp,
+}
+NAMES = (*ADAPTIVE, *ORACLES)
+
+
+def make_policy(name: str, catalogue: Catalogue, link: Link | None = None) -> Policy:
+    """A policy by name, or fixed:J (level J with the finest keys) or fixed:RUNG (such as Q1+L3).
+
+    The oracles need the link. Raises ConfigError for other names, and for an oracle without a link.
+    """
+    if name in ADAPTIVE:
+        return ADAPTIVE[name]
+    if name in ORACLES:
+        if link is None:
+            raise ConfigError(f"policy {name}: expected a trace, which it knows in advance, got a real connection")
+        oracle, known = ORACLES[name], link
+        return Policy(name, lambda state: oracle(state, known), may_replace=False)
+    rung = _fixed_rung(name, catalogue)
+    choose = partial(choose_fixed, rung=rung)
+    return Policy(name, choose, may_abandon=False, may_replace=False, needs_quality=False)
+
+
+def _fixed_rung(name: str, catalogue: Catalogue) -> int:
+    kind, _, rung = name.partition(":")
+    levels = len(catalogue.manifest.levels)
+    if kind == "fixed" and rung in catalogue.names:
+        return catalogue.names.index(rung)
+    if kind == "fixed" and rung.isdigit() and int(rung) < levels:
+        return int(rung)
+    names = f"{', '.join(NAMES)}, fixed:0 … fixed:{levels - 1} or fixed:{catalogue.names[-1]}"
+    raise ConfigError(f"--policy: expected {names}, got {name!r}")

@@ -1,0 +1,98 @@
+"""What a policy is, what it knows, and the estimates that several policies share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from airgs_codec.play.catalogue import Catalogue, DecodedTiers
+from airgs_codec.play.ladder import Decision, Ladder, Option
+
+SAFETY = 0.9  # share of the estimated throughput that is spent
+HALF_LIVES_S = (3.0, 8.0)  # of the two throughput averages; the smaller one counts (as in dash.js)
+BUFFER_SHARE = 0.5  # of the buffered time that one segment may use
+RESERVE_S = 3.0  # of media time that BOLA and the model-predictive controller keep
+STALL_DB = 20.0  # quality that a second of waiting is worth (Puffer's coefficient)
+
+
+@dataclass(frozen=True, slots=True)
+class Download:
+    """A finished batch, as the throughput estimate sees it."""
+
+    bytes: int
+    seconds: float  # from the first byte to the last
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlayerState:
+    """What is known when a segment is to be requested."""
+
+    catalogue: Catalogue
+    position: int  # of the segment in the session
+    end: int  # positions of the session
+    decoded_tiers: DecodedTiers  # of the segment's group
+    options: tuple[Option, ...]  # every rung that can be had, with its wire bytes
+    now_s: float
+    deadline_s: float  # when it must arrive to be shown in time; in the past when the player waits
+    buffer_limit_s: float
+    request_latency_s: float  # from now to the first byte
+    shown_quality: float | None  # dB of the segment before it
+    history: tuple[Download, ...]  # oldest first
+
+    @property
+    def segment(self) -> int:
+        """The segment in the package."""
+        return self.catalogue.index(self.position)
+
+    @property
+    def segment_s(self) -> float:
+        """Seconds that the segment shows."""
+        return self.catalogue.seconds_at(self.position)
+
+    @property
+    def buffer_s(self) -> float:
+        """Seconds of media ahead of the playhead."""
+        return max(0.0, self.deadline_s - self.now_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """A rule that chooses the rung of the next segment, and what the player may do beside it."""
+
+    name: str
+    choose: Callable[[PlayerState], Decision]
+    may_abandon: bool = True  # give up downloads that would come too late
+    may_replace: bool = True  # fetch better rungs for buffered segments
+    needs_quality: bool = True  # only packages with measured quality
+
+
+def estimate_throughput(history: Sequence[Download]) -> float:
+    """bit/s: the smaller of two exponential averages weighted by download time; 0 before the first download."""
+    estimates = []
+    for half_life in HALF_LIVES_S:
+        value, weight = 0.0, 0.0
+        for download in history:
+            keep = 0.5 ** (download.seconds / half_life)
+            value = keep * value + (1 - keep) * 8 * download.bytes / download.seconds
+            weight = keep * weight + (1 - keep)
+        estimates.append(value / weight if weight > 0 else 0.0)
+    return min(estimates)
+
+
+def budget_bytes(state: PlayerState) -> float:
+    """Bytes that can arrive in time: the paper's B / R over a segment, plus half of the time that is buffered.
+
+    SAFETY * B * window / 8, window = max(segment, BUFFER_SHARE * (deadline - now)) - latency. Sizes include headers.
+    """
+    window = max(state.segment_s, BUFFER_SHARE * (state.deadline_s - state.now_s)) - state.request_latency_s
+    return SAFETY * estimate_throughput(state.history) * window / 8
+
+
+def full_ladder(state: PlayerState) -> Ladder:
+    """The rungs worth having, without the cliff test.
+
+    The cliff belongs to the dense level space that a package's few levels were taken from, and a rung it removed here
+    could only be replaced by a stall.
+    """
+    return Ladder.build(state.options, beta=math.inf, cliff_db=math.inf)
