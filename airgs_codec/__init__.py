@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from airgs_codec.errors import AirgsError
     from airgs_codec.inspect.validate import validate
     from airgs_codec.package.store import open_package
-    from airgs_codec.play.player import SessionSettings
+    from airgs_codec.play.settings import SessionSettings
     from airgs_codec.play.trace import open_trace
     from airgs_codec.scene.gaussians import Gaussians
     from airgs_codec.scene.sequence import open_sequence
@@ -47,7 +47,7 @@ _HOMES = {
     "AirgsError": "errors",
     "EncodeSettings": "encoder.settings",
     "Gaussians": "scene.gaussians",
-    "SessionSettings": "play.player",
+    "SessionSettings": "play.settings",
     "decode": "decoder.decode",
     "encode": "encoder.publish",
     "open_package": "package.store",

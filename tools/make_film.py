@@ -26,12 +26,9 @@ from numpy.typing import NDArray
 from airgs_codec.encoder.publish import encode
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.package.store import Package, open_package
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import Link
-from airgs_codec.play.metrics import screen_ticks
-from airgs_codec.play.player import SessionSettings
 from airgs_codec.play.report.film import screen_frames
 from airgs_codec.play.session import SessionLog, simulate
+from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import open_trace
 from airgs_codec.render import render
 from airgs_codec.scene.camera import Camera
@@ -54,10 +51,10 @@ def play(folder: Path) -> tuple[Package, SessionLog, list[Camera]]:
     sequence = open_sequence(SCENE, fps=Fraction(FPS))
     encode(sequence, folder / "fox.airgs")
     package = open_package(folder / "fox.airgs")
-    settings = SessionSettings("robust-mpc", buffer_s=BUFFER_S, loops=LOOPS)
-    link = Link.over(open_trace(str(SCENE / "trace.csv")).cut(OFFSET_S, SCALE))
-    log = simulate(Catalogue(package.manifest), package.manifest_bytes, link, settings)
-    return package, log, swing(sequence.cameras, len(screen_ticks(log)))
+    settings = SessionSettings(buffer_s=BUFFER_S, loops=LOOPS)
+    trace = open_trace(str(SCENE / "trace.csv")).cut(OFFSET_S, SCALE)
+    log = simulate(package, trace, "robust-mpc", settings)
+    return package, log, swing(sequence.cameras, len(log.screen_ticks))
 
 
 def swing(cameras: Sequence[Camera], ticks: int) -> list[Camera]:
@@ -99,13 +96,15 @@ class Chart:
 
 def draw_chart(log: SessionLog, height: int, width: int) -> Chart:
     """The chart of a session in so many pixels."""
-    start, ticks = log.shown[0].start_s, len(screen_ticks(log))
+    assert log.link is not None, "a simulated session has a link"
+    trace = log.link.trace
+    start, ticks = log.shown[0].start_s, len(log.screen_ticks)
     stop = start + ticks / FPS
     figure, (rate, rungs) = plt.subplots(
         2, 1, figsize=(width / 100, height / 100), dpi=100, sharex=True, height_ratios=(3, 1), layout="constrained"
     )
     seconds = np.linspace(start, stop, 400)
-    rate.fill_between(seconds, [log.link.trace.rate_at(s) / 1e6 for s in seconds], step="mid", color="#9db8d6")
+    rate.fill_between(seconds, [trace.rate_at(s) / 1e6 for s in seconds], step="mid", color="#9db8d6")
     rate.set(xlim=(start, stop), ylim=(0, None))
     rate.set_title("the link, Mbit/s", fontsize=8, loc="left")
     qualities = [shown.psnr or 0.0 for shown in log.shown]
