@@ -1,1 +1,1 @@
-"""Pictures and video files: reading, writing, H.264, comparing."""
+"""Images, H.264 in MP4, films, and how alike pictures are. Nothing here knows Gaussians."""

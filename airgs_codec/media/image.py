@@ -1,4 +1,4 @@
-"""Reading and writing pictures. The only importer of cv2."""
+"""Images: files, filters, lenses, features. H x W pixels, C channels; RGB is always in this order."""
 
 from __future__ import annotations
 
@@ -11,20 +11,26 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 
+# OpenCV counts pixel centres from 0, we have the first at 0.5: added to a matrix of theirs, it gives ours.
+TO_CENTRES = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+
 
 def to_bytes(rgb: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB of [0, 1] -> 8 bit; what lies outside is shown at the bound, as a screen does."""
+    """(H, W, 3) RGB of [0, 1] -> 8 bit; what lies outside is shown at the nearer bound, as a screen does."""
     return np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
 
 
 def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
-    """Write an (H, W, 3) RGB picture."""
+    """Write (H, W, 3) RGB as PNG."""
     _, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
     path.write_bytes(data.tobytes())
 
 
 def read_picture(path: Path) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB, or (H, W, 4) where the file has alpha. Raises SceneError when the file is not a picture."""
+    """Read (H, W, 3) RGB of 8 bits, or (H, W, 4) where the file has alpha; of 16 bits the upper 8 are kept.
+
+    Raises SceneError when the file is not a picture of 8 or 16 bits.
+    """
     picture = _decode(path, cv2.IMREAD_UNCHANGED)
     if picture.dtype == np.uint16:
         picture = (picture >> 8).astype(np.uint8)
@@ -37,12 +43,15 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
 
 
 def read_png(path: Path) -> NDArray[np.float32]:
-    """(H, W, 3) RGB of [0, 1]. Raises SceneError when the file is not a picture."""
+    """Read (H, W, 3) RGB of [0, 1] without alpha. Raises SceneError when the file is not a picture."""
     return np.float32(1 / 255) * cv2.cvtColor(_decode(path, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
 
 
 def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.float32]:
-    """(H, W) of 0 and 1: 1 where the picture of width x height `size` is not black. Raises SceneError."""
+    """Read (H, W) of 0 and 1 from a picture: 1 where it is not black.
+
+    Raises SceneError when the file is not a picture of `size` = (width, height).
+    """
     mask = _decode(path, cv2.IMREAD_GRAYSCALE)
     if mask.shape[::-1] != size:
         raise SceneError(f"{path}: expected a mask of {size[0]}x{size[1]}, got {mask.shape[1]}x{mask.shape[0]}")
@@ -58,7 +67,7 @@ def _decode(path: Path, flags: int) -> NDArray:
 
 
 def label(rgb: NDArray[np.uint8], text: str, line: int = 0) -> NDArray[np.uint8]:
-    """A copy of the (H, W, 3) picture with a line of white text on a dark band at the top."""
+    """A copy of (H, W, 3) 8-bit RGB with white text on a dark band: line 0 is at the top."""
     out = rgb.copy()
     top = 18 * line
     out[top : top + 18] //= 3
@@ -67,13 +76,16 @@ def label(rgb: NDArray[np.uint8], text: str, line: int = 0) -> NDArray[np.uint8]
 
 
 def blur(picture: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Separable filter of an (H, W, 3) picture by a 1-D kernel; borders mirrored."""
+    """(H, W, 3) filtered by a 1-D kernel in both directions; borders are mirrored."""
     return cv2.sepFilter2D(picture, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT_101).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lens:
-    """A camera with distortion, and the pinhole camera its pictures are turned into."""
+    """A camera with distortion, and the pinhole camera that its pictures are resampled for.
+
+    Matrices are in pixels, with the centre of the first pixel at (0.5, 0.5), as `scene.camera` has it.
+    """
 
     size: tuple[int, int]  # width, height
     matrix: NDArray[np.float64]  # (3, 3) intrinsics of the real camera
@@ -85,42 +97,51 @@ class Lens:
 def fit_lens(
     size: tuple[int, int], matrix: NDArray[np.float64], coefficients: NDArray[np.float64], fisheye: bool = False
 ) -> Lens:
-    """The widest pinhole camera of the same size all of whose pixels the real one saw.
+    """The lens whose pinhole camera is the widest of the same size all of whose pixels the real camera saw.
 
-    OpenCV counts pixel centres from 0; matrices here have them at +0.5, as `Camera`.
+    `size` is (width, height), `matrix` (3, 3), `coefficients` are OpenCV's of the model.
     """
-    shift = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     if fisheye:
         new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
-            matrix - shift, coefficients, size, np.eye(3), balance=0.0
+            matrix - TO_CENTRES, coefficients, size, np.eye(3), balance=0.0
         )
     else:
-        new, _ = cv2.getOptimalNewCameraMatrix(matrix - shift, coefficients, size, 0)
-    return Lens(size, matrix, coefficients, fisheye, new + shift)
+        new, _ = cv2.getOptimalNewCameraMatrix(matrix - TO_CENTRES, coefficients, size, 0)
+    return Lens(size, matrix, coefficients, fisheye, new + TO_CENTRES)
 
 
 def undistort(picture: NDArray[np.float32], lens: Lens) -> NDArray[np.float32]:
-    """The (H, W, C) picture as the pinhole camera of `lens` would have seen it."""
-    shift = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    """(H, W, C) resampled to what the pinhole camera of `lens` would have seen."""
     maps = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
-    arguments = (lens.matrix - shift, lens.coefficients, np.eye(3), lens.pinhole - shift, lens.size, cv2.CV_32FC1)
+    arguments = (
+        lens.matrix - TO_CENTRES,
+        lens.coefficients,
+        np.eye(3),
+        lens.pinhole - TO_CENTRES,
+        lens.size,
+        cv2.CV_32FC1,
+    )
     return np.asarray(cv2.remap(picture, *maps(*arguments), cv2.INTER_LINEAR), np.float32)
 
 
 def resize(picture: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:
-    """The picture at another size; pixels are averaged over their area when it shrinks."""
+    """(H, W, C) at another size in pixels; where it shrinks, pixels are averaged over their area."""
     if picture.shape[1::-1] == (width, height):
         return picture
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
 def box_mean(values: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """(H, W) mean over `size` x `size` pixels; borders mirrored."""
+    """(H, W) means over `size` x `size` pixels around each; borders are mirrored."""
     return np.asarray(cv2.blur(values, (size, size), borderType=cv2.BORDER_REFLECT_101), np.float32)
 
 
 def sift(picture: NDArray[np.float32], most: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-    """At most `most` SIFT features of an (H, W, 3) picture: positions (F, 2), centres at +0.5, and descriptors."""
+    """The F <= `most` strongest SIFT features (Lowe 2004) of (H, W, 3) RGB of [0, 1].
+
+    Gives positions (F, 2) in pixels, x first, with the centre of the first pixel at (0.5, 0.5), and descriptors
+    (F, 128).
+    """
     grey = cv2.cvtColor(to_bytes(picture), cv2.COLOR_RGB2GRAY)
     found, descriptors = cv2.SIFT.create(nfeatures=most).detectAndCompute(grey, None)
     if descriptors is None:
@@ -129,7 +150,10 @@ def sift(picture: NDArray[np.float32], most: int) -> tuple[NDArray[np.float64], 
 
 
 def match_features(a: NDArray[np.float32], b: NDArray[np.float32], ratio: float) -> NDArray[np.intp]:
-    """(M, 2) rows of descriptors `a` and `b`: each other's nearest, and nearer than `ratio` of the second nearest."""
+    """(M, 2) pairs of rows of descriptors `a` (A, 128) and `b` (B, 128) that are each other's nearest.
+
+    A pair counts only where the second nearest is further by 1 / `ratio` on both sides (Lowe's ratio test).
+    """
     if len(a) < 2 or len(b) < 2:
         return np.empty((0, 2), np.intp)
     matcher = cv2.BFMatcher(cv2.NORM_L2)

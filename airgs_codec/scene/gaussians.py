@@ -1,4 +1,4 @@
-"""The data: one frame of 3D Gaussians in stored domain.
+"""One frame of 3D Gaussians, as .ply files store it: logarithms of scales, logits of opacity.
 
 N Gaussians, K = (degree + 1)^2 - 1 SH coefficients past DC.
 """
@@ -16,9 +16,10 @@ SH_REST = (0, 3, 8, 15)  # SH coefficients past DC for degree 0..3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussians:
-    """One frame of N Gaussians. Row n is the same Gaussian in every frame of a group.
+    """One frame of N Gaussians in stored domain. Row n is the same Gaussian in every frame of a group.
 
-    Colour seen from direction d: max(0, 0.5 + SH(d)); covariance R S S^T R^T (AirGS, "Representation").
+    The covariance of a Gaussian is R S S^T R^T, with R its rotation and S the diagonal of its scales; its colour seen
+    along direction d is max(0, 0.5 + SH(d)) (3D Gaussian Splatting, Kerbl et al. 2023).
     """
 
     means: NDArray[np.float32]  # (N, 3)     world units
@@ -33,19 +34,19 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        """0..3."""
+        """The degree of the spherical harmonics, 0 to 3."""
         return SH_REST.index(self.sh_rest.shape[1])
 
     def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Gaussians:
-        """The rows picked by an index array, a mask or a slice (which copies nothing)."""
+        """The rows that an index array, a mask or a slice picks; a slice copies nothing."""
         return Gaussians(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def with_degree(self, degree: int) -> Gaussians:
-        """The same without the SH bands above `degree`."""
+        """The same Gaussians without the SH bands above `degree`, which is at most theirs."""
         return replace(self, sh_rest=self.sh_rest[:, : SH_REST[degree]])
 
     def opacities(self) -> NDArray[np.float32]:
-        """(N,) alpha in [0, 1]."""
+        """(N,) opacity alpha in [0, 1], the sigmoid of the logits."""
         return sigmoid(self.opacity_logits)
 
 

@@ -1,4 +1,4 @@
-"""Unit quaternions w, x, y, z and rotation vectors. A rotation vector is axis * angle, in radians."""
+"""Unit quaternions w, x, y, z and rotation vectors: axis * angle, in radians. Arrays (..., 4), (..., 3)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SMALL_ANGLE = 1e-8
 
 
 def to_rotation_vector(quaternions: Floats) -> Floats:
-    """(..., 4) unit w, x, y, z -> (..., 3) axis * angle in radians, angle in [0, pi] (q and -q agree)."""
+    """(..., 4) unit quaternions -> (..., 3) rotation vectors with an angle in [0, pi]; q and -q give the same."""
     q = np.where(quaternions[..., :1] < 0, -quaternions, quaternions)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)
     angle = 2 * np.arctan2(sine, q[..., :1])
@@ -20,14 +20,14 @@ def to_rotation_vector(quaternions: Floats) -> Floats:
 
 
 def from_rotation_vector(vectors: Floats) -> Floats:
-    """(..., 3) -> (..., 4) unit quaternions; any angle."""
+    """(..., 3) rotation vectors of any angle -> (..., 4) unit quaternions."""
     angle = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
     factor = np.where(angle > SMALL_ANGLE, np.sin(angle / 2) / np.maximum(angle, SMALL_ANGLE), 0.5)
     return np.concatenate([np.cos(angle / 2), factor * vectors], axis=-1).astype(vectors.dtype)
 
 
 def multiply(a: Floats, b: Floats) -> Floats:
-    """Hamilton product a b of (..., 4) quaternions: rotate by b, then by a."""
+    """The Hamilton product a b of (..., 4) quaternions: the rotation by b, then by a."""
     aw, ax, ay, az = (a[..., i] for i in range(4))
     bw, bx, by, bz = (b[..., i] for i in range(4))
     return np.stack(
@@ -42,5 +42,5 @@ def multiply(a: Floats, b: Floats) -> Floats:
 
 
 def conjugate(q: Floats) -> Floats:
-    """Inverse of unit quaternions."""
+    """(..., 4) unit quaternions -> their inverses."""
     return q * np.array([1, -1, -1, -1], q.dtype)

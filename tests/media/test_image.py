@@ -1,0 +1,96 @@
+"""Images: files come back, lenses are undone, features are found where they are."""
+
+import cv2
+import numpy as np
+import pytest
+
+from airgs_codec.errors import SceneError
+from airgs_codec.media.image import (
+    Lens,
+    box_mean,
+    fit_lens,
+    label,
+    match_features,
+    read_mask,
+    read_picture,
+    read_png,
+    resize,
+    sift,
+    to_bytes,
+    undistort,
+    write_png,
+)
+
+
+def noise(height=48, width=64, seed=0):
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)
+
+
+def test_pictures_come_back_as_they_were(tmp_path):
+    rgb = noise()
+    write_png(tmp_path / "a.png", rgb)
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), rgb)
+    np.testing.assert_array_equal(to_bytes(read_png(tmp_path / "a.png")), rgb)
+
+
+def test_grey_alpha_and_16_bits_are_read_as_rgb(tmp_path):
+    path, rgb = str(tmp_path / "a.png"), noise()
+    cv2.imwrite(path, rgb[..., 0])
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), np.repeat(rgb[..., :1], 3, axis=2))
+    cv2.imwrite(path, np.dstack([rgb[..., ::-1], rgb[..., 0]]))
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), np.dstack([rgb, rgb[..., 0]]))
+    cv2.imwrite(path, rgb[..., ::-1].astype(np.uint16) << 8 | 7)
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), rgb)
+
+
+def test_what_is_no_picture_is_refused(tmp_path):
+    for name, content in (("none", None), ("empty", b""), ("text", b"no picture")):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(SceneError, match=f"{name}: expected a picture"):
+            read_picture(tmp_path / name)
+
+
+def test_a_mask_is_1_where_it_is_not_black_and_has_the_size_asked_for(tmp_path):
+    mask = np.zeros((4, 6, 3), np.uint8)
+    mask[1, 2] = 1
+    mask[3, 5] = 255
+    write_png(tmp_path / "m.png", mask)
+    assert np.argwhere(read_mask(tmp_path / "m.png", (6, 4))).tolist() == [[1, 2], [3, 5]]
+    with pytest.raises(SceneError, match="expected a mask of 4x6, got 6x4"):
+        read_mask(tmp_path / "m.png", (4, 6))
+
+
+def test_what_leaves_0_to_1_is_shown_at_the_bound():
+    assert to_bytes(np.array([[[-0.5, 0.5, 1.5]]])).tolist() == [[[0, 128, 255]]]
+
+
+def test_a_label_darkens_its_line_alone_and_copies():
+    rgb = np.full((60, 80, 3), 90, np.uint8)
+    out = label(rgb, "text", 1)
+    assert (rgb == 90).all() and (out[:18] == 90).all() and (out[36:] == 90).all() and (out[18:36] != 90).any()
+
+
+def test_a_lens_without_distortion_changes_nothing():
+    matrix = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
+    picture = noise().astype(np.float32)
+    np.testing.assert_allclose(undistort(picture, Lens((64, 48), matrix, np.zeros(4), False, matrix)), picture)
+    np.testing.assert_allclose(fit_lens((64, 48), matrix, np.zeros(4)).pinhole, matrix, atol=1)
+
+
+def test_features_of_a_shifted_picture_match_by_the_shift():
+    smooth = cv2.GaussianBlur(noise(120, 160), (0, 0), 2).astype(np.float32) / 255
+    smooth = (smooth - smooth.min()) / (smooth.max() - smooth.min())
+    (a, da), (b, db) = sift(smooth[:100, :140], 300), sift(smooth[10:110, 15:155], 300)
+    pairs = match_features(da, db, 0.8)
+    assert len(pairs) > 20
+    np.testing.assert_allclose(np.median(a[pairs[:, 0]] - b[pairs[:, 1]], axis=0), [15, 10], atol=0.1)
+    assert match_features(da[:1], db, 0.8).shape == (0, 2)
+    assert sift(np.zeros((20, 20, 3), np.float32), 10)[1].shape == (0, 128)
+
+
+def test_means_over_boxes_and_areas():
+    values = np.arange(16, dtype=np.float32).reshape(4, 4)
+    assert box_mean(values, 3)[1, 1] == values[:3, :3].mean()
+    np.testing.assert_allclose(resize(values, 2, 2), values.reshape(2, 2, 2, 2).mean(axis=(1, 3)))
+    assert resize(values, 4, 4) is values
