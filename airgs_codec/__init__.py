@@ -6,6 +6,7 @@
     airgs.encode(sequence, "scene.airgs", airgs.EncodeSettings(quality=0.6))
     package = airgs.open_package("scene.airgs")
     gaussians = airgs.decode(package, 12, level="L1", key_quality="Q0")
+    log = airgs.simulate(package, airgs.open_trace("lte.csv"), "robust-mpc")
 
 These names are the interface; modules behind them may move. Each is loaded when it is first used, so that importing the
 package costs nothing. Paths are `str` or `Path` everywhere. All errors raised on purpose are `AirgsError`.
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from airgs_codec.errors import AirgsError
     from airgs_codec.inspect.validate import validate
     from airgs_codec.package.store import open_package
+    from airgs_codec.play.session import simulate
     from airgs_codec.play.settings import SessionSettings
     from airgs_codec.play.trace import open_trace
     from airgs_codec.scene.gaussians import Gaussians
@@ -40,6 +42,7 @@ __all__ = [
     "open_package",
     "open_sequence",
     "open_trace",
+    "simulate",
     "validate",
 ]
 
@@ -53,6 +56,7 @@ _HOMES = {
     "open_package": "package.store",
     "open_sequence": "scene.sequence",
     "open_trace": "play.trace",
+    "simulate": "play.session",
     "validate": "inspect.validate",
 }
 

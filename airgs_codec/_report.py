@@ -42,7 +42,11 @@ def require_matplotlib(wanted: str) -> None:
 
     Commands call this before their work begins, so that nobody waits for a picture that cannot be drawn.
     """
-    if importlib.util.find_spec("matplotlib") is None:
+    try:
+        missing = importlib.util.find_spec("matplotlib") is None
+    except ValueError:  # colour-science puts a stand-in without a spec in its place where it is not installed
+        missing = True
+    if missing:
         raise ConfigError(f"{wanted} needs matplotlib: pip install 'airgs-codec[plot]'")
 
 

@@ -9,6 +9,7 @@ import pytest
 
 import airgs_codec as airgs
 from tests.support.paths import PACKAGE
+from tests.support.scenes import moving_frames, write_sequence
 
 NAMES = {
     "AirgsError",
@@ -20,6 +21,7 @@ NAMES = {
     "open_package",
     "open_sequence",
     "open_trace",
+    "simulate",
     "validate",
 }
 FUNCTIONS = sorted(name for name in NAMES if name[0].islower())
@@ -80,3 +82,29 @@ def test_importing_the_package_loads_nothing_heavy():
     code = f"import sys, airgs_codec; sys.exit(', '.join(n for n in {HEAVY} if n in sys.modules) or 0)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"loaded: {done.stderr}"
+
+
+WITHOUT_EXTRAS = """
+import sys
+for name in ("torch", "pycolmap", "gsplat", "matplotlib"):
+    sys.modules[name] = None  # an import of it fails as where it is not installed
+from airgs_codec.cli import decode, encode, manifest, play, train
+options = ["--steps", "default", "--measure-frames", "1", "--preset", "ultrafast"]
+assert encode.main(["scene", "-o", "scene.airgs", *options]) == 0
+assert decode.main(["scene.airgs", "-o", "decoded"]) == 0
+assert manifest.main(["validate", "scene.airgs", "--against", "scene"]) == 0
+assert manifest.main(["inspect", "scene.airgs"]) == 0
+assert play.main(["scene.airgs", "--trace", "const:5"]) == 0
+assert play.main(["scene.airgs", "--trace", "const:5", "--report", "report"]) == 2
+assert manifest.main(["inspect", "scene.airgs", "--plot", "plot.png"]) == 2
+assert train.main(["scene", "-o", "model"]) == 2
+"""
+
+
+def test_all_but_training_and_pictures_works_without_the_extras(tmp_path):
+    write_sequence(tmp_path / "scene", moving_frames(300, 3))
+    command = [sys.executable, "-c", WITHOUT_EXTRAS]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    said = [line for line in done.stderr.splitlines() if "pip install" in line]
+    assert [("plot" in line, "train" in line) for line in said] == [(True, False), (True, False), (False, True)]

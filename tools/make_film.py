@@ -23,17 +23,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.encoder.publish import encode
+import airgs_codec as airgs
 from airgs_codec.media.image import label, to_bytes
-from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.store import Package
 from airgs_codec.play.report.film import screen_frames
-from airgs_codec.play.session import SessionLog, simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.session import SessionLog
+from airgs_codec.play.trace import Trace
 from airgs_codec.render import render
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.orbits import camera_path
-from airgs_codec.scene.sequence import open_sequence
 
 REPOSITORY = Path(__file__).parent.parent
 SCENE = REPOSITORY / "tests" / "data" / "fox"
@@ -46,15 +44,14 @@ CROP = slice(40, 300)  # rows of the 320 that are shown
 COLOURS = 64  # of the palette
 
 
-def play(folder: Path) -> tuple[Package, SessionLog, list[Camera]]:
+def play(folder: Path) -> tuple[Package, SessionLog, Trace, list[Camera]]:
     """Encode the scene into `folder`, play it over its trace, and choose a camera for every tick of the screen."""
-    sequence = open_sequence(SCENE, fps=Fraction(FPS))
-    encode(sequence, folder / "fox.airgs")
-    package = open_package(folder / "fox.airgs")
-    settings = SessionSettings(buffer_s=BUFFER_S, loops=LOOPS)
-    trace = open_trace(str(SCENE / "trace.csv")).cut(OFFSET_S, SCALE)
-    log = simulate(package, trace, "robust-mpc", settings)
-    return package, log, swing(sequence.cameras, len(log.screen_ticks))
+    sequence = airgs.open_sequence(SCENE, fps=Fraction(FPS))
+    airgs.encode(sequence, folder / "fox.airgs")
+    package = airgs.open_package(folder / "fox.airgs")
+    trace = airgs.open_trace(SCENE / "trace.csv").cut(OFFSET_S, SCALE)
+    log = airgs.simulate(package, trace, "robust-mpc", airgs.SessionSettings(buffer_s=BUFFER_S, loops=LOOPS))
+    return package, log, trace, swing(sequence.cameras, len(log.screen_ticks))
 
 
 def swing(cameras: Sequence[Camera], ticks: int) -> list[Camera]:
@@ -94,10 +91,8 @@ class Chart:
         return out
 
 
-def draw_chart(log: SessionLog, height: int, width: int) -> Chart:
+def draw_chart(log: SessionLog, trace: Trace, height: int, width: int) -> Chart:
     """The chart of a session in so many pixels."""
-    assert log.link is not None, "a simulated session has a link"
-    trace = log.link.trace
     start, ticks = log.shown[0].start_s, len(log.screen_ticks)
     stop = start + ticks / FPS
     figure, (rate, rungs) = plt.subplots(
@@ -159,9 +154,9 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=REPOSITORY / "docs" / "session.gif")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        package, log, cameras = play(Path(folder))
+        package, log, trace, cameras = play(Path(folder))
         shots = list(screens(package, log, cameras))
-    chart = draw_chart(log, *shots[0].shape[:2])
+    chart = draw_chart(log, trace, *shots[0].shape[:2])
     shares = np.linspace(0, 1, len(shots))
     pictures = [np.hstack([shot, chart.at(float(share))]) for shot, share in zip(shots, shares, strict=True)]
     write_gif(args.output, pictures)
