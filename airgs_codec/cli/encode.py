@@ -23,7 +23,8 @@ from airgs_codec.encoder.settings import (
     EncodeSettings,
 )
 from airgs_codec.errors import ConfigError, SceneError
-from airgs_codec.inspect.inspection import format_summary
+from airgs_codec.inspect.summary import summarise
+from airgs_codec.inspect.text import format_summary
 from airgs_codec.media.h264 import PRESETS
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from airgs_codec.scene.usage import MEASURES
@@ -215,7 +216,7 @@ def _as_words(report: EncodeReport, target: Path) -> str:
     m = report.manifest
     times = ", ".join(f"{name} {value:.1f} s" for name, value in _times(report).items() if value >= 0.05)
     kept = " (calibration kept from before)" if report.cached else ""
-    return f"{format_summary(m, report.manifest_bytes)}\n\n{target}: {m.frames} frames; {times}{kept}"
+    return f"{format_summary(summarise(m, report.manifest_bytes))}\n\n{target}: {m.frames} frames; {times}{kept}"
 
 
 def _times(report: EncodeReport) -> dict[str, float]:

@@ -1,65 +1,96 @@
-"""airgs-manifest: look into a package, check it."""
+"""airgs-manifest: look into a package, check it, compare it with the original."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from airgs_codec._report import require_matplotlib
-from airgs_codec.cli.common import Bar, run_command
+from airgs_codec.cli.common import Bar, parse_range, run_command
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
+from airgs_codec.inspect.compare import compare_streams, compared_views, format_comparison, rung_streams
 from airgs_codec.inspect.dense import dense_table, format_dense, measure_dense, plot_dense
 from airgs_codec.inspect.errors import format_errors, measure_errors
-from airgs_codec.inspect.inspection import bytes_by_attribute, format_attributes, format_summary, plot_ladder, summarise
+from airgs_codec.inspect.plot import plot_ladder
+from airgs_codec.inspect.summary import summarise
+from airgs_codec.inspect.text import format_summary
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.store import Package, open_package
-from airgs_codec.render import read_cameras
+from airgs_codec.package.tables import JSON_NAME
+from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.camera import measured_views, training_views
 from airgs_codec.scene.orbits import orbit_views
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="airgs-manifest", description="Look into a package, check it.")
+    description = "Look into a package, check it, compare it with the original."
+    parser = argparse.ArgumentParser(prog="airgs-manifest", description=description)
     commands = parser.add_subparsers(dest="command", required=True)
-    inspect = commands.add_parser("inspect", help="groups, tiers, levels, rungs, bytes, what was left out")
-    inspect.add_argument("package", type=Path)
-    inspect.add_argument("--json", action="store_true", help="the same as JSON")
-    inspect.add_argument("--plot", type=Path, metavar="FILE.png", help="picture of the ladder and of bytes over time")
-    inspect.add_argument("--ladder", action="store_true", help="measure the dense level space (minutes)")
-    inspect.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original, for --ladder (default: L0)")
-    inspect.add_argument("--views", type=Path, metavar="FILE", help="cameras, for --ladder (default: generated)")
-    check = commands.add_parser("validate", help="exit 0, or 1 with one line a finding")
-    check.add_argument("package", type=Path)
-    check.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original: measure the errors again")
-    check.add_argument("--json", action="store_true", help="findings as JSON")
+    _add_inspect(commands.add_parser("inspect", help="groups, tiers, levels, rungs, bytes, what was left out"))
+    _add_validate(commands.add_parser("validate", help="exit 0, or 1 with one line a finding"))
+    _add_compare(commands.add_parser("compare", help="PSNR, SSIM and CIEDE2000 against the original, by rendering"))
     return parser
+
+
+def _add_inspect(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("package", type=Path)
+    parser.add_argument("--json", action="store_true", help="the same as JSON")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="picture of the ladder and of bytes over time")
+    parser.add_argument("--ladder", action="store_true", help="measure the dense level space (minutes)")
+    parser.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original, for --ladder (default: L0)")
+    parser.add_argument("--views", type=Path, metavar="FILE", help="cameras, for --ladder (default: generated)")
+
+
+def _add_validate(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("package", type=Path)
+    parser.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original: measure the errors again")
+    parser.add_argument("--json", action="store_true", help="findings as JSON")
+
+
+def _add_compare(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("decoded", type=Path, help="a package, or a folder of decoded .ply frames")
+    parser.add_argument("original", type=Path, help="the sequence that it was made of")
+    parser.add_argument("--level", help="of a package: one level, L0, L1, … or its number (default: all)")
+    parser.add_argument("--key-quality", help="of a package: one key quality, Q0, Q1, … or its number (default: all)")
+    parser.add_argument("--frames", default=":", metavar="A:B", help="frames A to B - 1 (default: all)")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the frames (default: 1)")
+    parser.add_argument("--views", type=Path, metavar="FILE", help="cameras (default: the original's, or generated)")
+    parser.add_argument("--split", metavar="NAME", help="cameras of this split alone (default: test, or all without)")
+    parser.add_argument("--json", action="store_true", help="the same as JSON")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
     args = _parser().parse_args(argv)
-    return run_command("airgs-manifest", lambda: _inspect(args) if args.command == "inspect" else _validate(args))
+    work: dict[str, Callable[[argparse.Namespace], int]] = {
+        "inspect": _inspect,
+        "validate": _validate,
+        "compare": _compare,
+    }
+    return run_command("airgs-manifest", lambda: work[args.command](args))
 
 
 def _inspect(args: argparse.Namespace) -> int:
     if args.plot:
         require_matplotlib("--plot")
     package = open_package(args.package)
-    m = package.manifest
     if args.ladder:
         return _ladder(package, args)
+    summary = summarise(package.manifest, package.manifest_bytes)
     if args.plot:
-        plot_ladder(m, package.manifest_bytes, args.plot)
+        plot_ladder(package.manifest, package.manifest_bytes, args.plot)
     if args.json:
         by_attribute = {name: round(size) for name, size in bytes_by_attribute(package).items()}
-        print(json.dumps(summarise(m, package.manifest_bytes) | {"top_rung_bytes_by_attribute": by_attribute}))
+        print(json.dumps(summary.to_json() | {"top_rung_bytes_by_attribute": by_attribute}))
     else:
-        print(format_summary(m, package.manifest_bytes))
+        print(format_summary(summary))
         print(format_attributes(package))
         if args.plot:
             print(f"picture: {args.plot}")
@@ -68,8 +99,8 @@ def _inspect(args: argparse.Namespace) -> int:
 
 def _ladder(package: Package, args: argparse.Namespace) -> int:
     original = open_sequence(args.against) if args.against else None
-    if original is not None and len(original) != package.manifest.frames:
-        raise ConfigError(f"{args.against}: expected {package.manifest.frames} frames, got {len(original)}")
+    if original is not None:
+        _expect_frames(args.against, len(original), package.manifest.frames)
     cameras = read_cameras(args.views) if args.views else list(original.cameras) if original else []
     cameras = cameras or orbit_views(decode(package, 0))
     training = training_views(cameras)
@@ -89,7 +120,7 @@ def _validate(args: argparse.Namespace) -> int:
         measured = list(measure_errors(open_package(args.package), against))
         findings = exceeded(measured)
     if args.json:
-        print(json.dumps([{"reason": f.reason, "where": f.where, "detail": f.detail} for f in findings]))
+        print(json.dumps([dataclasses.asdict(finding) for finding in findings]))
     elif findings:
         print("\n".join(str(f) for f in findings))
     else:
@@ -98,3 +129,42 @@ def _validate(args: argparse.Namespace) -> int:
         if measured:
             print(format_errors(measured))
     return 1 if findings else 0
+
+
+def _compare(args: argparse.Namespace) -> int:
+    original = open_sequence(args.original)
+    if args.every < 1:
+        raise ConfigError(f"--every: expected at least 1, got {args.every}")
+    frames = range(*parse_range(args.frames, len(original)), args.every)
+    if (args.decoded / JSON_NAME).is_file():
+        package = open_package(args.decoded)
+        _expect_frames(args.decoded, package.manifest.frames, len(original))
+        streams = rung_streams(package, frames, args.level, args.key_quality)
+    else:
+        if args.level or args.key_quality:
+            raise ConfigError(f"{args.decoded}: expected a package for --level and --key-quality")
+        decoded = open_sequence(args.decoded)
+        _expect_frames(args.decoded, len(decoded), len(original))
+        streams = {args.decoded.name: (decoded.read(number) for number in frames)}
+    cameras = compared_views(_cameras(args, original), args.split)
+    bar = Bar(args.json)
+    qualities = compare_streams(streams, original, frames, cameras, bar)
+    bar.close()
+    if args.json:
+        plain = {name: dataclasses.asdict(quality) for name, quality in qualities.items()}
+        print(json.dumps({"frames": list(frames), "views": len(cameras), "decoded": plain}))
+    else:
+        print(f"{len(frames)} frames, {len(cameras)} views")
+        print(format_comparison(qualities))
+    return 0
+
+
+def _cameras(args: argparse.Namespace, original: GaussianSequence) -> Sequence[Camera]:
+    if args.views:
+        return read_cameras(args.views)
+    return original.cameras or orbit_views(original.read(len(original) // 2))
+
+
+def _expect_frames(path: Path, got: int, expected: int) -> None:
+    if got != expected:
+        raise ConfigError(f"{path}: expected {expected} frames, got {got}")

@@ -13,7 +13,7 @@ from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.media.color import delta_e
 from airgs_codec.media.metrics import mse, psnr, ssim
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import Manifest, Segment, SegmentLevel
+from airgs_codec.package.tables import Manifest, Quality, Segment, SegmentLevel
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
@@ -21,17 +21,25 @@ from airgs_codec.scene.sequence import GaussianSequence
 
 
 @dataclass(slots=True)
-class _Sums:
+class QualitySums:
+    """Adds up what pictures and their references differ by."""
+
     squared: float = 0.0
     similarity: float = 0.0
     difference: float = 0.0
     count: int = 0
 
     def add(self, picture: NDArray[np.float32], reference: NDArray[np.float32]) -> None:
+        """One (H, W, 3) picture beside the picture of the original."""
         self.squared += mse(picture, reference)
         self.similarity += ssim(picture, reference)
         self.difference += delta_e(picture, reference)
         self.count += 1
+
+    def quality(self) -> Quality:
+        """Over all pictures added so far, at least one."""
+        count = self.count
+        return Quality(psnr(self.squared / count), self.similarity / count, self.difference / count)
 
 
 def measure_quality(
@@ -53,7 +61,7 @@ def measure_quality(
         numbers = middle_frames(segment.start, segment.stop, frames)
         originals = sequence.load(numbers).frames
         references = [[render(g, camera).rgb for camera in cameras] for g in originals]
-        sums = [[_Sums() for _ in m.qualities] for _ in m.levels]
+        sums = [[QualitySums() for _ in m.qualities] for _ in m.levels]
         for quality in range(len(m.qualities)):
             for level, wanted in enumerate(m.levels):
                 base = decode_canonical(package, segment.group, quality, wanted.tiers)
@@ -65,15 +73,16 @@ def measure_quality(
     return replace(m, segments=segments)
 
 
-def _compare(shown: Gaussians, cameras: Sequence[Camera], references: list, sums: _Sums) -> None:
+def _compare(shown: Gaussians, cameras: Sequence[Camera], references: list, sums: QualitySums) -> None:
     for camera, reference in zip(cameras, references, strict=True):
         sums.add(render(shown, camera).rgb, reference)
 
 
-def _with_quality(level: SegmentLevel, row: list[_Sums]) -> SegmentLevel:
+def _with_quality(level: SegmentLevel, row: list[QualitySums]) -> SegmentLevel:
+    measured = [sums.quality() for sums in row]
     return replace(
         level,
-        psnr=[round(psnr(s.squared / s.count), 3) for s in row],
-        ssim=[round(s.similarity / s.count, 5) for s in row],
-        delta_e=[round(s.difference / s.count, 4) for s in row],
+        psnr=[round(q.psnr, 3) for q in measured],
+        ssim=[round(q.ssim, 5) for q in measured],
+        delta_e=[round(q.delta_e, 4) for q in measured],
     )

@@ -6,17 +6,11 @@ import json
 import pytest
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.inspection import (
-    bytes_by_attribute,
-    bytes_by_kind,
-    format_attributes,
-    format_summary,
-    left_out,
-    plot_ladder,
-    rungs,
-    segment_bits,
-    summarise,
-)
+from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
+from airgs_codec.inspect.left_out import describe_left_out
+from airgs_codec.inspect.plot import plot_ladder
+from airgs_codec.inspect.summary import bytes_by_kind, segment_rates, summarise
+from airgs_codec.inspect.text import format_summary
 from airgs_codec.media.image import read_png
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.store import open_package
@@ -46,7 +40,7 @@ def test_quality_pools_squared_errors_by_frames_not_decibels():
 
 def test_a_segment_without_measurements_leaves_a_rung_unmeasured():
     assert pooled_quality(tiny_manifest(psnr=None), 0, 0) is None
-    summary = summarise(tiny_manifest(psnr=None), MANIFESTS)
+    summary = summarise(tiny_manifest(psnr=None), MANIFESTS).to_json()
     for name in ("psnr", "ssim", "delta_e"):
         assert {entry[name] for entry in summary["rungs"] + summary["levels"]} == {None}
 
@@ -54,27 +48,27 @@ def test_a_segment_without_measurements_leaves_a_rung_unmeasured():
 @pytest.mark.parametrize("claim", [-1e300, 1e300])
 def test_absurd_claims_in_a_table_are_still_numbers(claim):
     m = with_measured(tiny_manifest(), 0, claim, 0.9)
-    json.dumps(summarise(m, MANIFESTS), allow_nan=False)
-    assert format_summary(m, MANIFESTS)
+    json.dumps(summarise(m, MANIFESTS).to_json(), allow_nan=False)
+    assert format_summary(summarise(m, MANIFESTS))
 
 
 def test_rates_of_levels():
     m = tiny_manifest(groups=(10, 5))  # 1 s and 0.5 s; L0: 2000 B of media and 100 B of sidecar each
-    assert segment_bits(m, 0).tolist() == [16800, 33600]
-    level = summarise(m, MANIFESTS)["levels"][0]
-    assert level["mean_bps"] == pytest.approx(2 * 16800 / 1.5)
-    assert level["peak_bps"] == 33600
-    assert level["bytes_per_frame"] == pytest.approx(4200 / 15)
-    assert (level["psnr"], level["ssim"], level["delta_e"]) == tuple(pytest.approx(v) for v in (40, 0.9, 0.5))
+    assert segment_rates(m, 0).tolist() == [16800, 33600]
+    level = summarise(m, MANIFESTS).levels[0]
+    assert level.mean_bps == pytest.approx(2 * 16800 / 1.5)
+    assert level.peak_bps == 33600
+    assert level.bytes_per_frame == pytest.approx(4200 / 15)
+    assert (level.psnr, level.ssim, level.delta_e) == tuple(pytest.approx(v) for v in (40, 0.9, 0.5))
 
 
 def test_a_rung_counts_everything_a_viewer_fetches():
     m = tiny_manifest()
-    rungs = {(r["key"], r["state"]): r for r in summarise(m, MANIFESTS)["rungs"]}
+    rungs = {(r.key, r.state): r for r in summarise(m, MANIFESTS).rungs}
     keys, state = 2 * (3000 + 1000 + 2 * 100), 2 * (2000 + 100)
-    assert rungs["Q0", "L0"]["bytes_per_frame"] * 20 == pytest.approx(keys + state + 3 * 50 + MANIFESTS)
-    assert rungs["Q1", "L2"]["bytes_per_frame"] * 20 == pytest.approx(3400 + 1200 + 3 * 50 + MANIFESTS)
-    assert rungs["Q1", "L2"]["psnr"] == pytest.approx(32)
+    assert rungs["Q0", "L0"].bytes_per_frame * 20 == pytest.approx(keys + state + 3 * 50 + MANIFESTS)
+    assert rungs["Q1", "L2"].bytes_per_frame * 20 == pytest.approx(3400 + 1200 + 3 * 50 + MANIFESTS)
+    assert rungs["Q1", "L2"].psnr == pytest.approx(32)
     assert len(rungs) == 6
 
 
@@ -101,7 +95,7 @@ def test_what_was_left_out_is_named():
         LeftOut("updates", 0, 3, 0.0, 5.0),
         LeftOut("sh bands", 0, 2, 1e-6, 9),
     ]
-    text = "\n".join(left_out(dataclasses.replace(m, groups=[group, m.groups[1]], left_out=notes)))
+    text = "\n".join(describe_left_out(dataclasses.replace(m, groups=[group, m.groups[1]], left_out=notes)))
     assert "group 1: 7 Gaussians: 50.0 dB if nothing else were wrong, 0.12 kB/frame saved" in text
     assert "group 0: 3 rows are never updated: no error" in text and "2 SH bands: 60.0 dB" in text
     assert "key tier T1: it has no rows" in text
@@ -126,9 +120,9 @@ def test_bytes_by_attribute_share_out_pictures_and_key_sidecars(name):
 
 
 def test_the_table_has_every_rung_level_and_repair():
-    m = dataclasses.replace(tiny_manifest(), repairs=["2 Gaussians mended"], attribution="somebody's scene")
-    text = format_summary(m, MANIFESTS)
-    for word in ("20 frames at 10 fps", "Q1 + L2", "T1", "x3", "20 %", "repaired: 2 Gaussians mended", "somebody's"):
+    m = dataclasses.replace(tiny_manifest(), repairs=["2 Gaussians repaired"], attribution="somebody's scene")
+    text = format_summary(summarise(m, MANIFESTS))
+    for word in ("20 frames at 10 fps", "Q1 + L2", "T1", "x3", "20 %", "repaired: 2 Gaussians repaired", "somebody's"):
         assert word in text
     tables = text.split("\n\n")
     assert all(len({len(line) for line in t.splitlines()}) == 1 for t in tables[1:3])  # columns are aligned
@@ -164,19 +158,19 @@ def test_the_ladder_is_the_convex_hull():
         state_bytes=(2000, 1900, 500),
         psnr=((40.0, 36.0), (35.0, 32.5), (34.0, 32.0)),
     )
-    best = {(r["key"], r["state"]) for r in rungs(m, MANIFESTS) if r["best"]}
+    best = {(r.key, r.state) for r in summarise(m, MANIFESTS).rungs if r.best}
     assert best == {("Q0", "L0"), ("Q1", "L0"), ("Q1", "L2")}
-    assert format_summary(m, MANIFESTS).count("*") == 1 + len(best)
-    assert not any(r["best"] for r in rungs(tiny_manifest(psnr=None), MANIFESTS))
+    assert format_summary(summarise(m, MANIFESTS)).count("*") == 1 + len(best)
+    assert not any(r.best for r in summarise(tiny_manifest(psnr=None), MANIFESTS).rungs)
 
 
 def test_what_many_groups_leave_out_alike_is_one_line():
     m = tiny_manifest(groups=(10,) * 6)
     entries = [LeftOut("gaussians", g, 5 + g, 1e-5 * (g + 1), 100.0) for g in range(6)]
-    lines = left_out(dataclasses.replace(m, left_out=entries))
+    lines = describe_left_out(dataclasses.replace(m, left_out=entries))
     assert lines[0] == "6 groups: 5-10 Gaussians: at worst 42.2 dB if nothing else were wrong, 0.10 kB/frame saved"
     assert not any(line.startswith("group") for line in lines)
-    few = left_out(dataclasses.replace(m, left_out=entries[:2]))
+    few = describe_left_out(dataclasses.replace(m, left_out=entries[:2]))
     assert few[:2] == [
         "group 0: 5 Gaussians: 50.0 dB if nothing else were wrong, 0.10 kB/frame saved",
         "group 1: 6 Gaussians: 47.0 dB if nothing else were wrong, 0.10 kB/frame saved",

@@ -1,0 +1,76 @@
+"""Which attributes the bytes of the top rung go to: an estimate by entropy. P planes of an atlas, N rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.coding.atlas import extract
+from airgs_codec.media.h264 import decode_pictures
+from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.store import Package
+from airgs_codec.package.tables import Atlas, key_init_path, state_init_path
+
+
+def bytes_by_attribute(package: Package) -> dict[str, float]:
+    """Bytes of the top rung (all key tiers in Q0, and L0) by attribute, the largest first.
+
+    H.264 codes an atlas as a whole, so its bytes are shared out by zero-order entropy: of the samples in key pictures,
+    of their change from picture to picture in state segments. Key sidecars are canonical means. Raises FormatError.
+    """
+    out = dict.fromkeys(STATE.attributes, 0.0)
+    for attribute, size in (*_of_keys(package), *_of_states(package)):
+        out[attribute] += size
+    return dict(sorted(out.items(), key=lambda item: -item[1]))
+
+
+def format_attributes(package: Package) -> str:
+    """`bytes_by_attribute` as one line."""
+    frames = package.manifest.frames
+    parts = [f"{name} {size / frames / 1e3:.2f}" for name, size in bytes_by_attribute(package).items()]
+    return f"top rung by attribute, kB/frame, shared out by entropy: {', '.join(parts)}"
+
+
+def _of_keys(package: Package) -> Iterator[tuple[str, float]]:
+    m = package.manifest
+    for g, group in enumerate(m.groups):
+        for t, tier in enumerate(group.tiers):
+            if tier.number:
+                sidecar, media, escapes = m.key_files(g, t, 0)
+                yield "means", m.files[sidecar].bytes
+                samples = _samples(package, key_init_path(t, 0), media, tier.qualities[0])
+                yield from _shares(m.bytes_of([media, escapes]), tier.qualities[0], samples, KEY)
+
+
+def _of_states(package: Package) -> Iterator[tuple[str, float]]:
+    m = package.manifest
+    for s, segment in enumerate(m.segments):
+        if files := m.state_files(s, 0):
+            atlas = m.groups[segment.group].levels[0]
+            samples = _samples(package, state_init_path(0), files[0], atlas)
+            yield from _shares(sum(segment.levels[0].frame_bytes), atlas, samples, STATE)
+
+
+def _samples(package: Package, init: str, media: str, atlas: Atlas) -> Iterator[NDArray[np.int16]]:
+    """(P, N) of each picture."""
+    for picture in decode_pictures(package.read(init), package.read(media), media):
+        yield extract(picture, atlas).astype(np.int16)
+
+
+def _shares(
+    size: int, atlas: Atlas, samples: Iterator[NDArray[np.int16]], layout: Layout
+) -> Iterator[tuple[str, float]]:
+    """`size` bytes shared out among the planes of an atlas, by the entropy of their changes."""
+    entropy = np.zeros(len(atlas.planes))
+    previous = np.zeros((len(atlas.planes), atlas.rows), np.int16)
+    for picture in samples:
+        for p, change in enumerate(picture - previous):
+            counts = np.bincount(change + 255)  # changes of 8-bit samples
+            shares = counts[counts > 0] / atlas.rows
+            entropy[p] -= float((shares * np.log2(shares)).sum())
+        previous = picture
+    total = entropy.sum()
+    for plane, part in zip(atlas.planes, entropy, strict=True):
+        yield layout.attribute_of(plane), size * float(part / total if total > 0 else 1 / len(entropy))

@@ -1,0 +1,71 @@
+"""What a package does not have and why, in words: what its encoder left out, and planes that would be constant."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from airgs_codec.media.metrics import psnr
+from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.tables import Atlas, LeftOut, Manifest
+
+FEW = 4  # groups that are listed one by one
+_NAMES = {"gaussians": "Gaussians", "updates": "rows are never updated", "sh bands": "SH bands"}
+
+
+def describe_left_out(m: Manifest) -> list[str]:
+    """One line each; what concerns more than FEW groups alike is one line."""
+    lines = [*_decisions(m), *_constant(m)]
+    quiet = sum(not s.levels[0].number for s in m.segments)
+    if quiet:
+        lines.append(f"{quiet} state segments: nothing moves in them by more than half a step")
+    if m.sh_degree == 0:
+        lines.append("SH rest: the scene has none")
+    return lines
+
+
+def _decisions(m: Manifest) -> Iterator[str]:
+    """The entries of `left_out`, by what they are."""
+    for what in dict.fromkeys(entry.what for entry in m.left_out):
+        same = [entry for entry in m.left_out if entry.what == what]
+        yield from [_sentence(same)] if len(same) > FEW else [_sentence([entry]) for entry in same]
+
+
+def _sentence(entries: list[LeftOut]) -> str:
+    """A line about one group, or about many: ranges, and the largest error."""
+    error = max(entry.error for entry in entries)
+    alone = f"{psnr(error):.1f} dB if nothing else were wrong" if error > 0 else "no error"
+    saved = f"{np.mean([entry.bytes for entry in entries]) / 1e3:.2f} kB/frame saved"
+    count = span(min(entry.count for entry in entries), max(entry.count for entry in entries))
+    where = f"group {entries[0].group}" if len(entries) == 1 else f"{len(entries)} groups"
+    worst = "at worst " if len(entries) > 1 and error > 0 else ""
+    return f"{where}: {count} {_NAMES.get(entries[0].what, entries[0].what)}: {worst}{alone}, {saved}"
+
+
+def _constant(m: Manifest) -> Iterator[str]:
+    """Tiers without rows, and channels without a plane in the top rung."""
+    groups: dict[str, list[int]] = {}
+    for i, group in enumerate(m.groups):
+        keys = [(f"key T{t} Q0", tier.qualities[0], KEY) for t, tier in enumerate(group.tiers)]
+        for t, tier in enumerate(group.tiers):
+            if not tier.number:
+                groups.setdefault(f"key tier T{t}: it has no rows", []).append(i)
+        for name, atlas, layout in (*keys, ("state L0", group.levels[0], STATE)):
+            if text := _without_plane(atlas, layout):
+                groups.setdefault(f"planes of {name}: {text} (constant within half a step)", []).append(i)
+    for text, where in groups.items():
+        yield from [f"{len(where)} groups: {text}"] if len(where) > FEW else [f"group {i}: {text}" for i in where]
+
+
+def _without_plane(atlas: Atlas, layout: Layout) -> str:
+    """How many channels of which attribute have no plane; empty when all have one."""
+    missing = set(range(len(atlas.centres) if atlas.rows else 0)) - set(atlas.planes)
+    counts = Counter(layout.attribute_of(channel) for channel in sorted(missing))
+    return ", ".join(f"{count} {attribute}" for attribute, count in counts.items())
+
+
+def span(low: int, high: int) -> str:
+    """A range of whole numbers."""
+    return str(low) if low == high else f"{low}-{high}"

@@ -1,0 +1,216 @@
+"""What is in a package, as figures: its groups, key tiers, levels and rungs, with their bytes and qualities.
+
+A rung is a key quality together with a level. Lengths are in bytes, rates in bit/s. `to_json` gives the same figures as
+plain values, `text` and `plot` show them to people.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.inspect.left_out import describe_left_out
+from airgs_codec.package.layout import STATE
+from airgs_codec.package.tables import Manifest, Views, pooled_quality
+
+
+@dataclass(frozen=True, slots=True)
+class GroupSummary:
+    """One group of frames."""
+
+    frames: tuple[int, int]  # [start, stop)
+    canonical: int  # the frame that its keys hold
+    gaussians: int  # rows written
+    static: int  # rows that no level carries
+    unused: int  # Gaussians that no view uses: not written
+    segments: int
+    grid_bits: int
+
+
+@dataclass(frozen=True, slots=True)
+class KeySummary:
+    """One key tier in one key quality, over all groups."""
+
+    tier: str
+    quality: str
+    factor: float  # of the quantiser steps
+    gaussians: tuple[int, int]  # fewest and most rows of a group
+    bytes_per_frame: float
+
+
+@dataclass(frozen=True, slots=True)
+class LevelSummary:
+    """One level without its keys; its quality is that of the level with the keys in Q0."""
+
+    id: str
+    pruned: float  # share of the moving rows, 0..1
+    factor: float  # of the quantiser steps
+    gaussians: tuple[int, int]  # fewest and most rows of a group that it carries
+    bytes_per_frame: float
+    mean_bps: float
+    peak_bps: float  # of its largest segment
+    psnr: float | None  # dB; None: not measured, as are the next two
+    ssim: float | None
+    delta_e: float | None  # CIEDE2000
+    max_error: dict[str, float]  # the largest over groups, for each attribute in the units of its channels
+
+
+@dataclass(frozen=True, slots=True)
+class RungSummary:
+    """Everything that a viewer of one rung fetches from start to end."""
+
+    key: str
+    state: str
+    bytes_per_frame: float
+    mean_bps: float
+    psnr: float | None  # dB; None: not measured, as are the next two
+    ssim: float | None
+    delta_e: float | None  # CIEDE2000
+    best: bool  # on the ladder, see `ladder`
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The figures of a package."""
+
+    frames: int
+    fps: float
+    duration_s: float
+    sh_degree: int
+    package_bytes: int
+    views: Views
+    groups: tuple[GroupSummary, ...]
+    keys: tuple[KeySummary, ...]
+    levels: tuple[LevelSummary, ...]
+    rungs: tuple[RungSummary, ...]  # key quality by key quality
+    top_rung_bytes: dict[str, int]  # see `bytes_by_kind`
+    left_out: tuple[str, ...]
+    repairs: tuple[str, ...]
+    attribution: str
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain values."""
+        return dataclasses.asdict(self)
+
+
+def summarise(m: Manifest, manifest_bytes: int) -> Summary:
+    """The figures of a package whose airgs.json and manifest.mpd have `manifest_bytes` together."""
+    qualities, levels = range(len(m.qualities)), range(len(m.levels))
+    return Summary(
+        frames=m.frames,
+        fps=float(m.fps),
+        duration_s=float(m.frames / m.fps),
+        sh_degree=m.sh_degree,
+        package_bytes=manifest_bytes + sum(f.bytes for f in m.files.values()),
+        views=m.views,
+        groups=tuple(_group(m, g) for g in range(len(m.groups))),
+        keys=tuple(_key(m, t, q) for t in range(m.tier_count) for q in qualities),
+        levels=tuple(_level(m, j) for j in levels),
+        rungs=ladder([_rung(m, q, j, manifest_bytes) for q in qualities for j in levels]),
+        top_rung_bytes=bytes_by_kind(m, 0, 0, manifest_bytes),
+        left_out=tuple(describe_left_out(m)),
+        repairs=tuple(m.repairs),
+        attribution=m.attribution,
+    )
+
+
+def _group(m: Manifest, index: int) -> GroupSummary:
+    g = m.groups[index]
+    segments = sum(s.group == index for s in m.segments)
+    return GroupSummary((g.start, g.stop), g.canonical, g.count, g.static, g.unused, segments, g.grid.bits)
+
+
+def _key(m: Manifest, tier: int, quality: int) -> KeySummary:
+    counts = [group.tiers[tier].count for group in m.groups]
+    total = sum(m.bytes_of(m.key_files(g, tier, quality)) for g in range(len(m.groups)))
+    entry = m.qualities[quality]
+    return KeySummary(f"T{tier}", entry.id, entry.factor, (min(counts), max(counts)), total / m.frames)
+
+
+def _level(m: Manifest, index: int) -> LevelSummary:
+    level = m.levels[index]
+    rows = [group.levels[index].rows for group in m.groups]
+    total = sum(m.bytes_of(m.state_files(i, index)) for i in range(len(m.segments)))
+    errors = np.array([group.levels[index].max_error for group in m.groups]).max(axis=0).tolist()
+    return LevelSummary(
+        id=level.id,
+        pruned=level.pruned,
+        factor=level.factor,
+        gaussians=(min(rows), max(rows)),
+        bytes_per_frame=total / m.frames,
+        mean_bps=8 * total * float(m.fps) / m.frames,
+        peak_bps=float(segment_rates(m, index).max()),
+        **_quality(m, index, 0),
+        max_error=dict(zip(STATE.attributes, errors, strict=True)),
+    )
+
+
+def _rung(m: Manifest, quality: int, level: int, manifest_bytes: int) -> RungSummary:
+    total = manifest_bytes + m.bytes_of(m.rung_files(quality, level))
+    return RungSummary(
+        key=m.qualities[quality].id,
+        state=m.levels[level].id,
+        bytes_per_frame=total / m.frames,
+        mean_bps=8 * total * float(m.fps) / m.frames,
+        **_quality(m, level, quality),
+        best=False,
+    )
+
+
+def _quality(m: Manifest, level: int, quality: int) -> dict[str, Any]:
+    measured = pooled_quality(m, level, quality)
+    return dataclasses.asdict(measured) if measured else {"psnr": None, "ssim": None, "delta_e": None}
+
+
+def segment_rates(m: Manifest, level: int) -> NDArray[np.float64]:
+    """(S,) bit/s of each segment of a level: its pictures and its escapes over its duration."""
+    return np.array(
+        [8 * m.bytes_of(m.state_files(i, level)) / float((s.stop - s.start) / m.fps) for i, s in enumerate(m.segments)]
+    )
+
+
+def ladder(rungs: list[RungSummary]) -> tuple[RungSummary, ...]:
+    """The rungs with `best` set for those on the ladder: the lower convex hull of mean squared error over bytes.
+
+    A rung above it, such as the finest keys with the coarsest states, is beaten by some mixture of two on it.
+    """
+    hull: list[tuple[float, float]] = []  # bytes a frame and PSNR, both ascending
+    measured = [(rung.bytes_per_frame, rung.psnr) for rung in rungs if rung.psnr is not None]
+    for point in sorted(measured, key=lambda p: (p[0], -p[1])):
+        if hull and point[1] <= hull[-1][1]:
+            continue
+        while len(hull) > 1 and _slope(hull[-2], hull[-1]) >= _slope(hull[-2], point):
+            hull.pop()
+        hull.append(point)
+    return tuple(dataclasses.replace(rung, best=(rung.bytes_per_frame, rung.psnr) in hull) for rung in rungs)
+
+
+def _slope(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Change of the mean squared error for each byte from one point (bytes, PSNR) to a larger one."""
+    errors = [10.0 ** (-psnr / 10) for _, psnr in (a, b)]
+    return (errors[1] - errors[0]) / (b[0] - a[0])
+
+
+def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) -> dict[str, int]:
+    """Bytes that a viewer of one rung fetches: pictures, sidecars with escapes, MP4 boxes and manifests.
+
+    State pictures are H.264 alone and their MP4 boxes count as container; key pictures count with their boxes (about
+    0.1 kB each), init segments as container.
+    """
+    keys = [m.key_files(g, t, quality) for g in range(len(m.groups)) for t in range(m.levels[level].tiers)]
+    keys = [files for files in keys if files]
+    states = [files for s in range(len(m.segments)) if (files := m.state_files(s, level))]
+    pictures = sum(sum(s.levels[level].frame_bytes) for s in m.segments)
+    boxes = m.bytes_of([media for media, _ in states]) - pictures
+    return {
+        "key pictures": m.bytes_of([media for _, media, _ in keys]),
+        "key sidecars": m.bytes_of([path for sidecar, _, escapes in keys for path in (sidecar, escapes)]),
+        "state pictures": pictures,
+        "state sidecars": m.bytes_of([escapes for _, escapes in states]),
+        "container": boxes + m.bytes_of(m.init_files(quality, level)),
+        "manifests": manifest_bytes,
+    }
