@@ -1,11 +1,11 @@
-"""Simulated arrival times against real HTTP over loopback, shaped by the same trace.
+"""Simulated sessions against the same player over real HTTP on loopback, shaped by the same trace.
 
     python -m tools.check_link PACKAGE TRACE [TRACE ...] [--seconds S] [--policy NAME]
 
-A session is simulated; then a real client asks a real HTTP/1.1 server for as many bytes at the same times, a request a
-batch on one connection, pipelined. The server holds every answer back until a round trip after its request and writes
-no byte earlier than the trace lets it pass (a token bucket without depth). Prints, for each trace, how far real
-arrivals were from the simulated ones.
+A server holds the answers of a batch back until a round trip after its requests and writes no byte earlier than the
+trace lets it pass (a token bucket without depth). The player runs against it by the real clock, then over the
+simulated link with the same settings; neither pipelines batches. Prints, for each trace, how far real arrivals were
+from the simulated ones, as long as both asked for the same, and the figures of both sessions.
 """
 
 from __future__ import annotations
@@ -14,128 +14,135 @@ import argparse
 import socket
 import threading
 import time
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.package.store import open_package
-from airgs_codec.play.catalogue import HEADER_BYTES, Catalogue
+from airgs_codec.play.catalogue import HEADER_BYTES
+from airgs_codec.play.http import HttpDownloader, open_catalogue
 from airgs_codec.play.link import Link
+from airgs_codec.play.player import run
+from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import open_trace
 
 TICK_S = 0.001  # between two looks at the bucket
+SMALLEST_BYTES = 1200  # that are written at once
+WAIT_S = 5.0  # for the next request
 
 
 class ShapedServer:
-    """GET /N answers with N bytes, headers included in what the link carries; the clock starts with `start`."""
+    """Serves a folder over HTTP/1.1: at full speed until `shape` is called, from the next request on over the link."""
 
-    def __init__(self, link: Link) -> None:
-        """Listens on a free port of loopback."""
-        shaped = self
-        self.link, self.zero = link, time.monotonic()
-        self._passed = 0.0  # bytes of the batch so far, and the moment its first one could pass
-        self._began = 0.0
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._link: Link | None = None
+        self._zero: float | None = None  # when the trace began
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self.url = f"http://127.0.0.1:{self._listening.getsockname()[1]}"
+        threading.Thread(target=self._serve, daemon=True).start()
 
-        class Handler(BaseHTTPRequestHandler):
-            protocol_version = "HTTP/1.1"
-            disable_nagle_algorithm = True  # else the last bytes of an answer wait for an acknowledgement, 40 ms late
-
-            def do_GET(self) -> None:
-                size = int(self.path.strip("/"))
-                asked = shaped.zero + float(self.headers["X-Asked"])
-                time.sleep(max(0.0, asked + shaped.link.rtt_s - time.monotonic()))
-                shaped.begin()
-                head = f"HTTP/1.1 200 OK\r\nContent-Length: {size}\r\nX-Pad: "
-                pad = "x" * (HEADER_BYTES - len(head) - 4)
-                shaped.write(self.connection, (head + pad + "\r\n\r\n").encode() + bytes(size))
-
-            def log_message(self, format: str, *args: object) -> None:
-                """Silent."""
-
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-        self._server.daemon_threads = True
-        self.port = self._server.server_address[1]
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
-
-    def start(self) -> None:
-        """The trace begins now."""
-        self.zero = time.monotonic()
-
-    def begin(self) -> None:
-        """A batch begins: nothing has passed."""
-        self._began, self._passed = time.monotonic() - self.zero, 0.0
-
-    def write(self, connection: socket.socket, data: bytes) -> None:
-        """As fast as the trace lets it pass."""
-        sent = 0
-        while sent < len(data):
-            allowed = self.link.bytes_between(self._began, time.monotonic() - self.zero) - self._passed
-            if allowed >= min(1200, len(data) - sent):
-                part = data[sent : sent + int(allowed)]
-                connection.sendall(part)
-                sent += len(part)
-                self._passed += len(part)
-            else:
-                time.sleep(TICK_S)
+    def shape(self, link: Link) -> None:
+        """The trace begins with the next request."""
+        self._link, self._zero = link, None
 
     def close(self) -> None:
         """Stop listening."""
-        self._server.shutdown()
-        self._server.server_close()
+        self._listening.close()
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                connection, _ = self._listening.accept()
+            except OSError:  # closed
+                return
+            with connection:
+                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                connection.settimeout(WAIT_S)
+                self._answer(connection)
+
+    def _answer(self, connection: socket.socket) -> None:
+        """Answer batches until the client goes; the requests of a batch come in one piece."""
+        while True:
+            try:
+                requests = connection.recv(1 << 16)
+                if not requests:
+                    return
+                self._write(connection, b"".join(self._response(line) for line in _paths(requests)))
+            except OSError:  # the client has given up
+                return
+
+    def _response(self, path: str) -> bytes:
+        file = self._folder / path
+        body = file.read_bytes() if file.is_file() else b""
+        status = "200 OK" if file.is_file() else "404 Not Found"
+        head = f"HTTP/1.1 {status}\r\nContent-Length: {len(body)}\r\nX-Pad: "
+        return (head + "x" * (HEADER_BYTES - len(head) - 4) + "\r\n\r\n").encode() + body
+
+    def _write(self, connection: socket.socket, data: bytes) -> None:
+        """A batch, a round trip late and as fast as the trace lets it pass."""
+        if self._link is None:
+            connection.sendall(data)
+            return
+        self._zero = time.monotonic() if self._zero is None else self._zero
+        time.sleep(self._link.rtt_s)
+        began_s, sent = time.monotonic() - self._zero, 0
+        while sent < len(data):
+            allowed = int(self._link.bytes_between(began_s, time.monotonic() - self._zero)) - sent
+            if allowed >= min(SMALLEST_BYTES, len(data) - sent):
+                connection.sendall(data[sent : sent + allowed])
+                sent += allowed
+            else:
+                time.sleep(TICK_S)
 
 
-def ask(client: socket.socket, log: SessionLog, zero: float) -> None:
-    """Send every request at its time, whether the answer before it is there or not."""
-    for fetch in log.fetches:
-        time.sleep(max(0.0, fetch.request_s - (time.monotonic() - zero)))
-        asked = time.monotonic() - zero
-        lines = f"GET /{fetch.bytes - HEADER_BYTES} HTTP/1.1\r\nHost: x\r\nX-Asked: {asked:.6f}\r\n\r\n"
-        client.sendall(lines.encode())
+def _paths(requests: bytes) -> list[str]:
+    """Paths of GET requests that follow one another, relative to the folder."""
+    return [part.split(b" ")[1].decode().lstrip("/") for part in requests.split(b"\r\n\r\n") if part]
 
 
-def replay(log: SessionLog, link: Link) -> list[float]:
-    """Ask for every batch of a session at its simulated time; gives seconds of arrival."""
-    server = ShapedServer(link)
-    arrivals = []
-    with socket.create_connection(("127.0.0.1", server.port)) as client:
-        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        server.start()
-        asking = threading.Thread(target=ask, args=(client, log, server.zero), daemon=True)
-        asking.start()
-        for fetch in log.fetches:
-            left = fetch.bytes
-            while left:
-                left -= len(client.recv(min(left, 1 << 16)))
-            arrivals.append(time.monotonic() - server.zero)
-    server.close()
-    return arrivals
+def play_really(server: ShapedServer, link: Link, policy: str, settings: SessionSettings) -> SessionLog:
+    """A session over the shaped server, by the clock."""
+    catalogue = open_catalogue(server.url)
+    server.shape(link)
+    downloader = HttpDownloader(server.url, catalogue)
+    events = run(catalogue, downloader, make_policy(policy, catalogue, link), settings)
+    log = SessionLog.of(events, catalogue, policy, settings)
+    downloader.close()
+    return log
+
+
+def compare(real: SessionLog, simulated: SessionLog) -> tuple[int, float, float]:
+    """Batches until the two asked for something different, and mean and worst relative error of their arrivals."""
+    pairs = list(zip(real.fetches, simulated.fetches, strict=False))
+    same = next((i for i, (a, b) in enumerate(pairs) if (a.position, a.rung) != (b.position, b.rung)), len(pairs))
+    errors = [abs(a.arrival_s - b.arrival_s) / b.arrival_s for a, b in pairs[:same]]
+    return same, float(np.mean(errors)), max(errors)
 
 
 def main() -> None:
-    """Replay and print."""
+    """Play, compare and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("package", type=Path)
     parser.add_argument("traces", nargs="+")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--policy", default="robust-mpc")
     args = parser.parse_args()
-    package = open_package(args.package)
-    c = Catalogue.of(package)
-    loops = max(1, round(args.seconds / sum(c.seconds)))
-    print(f"{'trace':<32}{'batches':>8}{'arrival: mean':>15}{'worst':>9}{'time on the way, real / simulated':>36}")
+    print(f"{'trace':<32}{'same batches':>14}{'arrival: mean':>15}{'worst':>9}{'PSNR, real / sim.':>26}{'stalled':>18}")
     for name in args.traces:
-        link = Link(open_trace(name))
-        rules = SessionSettings(loops=loops, abandon=False)
-        log = simulate(c, link, args.policy, rules)
-        real = np.array(replay(log, link))
-        simulated = np.array([f.arrival_s for f in log.fetches])
-        asked = np.array([f.request_s for f in log.fetches])
-        error = np.abs(real - simulated) / simulated
-        ratio = (real - asked).sum() / (simulated - asked).sum()
-        print(f"{Path(name).name:<32}{len(real):8d}{100 * error.mean():13.2f} %{100 * error.max():7.2f} %{ratio:36.3f}")
+        server, link = ShapedServer(args.package), Link(open_trace(name))
+        catalogue = open_catalogue(server.url)
+        loops = max(1, round(args.seconds / sum(catalogue.seconds)))
+        settings = SessionSettings(loops=loops, pipelined=False)
+        real = play_really(server, link, args.policy, settings)
+        server.close()
+        simulated = simulate(catalogue, link, args.policy, settings)
+        same, mean, worst = compare(real, simulated)
+        batches = f"{same} of {len(simulated.fetches)}"
+        quality = f"{real.metrics.psnr_mean or 0:.2f} / {simulated.metrics.psnr_mean or 0:.2f} dB"
+        stalls = f"{real.metrics.stall_s:.2f} / {simulated.metrics.stall_s:.2f} s"
+        print(f"{Path(name).name:<32}{batches:>14}{100 * mean:13.2f} %{100 * worst:7.2f} %{quality:>26}{stalls:>18}")
 
 
 if __name__ == "__main__":

@@ -10,15 +10,19 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.parse import parse_manifest
+from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.events import BatchKind
+from airgs_codec.play.events import Arrival, Arrived, BatchKind, Replaced, Request, Shown
+from airgs_codec.play.ladder import Decision
 from airgs_codec.play.link import Link
+from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.report.session import format_metrics, write_report
-from airgs_codec.play.session import simulate
+from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace
+from airgs_codec.play.trace import Trace, open_trace
 from tests.support.manifests import missing, tiny_manifest
+from tests.support.paths import VALID
 
 BARE = {"startup_s": 0.0, "resume_s": 0.0, "decode_frame_s": 0.0, "loops": 1}
 BARE |= {"pipelined": False, "replace": False, "abandon": False}
@@ -250,6 +254,63 @@ def test_asking_ahead_hides_the_round_trip():
     full = play(tiny_manifest(), link([8e9], rtt=0.1), pipelined=True, loops=20, buffer_s=3.0)
     for i, fetch in enumerate(full.fetches[5:], 4):  # a full buffer lets nobody ask before there is room
         assert fetch.arrival_s >= full.shown[0].start_s + i + 1 - 3.0 + 0.1 - 1e-6
+
+
+@pytest.mark.parametrize("bad", ["state/L0/init.mp4", "key/T1/Q0/init.mp4"])
+def test_a_missing_init_segment_costs_its_rungs_and_no_more(bad):
+    """It is no file of any segment; the rungs that need it must still not be asked for again and again."""
+    log = play(tiny_manifest(), link([8e6]), "paper", faults=missing(bad))
+    names = {log_rung(log, i) for i in (0, 1)}
+    assert names == ({"Q0+L1"} if bad.startswith("state") else {"Q1+L0"})
+    assert len(log.lost) == 1 and bad in log.lost[0]
+
+
+def arrived(kind, rung, sent_s, at_s, **changes):
+    """Everything that a rung of the first segment needs, whole after `at_s - sent_s` seconds."""
+    batch = CATALOGUE.batch(0, rung, {})
+    request = Request(kind, 0, rung, batch, sent_s, 0.0)
+    arrival = Arrival(request, sent_s, at_s, 9000, batch.files, {}, abandoned=False)
+    return Arrived(replace(arrival, **changes), Decision(rung, True, "", 9000), 0.0, 0.0)
+
+
+CATALOGUE = Catalogue(tiny_manifest(), 0)
+BETTER, WORSE = 0, CATALOGUE.names.index("Q1+L2")
+SHOWN = [Shown(0, 0, WORSE, 1.0, 5.0, 10, 0.0, 32.0)]
+FIRST = arrived(BatchKind.GROUP, WORSE, 0.0, 1.0)
+SECOND = arrived(BatchKind.REPLACEMENT, BETTER, 1.0, 4.0)
+
+
+def folded(*events):
+    return SessionLog.of([*events, *SHOWN], CATALOGUE, "paper", rules())
+
+
+def test_a_replacement_is_the_time_and_the_waste_of_what_it_replaced():
+    log = folded(FIRST, SECOND, Replaced(0, WORSE, BETTER))
+    assert log.frame_times == pytest.approx([0.3] * 10)
+    assert [f.wasted for f in log.fetches] == [500 + 100, 0]  # the state; keys stay decoded
+
+
+def test_a_replacement_that_replaced_nothing_is_wasted_and_the_time_of_no_frame():
+    """It came too late: frames were on their way as long as the batch that brought them (0.1 s each, not 0.3)."""
+    log = folded(FIRST, SECOND)
+    assert log.frame_times == pytest.approx([0.1] * 10)
+    assert [f.wasted for f in log.fetches] == [0, 9000] and log.metrics.replaced == 1
+
+
+def test_a_batch_given_up_is_wasted_but_for_its_keys():
+    part = FIRST.arrival.request.batch
+    log = folded(arrived(BatchKind.GROUP, WORSE, 0.0, 1.0, whole=part.init + part.keys, abandoned=True), FIRST)
+    assert [f.wasted for f in log.fetches] == [9000 - 3 * 50 - 2 * 100 - 1000 - 500, 0]
+    assert log.metrics.abandoned == 1 and [f.abandoned for f in log.fetches] == [True, False]
+    assert log.metrics.bytes["key"] == 2 * 1500 and log.metrics.bytes["state"] == 500
+
+
+def test_policies_of_ones_own_and_packages_are_taken_as_they_are():
+    smallest = Policy("smallest", lambda s: Decision(WORSE, True, "mine", s.options[WORSE].size_bytes))
+    log = simulate(CATALOGUE, link([8e6]).trace, smallest, rules())
+    assert log.policy == "smallest" and {s.rung for s in log.shown} == {WORSE}
+    package = open_package(VALID / "two-groups-sh1")
+    assert simulate(package, open_trace("const:100"), "fixed:0", rules()).metrics.frames == package.manifest.frames
 
 
 def test_without_its_key_a_group_is_lost_and_the_next_one_is_not():

@@ -16,14 +16,12 @@ from airgs_codec.inspect.dense import DROP, HOLD, MEASURED, cliff, measure_dense
 from airgs_codec.package.store import find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
-from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.scene.orbits import orbit_views
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import FOX, VALID
-from tools.check_link import replay
 
 MOVING = VALID / "moving"
 
@@ -200,16 +198,6 @@ def test_dense_levels_need_a_measured_top_rung(moving, cameras):
     bare = replace(moving, manifest=replace(moving.manifest, segments=segments))
     with pytest.raises(ConfigError, match="--against"):
         measure_dense(bare, cameras[:1], cameras)
-
-
-def test_the_real_link_is_never_faster_than_the_simulated_one():
-    """A second of play over loopback; how close it comes is measured by tools/check_link, not here."""
-    c = Catalogue(tiny_manifest(), manifest_bytes=1000)
-    link = Link(Trace("t", np.array([0.0, 0.3, 0.5]), np.array([4e5, 0.0, 8e5]), 10.0), 0.02)
-    log = simulate(c, link, "fixed:0", SessionSettings(loops=2, abandon=False))
-    real = replay(log, link)
-    assert len(real) == len(log.fetches)
-    assert all(a >= f.arrival_s - 0.005 for a, f in zip(real, log.fetches, strict=True))
 
 
 def test_policies_need_different_names():
