@@ -9,6 +9,7 @@ class AirgsError(Exception):
     + SceneError (ValueError)       a scene we cannot code: no frames, no Gaussians, broken .ply
     + ConfigError (ValueError)      settings that cannot work
     + FormatError (ValueError)      a manifest or a file of a package we refuse; has .reason and .where
+    + TrainingError (RuntimeError)  a fit went wrong: its loss is not finite
     + CodecError (RuntimeError)     FFmpeg refused, or decoded something else than it encoded
     + TransportError (OSError)      a segment did not arrive, a trace cannot be used
     """
@@ -33,6 +34,10 @@ class FormatError(AirgsError, ValueError):
         self.reason = reason
         self.where = where
         self.detail = detail
+
+
+class TrainingError(AirgsError, RuntimeError):
+    """A fit that went wrong: its loss is not finite."""
 
 
 class CodecError(AirgsError, RuntimeError):

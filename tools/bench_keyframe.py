@@ -2,78 +2,119 @@
 
     python -m tools.bench_keyframe SCENE MODEL [--frame T] [--max-size PX]
 
-MODEL: the model folder that `airgs-train SCENE` made; T: one of its keyframes (default: the first after frame 0). Both
-run with the settings of the model in several lengths, each a whole fit; PSNR is the mean over held-out views.
+MODEL: the model folder that `airgs-train SCENE` made; T: the frame, from 1 on (default: the model's first keyframe
+after frame 0). Both fits run with the settings of the model in several lengths, each a whole fit, on pictures shrunk to
+a longest side of PX pixels (default: as the model was trained). PSNR is the mean over held-out views of each view's.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
+import sys
 import time
-from collections.abc import Callable
-from dataclasses import fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-import numpy as np
 import torch
 
-from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.render import render
+from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import read_ply
-from airgs_codec.train.data.multiview import Pictures, View, with_held_out
+from airgs_codec.train.data.multiview import with_held_out
+from airgs_codec.train.data.pictures import View, pictures_for
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.temporal import Temporal
-from airgs_codec.train.record import RECORD_NAME
-from airgs_codec.train.settings import TrainSettings
-from airgs_codec.train.stages import make_trainer
+from airgs_codec.train.fit.parameters import Parameters
+from airgs_codec.train.quality import mean_psnr
+from airgs_codec.train.record import Model, read_model
+from airgs_codec.train.run import frame_before
+from airgs_codec.train.settings import settings_from_table
+from airgs_codec.train.stages import FrameBefore, FrameViews, Trainer, make_trainer
 
 WARM = (25, 50, 100, 200, 400, 800, 1500)  # iterations
 SCRATCH = (200, 300, 400, 500, 600, 800, 1200, 2500)
 
 
-def main() -> None:
-    """Run and print."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A frame that both fits are made of."""
+
+    trainer: Trainer
+    target: FrameViews
+    before: FrameBefore
+    steps: Parameters  # codec steps of the frame before
+    held_out: Sequence[View]
+
+    def warm(self, iterations: int) -> Gaussians:
+        """A keyframe from the frame before."""
+        short = replace(self.trainer, settings=replace(self.trainer.settings, key_iterations=iterations))
+        return short.fit_keyframe(self.target, self.before, self.steps)
+
+    def scratch(self, iterations: int) -> Gaussians:
+        """A keyframe from points found in its pictures."""
+        short = replace(self.trainer, settings=replace(self.trainer.settings, first_iterations=iterations))
+        return short.fit_first(self.target, None)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run and print; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scene", type=Path)
     parser.add_argument("model", type=Path)
     parser.add_argument("--frame", type=int)
-    args = parser.parse_args()
+    parser.add_argument("--max-size", type=int)
+    args = parser.parse_args(argv)
     torch.set_num_threads(1)
-    record = json.loads((args.model / RECORD_NAME).read_text())
-    known = {f.name for f in fields(TrainSettings)}
-    stored = {n: v for n, v in record["settings"].items() if n in known}
-    stored |= {"temporal": Temporal(**stored["temporal"]), "drop": float(stored["drop"])}
-    settings = TrainSettings(**stored)
-    keys = [f["frame"] for f in record["frames"] if f["kind"] == "key"]
-    frame = args.frame if args.frame is not None else keys[0]
-    scene = with_held_out(open_scene(args.scene), None)
-    pictures = Pictures(scene, settings.max_size, settings.foreground)
-    views, held_out = pictures.train(frame), pictures.held_out(frame)
-    trainer = make_trainer(settings, views, scene.points, "cpu")
-    before, earlier = (read_ply(args.model / f"{frame - i:06d}.ply") for i in (1, 2))
-    steps = trainer.steps(before, pictures.train(frame - 1))
+    try:
+        compare(open_case(args.scene, args.model, args.frame, args.max_size))
+    except AirgsError as error:
+        print(f"bench_keyframe: {error}", file=sys.stderr)
+        return 2
+    return 0
 
-    def warm(iterations: int) -> Gaussians:
-        short = replace(trainer, settings=replace(settings, key_iterations=iterations))
-        return short.keyframe(frame, before, before.means - earlier.means, steps, views)
 
-    def scratch(iterations: int) -> Gaussians:
-        short = replace(trainer, settings=replace(settings, first_iterations=iterations))
-        return short.first(frame, None, views)
+def open_case(scene_folder: Path, model_folder: Path, frame: int | None, max_size: int | None) -> Case:
+    """The frame of a model; None stands for its first keyframe after frame 0, and for the model's size of pictures.
 
-    warm(1)  # compiles
+    Raises ConfigError for a frame that the model does not have or that nothing comes before.
+    """
+    model = read_model(model_folder)
+    frame = chosen_frame(model, frame)
+    settings = settings_from_table(model.record.settings)
+    if max_size is not None:
+        settings = replace(settings, max_size=max_size)
+    scene = with_held_out(open_scene(scene_folder), None)
+    pictures = pictures_for(scene, settings)
+    if model.record.exposure:
+        pictures = pictures.with_exposure(model.record.exposure)
+    trainer = make_trainer(settings, pictures.train(0), scene.points, "cpu")
+    before = frame_before(model, frame)
+    steps = trainer.steps(before.gaussians, pictures.train(frame - 1))
+    return Case(trainer, FrameViews(frame, pictures.train(frame)), before, steps, pictures.held_out(frame))
+
+
+def chosen_frame(model: Model, frame: int | None) -> int:
+    """The frame, or the first keyframe after frame 0. Raises ConfigError when the model does not have it."""
+    count, keys = len(model.record.frames), model.record.keyframes()[1:]
+    if frame is None:
+        if not keys:
+            raise ConfigError(f"{model.folder}: expected a keyframe after frame 0, got none; name a frame with --frame")
+        return keys[0]
+    if not 1 <= frame < count:
+        raise ConfigError(f"--frame: expected a frame from 1 to {count - 1}, got {frame}")
+    return frame
+
+
+def compare(case: Case) -> None:
+    """Print both curves, and how much sooner the warm start reaches what the other does."""
+    case.warm(1)  # compiles
     print(f"{'':>20} {'iterations':>10} {'seconds':>8} {'PSNR':>6} {'Gaussians':>10}")
-    curves = {
-        "from the frame before": follow("from the frame before", warm, WARM, held_out),
-        "from scratch": follow("from scratch", scratch, SCRATCH, held_out),
-    }
-    fast, slow = curves.values()
-    print(f"U = {len(before):,}; at most {100 * (max(n for *_, n in fast) / len(before) - 1):.1f} % added")
+    fast = follow("from the frame before", case.warm, WARM, case.held_out)
+    slow = follow("from scratch", case.scratch, SCRATCH, case.held_out)
+    rows = len(case.before.gaussians)
+    print(f"U = {rows:,}; at most {100 * (max(n for *_, n in fast) / rows - 1):.1f} % added")
     for seconds, quality, _ in slow:
         first = next((s for s, q, _ in fast if q >= quality), None)
         if first is not None:
@@ -81,19 +122,19 @@ def main() -> None:
 
 
 def follow(
-    name: str, fit: Callable[[int], Gaussians], counts: tuple[int, ...], held_out: list[View]
+    name: str, fit: Callable[[int], Gaussians], counts: Sequence[int], held_out: Sequence[View]
 ) -> list[tuple[float, float, int]]:
-    """(seconds, PSNR, Gaussians) of whole fits of several lengths."""
+    """(seconds, PSNR in dB, Gaussians) of whole fits of several lengths."""
     curve = []
     for count in counts:
         begun = time.perf_counter()
         g = fit(count)
         seconds = time.perf_counter() - begun
-        quality = float(np.mean([psnr(mse(render(g, v.camera).rgb, v.target.rgb)) for v in held_out]))
+        quality = mean_psnr(g, held_out)
         curve.append((seconds, quality, len(g)))
         print(f"{name:>20} {count:10} {seconds:8.1f} {quality:6.2f} {len(g):10,}", flush=True)
     return curve
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -3,7 +3,8 @@
     python -m tools.bench_train SCENE -o OUT [--methods airgs,v3,naive3dgs] [--frames A:B] [--max-size PX]
 
 Every method trains with the default settings into OUT/METHOD, is encoded as `airgs-encode` does by default, decoded,
-and compared with the pictures of the held-out cameras. Writes OUT/methods.csv and prints it.
+and compared with the pictures of the held-out cameras. Writes OUT/methods.csv and prints it. psnr and package_psnr are
+means over frames and views of each view's PSNR in dB; worst_frame is the lowest mean over views.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numpy as np
 
-from airgs_codec.cli.train import parse_frames
+from airgs_codec.cli.common import parse_frames
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.media.metrics import mse, psnr, ssim
 from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import JSON_NAME, MPD_NAME
-from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
-from airgs_codec.train.data.multiview import Pictures, Scene, with_held_out
+from airgs_codec.train.data.multiview import MultiviewScene, with_held_out
+from airgs_codec.train.data.pictures import Pictures, pictures_for
 from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.quality import mean_psnr, mean_ssim
 from airgs_codec.train.run import train
 from airgs_codec.train.settings import METHODS, TrainSettings
 
@@ -72,11 +73,11 @@ def main() -> None:
             writer.writerows(rows)
 
 
-def measure(scene: Scene, settings: TrainSettings, folder: Path) -> dict[str, object]:
+def measure(scene: MultiviewScene, settings: TrainSettings, folder: Path) -> dict[str, object]:
     """One row of the table; a run that is there already is used."""
     model = train(scene, folder, settings, resume=True)
     records = model.record.frames
-    pictures = Pictures(scene, settings.max_size, settings.foreground)
+    pictures = pictures_for(scene, settings)
     target = folder.with_suffix(".airgs")
     begun = time.perf_counter()
     encode(open_sequence(folder), target, EncodeSettings(measure_frames=0))
@@ -104,8 +105,8 @@ def measure(scene: Scene, settings: TrainSettings, folder: Path) -> dict[str, ob
 
 def compare(g: Gaussians, pictures: Pictures, frame: int) -> tuple[float, float]:
     """Mean PSNR (dB) and SSIM over the held-out views of a frame."""
-    pairs = [(render(g, view.camera).rgb, view.target.rgb) for view in pictures.held_out(frame)]
-    return float(np.mean([psnr(mse(*p)) for p in pairs])), float(np.mean([ssim(*p) for p in pairs]))
+    views = pictures.held_out(frame)
+    return mean_psnr(g, views), mean_ssim(g, views)
 
 
 if __name__ == "__main__":

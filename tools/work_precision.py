@@ -52,6 +52,7 @@ from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import markov_trace
 from airgs_codec.render import Camera, read_cameras, render
+from airgs_codec.render.absgrad import RasterInputs
 from airgs_codec.render.cpu import activate
 from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.reference import render_reference
@@ -59,11 +60,10 @@ from airgs_codec.scene.ply import read_ply
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.train.data.multiview import with_held_out
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.temporal import Temporal
-from airgs_codec.train.loss.losses import photometric, windowed_ssim
+from airgs_codec.train.loss.photometric import photometric, windowed_ssim
 from airgs_codec.train.loss.target import Target
 from airgs_codec.train.run import train
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.train.settings import Temporal, TrainSettings
 from tools.bench_scale import COUNTS, FRAMES, measure_scale
 
 DATA = Path(__file__).parent.parent / "tests" / "data"
@@ -187,9 +187,9 @@ def clipped(values: NDArray[np.float64], units: NDArray[np.float64]) -> NDArray[
     return np.clip(values, middle - reach, middle + reach)
 
 
-def reference(c: list[torch.Tensor], camera: Camera) -> torch.Tensor:
-    """The picture by the definition, in the precision of the columns."""
-    return render_reference(c[0], c[1], c[2], c[3], c[4], camera)[0]
+def reference(inputs: RasterInputs, camera: Camera) -> torch.Tensor:
+    """The picture by the definition, in the precision of the inputs."""
+    return render_reference(inputs, camera)[0]
 
 
 def measure_render(quick: bool) -> Iterator[Row]:
@@ -197,17 +197,17 @@ def measure_render(quick: bool) -> Iterator[Row]:
     g = read_ply(SCENE / "000005.ply")
     whole = next(c for c in read_cameras(SCENE / "transforms.json") if c.split == "test")
     a = activate(g)
-    columns = [torch.from_numpy(getattr(a, n)) for n in ("means", "quaternions", "scales", "opacities", "sh")]
+    columns = RasterInputs(*(torch.from_numpy(getattr(a, n)) for n in RasterInputs._fields))
     for side in (16, 32, 48) if quick else (16, 32, 64, 96):
         scale = side / whole.width
         camera = Camera(
             "bench", side, side, whole.fx * scale, whole.fy * scale, whole.cx * scale, whole.cy * scale,
             whole.world_to_camera,
         )  # fmt: skip
-        exact = [c.double() for c in columns]
+        exact = RasterInputs(*(c.double() for c in columns))
         truth = reference(exact, camera)
         methods: dict[str, Callable[[Camera], torch.Tensor]] = {
-            "tiles": lambda view: rasterize(columns[0], columns[1], columns[2], columns[3], columns[4], view)[0],
+            "tiles": lambda view: rasterize(columns, view)[0],
             "definition, float32": lambda view: reference(columns, view),
             "definition, float64": lambda view, c=exact: reference(c, view),  # type: ignore[misc]
         }
@@ -254,7 +254,8 @@ def measure_train(folder: Path, quick: bool) -> Iterator[Row]:
 
     for count in lengths:
         yield run("first frame", replace(base, first_iterations=count), 1, f"{count}", 0)
-    start = replace(base, first_iterations=lengths[-1], tau=1.0, drop=math.inf)  # no frame starts a group
+    # No frame starts a group.
+    start = replace(base, first_iterations=lengths[-1], min_psnr_db=1.0, max_drop_db=math.inf)
     for deltas in ("direct", "mlp", "mlp+residual"):
         for count in (30, 100) if quick else (30, 100, 300):
             yield run(deltas, replace(start, deltas=deltas, frame_iterations=count), 2, f"{count}", 1)
@@ -264,7 +265,7 @@ def measure_train(folder: Path, quick: bool) -> Iterator[Row]:
     for count in (50, 150) if quick else (50, 150, 500, 1500):
         part = replace(scene, frames=frames[KEYFRAME - 1 : KEYFRAME + 1])
         for method, settings in (
-            ("keyframe warm", replace(start, key_iterations=count, frame_iterations=5, tau=99.0)),
+            ("keyframe warm", replace(start, key_iterations=count, frame_iterations=5, min_psnr_db=99.0)),
             ("keyframe from scratch", replace(start, first_iterations=count, method="naive3dgs")),
         ):
             model = train(part, folder / f"{method}{count}".replace(" ", ""), settings)

@@ -20,6 +20,11 @@ class Grouping:
     notes: list[str]
 
 
+def middle_frame(start: int, stop: int) -> int:
+    """The frame of a group [start, stop) whose Gaussians are its canonical space: changes are coded against it."""
+    return start + (stop - start) // 2
+
+
 def plan_groups(sequence: GaussianSequence, group_frames: int = DEFAULT_GROUP_FRAMES) -> Grouping:
     """Given keyframes, else a new group where the count changes, else every `group_frames` frames.
 

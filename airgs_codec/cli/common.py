@@ -59,14 +59,23 @@ class Bar:
             self._bar = None
 
 
-def parse_range(text: str, frames: int) -> tuple[int, int]:
-    """(start, stop) of A:B, A:, :B or a single frame number, of a sequence of `frames`. Raises ConfigError."""
-    head, colon, tail = text.partition(":")
+def parse_frames(text: str | None) -> tuple[int, int | None]:
+    """First frame and the one after the last of A:B, A:, :B or a single number; None stands for the end.
+
+    Without text, all frames. Raises ConfigError.
+    """
+    head, colon, tail = (text or ":").partition(":")
     try:
         start = int(head) if head else 0
-        stop = (int(tail) if tail else frames) if colon else start + 1
+        return start, (int(tail) if tail else None) if colon else start + 1
     except ValueError as error:
         raise ConfigError(f"--frames: expected A:B, got {text!r}") from error
+
+
+def parse_range(text: str, frames: int) -> tuple[int, int]:
+    """(start, stop) as `parse_frames` gives it, of a sequence of `frames`. Raises ConfigError."""
+    start, stop = parse_frames(text)
+    stop = frames if stop is None else stop
     if not 0 <= start < stop <= frames:
         raise ConfigError(f"--frames: expected A:B inside 0:{frames}, got {text!r}")
     return start, stop

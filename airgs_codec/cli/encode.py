@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.cli.common import Bar, run_command
-from airgs_codec.cli.train import default_model, default_settings, pick_device, require_torch, run_training
+from airgs_codec.cli.training import train_by_default
 from airgs_codec.encoder.publish import EncodeReport, encode
 from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import (
@@ -154,7 +154,7 @@ def _run(args: argparse.Namespace) -> int:
     settings = _settings(args)
     if args.fps is not None and not 0 < args.fps <= 1000:
         raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
-    folder = _trained(args) if is_multiview(args.scene) else args.scene
+    folder = train_by_default(args.scene, args.fps, quiet=args.json) if is_multiview(args.scene) else args.scene
     sequence = open_sequence(folder, views=args.views, fps=args.fps)
     scene = args.scene.resolve()  # "." has no name of its own
     target = args.output or scene.with_name(scene.name + ".airgs")
@@ -166,19 +166,6 @@ def _run(args: argparse.Namespace) -> int:
         bar.close()
     print(json.dumps(_as_json(report, target)) if args.json else _as_words(report, target))
     return 0
-
-
-def _trained(args: argparse.Namespace) -> Path:
-    """The model of a multi-view scene, trained as far as it is not yet."""
-    require_torch()
-    from airgs_codec.train.data.multiview import with_held_out
-    from airgs_codec.train.data.readers import open_scene
-
-    folder = default_model(args.scene)
-    scene = with_held_out(open_scene(args.scene, fps=args.fps), None)
-    device = pick_device("auto")
-    run_training(scene, folder, default_settings(device), resume=True, device=device, quiet=args.json)
-    return folder
 
 
 def _goal(args: argparse.Namespace, sequence: GaussianSequence) -> Goal | None:

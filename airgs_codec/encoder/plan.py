@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.analysis.grouping import middle_frame
 from airgs_codec.analysis.importance import Needed, Removal, importance
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, LEAK, Sensitivity, measure_sensitivity
 from airgs_codec.analysis.usage import measure_usage
@@ -115,7 +116,7 @@ class Survey:
 
 def survey_group(sequence: GaussianSequence, index: int, start: int, stop: int, cameras: Sequence[Camera]) -> Survey:
     """Usage and sensitivity over the first, canonical and last frame; the trainer's usage, over all, where it fits."""
-    canonical = start + (stop - start) // 2
+    canonical = middle_frame(start, stop)
     shown = sorted({start, canonical, stop - 1})
     loaded = sequence.load(range(start, stop)).frames
     frames = [loaded[i - start] for i in shown]

@@ -137,10 +137,10 @@ def gradients(
     grad_transmittance: NDArray[np.float32],
 ) -> tuple[NDArray[np.float32], ...]:
     """dL/d(means, quaternions, scales, opacities, sh) from dL/drgb (H, W, 3) and dL/dtransmittance (H, W)."""
-    return gradients_and_pull(g, camera, b, grad_rgb, grad_transmittance)[0]
+    return gradients_and_absgrad(g, camera, b, grad_rgb, grad_transmittance)[0]
 
 
-def gradients_and_pull(
+def gradients_and_absgrad(
     g: Activated,
     camera: Camera,
     b: Blended,

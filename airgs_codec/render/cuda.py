@@ -1,6 +1,6 @@
 """gsplat behind the same function as the CPU renderer, for tensors on a CUDA device. Imported only where it is used.
 
-gsplat 1.5 imports without its kernels and fails later, so they are looked for: `available` says what is missing.
+gsplat 1.5 imports without its kernels and fails later, so they are looked for: `missing` says what is not there.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from airgs_codec.render.absgrad import Background, Pull
+from airgs_codec.render.absgrad import AbsGrad, Background, RasterInputs
 from airgs_codec.render.cpu import DILATION, FAR
 from airgs_codec.scene.camera import Camera
 
@@ -28,28 +28,20 @@ def missing() -> str | None:
 
 
 def rasterize(
-    means: torch.Tensor,
-    quaternions: torch.Tensor,
-    scales: torch.Tensor,
-    opacities: torch.Tensor,
-    sh: torch.Tensor,
+    inputs: RasterInputs,
     camera: Camera,
     background: Background = (0.0, 0.0, 0.0),
-    pull: Pull | None = None,
+    absgrad: AbsGrad | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """As `autograd.rasterize`. Single pixels may differ by 5e-3 where alpha is next to 1/255, others by 1e-5."""
+    """As `differentiable.rasterize`. Pixels may differ by 5e-3 where alpha is next to 1/255, others by 1e-5."""
     from gsplat import rasterization
 
     def on_device(values: Any) -> torch.Tensor:
-        return torch.as_tensor(values, dtype=torch.float32, device=means.device)
+        return torch.as_tensor(values, dtype=torch.float32, device=inputs.means.device)
 
     matrix = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
     rgb, alpha, meta = rasterization(
-        means,
-        quaternions,
-        scales,
-        opacities,
-        sh,
+        *inputs,
         on_device(camera.world_to_camera)[None],
         on_device(matrix)[None],
         camera.width,
@@ -57,12 +49,12 @@ def rasterize(
         near_plane=camera.near,
         far_plane=FAR,
         eps2d=DILATION,
-        sh_degree=round(sh.shape[1] ** 0.5) - 1,
+        sh_degree=round(inputs.sh.shape[1] ** 0.5) - 1,
         packed=False,
         backgrounds=on_device(background)[None],
-        absgrad=pull is not None,
+        absgrad=absgrad is not None,
     )
-    if pull is not None:  # gsplat leaves absolute gradients on its projected means once the gradient reaches them
+    if absgrad is not None:  # gsplat leaves absolute gradients on its projected means once the gradient reaches them
         means2d, radii = meta["means2d"], meta["radii"]
-        pull.read = lambda: (means2d.absgrad[0].norm(dim=-1), (radii[0] > 0).all(dim=-1))
+        absgrad.read = lambda: (means2d.absgrad[0].norm(dim=-1), (radii[0] > 0).all(dim=-1))
     return rgb[0], 1 - alpha[0, ..., 0]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import torch
 
+from airgs_codec.render.absgrad import Background, RasterInputs
 from airgs_codec.render.cpu import DILATION, FAR
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import SH_C0
@@ -45,38 +46,24 @@ def sh_colours(directions: torch.Tensor, sh: torch.Tensor) -> torch.Tensor:
     return ((values[..., None] * sh).sum(-2) + 0.5).clamp_min(0)
 
 
-def render_reference(
-    means: torch.Tensor,
-    quaternions: torch.Tensor,
-    scales: torch.Tensor,
-    opacities: torch.Tensor,
-    sh: torch.Tensor,
-    camera: Camera,
-    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
-) -> Picture:
-    """rgb (H, W, 3) and transmittance (H, W) of activated float64 attributes."""
-    weights, transmittance, colours = blending_weights(means, quaternions, scales, opacities, sh, camera)
-    rgb = weights @ colours + transmittance[:, None] * torch.tensor(background, dtype=means.dtype)
+def render_reference(inputs: RasterInputs, camera: Camera, background: Background = (0.0, 0.0, 0.0)) -> Picture:
+    """rgb (H, W, 3) and transmittance (H, W) in the precision of the inputs."""
+    weights, transmittance, colours = blending_weights(inputs, camera)
+    rgb = weights @ colours + transmittance[:, None] * torch.tensor(background, dtype=colours.dtype)
     return rgb.reshape(camera.height, camera.width, 3), transmittance.reshape(camera.height, camera.width)
 
 
-def blending_weights(
-    means: torch.Tensor,
-    quaternions: torch.Tensor,
-    scales: torch.Tensor,
-    opacities: torch.Tensor,
-    sh: torch.Tensor,
-    camera: Camera,
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def blending_weights(inputs: RasterInputs, camera: Camera) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """alpha T of every pixel and Gaussian (P, N), final transmittance (P,), colours (N, 3)."""
+    means, opacities = inputs.means, inputs.opacities
     view = torch.as_tensor(camera.world_to_camera, dtype=means.dtype)
     rotation, translation = view[:3, :3], view[:3, 3]
     x, y, z = (means @ rotation.T + translation).unbind(-1)
     drawn = (z > camera.near) & (z < FAR) & (opacities * 255 > 1)
     z = torch.where(drawn, z, torch.ones_like(z))
-    conic, position = _conics(rotation, quaternions, scales, x, y, z, camera)
+    conic, position = _conics(inputs, torch.stack([x, y, z], -1), camera)
     directions = torch.nn.functional.normalize(means + rotation.T @ translation, dim=-1)
-    colours = sh_colours(directions, sh)
+    colours = sh_colours(directions, inputs.sh)
     order = torch.argsort(torch.where(drawn, z, torch.full_like(z, torch.inf)), stable=True)
     rows, columns = torch.meshgrid(torch.arange(camera.height), torch.arange(camera.width), indexing="ij")
     pixels = torch.stack([columns.reshape(-1), rows.reshape(-1)], -1).to(means.dtype) + 0.5
@@ -91,23 +78,18 @@ def blending_weights(
     return weights, before[:, -1], colours
 
 
-def _conics(
-    rotation: torch.Tensor,
-    quaternions: torch.Tensor,
-    scales: torch.Tensor,
-    x: torch.Tensor,
-    y: torch.Tensor,
-    z: torch.Tensor,
-    camera: Camera,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Inverse projected covariances (N, 2, 2) and pixel positions (N, 2)."""
+def _conics(inputs: RasterInputs, places: torch.Tensor, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+    """Inverse projected covariances (N, 2, 2) and pixel positions (N, 2) of `places` (N, 3) in camera space."""
+    rotation = torch.as_tensor(camera.world_to_camera[:3, :3], dtype=places.dtype)
+    x, y, z = places.unbind(-1)
     u, v = x / z, y / z
     margin_x, margin_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
     uc = u.clamp(-camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
     vc = v.clamp(-camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
     zero = torch.zeros_like(z)
     jacobian = [camera.fx / z, zero, -camera.fx * uc / z, zero, camera.fy / z, -camera.fy * vc / z]
-    half = torch.stack(jacobian, -1).reshape(-1, 2, 3) @ rotation @ (rotation_matrices(quaternions) * scales[:, None])
+    shape = rotation_matrices(inputs.quaternions) * inputs.scales[:, None]
+    half = torch.stack(jacobian, -1).reshape(-1, 2, 3) @ rotation @ shape
     covariance = half @ half.transpose(1, 2) + DILATION * torch.eye(2, dtype=x.dtype)
     a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     minors = torch.linalg.cross(half[:, 0], half[:, 1])  # Cauchy-Binet: no cancellation for needles

@@ -12,51 +12,51 @@ A run that was killed goes on behind the last record. All that the next frame de
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from airgs_codec._files import PART_SUFFIX, atomic_path, write_json
+from airgs_codec._files import PART_SUFFIX, atomic_path, to_json, write_json
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import read_ply, write_ply
 from airgs_codec.scene.sequence import USAGE_NAME
 from airgs_codec.scene.usage import Usage, save_usage
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.train.loss.target import Exposure
 
 RECORD_NAME = "training.json"
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """One trained frame."""
+    """One trained frame. Each PSNR is the mean over views of each view's PSNR."""
 
     frame: int
     kind: str  # first | frame | key
     gaussians: int
     added: int  # by a keyframe
-    psnr: float  # dB, mean over training views
-    held_out_psnr: float | None  # dB, mean over held-out views; None: there are none
-    held_out_ssim: float | None
-    rejected_psnr: float | None  # of the fit in the old group, where a keyframe took its place
+    psnr: float  # dB, training views
+    held_out_psnr: float | None  # dB, held-out views; None: there are none
+    held_out_ssim: float | None  # mean over held-out views
+    rejected_psnr: float | None  # dB, training views: of the other fit, where a keyframe was tried too
     static: dict[str, float]  # share of each attribute's channels that changed by less than half a codec step
     seconds: float
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Record:
     """A run so far."""
 
     scene: dict[str, Any]  # what must not change between sessions
-    settings: dict[str, Any]
-    frames: list[FrameRecord] = field(default_factory=list)
-    total: int = 0  # frames of the whole run
-    exposure: dict[str, list[float]] = field(default_factory=dict)  # camera -> gains, offsets
+    settings: dict[str, Any]  # `TrainSettings.table`, through JSON
+    total: int  # frames of the whole run
+    fps: str  # frames a second, as a fraction
+    frames: tuple[FrameRecord, ...] = ()  # the finished ones
+    exposure: Exposure = field(default_factory=dict)
 
     @property
     def complete(self) -> bool:
@@ -64,34 +64,63 @@ class Record:
         return len(self.frames) == self.total
 
     def keyframes(self) -> list[int]:
-        """Frames that start a group."""
+        """The frames that start a group."""
         return [f.frame for f in self.frames if f.kind != "frame"]
 
-    def group_start(self) -> int:
-        """First frame of the last group."""
-        return self.keyframes()[-1]
+    def spans(self) -> list[tuple[int, int]]:
+        """Frames [start, stop) of each group."""
+        starts = self.keyframes()
+        return list(zip(starts, [*starts[1:], len(self.frames)], strict=True))
+
+    def warnings(self) -> list[str]:
+        """What somebody should know who looks at the run, one sentence each."""
+        low = self.settings["min_psnr_db"]
+        starts = [f for f in self.frames if f.kind != "frame" or f.rejected_psnr is not None]
+        short = [f for f in starts if f.psnr < low]
+        if self.settings["method"] != "airgs" or self.total == 1 or not short:
+            return []
+        return [
+            f"frame {short[0].frame}: {short[0].psnr:.1f} dB in training views, and no fit reaches the {low:g} dB of "
+            "--min-psnr; a keyframe is tried at every frame like it, which takes long and may add up to "
+            f"{100 * self.settings['max_growth']:g} % of Gaussians each time: lower --min-psnr or raise --budget"
+        ]
+
+    def group_start(self, frame: int) -> int:
+        """First frame of the group of the frame before `frame`, which is at least 1."""
+        return max(start for start in self.keyframes() if start < frame)
 
 
 class Model:
     """The model folder of a run."""
 
     def __init__(self, folder: Path, record: Record) -> None:
-        """`record` as `open_model` gives it."""
+        """`record`: as the folder has it; see `open_model` and `read_model`."""
         self.folder = folder
         self.record = record
 
     def read(self, frame: int) -> Gaussians:
-        """A finished frame."""
+        """A finished frame. Raises SceneError when it cannot be read."""
         return read_ply(self._path(frame))
 
-    def commit(self, g: Gaussians, frame: FrameRecord, networks: Mapping[str, np.ndarray] | None, fps: str) -> None:
-        """Keep a finished frame; from here on the run goes on behind it."""
+    def commit(
+        self,
+        g: Gaussians,
+        frame: FrameRecord,
+        networks: Mapping[str, np.ndarray] | None = None,
+        exposure: Exposure | None = None,
+    ) -> None:
+        """Keep a finished frame; from here on the run goes on behind it.
+
+        `networks`: their weights after the frame. `exposure`: what was found at the first frame.
+        """
         with atomic_path(self._path(frame.frame)) as temporary:
             write_ply(temporary, g)
         if networks is not None:
             with atomic_path(self._networks(frame.frame)) as temporary:
                 _save(temporary, networks)
-        self.record.frames.append(frame)
+        found = dict(exposure or self.record.exposure)
+        self.record = replace(self.record, frames=(*self.record.frames, frame), exposure=found)
+        fps = self.record.fps
         settings = {"fps": float(fps) if "/" not in fps else fps, "keyframes": self.record.keyframes()}
         write_json(self.folder / "sequence.json", settings)
         self.write_record()
@@ -99,8 +128,12 @@ class Model:
             self._networks(frame.frame - 1).unlink(missing_ok=True)
 
     def write_record(self) -> None:
-        """Keep what is known; the folder is this run's from then on."""
+        """Write the record; the folder is this run's from then on."""
         write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(self.record)})
+
+    def write_cameras(self, transforms: dict[str, Any]) -> None:
+        """Write the cameras of the run as transforms.json."""
+        write_json(self.folder / "transforms.json", transforms)
 
     def networks(self) -> dict[str, np.ndarray]:
         """Weights after the last finished frame. Raises SceneError when they are not there."""
@@ -112,13 +145,22 @@ class Model:
             raise SceneError(f"{path}: expected the networks of an unfinished run: {error}") from error
 
     def finish(self, usage: Mapping[tuple[int, int], Usage]) -> None:
-        """Keep the usage of each group of a complete run; weights that nothing needs any more go."""
+        """Write the usage of each group of a complete run, and remove the weights, which nothing needs any more."""
         save_usage(self.folder / USAGE_NAME, usage)
         self._networks(self.record.frames[-1].frame).unlink(missing_ok=True)
 
     def finished(self) -> bool:
         """Whether nothing is left to do."""
         return self.record.complete and (self.folder / USAGE_NAME).is_file()
+
+    def remove_leftovers(self) -> None:
+        """Remove what a killed run had not finished."""
+        for leftover in self.folder.glob(f".*{PART_SUFFIX}"):
+            leftover.unlink()
+        for stray in sorted(self.folder.glob("*.ply"))[len(self.record.frames) :]:  # written, but not recorded
+            stray.unlink()
+        if not self.record.complete:
+            (self.folder / USAGE_NAME).unlink(missing_ok=True)
 
     def _path(self, frame: int) -> Path:
         return self.folder / f"{frame:06d}.ply"
@@ -127,73 +169,51 @@ class Model:
         return self.folder / f"networks-{frame:06d}.npz"
 
 
-def open_model(folder: Path, scene: dict[str, Any], settings: TrainSettings, total: int, resume: bool) -> Model:
-    """A new model folder, or with `resume` the one that is there.
+def open_model(folder: Path, wanted: Record, resume: bool) -> Model:
+    """A new model folder for the `wanted` run, or with `resume` the one that is there.
 
     Raises ConfigError when there is something in `folder` that would be lost, or that another run has made.
     """
-    record = Record(_as_json(scene), _as_json(settings.table()), total=total)
+    new = replace(wanted, scene=json.loads(to_json(wanted.scene)), settings=json.loads(to_json(wanted.settings)))
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"{folder}: expected a folder for the model, got a file")
-    path = folder / RECORD_NAME
-    if path.is_file():
+    if (folder / RECORD_NAME).is_file():
         if not resume:
             raise ConfigError(f"{folder}: there is a training run already; --resume goes on with it")
-        known = _read(path)
-        for what in ("settings", "scene"):
-            _same(folder, getattr(known, what), getattr(record, what))
-        if len(known.frames) > total:
-            raise ConfigError(f"{folder}: expected at most {total} finished frames, got {len(known.frames)}")
-        record.frames, record.exposure = known.frames, known.exposure
+        new = _continued(folder, read_model(folder).record, new)
     elif folder.is_dir() and any(p for p in folder.iterdir() if not p.name.startswith(".")):
         raise ConfigError(f"{folder}: expected a new folder or a training run, got a folder with other files")
     folder.mkdir(parents=True, exist_ok=True)
-    for leftover in folder.glob(f".*{PART_SUFFIX}"):
-        leftover.unlink()
-    for stray in sorted(folder.glob("*.ply"))[len(record.frames) :]:  # finished, but killed before the record was
-        stray.unlink()
-    if not record.complete:
-        (folder / USAGE_NAME).unlink(missing_ok=True)
-    model = Model(folder, record)
+    model = Model(folder, new)
+    model.remove_leftovers()
     model.write_record()
     return model
 
 
-def write_cameras(folder: Path, data: dict[str, Any]) -> None:
-    """Keep the cameras of a run as transforms.json."""
-    write_json(folder / "transforms.json", data)
-
-
-def _same(folder: Path, before: dict[str, Any], now: dict[str, Any]) -> None:
-    for name in sorted({*before, *now}):
-        if before.get(name) != now.get(name):
-            raise ConfigError(
-                f"{folder}: the run there has {name} {json.dumps(before.get(name))}, not {json.dumps(now.get(name))}"
-            )
-
-
-def _read(path: Path) -> Record:
+def read_model(folder: Path) -> Model:
+    """The model folder of a run, finished or not. Raises SceneError when it has no record that can be read."""
+    path = folder / RECORD_NAME
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-        if data.pop("version") != VERSION:
-            raise ValueError("another version")
-        data["frames"] = [FrameRecord(**frame) for frame in data["frames"]]
-        return Record(**data)
+        version = data.pop("version")
+        if version != VERSION:
+            raise ValueError(f"version {version} instead of {VERSION}")
+        data["frames"] = tuple(FrameRecord(**frame) for frame in data["frames"])
+        return Model(folder, Record(**data))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise SceneError(f"{path}: expected the record of a training run: {error}") from error
 
 
-def _as_json(data: dict[str, Any]) -> dict[str, Any]:
-    """`data` as it comes back from a file; infinity is a word there."""
-
-    def plain(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {k: plain(v) for k, v in value.items()}
-        if isinstance(value, list | tuple):
-            return [plain(v) for v in value]
-        return "inf" if isinstance(value, float) and math.isinf(value) else value
-
-    return {name: plain(value) for name, value in data.items()}
+def _continued(folder: Path, known: Record, new: Record) -> Record:
+    """The new record with the frames that are known already. Raises ConfigError where the runs differ."""
+    for before, now in ((known.settings, new.settings), (known.scene, new.scene)):
+        for name in sorted({*before, *now}):
+            if before.get(name) != now.get(name):
+                had, has = json.dumps(before.get(name)), json.dumps(now.get(name))
+                raise ConfigError(f"{folder}: the run there has {name} {had}, not {has}")
+    if len(known.frames) > new.total:
+        raise ConfigError(f"{folder}: expected at most {new.total} finished frames, got {len(known.frames)}")
+    return replace(new, frames=known.frames, exposure=known.exposure)
 
 
 def _save(path: Path, arrays: Mapping[str, np.ndarray]) -> None:

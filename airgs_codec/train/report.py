@@ -14,7 +14,7 @@ from airgs_codec._report import new_figure, page, save_figure
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import label, to_bytes, write_png
 from airgs_codec.render import cpu
-from airgs_codec.train.data.multiview import Pictures
+from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.record import FrameRecord, Model
 
 _BLUE, _ORANGE, _GREEN, _RED = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b"

@@ -1,70 +1,118 @@
-"""What decides a training run besides the scene."""
+"""Everything that decides a training run besides the pictures: the same settings give the same Gaussians."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.gaussians import SH_REST
-from airgs_codec.train.fit.temporal import UNITS, Temporal
 
-DELTAS = ("direct", "mlp", "mlp+residual")
 METHODS = ("airgs", "naive3dgs", "v3")
+DELTAS = ("direct", "mlp", "mlp+residual")
 PRESETS = ("default", "paper")
+UNITS = ("step", "raw")
+
+
+def _setting(default: Any, about: str) -> Any:
+    """A field whose `about`, a phrase with units, is its documentation and the help text of its option."""
+    return field(default=default, metadata={"about": about})
+
+
+@dataclass(frozen=True, slots=True)
+class Temporal:
+    """Weight and unit of the temporal loss; see `fit.temporal`."""
+
+    weight: float = 8e-4
+    unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally
 
 
 @dataclass(frozen=True, slots=True)
 class TrainSettings:
-    """Everything that decides the Gaussians besides the pictures; the same settings give the same run."""
+    """The settings of a run. Raises ConfigError for values that cannot work."""
 
-    method: str = "airgs"  # naive3dgs: every frame on its own; v3: groups of fixed length, keyframes from scratch
-    budget: int = 8_000  # Gaussians of the first frame
-    capacity: int = 12_000  # most Gaussians there may ever be
-    sh_degree: int = 1
-    first_iterations: int = 2500
-    key_iterations: int = 1500
-    frame_iterations: int = 300
-    deltas: str = "direct"  # how frames in a group are fitted
+    method: str = _setting(
+        "airgs",
+        "airgs: groups by quality; naive3dgs: each frame on its own; v3: groups of one length, keyframes from scratch",
+    )
+    budget: int = _setting(8_000, "Gaussians of the first frame")
+    capacity: int = _setting(12_000, "most Gaussians that there may ever be")
+    sh_degree: int = _setting(1, "degree of the spherical harmonics, 0 to 3")
+    first_iterations: int = _setting(2500, "iterations of the first frame, and of every frame from scratch")
+    key_iterations: int = _setting(1500, "iterations of a keyframe")
+    frame_iterations: int = _setting(300, "iterations of a frame in a group")
+    deltas: str = _setting("direct", "how frames in a group move: each Gaussian on its own, by six MLPs, or by both")
     temporal: Temporal = field(default_factory=Temporal)
-    tau: float = 30.0  # dB; a frame whose training views fall below starts a group
-    drop: float = 5.0  # dB below the first frame of its group, which starts one too; inf: never
-    added: float = 0.15  # of U, most Gaussians that a keyframe adds
-    inflation: float = 1e-6  # lambda_inf
-    group: int = 20  # frames, for v3
-    max_size: int | None = None  # pixels, longest side
-    foreground: bool = False
-    match_exposure: bool = False  # find a gain and an offset a camera at the first frame
-    seed: int = 0
+    min_psnr_db: float = _setting(30.0, "mean PSNR over training views below which a frame becomes a keyframe")
+    max_drop_db: float = _setting(
+        5.0, "loss against the first frame of its group above which a frame becomes a keyframe"
+    )
+    max_growth: float = _setting(0.15, "most Gaussians that a keyframe adds, as a share of those it starts from")
+    inflation: float = _setting(1e-6, "weight of the summed opacity of what a keyframe adds")
+    group_frames: int = _setting(20, "frames in a group of the method v3")
+    max_size: int | None = _setting(None, "longest side of the pictures in pixels, larger ones are shrunk")
+    foreground: bool = _setting(False, "train only what the scene's masks show")
+    match_exposure: bool = _setting(False, "find a gain and an offset for each camera at the first frame")
+    seed: int = _setting(0, "seed of all random numbers")
 
     def __post_init__(self) -> None:
-        checks = [
-            (self.method in METHODS, f"expected method {', '.join(METHODS)}, got {self.method}"),
-            (self.deltas in DELTAS, f"expected deltas {', '.join(DELTAS)}, got {self.deltas}"),
-            (self.temporal.unit in UNITS, f"expected a temporal unit of {', '.join(UNITS)}, got {self.temporal.unit}"),
+        for good, message in (*self._choices(), *self._ranges()):
+            if not good:
+                raise ConfigError(message)
+
+    def _choices(self) -> list[tuple[bool, str]]:
+        choices: list[tuple[str, str, tuple[str, ...]]] = [
+            ("method", self.method, METHODS),
+            ("deltas", self.deltas, DELTAS),
+            ("a temporal unit of", self.temporal.unit, UNITS),
+        ]
+        return [(value in known, f"expected {name} {', '.join(known)}, got {value}") for name, value, known in choices]
+
+    def _ranges(self) -> list[tuple[bool, str]]:
+        iterations = min(self.first_iterations, self.key_iterations, self.frame_iterations)
+        return [
             (self.temporal.weight >= 0, f"expected a temporal weight of at least 0, got {self.temporal.weight}"),
             (self.budget >= 1, f"expected a budget of at least one Gaussian, got {self.budget}"),
             (self.capacity >= self.budget, f"expected a capacity of at least the budget, got {self.capacity}"),
             (0 <= self.sh_degree < len(SH_REST), f"expected an SH degree of 0 to 3, got {self.sh_degree}"),
-            (min(self.first_iterations, self.key_iterations, self.frame_iterations) >= 1, "expected iterations"),
-            (self.added >= 0 and self.inflation >= 0, "expected added and inflation of at least 0"),
-            (self.drop > 0, f"expected a positive drop, got {self.drop}"),
-            (self.group >= 1, f"expected at least one frame a group, got {self.group}"),
+            (iterations >= 1, f"expected at least one iteration of each kind of frame, got {iterations}"),
+            (self.min_psnr_db >= 0, f"expected a least PSNR of at least 0 dB, got {self.min_psnr_db}"),
+            (self.max_drop_db > 0, f"expected a positive drop in dB, got {self.max_drop_db}"),
+            (self.max_growth >= 0, f"expected a growth of at least 0, got {self.max_growth}"),
+            (self.inflation >= 0, f"expected an inflation weight of at least 0, got {self.inflation}"),
+            (self.group_frames >= 1, f"expected at least one frame a group, got {self.group_frames}"),
             (self.max_size is None or self.max_size >= 16, f"expected pictures of 16 pixels, got {self.max_size}"),
             (self.seed >= 0, f"expected a seed of at least 0, got {self.seed}"),
         ]
-        for good, message in checks:
-            if not good:
-                raise ConfigError(message)
 
     def table(self) -> dict[str, Any]:
-        """As JSON keeps it."""
+        """The settings by name, as `settings_from_table` takes them."""
         return asdict(self)
 
 
+def settings_from_table(table: Mapping[str, Any]) -> TrainSettings:
+    """The settings of a table that has been through JSON, where infinity is null.
+
+    Raises ConfigError for values that cannot work, TypeError for names that no setting has.
+    """
+    drop = math.inf if table["max_drop_db"] is None else table["max_drop_db"]
+    return TrainSettings(**{**table, "temporal": Temporal(**table["temporal"]), "max_drop_db": drop})
+
+
+def about(name: str) -> str:
+    """What a setting means, in words."""
+    return next(f.metadata["about"] for f in fields(TrainSettings) if f.name == name)
+
+
 def preset(name: str, settings: TrainSettings) -> TrainSettings:
-    """`paper`: the paper's method and constants, read literally where it gives no unit: it stops most motion."""
-    if name == "paper":
-        temporal = Temporal(weight=1e-3, unit="raw")
-        return replace(settings, deltas="mlp", temporal=temporal, tau=30.0, drop=float("inf"), inflation=1e-5)
-    return settings
+    """The settings with those of a preset.
+
+    `paper` has the paper's method and constants (AirGS, "Training" 1 to 3), read literally where it gives no unit: its
+    temporal loss stops most motion.
+    """
+    if name != "paper":
+        return settings
+    temporal = Temporal(weight=1e-3, unit="raw")
+    return replace(settings, deltas="mlp", temporal=temporal, min_psnr_db=30.0, max_drop_db=math.inf, inflation=1e-5)

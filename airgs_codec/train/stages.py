@@ -1,4 +1,7 @@
-"""The three kinds of fits of a run: the first frame, a frame in a group, a keyframe after the first."""
+"""The three kinds of fits of a run: a first frame, a frame in a group, and a keyframe after the first.
+
+N Gaussians, U of them those of the frame before, P points.
+"""
 
 from __future__ import annotations
 
@@ -7,27 +10,65 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
+from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.multiview import Points, View
-from airgs_codec.train.fit.deltas import Driven, Networks
-from airgs_codec.train.fit.densify import Growth
-from airgs_codec.train.fit.exposure import Tones
-from airgs_codec.train.fit.match import Free, Rates, Tick, match
-from airgs_codec.train.fit.parameters import ATTRIBUTES, Parameters, from_gaussians, from_points, to_gaussians
+from airgs_codec.train.data.multiview import Points
+from airgs_codec.train.data.pictures import View
+from airgs_codec.train.fit.densify import Densifier, Growth
+from airgs_codec.train.fit.exposure import ExposureModel
+from airgs_codec.train.fit.mlp import MlpDriven, Networks
+from airgs_codec.train.fit.optimise import Schedule, optimise
+from airgs_codec.train.fit.parameters import (
+    ATTRIBUTES,
+    Parameters,
+    from_gaussians,
+    from_points,
+    to_gaussians,
+    zeros_like,
+)
+from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates, Regularisers
 from airgs_codec.train.fit.points import initial_points, scene_extent
 from airgs_codec.train.fit.seeds import residual_seeds
-from airgs_codec.train.fit.temporal import codec_steps
+from airgs_codec.train.fit.temporal import codec_steps, temporal_weights
+from airgs_codec.train.quality import mean_psnr
 from airgs_codec.train.settings import TrainSettings
 
-START_OPACITY = 0.1
-RANDOM_SHARE = 0.3  # of the budget, points to begin with; random ones fill up
-HIDDEN_OPACITY = 0.02  # removed at the end of a first frame or, of what was added, of a keyframe
-OPACITY_WEIGHT, SCALE_WEIGHT = 0.003, 0.03  # +0.3 dB in held-out views of a first frame; empty space stays empty
+START_OPACITY = 0.1  # of the points that a first frame starts from
+RANDOM_SHARE = 0.3  # of the budget: points to begin with; random ones fill up
+HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a first frame or, of what was added, of a keyframe
+# +0.3 dB in held-out views of a first frame; empty space stays empty.
+FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.03)
 SH_SHARE = 0.25  # of the iterations until each further SH band joins
 MOVING_RATES = Rates(factor=3.0, means=5.0 / 3, last=0.1, means_last=0.1)  # of frames that start from the one before
 KEY_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
 MLP_SHARE = 0.5  # of the iterations of mlp+residual
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameViews:
+    """A frame and the views that it is fitted to."""
+
+    frame: int
+    views: Sequence[View]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameBefore:
+    """The frame before the one that is fitted."""
+
+    gaussians: Gaussians
+    velocity: NDArray[np.float32] | None  # (N, 3) what its means moved by from the frame before it; None: not known
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """What the frames of a group share."""
+
+    first_psnr: float  # dB, mean over training views of its first frame
+    steps: Parameters  # codec steps at its first frame
+    networks: Networks | None  # they learn on from frame to frame; None: frames move without
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,144 +76,132 @@ class Trainer:
     """What all fits of a run share."""
 
     settings: TrainSettings
-    extent: float  # world units
+    extent: float  # of the scene in world units
     device: str = "cpu"
 
-    def rng(self, frame: int, stage: int) -> np.random.Generator:
-        """Its own random numbers for every stage of every frame, so that a run can go on anywhere."""
-        return np.random.default_rng([self.settings.seed, frame, stage])
-
-    def first(
+    def fit_first(
         self,
-        frame: int,
-        given: Points | None,
-        views: Sequence[View],
-        tones: Tones | None = None,
-        tick: Tick = lambda done, of: None,
+        target: FrameViews,
+        points: Points | None,
+        exposure: ExposureModel | None = None,
+        progress: Progress = silent,
     ) -> Gaussians:
-        """3DGS from a cloud of points, within the budget (AirGS, "Training" 1). `tones` of the views are found too."""
-        s = self.settings
-        rng = self.rng(frame, 0)
-        points = initial_points(given, views, round(RANDOM_SHARE * s.budget), rng)
-        assert points.colours is not None
-        chosen = np.sort(rng.permutation(len(points.positions))[: s.budget])
-        cloud = (points.positions[chosen], points.colours[chosen])
-        start = from_points(*cloud, s.sh_degree, START_OPACITY, 0.1 * self.extent)
-        free = Free(
-            from_gaussians(start, self.device),
-            self.extent,
-            opacity_weight=OPACITY_WEIGHT,
-            scale_weight=SCALE_WEIGHT,
-        )
-        match(free, views, s.first_iterations, rng, self._ramp, growth=Growth(s.budget), tones=tones, tick=tick)
-        free.drop(HIDDEN_OPACITY)
-        return to_gaussians(free.detached())
+        """3DGS from a cloud of points, within the budget (AirGS, "Training" 1).
 
-    def frame(
-        self,
-        frame: int,
-        before: Gaussians,
-        velocity: np.ndarray | None,
-        steps: Parameters,
-        views: Sequence[View],
-        networks: Networks | None,
-        tick: Tick = lambda done, of: None,
-    ) -> Gaussians:
-        """The Gaussians of the frame before, moved (AirGS, "Training" 2).
-
-        `velocity` (N, 3): what their means moved by at the frame before that. `networks` learn on.
+        `points`: the cloud; None to find one in the pictures. `exposure`: gains and offsets of the views' cameras,
+        which are fitted too. Raises SceneError where there is nothing to start from, TrainingError where the loss is
+        not finite.
         """
         s = self.settings
-        base = from_gaussians(before, self.device)
-        weights = self._weights(steps)
-        start, iterations, past = self._start(base, velocity), s.frame_iterations, 0
-        if networks is not None:
-            past = iterations if s.deltas == "mlp" else round(MLP_SHARE * iterations)
-            driven = Driven(base, networks, weights)
-            match(driven, views, past, self.rng(frame, 1), self._all_bands, tick=lambda i, _: tick(i, iterations))
+        rng = self._rng(target.frame, 0)
+        cloud = initial_points(points, target.views, round(RANDOM_SHARE * s.budget), rng)
+        assert cloud.colours is not None  # `initial_points` gives every point one
+        chosen = np.sort(rng.permutation(len(cloud.positions))[: s.budget])
+        largest = 0.1 * self.extent
+        start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, START_OPACITY, largest)
+        variables = PerGaussian(
+            from_gaussians(start, self.device),
+            self.extent,
+            regularisers=FIRST_REGULARISERS,
+            densifier=Densifier(Growth(s.budget), len(start), rng),
+        )
+        schedule = Schedule("first frame", s.first_iterations, self._rising_sh_degree)
+        optimise(variables, target.views, schedule, rng, exposure, progress)
+        variables.remove_fainter(HIDDEN_OPACITY)
+        return to_gaussians(variables.detached())
+
+    def fit_frame(
+        self, target: FrameViews, before: FrameBefore, group: Group, progress: Progress = silent
+    ) -> Gaussians:
+        """The Gaussians of the frame before, moved (AirGS, "Training" 2). Networks of the group learn on.
+
+        Raises TrainingError where the loss is not finite.
+        """
+        s = self.settings
+        base = from_gaussians(before.gaussians, self.device)
+        temporal = self._temporal(group.steps)
+        start, iterations = self._start(base, before.velocity), s.frame_iterations
+        if group.networks is not None:
+            by_mlp = iterations if s.deltas == "mlp" else round(MLP_SHARE * iterations)
+            driven = MlpDriven(base, group.networks, temporal)
+            schedule = Schedule("MLPs", by_mlp, self._sh_degree)
+            optimise(driven, target.views, schedule, self._rng(target.frame, 1), progress=progress)
             moved = driven.detached()
             if s.deltas == "mlp":
                 return to_gaussians(moved)
-            start = {name: moved[name] - base[name] for name in ATTRIBUTES}
-        free = Free(base, self.extent, MOVING_RATES, shrink=weights, start=start)
-        match(
-            free,
-            views,
-            iterations - past,
-            self.rng(frame, 2),
-            self._all_bands,
-            tick=lambda i, _: tick(past + i, iterations),
-        )
-        return to_gaussians(free.detached())
+            start, iterations = {name: moved[name] - base[name] for name in ATTRIBUTES}, iterations - by_mlp
+        variables = PerGaussian(base, self.extent, MOVING_RATES, start, temporal)
+        schedule = Schedule("motion", iterations, self._sh_degree)
+        optimise(variables, target.views, schedule, self._rng(target.frame, 2), progress=progress)
+        return to_gaussians(variables.detached())
 
-    def keyframe(
-        self,
-        frame: int,
-        before: Gaussians,
-        velocity: np.ndarray | None,
-        steps: Parameters,
-        views: Sequence[View],
-        tick: Tick = lambda done, of: None,
+    def fit_keyframe(
+        self, target: FrameViews, before: FrameBefore, steps: Parameters, progress: Progress = silent
     ) -> Gaussians:
-        """The Gaussians of the frame before, moved, and new ones (AirGS, "Training" 3). The first U rows stay."""
+        """The Gaussians of the frame before, moved, and new ones (AirGS, "Training" 3). The first U rows stay.
+
+        `steps`: codec steps of the frame before. Raises TrainingError where the loss is not finite.
+        """
         s = self.settings
-        u = len(before)
-        most = min(round((1 + s.added) * u), s.capacity)
-        rng = self.rng(frame, 3)
-        seeds = residual_seeds(before, views, most - u, 0.1 * self.extent, rng)
-        base, weights = from_gaussians(before, self.device), self._weights(steps)
-        start = self._start(base, velocity)
+        rows = len(before.gaussians)
+        most = min(round((1 + s.max_growth) * rows), s.capacity)
+        rng = self._rng(target.frame, 3)
+        seeds = residual_seeds(before.gaussians, target.views, most - rows, 0.1 * self.extent, rng)
+        base, temporal = from_gaussians(before.gaussians, self.device), self._temporal(steps)
+        start = self._start(base, before.velocity)
         if seeds is not None:
             new = from_gaussians(seeds, self.device)
-            zeros = {name: torch.zeros_like(p) for name, p in new.items()}
+            zeros = zeros_like(new)  # seeds begin where they are, and no temporal loss holds them
             base = _joined(base, new)
             start = None if start is None else _joined(start, zeros)
-            weights = None if weights is None else _joined(weights, zeros)
-        free = Free(
-            base,
-            self.extent,
-            KEY_RATES,
-            shrink=weights,
-            kept=u,
-            inflation=s.inflation,
-            start=start,
-        )
-        match(free, views, s.key_iterations, rng, self._all_bands, growth=Growth(most), tick=tick)
-        free.drop(HIDDEN_OPACITY)
-        return to_gaussians(free.detached())
+            temporal = None if temporal is None else _joined(temporal, zeros)
+        densifier = Densifier(Growth(most), len(base["means"]), rng)
+        regularisers = Regularisers(inflation=s.inflation)
+        variables = PerGaussian(base, self.extent, KEY_RATES, start, temporal, rows, regularisers, densifier)
+        schedule = Schedule("keyframe", s.key_iterations, self._sh_degree)
+        optimise(variables, target.views, schedule, rng, progress=progress)
+        variables.remove_fainter(HIDDEN_OPACITY)
+        return to_gaussians(variables.detached())
+
+    def start_group(self, g: Gaussians, views: Sequence[View]) -> Group:
+        """The group whose first frame is `g`, seen by the training views of that frame."""
+        return Group(mean_psnr(g, views), self.steps(g, views), self.networks(g))
 
     def steps(self, g: Gaussians, views: Sequence[View]) -> Parameters:
-        """Codec steps at `g`, on the device."""
+        """Codec steps where the Gaussians are, on the device; see `codec_steps`."""
         return {name: s.to(self.device) for name, s in codec_steps(g, [v.camera for v in views]).items()}
 
     def networks(self, g: Gaussians) -> Networks | None:
-        """Networks for a group that starts at `g`, if the frames are fitted with them."""
+        """Networks that have learnt nothing yet; None where frames move without."""
         if self.settings.deltas == "direct":
             return None
         return Networks(from_gaussians(g, self.device), self.extent, self.settings.seed).to(self.device)
 
-    def _weights(self, steps: Parameters) -> Parameters | None:
-        temporal = self.settings.temporal
-        return temporal.weights(steps) if temporal.weight else None
+    def _rng(self, frame: int, stage: int) -> np.random.Generator:
+        """Its own random numbers for every stage of every frame, so that a run can go on anywhere."""
+        return np.random.default_rng([self.settings.seed, frame, stage])
 
-    def _start(self, base: Parameters, velocity: np.ndarray | None) -> Parameters | None:
+    def _temporal(self, steps: Parameters) -> Parameters | None:
+        temporal = self.settings.temporal
+        return temporal_weights(temporal, steps) if temporal.weight else None
+
+    def _start(self, base: Parameters, velocity: NDArray[np.float32] | None) -> Parameters | None:
+        """A difference that goes on as the Gaussians moved before; None: 0."""
         if velocity is None:
             return None
-        start = {name: torch.zeros_like(p) for name, p in base.items()}
-        start["means"] = torch.from_numpy(velocity.astype(np.float32)).to(self.device)
-        return start
+        return zeros_like(base) | {"means": torch.from_numpy(velocity.astype(np.float32)).to(self.device)}
 
-    def _ramp(self, done: float) -> int:
+    def _rising_sh_degree(self, done: float) -> int:
         return min(self.settings.sh_degree, int(done / SH_SHARE))
 
-    def _all_bands(self, done: float) -> int:
+    def _sh_degree(self, done: float) -> int:
         return self.settings.sh_degree
 
 
 def make_trainer(settings: TrainSettings, views: Sequence[View], points: Points | None, device: str) -> Trainer:
-    """For a scene seen by `views`."""
+    """The trainer of a scene whose first frame is seen by these views; `device`: cpu or cuda."""
     return Trainer(settings, scene_extent([view.camera for view in views], points), device)
 
 
 def _joined(a: Parameters, b: Parameters) -> Parameters:
-    return {name: torch.cat([a[name], b[name]]) for name in ATTRIBUTES}
+    return {name: torch.cat([value, b[name]]) for name, value in a.items()}

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from airgs_codec.render import Camera, measure_contribution, read_cameras, render
+from airgs_codec.render.absgrad import RasterInputs
 from airgs_codec.render.cpu import activate
 from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.reference import blending_weights, render_reference
@@ -41,7 +42,7 @@ def both(values, view, background=(0.2, 0.5, 0.9), seed=1):
     out = []
     for dtype, function in ((torch.float32, rasterize), (torch.float64, render_reference)):
         tensors = [torch.from_numpy(values[n]).to(dtype).requires_grad_() for n in NAMES]
-        rgb, transmittance = function(*tensors, view, background)
+        rgb, transmittance = function(RasterInputs(*tensors), view, background)
         ((rgb * weights.to(dtype)).sum() + (transmittance * weights_t.to(dtype)).sum()).backward()
         gradients = {n: t.grad.double().numpy() for n, t in zip(NAMES, tensors, strict=True)}
         out.append((rgb.detach().double().numpy(), transmittance.detach().double().numpy(), gradients))
@@ -139,10 +140,10 @@ def test_a_value_that_is_not_finite_culls_its_gaussian_alone(name, bad):
     values[name].reshape(60, -1)[7, 0] = bad
     keep = np.arange(60) != 7
     tensors = [torch.from_numpy(values[n]).float().requires_grad_() for n in NAMES]
-    rgb, transmittance = rasterize(*tensors, camera())
+    rgb, transmittance = rasterize(RasterInputs(*tensors), camera())
     (rgb.sum() + transmittance.sum()).backward()
     others = [torch.from_numpy(values[n][keep]).float() for n in NAMES]
-    np.testing.assert_array_equal(rgb.detach().numpy(), rasterize(*others, camera())[0].numpy())
+    np.testing.assert_array_equal(rgb.detach().numpy(), rasterize(RasterInputs(*others), camera())[0].numpy())
     assert all(torch.isfinite(t.grad).all() for t in tensors)
 
 
@@ -151,7 +152,7 @@ def test_statistics_equal_the_blending_weights_of_the_reference():
     view = camera()
     seen = measure_contribution(g, view)
     a = activate(g)
-    weights, _, _ = blending_weights(*(torch.tensor(getattr(a, n)).double() for n in NAMES), view)
+    weights, _, _ = blending_weights(RasterInputs(*(torch.tensor(getattr(a, n)).double() for n in NAMES)), view)
     weights = weights.numpy()
     np.testing.assert_allclose(seen.total, weights.sum(axis=0), atol=5e-2, rtol=1e-3)
     np.testing.assert_allclose(seen.peak, weights.max(axis=0), atol=MAX_ERROR)
@@ -176,7 +177,7 @@ def test_the_embedded_scene_equals_the_reference():
     whole = next(c for c in read_cameras(FOX / "transforms.json") if c.split == "test")
     small = Camera("small", 40, 40, whole.fx / 8, whole.fy / 8, whole.cx / 8, whole.cy / 8, whole.world_to_camera)
     a = activate(g)
-    rgb, _ = render_reference(*(torch.tensor(getattr(a, n)).double() for n in NAMES), small)
+    rgb, _ = render_reference(RasterInputs(*(torch.tensor(getattr(a, n)).double() for n in NAMES)), small)
     error = np.abs(render(g, small).rgb - rgb.numpy())
     assert error.mean() <= MEAN_ERROR and error.max() <= MAX_ERROR
 

@@ -1,19 +1,18 @@
-"""Multi-view pictures of synthetic scenes, on disk."""
+"""Synthetic scenes that change over time, and cameras that see them."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.media.image import to_bytes, write_png
 from airgs_codec.render import Camera, render
-from airgs_codec.scene.camera import OPENGL_TO_OPENCV, look_at
+from airgs_codec.scene.camera import look_at
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.multiview import View
+from airgs_codec.train.data.pictures import View
+from airgs_codec.train.fit.parameters import Parameters, from_gaussians
 from airgs_codec.train.loss.target import Target
+from tests.support.scenes import random_gaussians
 
 BALL = np.array([0.9, 0.9, 0.0])  # where something appears
 
@@ -42,6 +41,11 @@ def coloured_cloud(count: int = 150, seed: int = 0) -> Gaussians:
         np.sin(4 * means).astype(np.float32),
         np.zeros((count, 0, 3), np.float32),
     )
+
+
+def random_parameters(rows: int, seed: int = 0) -> Parameters:
+    """Gaussians of SH degree 1 as tensors."""
+    return from_gaussians(random_gaussians(rows, 1, seed))
 
 
 def joined(*parts: Gaussians) -> Gaussians:
@@ -77,26 +81,3 @@ def ball_shape(ball: Gaussians) -> list[np.ndarray]:
 def views_of(g: Gaussians, cameras: list[Camera]) -> list[View]:
     """What the cameras see of `g`."""
     return [View(c, Target(np.clip(render(g, c).rgb, 0, 1))) for c in cameras]
-
-
-def matrix_of(camera: Camera) -> list[list[float]]:
-    """OpenGL camera-to-world, as transforms.json has it."""
-    return (np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV).tolist()
-
-
-def write_views(folder: Path, frames: list[Gaussians], cameras: list[Camera], points: np.ndarray | None) -> Path:
-    """A dynamic transforms.json with PNG pictures."""
-    entries = []
-    for t, g in enumerate(frames):
-        for c in cameras:
-            path = folder / "images" / c.name / f"{t:04d}.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_png(path, to_bytes(render(g, c).rgb))
-            entry = {"file_path": str(path.relative_to(folder)), "camera": c.name, "split": c.split, "time_index": t}
-            entries.append({**entry, "transform_matrix": matrix_of(c)})
-    c = cameras[0]
-    shared = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "fps": 12}
-    (folder / "transforms.json").write_text(json.dumps({**shared, "frames": entries}))
-    if points is not None:
-        np.save(folder / "points3d.npy", points.astype(np.float32))
-    return folder

@@ -1,7 +1,7 @@
-"""Adding Gaussians where pictures pull hardest, within a budget, and removing those that nothing shows.
+"""Adding Gaussians where the loss changes most with their place, within a budget, and removing what shows nothing.
 
-N Gaussians. The count follows a ramp to the budget (as Taming 3DGS, Mallick et al. 2024, has it) instead of a threshold
-on the gradient, whose right value depends on the resolution.
+N Gaussians, of which the first `kept` stay in any case. The count follows a ramp to the budget, as in Taming 3DGS
+(Mallick et al. 2024), instead of a threshold on the gradient, whose right value depends on the resolution.
 """
 
 from __future__ import annotations
@@ -12,88 +12,108 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from airgs_codec.render.absgrad import Pull
-from airgs_codec.train.fit.parameters import ATTRIBUTES, Parameters
+from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.train.fit.parameters import Parameters
 
+LARGE = 0.003  # of the scene's extent: larger Gaussians are split, smaller ones cloned
 SPLIT_SHRINK = math.log(1.6)  # 3DGS: children of a split are 1.6 times smaller
 LOW_OPACITY = 0.005  # 3DGS; alpha below 1/255 = 0.0039 is not drawn
 
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """When rows are added and how many there may be."""
+    """When rows are added, and how many there may be."""
 
     budget: int  # Gaussians at the end
     start: float = 0.1  # share of the iterations
-    stop: float = 0.6
+    stop: float = 0.6  # share of the iterations
     every: int = 50  # iterations
 
     def target(self, before: int, done: float) -> int:
         """Rows there should be when a share `done` of the iterations is past, starting from `before`.
 
-        Quadratic, flat at the end: early rows have more time to settle.
+        The ramp is quadratic and flat at the end: early rows have more time to settle.
         """
         share = min(1.0, max(0.0, (done - self.start) / (self.stop - self.start)))
         return round(before + (self.budget - before) * (1 - (1 - share) ** 2)) if self.budget > before else before
 
-    def due(self, iteration: int, total: int) -> bool:
-        """Whether rows are added after this iteration (counted from 1)."""
-        return self.start * total <= iteration <= self.stop * total and iteration % self.every == 0
+    def due(self, iteration: int, iterations: int) -> bool:
+        """Whether rows are added after this iteration, counted from 1."""
+        return self.start * iterations <= iteration <= self.stop * iterations and iteration % self.every == 0
 
 
-class Pulls:
-    """Mean pull on each row over the pictures that showed it."""
+class Densifier:
+    """The mean absolute gradient of each row since rows were last added, and the rows that follow from it."""
 
-    def __init__(self, rows: int) -> None:
-        """Nothing seen yet."""
+    def __init__(self, growth: Growth, rows: int, rng: np.random.Generator) -> None:
+        """For a fit that begins with so many `rows`."""
+        self.growth = growth
+        self._before = rows
+        self._rng = rng
+        self.restart(rows)
+
+    def restart(self, rows: int) -> None:
+        """Forget what was collected; from now on there are so many `rows`."""
         self._sum = torch.zeros(rows)
         self._count = torch.zeros(rows)
 
-    def add(self, pull: Pull) -> None:
-        """After a backward pass."""
-        pixels, seen = pull.read()
-        self._sum += pixels.cpu()
+    def collect(self, absgrad: AbsGrad) -> None:
+        """Add the absolute gradients of a picture, after its backward pass."""
+        gradients, seen = absgrad.read()
+        self._sum += gradients.cpu()
         self._count += seen.cpu()
 
     def mean(self) -> torch.Tensor:
-        """(N,) 0 where no picture showed the row."""
+        """(N,) mean over the pictures that showed a row; 0 where none did."""
         return self._sum / self._count.clamp_min(1)
 
+    def grow(self, p: Parameters, extent: float, kept: int, done: float) -> tuple[torch.Tensor, Parameters | None]:
+        """Mask (N,) of the rows that go on, and new rows up to the target when a share `done` is past.
 
-def grow(
-    p: Parameters, score: torch.Tensor, count: int, large: float, kept: int, rng: np.random.Generator
+        `extent`: of the scene in world units.
+        """
+        wanted = self.growth.target(self._before, done) - len(p["means"])
+        parents = strongest(self.mean(), wanted).to(p["means"].device)
+        split = parents & (p["log_scales"].amax(dim=1).exp() > LARGE * extent)
+        return split_or_clone(p, parents, split, kept, self._rng)
+
+
+def strongest(score: torch.Tensor, count: int) -> torch.Tensor:
+    """(N,) mask of the `count` rows of highest score; rows of score 0 are never among them."""
+    count = max(0, min(count, int((score > 0).sum())))
+    mask = torch.zeros(len(score), dtype=torch.bool)
+    mask[torch.topk(score, count).indices] = True
+    return mask
+
+
+def split_or_clone(
+    p: Parameters, parents: torch.Tensor, split: torch.Tensor, kept: int, rng: np.random.Generator
 ) -> tuple[torch.Tensor, Parameters | None]:
-    """Up to `count` more rows beside those of highest `score` (N,): mask of the rows that go on, and the new rows.
+    """Mask (N,) of the rows that go on, and one new row more for each of the `parents` (N,); None: there are none.
 
-    A row larger than `large` (world units) is split in two smaller ones drawn from it, a smaller one is cloned. The
-    first `kept` rows go on in any case, and get one child each.
+    Rows in `split` (N,) become two smaller ones drawn from them, the other parents are cloned. The first `kept` rows
+    go on in any case, and get one child each.
     """
-    device = p["means"].device
-    count = min(count, int((score > 0).sum()))
-    if count <= 0:
-        return torch.ones(len(score), dtype=torch.bool, device=device), None
-    hot = torch.zeros(len(score), dtype=torch.bool)
-    hot[torch.topk(score, count).indices] = True
-    hot = hot.to(device)
-    split = hot & (p["log_scales"].amax(dim=1).exp() > large)
-    goes = split & (torch.arange(len(split), device=device) >= kept)
-    parents = torch.cat([torch.nonzero(rows)[:, 0] for rows in (hot, goes)])  # one that goes leaves two
-    moved = split[parents]
-    children = {name: p[name][parents].clone() for name in ATTRIBUTES}
+    if not bool(parents.any()):
+        return torch.ones_like(parents), None
+    goes = split & (torch.arange(len(split), device=split.device) >= kept)
+    rows = torch.cat([torch.nonzero(mask)[:, 0] for mask in (parents, goes)])  # one that goes leaves two
+    moved = split[rows]
+    children = {name: value[rows].clone() for name, value in p.items()}
     children["means"][moved] += _offsets({name: v[moved] for name, v in children.items()}, rng)
     children["log_scales"][moved] -= SPLIT_SHRINK
     return ~goes, children
 
 
-def prune(p: Parameters, kept: int, low: float = LOW_OPACITY) -> torch.Tensor:
-    """(N,) mask without rows past the first `kept` whose opacity is under `low`."""
+def is_visible(p: Parameters, kept: int, low: float = LOW_OPACITY) -> torch.Tensor:
+    """(N,) mask of the first `kept` rows and of those whose opacity is at least `low`."""
     keep = p["opacity_logits"].sigmoid() >= low
     keep[:kept] = True
     return keep
 
 
 def _offsets(p: Parameters, rng: np.random.Generator) -> torch.Tensor:
-    """(n, 3) a draw from each Gaussian, its mean left out."""
+    """(n, 3) a draw from each Gaussian, relative to its mean."""
     normal = torch.from_numpy(rng.standard_normal((len(p["means"]), 3)).astype(np.float32)).to(p["means"])
     w, x, y, z = torch.nn.functional.normalize(p["quaternions"], dim=1).unbind(1)
     v = normal * p["log_scales"].exp()

@@ -16,7 +16,8 @@ from scipy.sparse.csgraph import connected_components
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import match_features, sift
 from airgs_codec.render import Camera
-from airgs_codec.train.data.multiview import Points, View
+from airgs_codec.train.data.multiview import Points
+from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.seeds import project
 
 FEATURES = 4000  # a view

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from airgs_codec.media.image import box_mean
 from airgs_codec.render import Camera, cpu
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.multiview import View
+from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.parameters import from_points
 
 CANDIDATES = 200_000

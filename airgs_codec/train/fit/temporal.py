@@ -8,7 +8,6 @@ step: weight * mean_i sum_c |d_ic| / step_ic.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -19,24 +18,17 @@ from airgs_codec.coding.steps import StepSettings
 from airgs_codec.render import Camera
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.fit.parameters import ATTRIBUTES, Parameters
+from airgs_codec.train.settings import Temporal
 
-UNITS = ("step", "raw")
-# Derivative of alpha by its logit that is reckoned with at least: near 0 and 1 a step of alpha is no finite logit.
+# The derivative of alpha by its logit is taken to be at least this: near 0 and 1 a step of alpha is no finite logit.
 LEAST_SLOPE = 0.02
 
 
-@dataclass(frozen=True, slots=True)
-class Temporal:
-    """Weight and unit of the temporal loss."""
-
-    weight: float = 8e-4
-    unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally
-
-    def weights(self, steps: Mapping[str, torch.Tensor]) -> Parameters:
-        """Weight of |d| for every element."""
-        if self.unit == "raw":
-            return {name: torch.full_like(step, self.weight) for name, step in steps.items()}
-        return {name: self.weight / (len(step) * step) for name, step in steps.items()}
+def temporal_weights(temporal: Temporal, steps: Mapping[str, torch.Tensor]) -> Parameters:
+    """Weight of |d| of every element, from the codec step of each."""
+    if temporal.unit == "raw":
+        return {name: torch.full_like(step, temporal.weight) for name, step in steps.items()}
+    return {name: temporal.weight / (len(step) * step) for name, step in steps.items()}
 
 
 def codec_steps(g: Gaussians, cameras: Sequence[Camera], steps: StepSettings | None = None) -> Parameters:
@@ -62,7 +54,7 @@ def codec_steps(g: Gaussians, cameras: Sequence[Camera], steps: StepSettings | N
 
 
 def static_shares(before: Gaussians, after: Gaussians, steps: Parameters) -> dict[str, float]:
-    """Share of each attribute's channels that changed by less than half a step; rows of `before` only."""
+    """Share of each attribute's channels that changed by less than half a codec step, over the rows of `before`."""
     shares = {}
     for name in ATTRIBUTES:
         old, new = getattr(before, name), getattr(after, name)[: len(before)]

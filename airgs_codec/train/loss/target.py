@@ -1,4 +1,4 @@
-"""What a rendered picture is compared with."""
+"""The picture that a rendered one is compared with. H x W pixels, n = 3 W interleaved samples a row."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.train.loss import kernels as kernels
+from airgs_codec.train.loss import kernels
 
-Exposure = Mapping[str, Sequence[float]]  # camera -> gains r g b, offsets r g b
+Exposure = Mapping[str, Sequence[float]]  # camera -> gains r, g, b and offsets r, g, b
 
 
 class Target:
-    """A picture to be matched, with what the loss needs of it computed once."""
+    """A picture to be matched, and its windowed mean and variance (H, n) for SSIM."""
 
     def __init__(self, rgb: NDArray[np.float32]) -> None:
-        """`rgb` (H, W, 3) of [0, 1]."""
+        """`rgb`: (H, W, 3), 0..1."""
         self.rgb = np.ascontiguousarray(rgb, np.float32)
         height, width, _ = self.rgb.shape
         self.rows = self.rgb.reshape(height, 3 * width)
@@ -25,11 +25,14 @@ class Target:
 
     @property
     def nbytes(self) -> int:
-        """Memory it holds."""
+        """Memory that its arrays hold, in bytes."""
         return 3 * self.rgb.nbytes
 
 
 def exposed_alike(picture: NDArray[np.float32], values: Sequence[float]) -> NDArray[np.float32]:
-    """The picture (H, W, 3) as the average camera would have exposed it; may leave [0, 1]."""
+    """The picture (H, W, 3) as the average camera would have exposed it; colours may leave 0..1.
+
+    `values`: gains and offsets of the camera that took it, as in `Exposure`.
+    """
     gains, offsets = np.array(values, np.float32).reshape(2, 3)
     return (picture - offsets) / gains

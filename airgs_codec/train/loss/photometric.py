@@ -1,6 +1,6 @@
-"""L_3DGS = (1 - lambda) L1 + lambda (1 - SSIM) of pictures (H, W, 3), and its gradient.
+"""L_3DGS = (1 - lambda) L1 + lambda (1 - SSIM) of pictures (H, W, 3), and its gradient (AirGS, "Representation").
 
-On the CPU one fused pass (`loss_kernels`); on CUDA the same numbers from separable convolutions.
+On the CPU one fused pass (`kernels`); on CUDA the same numbers from separable convolutions.
 """
 
 from __future__ import annotations
@@ -13,28 +13,28 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from airgs_codec.train.loss import kernels as kernels
+from airgs_codec.train.loss import kernels
 from airgs_codec.train.loss.target import Target
 
-LAMBDA = 0.2  # weight of D-SSIM, AirGS "Representation" and 3DGS
+LAMBDA = 0.2  # weight of 1 - SSIM, as AirGS and 3DGS have it
 
 
 @dataclass(frozen=True, slots=True)
-class Match:
+class Comparison:
     """How a rendered picture compares with its target."""
 
     loss: torch.Tensor  # scalar, differentiable
-    mse: float  # of unclipped samples
-    ssim: float  # zero outside the picture
+    mse: float  # mean squared error of samples that are not clipped to 0..1
+    ssim: float  # mean over samples, pictures being zero outside
 
 
-def photometric(rgb: torch.Tensor, target: Target, weight: float = LAMBDA) -> Match:
-    """L_3DGS of `rgb` (H, W, 3); `weight` is lambda."""
+def photometric(rgb: torch.Tensor, target: Target, weight: float = LAMBDA) -> Comparison:
+    """Compare a rendered picture (H, W, 3) with its target; `weight` is lambda."""
     if rgb.is_cuda:
         return _on_cuda(rgb, target, weight)
     sums: list[float] = []
     loss = _Fused.apply(rgb, target, weight, sums)
-    return Match(loss, sums[2], sums[1])
+    return Comparison(loss, sums[2], sums[1])
 
 
 class _Fused(torch.autograd.Function):
@@ -69,17 +69,17 @@ def _scratch(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.fl
 _ON_DEVICE: WeakKeyDictionary[Target, torch.Tensor] = WeakKeyDictionary()
 
 
-def _on_cuda(rgb: torch.Tensor, target: Target, weight: float) -> Match:
+def _on_cuda(rgb: torch.Tensor, target: Target, weight: float) -> Comparison:
     if target not in _ON_DEVICE:
         _ON_DEVICE[target] = torch.from_numpy(target.rgb).to(rgb)
     truth = _ON_DEVICE[target]
     similarity = windowed_ssim(rgb, truth)
     loss = (1 - weight) * (rgb - truth).abs().mean() + weight * (1 - similarity)
-    return Match(loss, float((rgb.detach() - truth).square().mean()), float(similarity.detach()))
+    return Comparison(loss, float((rgb.detach() - truth).square().mean()), float(similarity.detach()))
 
 
 def windowed_ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    """Mean SSIM of (H, W, 3) pictures that are zero outside: the definition, any device and precision."""
+    """Mean SSIM (Wang et al. 2004) of pictures (H, W, 3) that are zero outside, on any device in any precision."""
     half = [kernels.W0, kernels.W1, kernels.W2, kernels.W3, kernels.W4]
     window = torch.tensor([*half, kernels.W5, *half[::-1]], dtype=a.dtype, device=a.device)
 

@@ -5,7 +5,8 @@ import pytest
 
 from airgs_codec.errors import SceneError
 from airgs_codec.render import Camera, cpu, read_cameras
-from airgs_codec.train.data.multiview import Pictures, Points
+from airgs_codec.train.data.multiview import Points
+from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit.parameters import from_points
 from airgs_codec.train.fit.points import initial_points, intersect, triangulate
@@ -54,7 +55,7 @@ def test_rays_intersect_at_the_point_they_come_from():
 
 
 def test_tracks_of_real_pictures_lie_on_the_scene():
-    views = Pictures(open_scene(FOX_VIEWS), None, False).train(0)
+    views = Pictures(open_scene(FOX_VIEWS)).train(0)
     points = triangulate(views)
     given = np.load(FOX_VIEWS / "points3d.npy")
     assert len(points.positions) > 50

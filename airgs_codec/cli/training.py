@@ -1,0 +1,94 @@
+"""What the commands that train share: where a model goes, which device is used, and what is said on the way.
+
+torch is imported only when training begins.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from airgs_codec.cli.common import Bar
+from airgs_codec.errors import ConfigError
+from airgs_codec.train.data.multiview import with_held_out
+from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.settings import TrainSettings
+
+if TYPE_CHECKING:
+    from airgs_codec.train.record import FrameRecord, Model
+    from airgs_codec.train.run import Run
+
+
+def train_by_default(scene: Path, fps: Fraction | None, *, quiet: bool) -> Path:
+    """The model folder of a multi-view scene, trained as far as it is not yet, with default settings.
+
+    `fps`: frames a second, instead of what the scene says. `quiet`: say nothing.
+    """
+    require_torch()
+    from airgs_codec.train.run import open_run
+
+    views = with_held_out(open_scene(scene, fps=fps), None)
+    device = pick_device("auto")
+    run = open_run(views, default_model(scene), default_settings(device), resume=True, device=device)
+    return run_training(run, quiet=quiet).folder
+
+
+def run_training(run: Run, *, quiet: bool) -> Model:
+    """Train with a progress bar and a line for each frame, and the warnings of the run once each."""
+    from airgs_codec.train.run import train_frames
+
+    bar, said = Bar(quiet), set[str]()
+    try:
+        for record in train_frames(run, bar):
+            bar.close()
+            if not quiet:
+                print(frame_line(record), flush=True)
+            for warning in set(run.model.record.warnings()) - said:
+                print(f"warning: {warning}", file=sys.stderr)
+                said.add(warning)
+    finally:
+        bar.close()
+    return run.model
+
+
+def frame_line(r: FrameRecord) -> str:
+    """One finished frame in words; PSNR is the mean over training views."""
+    held_out = "" if r.held_out_psnr is None else f", held-out {r.held_out_psnr:.2f}"
+    kind = {"first": "  first frame", "frame": "", "key": f"  keyframe, {r.added:+,} Gaussians"}[r.kind]
+    if r.rejected_psnr is not None:
+        other = "as a keyframe" if r.kind == "frame" else "in the old group"
+        kind += f"  ({other} {r.rejected_psnr:.2f} dB)"
+    static = f", static {100 * sum(r.static.values()) / len(r.static):.0f} %" if r.static else ""
+    return f"frame {r.frame:4d}  {r.psnr:.2f} dB{held_out}  {r.gaussians:,} Gaussians{static}  {r.seconds:.1f} s{kind}"
+
+
+def require_torch() -> None:
+    """Raises ConfigError where torch is not installed."""
+    if importlib.util.find_spec("torch") is None:
+        raise ConfigError("training needs torch: pip install 'airgs-codec[train]'")
+
+
+def default_model(scene: Path) -> Path:
+    """The model folder of a scene unless another one is named."""
+    resolved = scene.resolve()  # "." has no name of its own
+    return resolved.with_name(resolved.name + ".gaussians")
+
+
+def default_settings(device: str) -> TrainSettings:
+    """The settings of a run on cpu or cuda unless others are named."""
+    return TrainSettings(deltas="direct" if device == "cpu" else "mlp+residual")
+
+
+def pick_device(wanted: str) -> str:
+    """cpu or cuda for auto, cpu or cuda. Raises ConfigError where cuda is wanted and cannot run."""
+    if wanted == "cpu":
+        return "cpu"
+    from airgs_codec.render import cuda
+
+    reason = cuda.missing()
+    if wanted == "cuda" and reason:
+        raise ConfigError(f"--device cuda: {reason}")
+    return "cpu" if reason else "cuda"

@@ -1,0 +1,110 @@
+"""Pictures over time: a video or a folder of pictures for each camera. T frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import SceneError
+from airgs_codec.media.movie import VideoReader
+from airgs_codec.scene.sequence import DEFAULT_FPS, natural_key
+from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot, Source
+
+VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
+
+
+@dataclass(frozen=True, slots=True)
+class VideoFrame:
+    """A frame of a camera's video."""
+
+    path: Path
+    number: int
+
+    def read(self) -> NDArray[np.uint8]:
+        """The picture, (H, W, 3) RGB. Raises SceneError."""
+        return _video(self.path).read(self.number)
+
+    def where(self) -> str:
+        """The path and the number of the frame."""
+        return f"{self.path} frame {self.number}"
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFilm:
+    """A camera that stands still, and what it filmed."""
+
+    shot: Shot  # its camera, lens and mask; its source is replaced frame by frame
+    path: Path  # a video, or a folder of pictures in the order of their names
+
+
+def scene_from_films(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
+    """The scene that these cameras filmed: all of them videos, or all of them folders of pictures.
+
+    Raises SceneError where frame rates of videos or counts of pictures differ, or a video cannot be read.
+    """
+    return _from_folders(folder, films) if any(film.path.is_dir() for film in films) else _from_videos(folder, films)
+
+
+def find_videos(folder: Path) -> list[Path]:
+    """The videos in a folder by name; a folder that is not there has none."""
+    return _with_suffix(folder, VIDEO_SUFFIXES)
+
+
+def find_pictures(folder: Path) -> list[Path]:
+    """The pictures in a folder by name; a folder that is not there has none."""
+    return _with_suffix(folder, PICTURE_SUFFIXES)
+
+
+def video_size(path: Path) -> tuple[int, int]:
+    """Width and height of a video in pixels."""
+    return _video(path).size
+
+
+def _with_suffix(folder: Path, suffixes: Sequence[str]) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted((path for path in folder.iterdir() if path.suffix.lower() in suffixes), key=natural_key)
+
+
+@cache
+def _video(path: Path) -> VideoReader:
+    """One open decoder for each video: frames are asked for in order."""
+    return VideoReader(path)
+
+
+def _from_videos(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
+    """As many frames as the shortest video has."""
+    videos = [_video(film.path) for film in films]
+    rates = sorted({video.fps for video in videos if video.fps})
+    if len(rates) > 1:
+        listed = ", ".join(f"{float(rate):g}" for rate in rates)
+        raise SceneError(f"{folder}: expected videos of one frame rate, got {listed}")
+    count = min(video.frames for video in videos)
+    sources = [[VideoFrame(film.path, number) for number in range(count)] for film in films]
+    return _with_sources(folder, Fraction(rates[0]) if rates else DEFAULT_FPS, films, sources)
+
+
+def _from_folders(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
+    pictures = [find_pictures(film.path) for film in films]
+    counts = sorted({len(paths) for paths in pictures})
+    if len(counts) > 1:
+        raise SceneError(f"{folder}: expected as many frames of every camera, got {counts[0]} to {counts[-1]}")
+    return _with_sources(folder, DEFAULT_FPS, films, [[PictureFile(path) for path in paths] for paths in pictures])
+
+
+def _with_sources(
+    folder: Path, fps: Fraction, films: Sequence[CameraFilm], sources: Sequence[Sequence[Source]]
+) -> MultiviewScene:
+    """`sources`: the T pictures of each camera."""
+    frames = tuple(
+        tuple(replace(film.shot, source=source) for film, source in zip(films, moment, strict=True))
+        for moment in zip(*sources, strict=True)
+    )
+    return MultiviewScene(folder, fps, frames)

@@ -1,0 +1,155 @@
+"""Variables of a fit that move every Gaussian on its own; rows may come and go.
+
+What is fitted is a difference D to base Gaussians, so that the temporal loss is a norm of the variable itself and
+vanishes exactly where pictures ask for nothing. N Gaussians, U of them rows that stay.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+
+from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.train.fit.adam import Adam
+from airgs_codec.train.fit.densify import Densifier, is_visible
+from airgs_codec.train.fit.parameters import Parameters, take_and_append, zeros_like
+
+SETTLED = 0.65  # share of the iterations after which it is decided what moves; later than rows are added
+
+# Adam's steps of 3DGS (Kerbl et al. 2023); of means in units of the scene's extent.
+RATES = {
+    "means": 1.6e-4,
+    "quaternions": 1e-3,
+    "log_scales": 5e-3,
+    "opacity_logits": 5e-2,
+    "sh_dc": 2.5e-3,
+    "sh_rest": 2.5e-3 / 20,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """Factors on the learning rates of 3DGS, which are made for 30,000 iterations, and where they decay to."""
+
+    factor: float = 3.0
+    means: float = 1.0  # a further factor, for means
+    last: float = 1.0  # share of the rate that is left at the end
+    means_last: float = 0.01  # the same for means
+
+    def at(self, done: float, extent: float) -> dict[str, float]:
+        """Rates when a share `done` of the iterations is past, in a scene of `extent` world units."""
+        rates = {name: rate * self.factor * self.last**done for name, rate in RATES.items()}
+        rates["means"] = RATES["means"] * self.factor * self.means * self.means_last**done * extent
+        return rates
+
+
+@dataclass(frozen=True, slots=True)
+class Regularisers:
+    """Weights of what is added to the loss of the pictures."""
+
+    opacity: float = 0.0  # of the mean opacity
+    scale: float = 0.0  # of the mean scale over the scene's extent
+    inflation: float = 0.0  # of the summed opacity of the rows past the first U
+
+
+@dataclass(slots=True, eq=False)
+class PerGaussian:
+    """Base Gaussians and a difference D of every element, fitted by Adam."""
+
+    base: Parameters
+    extent: float  # world units
+    rates: Rates = field(default_factory=Rates)
+    start: Parameters | None = None  # D to begin with; None: 0
+    temporal: Parameters | None = None  # weight of |D| of each element, `temporal_weights`; 0 in rows that are new
+    kept: int = 0  # U
+    regularisers: Regularisers = field(default_factory=Regularisers)
+    densifier: Densifier | None = None  # None: no rows are added
+    adam: Adam = field(init=False)
+    _support: Parameters | None = field(init=False, default=None)  # 1 where D may still change; None: not decided yet
+    _absgrad: AbsGrad | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        self.adam = Adam(self.start or zeros_like(self.base), self.rates.at(0.0, self.extent))
+
+    def current(self) -> Parameters:
+        """The Gaussians as they are now, base + D, differentiable by D."""
+        return {name: p + self.adam.parameters[name] for name, p in self.base.items()}
+
+    def detached(self) -> Parameters:
+        """The Gaussians as they are now."""
+        return {name: p.detach() for name, p in self.current().items()}
+
+    def watch(self) -> AbsGrad | None:
+        """Where the absolute gradients of the next picture are wanted; None: rows are not added."""
+        self._absgrad = AbsGrad() if self.densifier else None
+        return self._absgrad
+
+    def penalty(self) -> torch.Tensor | float:
+        """The regularisers.
+
+        L_inf = max(0, N - U) (AirGS, "Training" 3) has no gradient; what can act is the opacity of what was added.
+        """
+        r = self.regularisers
+        total: torch.Tensor | float = 0.0
+        if r.opacity or r.inflation:
+            opacity = (self.base["opacity_logits"] + self.adam.parameters["opacity_logits"]).sigmoid()
+            if r.opacity:
+                total = total + r.opacity * opacity.mean()
+            if r.inflation and len(opacity) > self.kept:
+                total = total + r.inflation * opacity[self.kept :].sum()
+        if r.scale:
+            size = (self.base["log_scales"] + self.adam.parameters["log_scales"]).exp()
+            total = total + r.scale / self.extent * size.mean()
+        return total
+
+    def step(self, iteration: int, iterations: int) -> None:
+        """Move along the gradients; then add rows where it is time to, and remove those that show nothing."""
+        if self.densifier and self._absgrad:
+            self.densifier.collect(self._absgrad)
+        self._move(iteration / iterations)
+        if self.densifier and self.densifier.growth.due(iteration, iterations):
+            self._replace(*self.densifier.grow(self.detached(), self.extent, self.kept, iteration / iterations))
+            self._replace(is_visible(self.detached(), self.kept), None)
+            self.densifier.restart(len(self.base["means"]))
+
+    def remove_fainter(self, opacity: float) -> None:
+        """Remove rows past the first U whose opacity is under `opacity`."""
+        self._replace(is_visible(self.detached(), self.kept, opacity), None)
+
+    def _move(self, done: float) -> None:
+        """Adam, the temporal loss, and no Gaussian larger than the scene.
+
+        The temporal loss pulls back what does move, too. When it has had its say (SETTLED), what is still 0 stays so,
+        and the rest is fitted without it (the relaxed lasso, Meinshausen 2007).
+        """
+        self.adam.rates = self.rates.at(done, self.extent)
+        if self.temporal is not None and done > SETTLED:
+            if self._support is None:
+                self._support = _support(self.adam.parameters, self.temporal)
+            self.adam.step()
+        else:
+            self.adam.step(self.temporal)
+        with torch.no_grad():
+            for name, mask in (self._support or {}).items():
+                self.adam.parameters[name].mul_(mask)
+            # Past this size gradients of means and rotations are rounding noise.
+            sizes = self.adam.parameters["log_scales"]
+            sizes.copy_(torch.minimum(sizes, math.log(self.extent) - self.base["log_scales"]))
+
+    def _replace(self, keep: torch.Tensor, added: Parameters | None) -> None:
+        if added is None and bool(keep.all()):
+            return
+        zeros = None if added is None else zeros_like(added)
+        self.adam.replace_rows(keep, zeros)
+        self.base = take_and_append(self.base, keep, added)
+        if self.temporal is not None:
+            self.temporal = take_and_append(self.temporal, keep, zeros)
+        if self._support is not None:
+            self._support = take_and_append(self._support, keep, None)
+
+
+def _support(difference: Parameters, temporal: Parameters) -> Parameters:
+    """1 where a difference has left 0, and in new rows, which have no temporal loss."""
+    return {name: ((p != 0) | (temporal[name] == 0)).to(p.dtype) for name, p in difference.items()}

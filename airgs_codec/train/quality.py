@@ -1,0 +1,28 @@
+"""How good trained Gaussians are: means over views of the quality of each.
+
+The PSNR of training is the mean over views of each view's PSNR in dB. The PSNR of a package pools the squared error of
+its pictures first, and is lower where views differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from airgs_codec.media.metrics import mse, psnr, ssim
+from airgs_codec.render import cpu
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.train.data.pictures import View
+
+PSNR_DEFINITION = "mean over views of each view's PSNR in dB"
+
+
+def mean_psnr(g: Gaussians, views: Sequence[View]) -> float:
+    """Mean over views of each view's PSNR in dB."""
+    return float(np.mean([psnr(mse(cpu.render(g, view.camera).rgb, view.target.rgb)) for view in views]))
+
+
+def mean_ssim(g: Gaussians, views: Sequence[View]) -> float:
+    """Mean over views of each view's SSIM, 1 for equal pictures."""
+    return float(np.mean([ssim(cpu.render(g, view.camera).rgb, view.target.rgb) for view in views]))

@@ -1,0 +1,74 @@
+"""airgs-train, and airgs-encode of multi-view scenes."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import pytest
+
+from airgs_codec.cli.encode import main as encode_main
+from airgs_codec.cli.train import main as train_main
+from airgs_codec.package.store import open_package
+from tests.support.training import SETTINGS, write_blobs
+
+QUICK = ["--iterations", "30,20,8", "--budget", "150", "--sh-degree", "0", "--device", "cpu"]
+
+
+@pytest.fixture(scope="module")
+def blobs(tmp_path_factory):
+    return write_blobs(tmp_path_factory.mktemp("scene") / "blobs")
+
+
+def test_airgs_train_says_what_it_did_and_reports(blobs, tmp_path, capsys):
+    words = [str(blobs), "-o", str(tmp_path / "m"), "--report", str(tmp_path / "r"), *QUICK, "--frames", "0:2"]
+    assert train_main(words) == 0
+    out = capsys.readouterr().out
+    assert "first frame" in out and "held-out" in out and out.count("\nframe") == 1
+    assert {"index.html", "training.png", "frame-000000.png", "frame-000001.png"} <= {
+        p.name for p in (tmp_path / "r").iterdir()
+    }
+    page = (tmp_path / "r" / "index.html").read_text()
+    assert "frame-000001.png" in page and "PSNR of held-out views" in page
+    assert train_main(words) == 2  # the model is there
+    assert "--resume" in capsys.readouterr().err
+    assert train_main([*words, "--resume", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["keyframes"] == [0]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["nowhere"], "expected multi-view pictures"),
+        (["SCENE", "--frames", "3:9"], "frames inside 0:5"),
+        (["SCENE", "--frames", "x"], "expected A:B"),
+        (["SCENE", "--hold-out", "cam99"], "no camera cam99"),
+        (["SCENE", "--iterations", "5"], "expected FIRST,KEY,FRAME"),
+        (["SCENE", "--budget", "0"], "budget of at least one"),
+        (["SCENE", "--near", "-1"], "expected a positive distance"),
+        (["SCENE", "--fps", "0"], "expected 0 < fps"),
+        (["SCENE", "--max-size", "3"], "16 pixels"),
+        (["SCENE", "--foreground"], "expected a mask"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_2(blobs, tmp_path, capsys, words, message):
+    words = [str(blobs) if w == "SCENE" else w for w in words]
+    assert train_main([*words, "-o", str(tmp_path / "m")]) == 2
+    err = capsys.readouterr().err
+    assert message in err and err.count("\n") == 1
+    assert not list(tmp_path.glob("m/*.ply"))
+
+
+def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(
+        "airgs_codec.cli.training.default_settings", lambda device: replace(SETTINGS, frame_iterations=5)
+    )
+    shutil.copytree(blobs, tmp_path / "blobs")
+    words = [str(tmp_path / "blobs"), "--preset", "ultrafast", "--measure-frames", "1"]
+    assert encode_main(words) == 0
+    assert "first frame" in capsys.readouterr().out
+    package = open_package(tmp_path / "blobs.airgs")
+    assert package.manifest.frames == 5 and package.manifest.views.source == "given"
+    assert package.manifest.attribution == "blobs by nobody"
+    assert (tmp_path / "blobs.gaussians" / "usage.npz").is_file()
+    assert encode_main([*words, "--json"]) == 0  # the model is there: only encoded
+    json.loads(capsys.readouterr().out)

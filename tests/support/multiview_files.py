@@ -1,0 +1,80 @@
+"""Multi-view scenes on disk, in the formats that people have."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from airgs_codec.media.image import to_bytes, write_png
+from airgs_codec.render import render
+from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera
+from airgs_codec.scene.gaussians import Gaussians
+
+
+def matrix_of(camera: Camera) -> list[list[float]]:
+    """OpenGL camera-to-world, as transforms.json has it."""
+    return (np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV).tolist()
+
+
+def write_views(folder: Path, frames: list[Gaussians], cameras: list[Camera], points: np.ndarray | None) -> Path:
+    """A dynamic transforms.json with PNG pictures."""
+    entries = []
+    for t, g in enumerate(frames):
+        for c in cameras:
+            path = folder / "images" / c.name / f"{t:04d}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_png(path, to_bytes(render(g, c).rgb))
+            entry = {"file_path": str(path.relative_to(folder)), "camera": c.name, "split": c.split, "time_index": t}
+            entries.append({**entry, "transform_matrix": matrix_of(c)})
+    c = cameras[0]
+    shared = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "fps": 12}
+    (folder / "transforms.json").write_text(json.dumps({**shared, "frames": entries}))
+    if points is not None:
+        np.save(folder / "points3d.npy", points.astype(np.float32))
+    return folder
+
+
+def plain(value: int, size: tuple[int, int] = (32, 24)) -> np.ndarray:
+    """A grey picture of a width and a height."""
+    return np.full((size[1], size[0], 3), value, np.uint8)
+
+
+def write_video(path: Path, pictures: list[np.ndarray], rate: int = 25) -> None:
+    """A video of nearly lossless pictures, with B frames."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=rate, options={"qp": "1", "bf": "2"})
+        stream.height, stream.width = pictures[0].shape[:2]
+        stream.pix_fmt = "yuv420p"
+        for picture in pictures:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode(None))
+
+
+def same_camera(a: Camera, b: Camera) -> bool:
+    """Whether two cameras see the same."""
+    close = np.allclose(a.world_to_camera, b.world_to_camera, atol=1e-5)
+    numbers = [(getattr(c, n)) for c in (a, b) for n in ("fx", "fy", "cx", "cy")]
+    return close and np.allclose(numbers[:4], numbers[4:], atol=1e-4)
+
+
+def write_panoptic(folder: Path, cameras: list[Camera]) -> Path:
+    """A scene of two frames as CMU Panoptic has it; the left half of each mask is 0."""
+    meta: dict[str, Any] = {"w": 48, "h": 48, "fn": [], "k": [], "w2c": [], "cam_id": []}
+    for t in range(2):
+        meta["fn"].append([f"{i}/{t:06d}.png" for i in range(len(cameras))])
+        meta["k"].append([[[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1]] for c in cameras])
+        meta["w2c"].append([c.world_to_camera.tolist() for c in cameras])
+        meta["cam_id"].append(list(range(len(cameras))))
+    for place in ("ims", "seg"):
+        for name in (n for names in meta["fn"] for n in names):
+            (folder / place / name).parent.mkdir(parents=True, exist_ok=True)
+            picture = plain(200, (48, 48))
+            if place == "seg":
+                picture[:, :24] = 0
+            write_png(folder / place / name, picture)
+    (folder / "train_meta.json").write_text(json.dumps(meta))
+    return folder

@@ -1,0 +1,25 @@
+"""Networks that move Gaussians."""
+
+import pytest
+import torch
+
+from airgs_codec.train.fit.mlp import MlpDriven, Networks
+from airgs_codec.train.fit.parameters import ATTRIBUTES, from_gaussians
+from tests.support.scenes import random_gaussians
+
+
+@pytest.mark.parametrize("degree", [0, 1])
+def test_networks_start_at_no_change_and_come_back_from_their_arrays(degree):
+    base = from_gaussians(random_gaussians(30, degree))
+    networks = Networks(base, 3.0, seed=1)
+    assert ("sh_rest" in networks.names) == (degree > 0)
+    current = MlpDriven(base, networks, None).current()
+    assert all(torch.equal(current[n], base[n]) for n in ATTRIBUTES)
+    with torch.no_grad():
+        for last in networks.last:
+            last.add_(0.1)
+    other = Networks(base, 3.0, seed=2)
+    other.load(networks.arrays())
+    a, b = (n(n.features(base)) for n in (networks, other))
+    assert all(torch.equal(a[n], b[n]) for n in networks.names)
+    assert (a["means"].abs() > 0).any()

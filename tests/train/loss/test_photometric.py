@@ -1,0 +1,43 @@
+"""The fused loss and its gradient against the definition."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from airgs_codec.train.loss.photometric import photometric, windowed_ssim
+from airgs_codec.train.loss.target import Target
+
+
+@pytest.mark.parametrize("shape", [(16, 16), (7, 33), (40, 5), (1, 1)])
+def test_the_fused_loss_and_its_gradient_equal_the_definition(shape):
+    rng = np.random.default_rng(0)
+    picture, truth = (rng.uniform(-0.1, 1.1, (*shape, 3)).astype(np.float32) for _ in range(2))
+    x = torch.from_numpy(picture).requires_grad_()
+    fused = photometric(x, Target(truth))
+    fused.loss.backward()
+    y = torch.from_numpy(picture).double().requires_grad_()
+    t = torch.from_numpy(truth).double()
+    similarity = windowed_ssim(y, t)
+    loss = 0.8 * (y - t).abs().mean() + 0.2 * (1 - similarity)
+    loss.backward()
+    assert fused.loss.item() == pytest.approx(loss.item(), rel=1e-5)
+    assert fused.ssim == pytest.approx(similarity.item(), abs=1e-5)
+    assert fused.mse == pytest.approx((y - t).square().mean().item(), rel=1e-5)
+    assert (x.grad - y.grad).norm() <= 1e-5 * y.grad.norm()
+
+
+def test_equal_pictures_have_no_loss_and_black_ones_a_finite_gradient():
+    black = np.zeros((12, 12, 3), np.float32)
+    x = torch.from_numpy(black.copy()).requires_grad_()
+    compared = photometric(x, Target(black))
+    compared.loss.backward()
+    assert compared.loss.item() == pytest.approx(0, abs=1e-6)
+    assert torch.isfinite(x.grad).all() and x.grad.abs().max() < 1e-6
+
+
+def test_a_nan_in_the_picture_is_a_nan_in_the_loss():
+    picture = torch.zeros(12, 12, 3)
+    picture[3, 4, 1] = torch.nan
+    assert math.isnan(photometric(picture, Target(np.zeros((12, 12, 3), np.float32))).loss.item())
