@@ -1,19 +1,20 @@
-"""What could have been shown at best: the paper's integer programme, and a bound over the whole session.
+"""The best that could have been shown: the paper's integer programme, and a bound over a whole session.
 
 The paper maximises the quality of each frame under B / R; that separates by frame and is no bound, since bytes saved
 now serve later. The bound here is a multiple-choice knapsack with prefix constraints: with F_k the bytes that the
-link has carried when unit k is there, F_k >= max(F_{k-1}, A(release_k)) + bytes_k and F_k <= A(deadline_k), where A
-is the integral of the trace. Any player that shows its units at those deadlines and asks for none before its release
+link has carried when slot k is complete, F_k >= max(F_{k-1}, A(release_k)) + bytes_k and F_k <= A(deadline_k), where A
+is the integral of the trace. Any player that shows its slots at those deadlines and requests none before its release
 (the limit of its buffer) satisfies it, whatever else it fetched, replaced or waited for; so its optimum, and that of
-its linear relaxation, is no less than what the player reached. Units need not be fetched in order: deadlines and
+its linear relaxation, is no less than what the player reached. Slots need not be fetched in order: deadlines and
 releases ascend together, and then the order of deadlines is as good as any.
+
+K slots, R rungs, Q key qualities, T key tiers. Sizes are kB inside the programme, so that its numbers are of one order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,140 +23,149 @@ from scipy.sparse import csr_array
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import Link
 
 ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must not make a session impossible
+Terms = list[tuple[int, float]]  # (column of a variable, its coefficient)
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
-    """One segment of the horizon; capacities are bytes the link carries from the start of the trace."""
+class Slot:
+    """One segment to be shown; capacities are bytes that the link carries from the start of the trace."""
 
     segment: int  # in the package
-    opens: bool  # begins a group: no key of it is at hand
-    released: float  # what has passed before it may begin
-    capacity: float  # what has passed when it must be there
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
-    """A solution."""
-
-    quality: float  # dB, mean over time
-    first_bytes: float  # of the first unit
-    rungs: NDArray[np.float64]  # (K, R) shares; 0 and 1 when integer
-
-
-class _Rules(Protocol):
-    """The part of a player's state that `Horizon.ahead` needs."""
-
-    @property
-    def now_s(self) -> float: ...
-    @property
-    def buffer_limit_s(self) -> float: ...
+    starts_group: bool  # no key of its group has been fetched before it
+    released: float  # bytes the link has carried when the first byte of the slot may pass
+    capacity: float  # bytes the link has carried when the last byte must have passed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Horizon:
-    """What is to be chosen: units in order, and what is at hand of the first unit's group."""
+    """What is to be chosen: slots in the order in which they are shown.
+
+    `decoded` (key quality -> tiers) are the keys of the first slot's group that need not be fetched. `idle_bytes` is
+    what the link could have carried while it waits for the next request, per slot after the first: 0 for a player
+    that sends its next request a round trip before the last batch ends, and in a bound.
+    """
 
     catalogue: Catalogue
-    units: tuple[Unit, ...]
-    held: Mapping[int, int]
-    overhead: float = 0.0  # bytes a unit, for the round trip in which nothing passes; 0 in a bound
-
-    @staticmethod
-    def ahead(
-        catalogue: Catalogue,
-        link: Link,
-        position: int,
-        end: int,
-        held: Mapping[int, int],
-        deadline_s: float,
-        rules: _Rules,
-    ) -> Horizon:
-        """From a moment of a session to its end, shown without a stall from `deadline_s` on, at most 2 buffers long."""
-        units: list[Unit] = []
-        start = deadline_s
-        for segment, opens in catalogue.upcoming(position, end - position, end):
-            seconds = catalogue.seconds[segment]
-            release = max(rules.now_s, start + seconds - rules.buffer_limit_s) + link.rtt_s
-            units.append(Unit(segment, opens, link.bytes_between(0.0, release), link.bytes_between(0.0, start)))
-            start += seconds
-            if start > deadline_s + 2 * rules.buffer_limit_s:
-                break
-        return Horizon(catalogue, tuple(units), held, link.rtt_s * link.trace.mean_bps / 8)
+    slots: tuple[Slot, ...]
+    decoded: Mapping[int, int]
+    idle_bytes: float = 0.0
 
 
-def solve_horizon(horizon: Horizon, integer: bool = False) -> Plan | None:
-    """The best plan, as linear or integer programme (HiGHS); None if even the smallest rungs come too late.
+@dataclass(frozen=True, slots=True, eq=False)
+class Schedule:
+    """A solution: what is shown in every slot."""
 
-    Variables of unit k: a share of every rung, how much of every key (quality, tier) is at hand, F_k in kB.
+    quality: float  # dB, the mean over time of the slots' PSNR
+    first_bytes: float  # fetched for the first slot
+    rungs: NDArray[np.float64]  # (K, R) shares of each slot; 0 and 1 when integer
+
+
+def solve_horizon(horizon: Horizon, integer: bool = False) -> Schedule | None:
+    """The best schedule, by linear or integer programme (HiGHS); None if even the smallest rungs come too late.
+
+    Raises ConfigError for a horizon without slots.
     """
-    c = horizon.catalogue
-    m = c.manifest
-    rungs, tiers = len(c.rungs), m.tier_count
-    keys = len(m.qualities) * tiers
-    width = rungs + keys + 1
-    count = len(horizon.units)
-    if not count:
-        raise ConfigError("horizon: expected at least one unit")
-    build = _Rows()
-    objective = np.zeros((count, width))
-    upper = np.ones((count, width))
-    total = sum(c.seconds[unit.segment] for unit in horizon.units)
-    for k, unit in enumerate(horizon.units):
-        base = k * width
-        objective[k, :rungs] = -c.quality[unit.segment] * c.seconds[unit.segment] / total
-        upper[k, -1] = unit.capacity * (1 + ROUNDING) / 1e3
-        build.add([(base + r, 1.0) for r in range(rungs)], 1.0, 1.0)
-        for q in range(len(m.qualities)):
-            for t in range(tiers):
-                uses = [r for r, (quality, j) in enumerate(c.rungs) if quality == q and m.levels[j].tiers > t]
-                at = base + rungs + q * tiers + t
-                build.add([(at, 1.0), *((base + r, -1.0) for r in uses)], 0.0, np.inf)
-                if k and not unit.opens:
-                    build.add([(at, 1.0), (at - width, -1.0)], 0.0, np.inf)
-        spent, known = _spending(horizon, k, width, rungs, tiers)
-        arrives = [(base + width - 1, 1.0), *((at, -size) for at, size in spent)]
-        build.add(arrives, unit.released / 1e3 + known, np.inf)
-        if k:
-            build.add([*arrives, (base - 1, -1.0)], known, np.inf)
+    if not horizon.slots:
+        raise ConfigError("horizon: expected at least one slot")
+    programme = _Programme(horizon)
+    constraints = _Constraints()
+    for k in range(len(horizon.slots)):
+        programme.add_slot(constraints, k)
     result = milp(
-        objective.ravel(),
-        constraints=build.constraint(count * width),
-        bounds=Bounds(0.0, upper.ravel()),
-        integrality=np.tile(np.r_[np.full(rungs + keys, int(integer)), 0], count),
+        programme.objective(),
+        constraints=constraints.matrix(programme.columns),
+        bounds=Bounds(0.0, programme.upper()),
+        integrality=programme.integrality() * int(integer),
     )
     if result.x is None:
         return None
-    values = result.x.reshape(count, width)
-    spent, known = _spending(horizon, 0, width, rungs, tiers)
-    first = 1e3 * (known + sum(size * result.x[at] for at, size in spent)) - horizon.overhead
-    return Plan(float(-result.fun), float(first), values[:, :rungs])
+    shares = result.x.reshape(len(horizon.slots), -1)[:, : programme.rungs]
+    first = sum(kilobytes * result.x[column] for column, kilobytes in programme.fetched(0))
+    return Schedule(float(-result.fun), 1e3 * float(first), shares)
 
 
-def _spending(horizon: Horizon, k: int, width: int, rungs: int, tiers: int) -> tuple[list[tuple[int, float]], float]:
-    """kB of unit k: (variable, kB for each unit of it), and what is constant."""
-    c, unit = horizon.catalogue, horizon.units[k]
-    base = k * width
-    group = c.manifest.segments[unit.segment].group
-    spent = [(base + r, float(c.state_bytes[unit.segment, j]) / 1e3) for r, (_, j) in enumerate(c.rungs)]
-    known = horizon.overhead / 1e3
-    for q in range(len(c.manifest.qualities)):
-        for t in range(tiers):
-            size = float(c.key_bytes[group, q, t]) / 1e3
-            at = base + rungs + q * tiers + t
-            spent.append((at, size))
-            if k and not unit.opens:
-                spent.append((at - width, -size))
-            elif not k and horizon.held.get(q, 0) > t:
-                spent[-1] = (at, 0.0)
-    return spent, known
+class _Programme:
+    """Variables and constraints. Slot k has R shares of rungs, Q T shares of keys that are decoded, and F_k in kB."""
+
+    def __init__(self, horizon: Horizon) -> None:
+        self._horizon = horizon
+        self._catalogue = horizon.catalogue
+        self._qualities = len(self._catalogue.manifest.qualities)
+        self._tiers = self._catalogue.manifest.tier_count
+        self.rungs = len(self._catalogue.rungs)
+        self._width = self.rungs + self._qualities * self._tiers + 1
+        self.columns = self._width * len(horizon.slots)
+
+    def _share(self, k: int, rung: int) -> int:
+        return k * self._width + rung
+
+    def _key(self, k: int, quality: int, tier: int) -> int:
+        return k * self._width + self.rungs + quality * self._tiers + tier
+
+    def _carried(self, k: int) -> int:
+        return (k + 1) * self._width - 1
+
+    def _keys(self) -> Iterator[tuple[int, int]]:
+        return ((q, t) for q in range(self._qualities) for t in range(self._tiers))
+
+    def objective(self) -> NDArray[np.float64]:
+        """(columns,) minus the dB that each variable adds to the mean over time."""
+        slots, seconds = self._horizon.slots, self._catalogue.seconds
+        total = sum(seconds[slot.segment] for slot in slots)
+        costs = np.zeros((len(slots), self._width))
+        for k, slot in enumerate(slots):
+            costs[k, : self.rungs] = -self._catalogue.quality[slot.segment] * seconds[slot.segment] / total
+        return costs.ravel()
+
+    def upper(self) -> NDArray[np.float64]:
+        """(columns,) 1 for shares, the capacity at the deadline for F_k."""
+        upper = np.ones((len(self._horizon.slots), self._width))
+        upper[:, -1] = [slot.capacity * (1 + ROUNDING) / 1e3 for slot in self._horizon.slots]
+        return upper.ravel()
+
+    def integrality(self) -> NDArray[np.int64]:
+        """(columns,) 1 for those that an integer programme takes whole."""
+        return np.tile(np.r_[np.ones(self._width - 1, np.int64), 0], len(self._horizon.slots))
+
+    def add_slot(self, constraints: _Constraints, k: int) -> None:
+        """One rung is shown, with its keys; its bytes pass after its release and after the slot before it."""
+        slot = self._horizon.slots[k]
+        constraints.add([(self._share(k, rung), 1.0) for rung in range(self.rungs)], 1.0, 1.0)
+        for quality, tier in self._keys():
+            key = self._key(k, quality, tier)
+            constraints.add([(key, 1.0), *self._users(k, quality, tier)], 0.0, np.inf)
+            if k and not slot.starts_group:
+                constraints.add([(key, 1.0), (key - self._width, -1.0)], 0.0, np.inf)
+        done = [(self._carried(k), 1.0), *((column, -size) for column, size in self.fetched(k))]
+        constraints.add(done, slot.released / 1e3, np.inf)
+        if k:
+            constraints.add([*done, (self._carried(k - 1), -1.0)], self._horizon.idle_bytes / 1e3, np.inf)
+
+    def _users(self, k: int, quality: int, tier: int) -> Terms:
+        """Minus the share of every rung that needs a key."""
+        levels = self._catalogue.manifest.levels
+        rungs = enumerate(self._catalogue.rungs)
+        return [(self._share(k, rung), -1.0) for rung, (q, j) in rungs if q == quality and levels[j].tiers > tier]
+
+    def fetched(self, k: int) -> Terms:
+        """kB that are fetched for slot k, for each unit of a variable."""
+        slot, c = self._horizon.slots[k], self._catalogue
+        group = c.manifest.segments[slot.segment].group
+        state_bytes = c.state_bytes[slot.segment]
+        fetched = [(self._share(k, rung), float(state_bytes[j]) / 1e3) for rung, (_, j) in enumerate(c.rungs)]
+        for quality, tier in self._keys():
+            key, size = self._key(k, quality, tier), float(c.key_bytes[group, quality, tier]) / 1e3
+            if k or self._horizon.decoded.get(quality, 0) <= tier:
+                fetched.append((key, size))
+            if k and not slot.starts_group:
+                fetched.append((key - self._width, -size))
+        return fetched
 
 
-class _Rows:
-    """Sparse constraints, row by row."""
+class _Constraints:
+    """Sparse rows low <= sum of coefficient x variable <= high, one by one."""
 
     def __init__(self) -> None:
         self._columns: list[int] = []
@@ -164,24 +174,26 @@ class _Rows:
         self._low: list[float] = []
         self._high: list[float] = []
 
-    def add(self, entries: Sequence[tuple[int, float]], low: float, high: float) -> None:
-        for column, value in entries:
+    def add(self, terms: Sequence[tuple[int, float]], low: float, high: float) -> None:
+        """One more row."""
+        for column, value in terms:
             self._columns.append(column)
             self._values.append(value)
         self._ends.append(len(self._columns))
         self._low.append(low)
         self._high.append(high)
 
-    def constraint(self, width: int) -> LinearConstraint:
-        matrix = csr_array((self._values, self._columns, self._ends), shape=(len(self._low), width))
+    def matrix(self, columns: int) -> LinearConstraint:
+        """All rows over so many variables."""
+        matrix = csr_array((self._values, self._columns, self._ends), shape=(len(self._low), columns))
         return LinearConstraint(matrix, np.array(self._low), np.array(self._high))
 
 
 def paper_programme(sizes: ArrayLike, qualities: ArrayLike, budgets: ArrayLike) -> tuple[float, NDArray[np.bool_]]:
-    """The paper's integer programme over n frames of L levels, (n, L), (n, L), (n,) bytes, solved with HiGHS.
+    """The paper's integer programme over n frames of L levels, solved with HiGHS.
 
-    Gives the sum of qualities over the frames for which a level fits, and (n,) which those are: where none does, the
-    programme as printed has no solution.
+    sizes (n, L) in bytes, qualities (n, L) in dB, budgets (n,) in bytes. Gives the sum of qualities over the frames
+    for which a level fits, and (n,) which those are: where none does, the programme as printed has no solution.
     """
     size, quality = np.asarray(sizes, np.float64), np.asarray(qualities, np.float64)
     budget = np.asarray(budgets, np.float64)
@@ -189,13 +201,13 @@ def paper_programme(sizes: ArrayLike, qualities: ArrayLike, budgets: ArrayLike) 
     n, levels = int(feasible.sum()), size.shape[1]
     if not n:
         return 0.0, feasible
-    rows = _Rows()
+    constraints = _Constraints()
     for i, frame in enumerate(np.flatnonzero(feasible)):
-        rows.add([(i * levels + j, 1.0) for j in range(levels)], 1.0, 1.0)
-        rows.add([(i * levels + j, size[frame, j]) for j in range(levels)], -np.inf, budget[frame])
+        constraints.add([(i * levels + j, 1.0) for j in range(levels)], 1.0, 1.0)
+        constraints.add([(i * levels + j, size[frame, j]) for j in range(levels)], -np.inf, budget[frame])
     result = milp(
         -quality[feasible].ravel(),
-        constraints=rows.constraint(n * levels),
+        constraints=constraints.matrix(n * levels),
         bounds=Bounds(0.0, 1.0),
         integrality=np.ones(n * levels),
     )

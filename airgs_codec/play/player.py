@@ -167,6 +167,7 @@ class _Player:
             buffer_limit_s=self.settings.buffer_s,
             request_latency_s=latency_s,
             shown_quality=self._quality(last) if last else None,
+            pipelined=self.settings.pipelined and self.downloader.pipelines,
             history=self._history(self._sent_s(latency_s)),
         )
 

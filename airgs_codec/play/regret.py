@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from airgs_codec.play.bound import Horizon, Unit, solve_horizon
+from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 from airgs_codec.play.player import SHORTEST_S
 from airgs_codec.play.session import SessionLog
 
@@ -17,18 +17,18 @@ def session_bound(log: SessionLog, integer: bool = False) -> float | None:
     link = log.link
     if link is None or any(shown.rung is None for shown in log.shown):
         return None
-    units = []
+    slots = []
     manifest_s = log.fetches[0].arrival_s
     c, limit = log.catalogue, log.settings.buffer_s
     fronts = np.cumsum([0.0, *(s.frames / c.fps for s in log.shown)])  # media time at which each begins
     for k, shown in enumerate(log.shown):
         release = manifest_s
         wanted = float(fronts[k + 1]) - limit  # media that must have been shown before the request
-        if wanted > 0:
+        if wanted > SHORTEST_S:  # not where rounding alone makes the buffer too small
             i = int(np.searchsorted(fronts, wanted - SHORTEST_S)) - 1  # before a stall, if one follows just there
             release = max(release, log.shown[i].start_s + wanted - float(fronts[i]))
         begin, deadline = release + link.rtt_s, shown.start_s - log.settings.decode_frame_s
         capacities = link.bytes_between(0.0, begin), link.bytes_between(0.0, deadline)
-        units.append(Unit(shown.segment, c.starts_group(shown.segment), *capacities))
-    plan = solve_horizon(Horizon(c, tuple(units), {}), integer)
-    return None if plan is None else plan.quality
+        slots.append(Slot(shown.segment, c.starts_group(shown.segment), *capacities))
+    schedule = solve_horizon(Horizon(c, tuple(slots), {}), integer)
+    return None if schedule is None else schedule.quality

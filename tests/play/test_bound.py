@@ -9,25 +9,30 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.bound import Horizon, Unit, paper_programme, solve_horizon
+from airgs_codec.play.bound import Horizon, Slot, paper_programme, solve_horizon
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Ladder, Option, select
+from airgs_codec.play.link import Link
+from airgs_codec.play.regret import session_bound
+from airgs_codec.play.session import simulate
+from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.trace import Trace
 from tests.support.manifests import tiny_manifest
 
 CATALOGUE = Catalogue(tiny_manifest(), header_bytes=0)
 
 
-def horizon(*capacities, released=0.0, held=None, opens=None, catalogue=CATALOGUE):
-    """One unit for each capacity, segments in turn."""
-    opens = [True] * len(capacities) if opens is None else opens
-    units = tuple(Unit(i % 2, o, released, float(c)) for i, (c, o) in enumerate(zip(capacities, opens, strict=True)))
-    return Horizon(catalogue, units, held or {})
+def horizon(*capacities, released=0.0, decoded=None, starts=None, catalogue=CATALOGUE):
+    """One slot for each capacity, segments in turn."""
+    starts = [True] * len(capacities) if starts is None else starts
+    slots = tuple(Slot(i % 2, o, released, float(c)) for i, (c, o) in enumerate(zip(capacities, starts, strict=True)))
+    return Horizon(catalogue, slots, decoded or {})
 
 
 def test_everything_fits():
-    plan = solve_horizon(horizon(6300, 12600))
-    assert plan is not None and plan.quality == pytest.approx(40.0) and plan.first_bytes == pytest.approx(6300)
-    assert plan.rungs[:, 0] == pytest.approx([1, 1])
+    best = solve_horizon(horizon(6300, 12600))
+    assert best is not None and best.quality == pytest.approx(40.0) and best.first_bytes == pytest.approx(6300)
+    assert best.rungs[:, 0] == pytest.approx([1, 1])
 
 
 def test_bytes_that_are_left_serve_later():
@@ -39,31 +44,63 @@ def test_bytes_that_are_left_serve_later():
 
 
 def test_a_release_keeps_the_link_from_working_ahead():
-    units = (Unit(0, True, 0.0, 6300.0), Unit(1, True, 9000.0, 12000.0))
-    plan = solve_horizon(Horizon(CATALOGUE, units, {}), integer=True)
-    assert plan is not None and plan.quality == pytest.approx((40 + 35) / 2)  # 3000 B after 9000: Q1+L1 has 2800
+    slots = (Slot(0, True, 0.0, 6300.0), Slot(1, True, 9000.0, 12000.0))
+    best = solve_horizon(Horizon(CATALOGUE, slots, {}), integer=True)
+    assert best is not None and best.quality == pytest.approx((40 + 35) / 2)  # 3000 B after 9000: Q1+L1 has 2800
 
 
 def test_too_late_for_the_smallest():
     assert solve_horizon(horizon(2000)) is None
-    with pytest.raises(ConfigError, match="at least one unit"):
+    with pytest.raises(ConfigError, match="at least one slot"):
         solve_horizon(horizon())
 
 
 def test_keys_are_paid_once_a_group():
-    together = solve_horizon(horizon(6300, 8400, opens=[True, False]), integer=True)
+    together = solve_horizon(horizon(6300, 8400, starts=[True, False]), integer=True)
     assert together is not None and together.quality == pytest.approx(40.0)
     apart = solve_horizon(horizon(6300, 8400), integer=True)
     assert apart is not None and apart.quality < 40
-    at_hand = solve_horizon(horizon(2100, held={0: 2}, opens=[False]), integer=True)
-    assert at_hand is not None and at_hand.quality == pytest.approx(40.0)
+    with_keys = solve_horizon(horizon(2100, decoded={0: 2}, starts=[False]), integer=True)
+    assert with_keys is not None and with_keys.quality == pytest.approx(40.0)
+
+
+def test_an_idle_link_costs_every_slot_but_the_first():
+    """The release of the first slot says when its bytes begin; the wait before each later one is counted apart."""
+    enough = solve_horizon(replace(horizon(6300, 12600 + 500), idle_bytes=500.0), integer=True)
+    assert enough is not None and enough.quality == pytest.approx(40.0) and enough.first_bytes == pytest.approx(6300)
+    short = solve_horizon(replace(horizon(6300, 12600), idle_bytes=500.0), integer=True)
+    assert short is not None and short.quality < 40
+
+
+@pytest.mark.parametrize("pipelined", [True, False])
+def test_the_oracle_pays_only_round_trips_that_its_player_pays(pipelined):
+    """A second of the best rung takes 6300 B, and keys of every group; the link carries 8 % more than that.
+
+    A pipelined player keeps such a link busy in spite of round trips of 0.3 s, and the plan must count on it.
+    """
+    link = Link(Trace("t", np.zeros(1), np.array([1.08 * 8 * 6300.0]), 1000.0), rtt_s=0.3)
+    rules = SessionSettings(loops=15, decode_frame_s=0.0, buffer_s=4.0, startup_s=2.0, pipelined=pipelined)
+    log = simulate(CATALOGUE, link, "oracle-lp", rules)
+    best = np.mean([shown.rung == 0 for shown in log.shown])
+    assert log.metrics.stall_s < 0.1
+    assert best > 0.9 if pipelined else best < 0.6
+
+
+def test_rounding_of_media_time_does_not_delay_a_release():
+    """25 segments of 0.4 s add up to a little more than the buffer of 10 s: the last of them waits for nothing."""
+    c = Catalogue(tiny_manifest(fps=(25, 1)), header_bytes=0)
+    assert np.cumsum([0.0, *c.seconds * 13])[25] > 10.0
+    trace = Trace("t", np.array([0.0, 4.0]), np.array([8 * 60000.0, 8 * 500.0]), 1000.0)
+    log = simulate(c, trace, "paper", SessionSettings(loops=25, buffer_s=10.0))
+    bound = session_bound(log)
+    assert bound is not None and bound >= log.mean_quality - 1e-6
 
 
 def test_a_rung_with_one_tier_does_not_pay_for_two():
     m = tiny_manifest(psnr=((40.0, 30.0), (38.0, 29.0), (34.0, 28.0)))
     core = replace(m, levels=[*m.levels[:2], replace(m.levels[2], tiers=1)])
-    plan = solve_horizon(horizon(3100 + 600, catalogue=Catalogue(core, 0)), integer=True)
-    assert plan is not None and plan.rungs[0].argmax() == 2 and plan.first_bytes == pytest.approx(3700)
+    best = solve_horizon(horizon(3100 + 600, catalogue=Catalogue(core, 0)), integer=True)
+    assert best is not None and best.rungs[0].argmax() == 2 and best.first_bytes == pytest.approx(3700)
 
 
 capacities = st.lists(st.integers(2300, 9000), min_size=1, max_size=5).map(np.cumsum)

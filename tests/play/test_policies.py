@@ -51,6 +51,7 @@ def state(
         request_latency_s=rtt,
         shown_quality=shown,
         history=(Download(max(1, round(rate / 8)), 1.0),) * 4 if rate else (),
+        pipelined=True,
     )
 
 

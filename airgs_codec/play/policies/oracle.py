@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from airgs_codec.play.bound import Horizon, solve_horizon
+from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 from airgs_codec.play.ladder import Decision, select
 from airgs_codec.play.link import Link
 from airgs_codec.play.policies.state import PlayerState, full_ladder
@@ -16,18 +16,34 @@ def choose_oracle_frame(state: PlayerState, link: Link) -> Decision:
 
 
 def choose_oracle_lp(state: PlayerState, link: Link) -> Decision:
-    """The rung that the linear programme over all that comes gives most of this segment to.
-
-    It knows the trace; the round trip of every segment is taken off the capacity at the trace's mean rate.
-    """
-    deadline = max(state.deadline_s, state.now_s + state.request_latency_s)
-    held = dict(state.decoded_tiers)
-    horizon = Horizon.ahead(state.catalogue, link, state.position, state.end, held, deadline, state)
-    plan = solve_horizon(horizon)
-    if plan is None:
+    """The rung that the linear programme over all that comes gives most of this segment to; it knows the trace."""
+    horizon = upcoming_horizon(state, link)
+    schedule = solve_horizon(horizon)
+    if schedule is None:
         return select(full_ladder(state), 0.0)
-    wanted = int(plan.rungs[0].argmax())
+    wanted = int(schedule.rungs[0].argmax())
     chosen = next((p for p in state.options if p.index == wanted), None)
     if chosen is None:
-        return select(full_ladder(state), plan.first_bytes)
-    return Decision(wanted, True, f"planned for {len(horizon.units)} segments", chosen.size_bytes)
+        return select(full_ladder(state), schedule.first_bytes)
+    return Decision(wanted, True, f"planned for {len(horizon.slots)} segments", chosen.size_bytes)
+
+
+def upcoming_horizon(state: PlayerState, link: Link) -> Horizon:
+    """What is to come: shown without a stall from the deadline of the next segment on, at most two buffers long.
+
+    A pipelined player requests a segment one round trip before the link is free, so that only the wait for room in
+    the buffer costs a round trip. Otherwise the link is idle for a round trip before every segment; the bytes that it
+    could have carried in that time are taken at the trace's mean rate.
+    """
+    c, slots = state.catalogue, []
+    first_byte_s = state.now_s + state.request_latency_s
+    start_s = first_start_s = max(state.deadline_s, first_byte_s)
+    for segment, starts_group in c.upcoming(state.position, state.end - state.position, state.end):
+        end_s = start_s + c.seconds[segment]
+        release_s = max(first_byte_s, end_s - state.buffer_limit_s + link.rtt_s)
+        slots.append(Slot(segment, starts_group, link.bytes_between(0.0, release_s), link.bytes_between(0.0, start_s)))
+        start_s = end_s
+        if start_s > first_start_s + 2 * state.buffer_limit_s:
+            break
+    idle_bytes = 0.0 if state.pipelined else link.rtt_s * link.trace.mean_bps / 8
+    return Horizon(c, tuple(slots), dict(state.decoded_tiers), idle_bytes)

@@ -37,6 +37,7 @@ class PlayerState:
     deadline_s: float  # when it must arrive to be shown in time; in the past when the player waits
     buffer_limit_s: float
     request_latency_s: float  # from now to the first byte
+    pipelined: bool  # requests are sent one round trip before the link is free
     shown_quality: float | None  # dB of the segment before it
     history: tuple[Download, ...]  # oldest first
 
