@@ -15,7 +15,8 @@ from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
 from airgs_codec.inspect.compare import compare_streams, compared_views, format_comparison, rung_streams
-from airgs_codec.inspect.dense import dense_table, format_dense, measure_dense, plot_dense
+from airgs_codec.inspect.dense import measure_dense
+from airgs_codec.inspect.dense_report import dense_table, format_dense, plot_dense
 from airgs_codec.inspect.errors import format_errors, measure_errors
 from airgs_codec.inspect.plot import plot_ladder
 from airgs_codec.inspect.summary import summarise
@@ -105,11 +106,11 @@ def _ladder(package: Package, args: argparse.Namespace) -> int:
     cameras = cameras or orbit_views(decode(package, 0))
     training = training_views(cameras)
     bar = Bar(args.json)
-    points = measure_dense(package, measured_views(cameras), training, original, os.cpu_count() or 1, bar)
+    levels = measure_dense(package, measured_views(cameras), training, original, os.cpu_count() or 1, bar)
     bar.close()
     if args.plot:
-        plot_dense(points, package.manifest.frames, args.plot)
-    print(json.dumps(dense_table(points)) if args.json else format_dense(points, package.manifest.frames))
+        plot_dense(levels, package.manifest.frames, args.plot)
+    print(json.dumps(dense_table(levels)) if args.json else format_dense(levels, package.manifest.frames))
     return 0
 
 
