@@ -94,9 +94,9 @@ def plot_dense(levels: Sequence[DenseLevel], frames: int, path: Path) -> None:
     shares, sizes = figure.subplots(1, 2)
     _plot_shares(shares, levels)
     _plot_ladders(sizes, levels, frames)
-    for axis in (shares, sizes):
+    for axis, place in ((shares, "lower left"), (sizes, "lower right")):
         axis.grid(alpha=0.3)
-        axis.legend(fontsize=8)
+        axis.legend(fontsize=8, loc=place)
     save_figure(figure, path, dpi=110)
 
 
@@ -118,6 +118,7 @@ def _plot_ladders(axis: Any, levels: Sequence[DenseLevel], frames: int) -> None:
             axis.plot(x, y, marker, color=f"C{4 + i}", label=words)
     for level in kept:  # of the last ladder, the pairs
         at = (_kilobytes(level, frames), level.psnr)
-        axis.annotate(_words(level), at, (5, -9), textcoords="offset points", fontsize=7)
+        axis.annotate(_words(level), at, (0, 7), textcoords="offset points", fontsize=7, ha="center")
+    axis.margins(0.08, 0.12)  # room for those words
     axis.set(xlabel="state, kB a frame", ylabel="PSNR of the pooled error, dB")
     axis.set_title("Ladders (o) and what the cliff test leaves out (x)")
