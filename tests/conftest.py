@@ -1,6 +1,11 @@
-"""What every test shares."""
+"""What every test shares: a cache of its own, and the embedded scene, encoded once."""
+
+import shutil
 
 import pytest
+
+from tests.support.mutations import read_files
+from tests.support.paths import FOX
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -9,3 +14,23 @@ def own_cache(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
+
+
+@pytest.fixture(scope="session")
+def demo_package(tmp_path_factory):
+    """The folder of the embedded scene as a package with measured quality. Never written to: see `demo_copy`."""
+    from airgs_codec.encoder.publish import encode
+    from airgs_codec.encoder.settings import EncodeSettings
+    from airgs_codec.scene.sequence import open_sequence
+
+    folder = tmp_path_factory.mktemp("demo") / "fox.airgs"
+    encode(open_sequence(FOX), folder, EncodeSettings(calibrate="none", preset="veryfast", jobs=2))
+    before = read_files(folder)
+    yield folder
+    assert read_files(folder) == before, "a test wrote into the shared package"
+
+
+@pytest.fixture
+def demo_copy(demo_package, tmp_path):
+    """A copy of the embedded scene's package that a test may write to."""
+    return shutil.copytree(demo_package, tmp_path / "demo.airgs")

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -169,36 +170,48 @@ def test_a_search_ends_at_its_goal():
         Goal(PSNR, math.nan)
 
 
-def run(tmp_path, capsys, *options):
-    arguments = [str(FOX), "-o", str(tmp_path / "out"), "--preset", "veryfast", *options]
+@pytest.fixture(scope="module")
+def first_frames(tmp_path_factory):
+    """The first three frames of the embedded scene: one group."""
+    scene = tmp_path_factory.mktemp("targets") / "fox"
+    scene.mkdir()
+    for path in [*sorted(FOX.glob("*.ply"))[:3], FOX / "transforms.json"]:
+        shutil.copy(path, scene)
+    return scene
+
+
+def run(scene, tmp_path, capsys, *options):
+    arguments = [str(scene), "-o", str(tmp_path / "out"), "--preset", "veryfast", *options]
     code = command.main([*arguments, "--json"])
     captured = capsys.readouterr()
     return code, json.loads(captured.out) if code == 0 else captured.err
 
 
-def test_targets_are_reached(tmp_path, capsys):
-    code, report = run(tmp_path, capsys, "--target-psnr", "41")
+def test_targets_are_reached(first_frames, tmp_path, capsys):
+    code, report = run(first_frames, tmp_path, capsys, "--target-psnr", "41")
     assert code == 0 and validate(tmp_path / "out") == []
     m = open_package(tmp_path / "out").manifest
     assert pooled_quality(m, 0, 0).psnr == pytest.approx(41, abs=0.3)
     wanted = 0.8 * report["top_rung_bytes"] / m.frames / 1e6
-    code, report = run(tmp_path, capsys, "--target-mb", f"{wanted}")
+    code, report = run(first_frames, tmp_path, capsys, "--target-mb", f"{wanted}")
     assert code == 0 and report["top_rung_bytes"] / m.frames / 1e6 == pytest.approx(wanted, rel=0.03)
     assert report["calibration_cached"]
-    code, report = run(tmp_path, capsys, "--target-mbps", f"{1.4 * 8 * wanted * float(m.fps)}")
+    code, report = run(first_frames, tmp_path, capsys, "--target-mbps", f"{1.4 * 8 * wanted * float(m.fps)}")
     assert code == 0 and report["top_rung_bytes"] / m.frames / 1e6 == pytest.approx(1.4 * wanted, rel=0.03)
 
 
-def test_a_target_out_of_reach_is_one_line_and_leaves_nothing(tmp_path, capsys):
-    code, error = run(tmp_path, capsys, "--target-mb", "0.000001")
+def test_a_target_out_of_reach_is_one_line_and_leaves_nothing(first_frames, tmp_path, capsys):
+    code, error = run(first_frames, tmp_path, capsys, "--target-mb", "0.000001")
     assert code == 2 and error.count("\n") == 1 and "out of reach" in error
     assert list(tmp_path.iterdir()) == []
 
 
-def test_keep_all_keeps_all(tmp_path):
-    encode(open_sequence(FOX), tmp_path / "all", replace(FAST, keep_all=True, measure_frames=0))
-    encode(open_sequence(FOX), tmp_path / "less", replace(FAST, measure_frames=0))
-    everything, less = (open_package(tmp_path / name).manifest for name in ("all", "less"))
+def test_keep_all_keeps_all(demo_package, tmp_path):
+    settings = replace(FAST, keep_all=True, measure_frames=0, calibrate="none")
+    everything, less = (
+        encode(open_sequence(FOX), tmp_path / "all", settings).manifest,
+        open_package(demo_package).manifest,
+    )
     assert all(g.unused == 0 for g in everything.groups)
     assert {entry.what for entry in everything.left_out} <= {"updates"}
     assert all(g.unused > 0 for g in less.groups)

@@ -47,10 +47,8 @@ def opaque(g: Gaussians) -> Gaussians:
 
 
 @pytest.fixture(scope="module")
-def fox(tmp_path_factory):
-    target = tmp_path_factory.mktemp("fox") / "out"
-    encode(open_sequence(FOX), target, replace(FAST, preset="medium", measure_frames=6))
-    return open_package(target)
+def fox(demo_package):
+    return open_package(demo_package)
 
 
 def test_the_embedded_scene_reaches_its_quality_and_size(fox):
