@@ -2,7 +2,6 @@
 
 import json
 import math
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -31,7 +30,7 @@ from airgs_codec.render import render
 from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
-from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+from tests.support.scenes import moving_frames, random_gaussians, write_demo, write_sequence
 
 FAST = EncodeSettings(preset="veryfast", jobs=2)
 
@@ -172,12 +171,8 @@ def test_a_search_ends_at_its_goal():
 
 @pytest.fixture(scope="module")
 def first_frames(tmp_path_factory):
-    """The first three frames of the embedded scene: one group."""
-    scene = tmp_path_factory.mktemp("targets") / "fox"
-    scene.mkdir()
-    for path in [*sorted(FOX.glob("*.ply"))[:3], FOX / "transforms.json"]:
-        shutil.copy(path, scene)
-    return scene
+    """The first three frames of the embedded scene, one group, seen in small pictures."""
+    return write_demo(tmp_path_factory.mktemp("targets") / "fox", frames=3, scale=0.5)
 
 
 def run(scene, tmp_path, capsys, *options):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.ply import write_ply
+from tests.support.paths import FOX
 
 
 def random_gaussians(count: int, degree: int = 0, seed: int = 0) -> Gaussians:
@@ -52,4 +54,16 @@ def write_sequence(folder: Path, frames: list[Gaussians], **settings: object) ->
         write_ply(folder / f"{i:06d}.ply", frame)
     if settings:
         (folder / "sequence.json").write_text(json.dumps(settings))
+    return folder
+
+
+def write_demo(folder: Path, frames: int, scale: float = 1.0) -> Path:
+    """The first frames of the embedded scene, and its cameras with pictures `scale` times as wide and high."""
+    folder.mkdir(parents=True)
+    for path in sorted(FOX.glob("*.ply"))[:frames]:
+        shutil.copy(path, folder)
+    views = json.loads((FOX / "transforms.json").read_text())
+    views |= {name: int(views[name] * scale) for name in ("w", "h")}
+    views |= {name: views[name] * scale for name in ("fl_x", "fl_y", "cx", "cy")}
+    (folder / "transforms.json").write_text(json.dumps(views))
     return folder
