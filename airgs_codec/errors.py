@@ -1,14 +1,16 @@
-"""One error tree; each error is also the matching builtin, so callers may catch either."""
+"""The tree of errors. Each is also the matching builtin, so that callers may catch either."""
 
 from __future__ import annotations
 
 
 class AirgsError(Exception):
-    """Everything this package raises on purpose. A command prints it as one line and exits with 2.
+    """Everything this package raises on purpose; its text is one line that says where, what was expected, what came.
 
-    + SceneError (ValueError)       a scene we cannot code: no frames, no Gaussians, broken .ply
+    A command prints it and exits with status 2.
+
+    + SceneError (ValueError)       a scene that cannot be used: no frames, no Gaussians, a broken .ply
     + ConfigError (ValueError)      settings that cannot work
-    + FormatError (ValueError)      a manifest or a file of a package we refuse; has .reason and .where
+    + FormatError (ValueError)      a package that is refused; has .reason, .where and .detail
     + TrainingError (RuntimeError)  a fit went wrong: its loss is not finite
     + CodecError (RuntimeError)     FFmpeg refused, or decoded something else than it encoded
     + TransportError (OSError)      a segment did not arrive, a trace cannot be used
@@ -16,11 +18,11 @@ class AirgsError(Exception):
 
 
 class SceneError(AirgsError, ValueError):
-    """A scene that cannot be coded."""
+    """A scene, or something that belongs to it, that cannot be used: frames, cameras, pictures, usage."""
 
 
 class ConfigError(AirgsError, ValueError):
-    """Settings that cannot work."""
+    """Settings that cannot work, or a file in the way of what should be written."""
 
 
 class FormatError(AirgsError, ValueError):
@@ -45,4 +47,4 @@ class CodecError(AirgsError, RuntimeError):
 
 
 class TransportError(AirgsError, OSError):
-    """Something did not arrive, or a trace cannot carry it."""
+    """A segment did not arrive, or a trace of a link cannot be used."""

@@ -52,9 +52,9 @@ from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import markov_trace
 from airgs_codec.render import Camera, read_cameras, render
-from airgs_codec.render.absgrad import RasterInputs
 from airgs_codec.render.cpu import activate
 from airgs_codec.render.differentiable import rasterize
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.render.reference import render_reference
 from airgs_codec.scene.ply import read_ply
 from airgs_codec.scene.sequence import open_sequence
@@ -187,7 +187,7 @@ def clipped(values: NDArray[np.float64], units: NDArray[np.float64]) -> NDArray[
     return np.clip(values, middle - reach, middle + reach)
 
 
-def reference(inputs: RasterInputs, camera: Camera) -> torch.Tensor:
+def reference(inputs: RasterInputs[torch.Tensor], camera: Camera) -> torch.Tensor:
     """The picture by the definition, in the precision of the inputs."""
     return render_reference(inputs, camera)[0]
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.render import Camera, cpu
+from airgs_codec.render.inputs import BLACK
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.rotations import multiply
 
@@ -59,9 +60,9 @@ def measure_sensitivity(frames: Sequence[Gaussians], cameras: Sequence[Camera]) 
 def _squares(g: Gaussians, camera: Camera, signs: NDArray[np.float32]) -> NDArray[np.float64]:
     """(6, N) squared derivatives of the signed sum of picture samples, summed over channels."""
     active = cpu.activate(g)
-    blended = cpu.blend(active, camera, (0.0, 0.0, 0.0))
     opaque = np.zeros(signs.shape[:2], np.float32)
-    means, quaternions, scales, opacity, sh = cpu.gradients(active, camera, blended, signs, opaque)
+    blended = cpu.blend(active, camera, BLACK)
+    means, quaternions, scales, opacity, sh = cpu.gradients(active, camera, blended, signs, opaque).inputs
     # A rotation by a small w after q adds (0, w) q / 2: the derivative by w is the inner product with that.
     turns = [multiply(np.eye(4)[axis] / 2, active.quaternions.astype(np.float64)) for axis in (1, 2, 3)]
     rotation = np.stack([np.einsum("ni,ni->n", turn, quaternions) for turn in turns], axis=1)

@@ -1,4 +1,8 @@
-"""The renderer: numba kernels on the CPU, gsplat on CUDA, a slow reference. Only torch users import torch."""
+"""Rendering Gaussians as cameras see them.
+
+`cpu` draws with numba kernels (`cpu_kernels`) and needs no torch. `differentiable` is the same as a torch function with
+gradients; for tensors on a CUDA device it calls gsplat (`cuda`). `reference` is the definition: slow, plain, float64.
+"""
 
 from airgs_codec.render.cpu import Contribution, Render, measure_contribution, render
 from airgs_codec.scene.camera import Camera, look_at, read_cameras

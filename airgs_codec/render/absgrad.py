@@ -1,27 +1,11 @@
-"""What the differentiable renderers share: their arguments, and absolute gradients for densification.
-
-N Gaussians, K SH coefficients past DC.
-"""
+"""Absolute gradients, by which densification finds where Gaussians are missing. N Gaussians."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
-
-Background = tuple[float, float, float]  # r, g, b, 0..1
-
-
-class RasterInputs(NamedTuple):
-    """Activated Gaussians as tensors of one device and precision."""
-
-    means: torch.Tensor  # (N, 3) world units
-    quaternions: torch.Tensor  # (N, 4) w, x, y, z of any length
-    scales: torch.Tensor  # (N, 3) world units
-    opacities: torch.Tensor  # (N,) 0..1
-    sh: torch.Tensor  # (N, K + 1, 3)
 
 
 def _before_backward() -> tuple[torch.Tensor, torch.Tensor]:

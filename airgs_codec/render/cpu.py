@@ -12,12 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.render import cpu_kernels as kernels
+from airgs_codec.render.inputs import BLACK, Background, RasterInputs
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import Gaussians
 
+Floats = NDArray[np.float32]
+
 FAR = 1e10  # world units along the view axis
 DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
-BANDS = 4  # bands of tile rows that are binned side by side
+BANDS = 4  # bands of tile rows that threads bin side by side
 
 _LOCK = threading.Lock()  # numba's thread layers abort when two threads run parallel kernels
 _announced = False
@@ -25,35 +28,19 @@ _announced = False
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Render:
-    """A picture; colours are not clipped."""
+    """A picture. Colours are not clipped."""
 
-    rgb: NDArray[np.float32]  # (H, W, 3)
-    transmittance: NDArray[np.float32]  # (H, W), 1 where nothing was drawn
+    rgb: Floats  # (H, W, 3)
+    transmittance: Floats  # (H, W), 1 where nothing was drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contribution:
-    """What each Gaussian gave to one picture: its blending weights alpha T over the pixels."""
+    """What each Gaussian gave to one picture: its blending weights alpha T over all pixels."""
 
-    total: NDArray[np.float64]  # (N,) sum
-    peak: NDArray[np.float64]  # (N,) maximum, 0..1
-    hits: NDArray[np.int64]  # (N,) pixels
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Activated:
-    """Arguments of the kernels: float32, contiguous, activated."""
-
-    means: NDArray[np.float32]  # (N, 3)
-    quaternions: NDArray[np.float32]  # (N, 4)
-    scales: NDArray[np.float32]  # (N, 3) world units
-    opacities: NDArray[np.float32]  # (N,)
-    sh: NDArray[np.float32]  # (N, K + 1, 3)
-
-    @property
-    def sh_degree(self) -> int:
-        """0..3."""
-        return round(self.sh.shape[1] ** 0.5) - 1
+    total: NDArray[np.float64]  # (N,) their sum
+    peak: NDArray[np.float64]  # (N,) their maximum, 0..1
+    hits: NDArray[np.int64]  # (N,) pixels where it was blended
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,34 +48,34 @@ class Blended:
     """A picture and everything its gradient and statistics need."""
 
     picture: Render
-    flat: NDArray[np.float32]  # (N, 12)
+    flat: Floats  # (N, 12) projected Gaussians, see `cpu_kernels`
     order: NDArray[np.int32]  # (V,) front to back
-    first_pair: NDArray[np.int64]  # (V + 1,)
-    tile_start: NDArray[np.int64]
-    ids: NDArray[np.int32]  # (M,)
-    slots: NDArray[np.int32]  # (M,)
-    tile_order: NDArray[np.int32]
-    blended: NDArray[np.int32]  # pairs visited in each tile
+    first_pair: NDArray[np.int64]  # (V + 1,) first place in `slots` of each visible Gaussian
+    tile_start: NDArray[np.int64]  # (tiles + 1,) first pair of each tile
+    ids: NDArray[np.int32]  # (M,) Gaussian of each pair, tile by tile
+    slots: NDArray[np.int32]  # (M,) place in `ids` of each pair, Gaussian by Gaussian
+    tile_order: NDArray[np.int32]  # (tiles,) in which they are blended
+    blended: NDArray[np.int32]  # (tiles,) pairs that were visited before every pixel was opaque
     tiles: tuple[int, int]  # across, down
 
 
-def activate(g: Gaussians) -> Activated:
-    """Stored domain -> what the kernels take."""
+def activate(g: Gaussians) -> RasterInputs[Floats]:
+    """Gaussians in stored domain -> contiguous float32 arrays as the kernels take them."""
     with np.errstate(over="ignore"):  # a scale past float32 is Inf, and Inf is culled
         scales = np.exp(g.log_scales)
     sh = np.concatenate([g.sh_dc[:, None], g.sh_rest], axis=1)
     columns = (g.means, g.quaternions, scales, g.opacities(), sh)
-    return Activated(*(np.ascontiguousarray(c, np.float32) for c in columns))
+    return RasterInputs(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
 
-def render(gaussians: Gaussians, camera: Camera, background: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Render:
-    """The picture that `camera` sees."""
+def render(gaussians: Gaussians, camera: Camera, background: Background = BLACK) -> Render:
+    """The picture that `camera` sees of the Gaussians before a background."""
     return blend(activate(gaussians), camera, background).picture
 
 
 def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:
     """How much each Gaussian contributes to what `camera` sees."""
-    b = blend(activate(gaussians), camera, (0.0, 0.0, 0.0))
+    b = blend(activate(gaussians), camera, BLACK)
     pairs = np.zeros((len(b.ids), 12), np.float32)
     with _LOCK:
         kernels.blend_statistics(
@@ -102,16 +89,16 @@ def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:
     return Contribution(total, peak, hits)
 
 
-def blend(g: Activated, camera: Camera, background: tuple[float, float, float]) -> Blended:
-    """Project, sort, bin and blend."""
+def blend(inputs: RasterInputs[Floats], camera: Camera, background: Background) -> Blended:
+    """Project the Gaussians, sort them by depth, assign them to tiles, blend them front to back."""
     _announce()
-    n = len(g.means)
+    n = len(inputs.means)
     flat = np.zeros((n, 12), np.float32)
     key = np.empty(n, np.uint64)
     touched = np.empty(n, np.int32)
     view, intrinsics = view_arguments(camera)
     shape = (camera.width, camera.height)
-    geometry = (g.means, g.quaternions, g.scales, g.opacities, g.sh, g.sh_degree)
+    geometry = (*inputs, inputs.sh_degree)
     rgb = np.empty((camera.height, camera.width, 3), np.float32)
     transmittance = np.empty((camera.height, camera.width), np.float32)
     with _LOCK:
@@ -129,49 +116,32 @@ def blend(g: Activated, camera: Camera, background: tuple[float, float, float]) 
     return Blended(picture, flat, order, first_pair, tile_start, ids, slots, tile_order, blended, tiles)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Gradients:
+    """Derivatives of a loss by what a picture was made of."""
+
+    inputs: RasterInputs[Floats]
+    absolute: Floats  # (N, 2) by x and y of the pixel position, the absolute values of single pixels summed (AbsGS)
+
+
 def gradients(
-    g: Activated,
-    camera: Camera,
-    b: Blended,
-    grad_rgb: NDArray[np.float32],
-    grad_transmittance: NDArray[np.float32],
-) -> tuple[NDArray[np.float32], ...]:
-    """dL/d(means, quaternions, scales, opacities, sh) from dL/drgb (H, W, 3) and dL/dtransmittance (H, W)."""
-    return gradients_and_absgrad(g, camera, b, grad_rgb, grad_transmittance)[0]
-
-
-def gradients_and_absgrad(
-    g: Activated,
-    camera: Camera,
-    b: Blended,
-    grad_rgb: NDArray[np.float32],
-    grad_transmittance: NDArray[np.float32],
-) -> tuple[tuple[NDArray[np.float32], ...], NDArray[np.float32]]:
-    """`gradients`, and (N, 2) the absolute gradients of single pixels by a Gaussian's pixel position, summed."""
+    inputs: RasterInputs[Floats], camera: Camera, blended: Blended, grad_rgb: Floats, grad_transmittance: Floats
+) -> Gradients:
+    """The backward pass of `blend`, from dL / d rgb (H, W, 3) and dL / d transmittance (H, W)."""
+    b = blended
     pairs = np.empty((len(b.ids), 12), np.float32)
-    sums = np.zeros((len(g.means), 12), np.float32)
-    out = tuple(np.zeros_like(c) for c in (g.means, g.quaternions, g.scales, g.opacities, g.sh))
+    sums = np.zeros((len(inputs.means), 12), np.float32)
+    out = RasterInputs(*(np.zeros_like(column) for column in inputs))
     view, intrinsics = view_arguments(camera)
-    picture = b.picture
+    tiled = (b.flat, b.tile_start, b.ids, b.tile_order, *b.tiles)
+    picture = (b.picture.rgb, b.picture.transmittance, b.blended)
+    size = (camera.width, camera.height)
     with _LOCK:
-        kernels.blend_gradient(
-            b.flat,
-            b.tile_start,
-            b.ids,
-            b.tile_order,
-            *b.tiles,
-            picture.rgb,
-            picture.transmittance,
-            b.blended,
-            grad_rgb,
-            grad_transmittance,
-            pairs,
-        )
+        kernels.blend_gradient(*tiled, *picture, grad_rgb, grad_transmittance, pairs)
         kernels.sum_pairs(b.order, b.first_pair, b.slots, pairs, sums)
-        geometry = (g.means, g.quaternions, g.scales, g.opacities, g.sh, g.sh_degree, view, intrinsics)
-        size = (camera.width, camera.height)
+        geometry = (*inputs, inputs.sh_degree, view, intrinsics)
         kernels.project_gradient(*geometry, *size, DILATION, b.flat, b.order, sums, *out)
-    return out, sums[:, 9:11]
+    return Gradients(out, sums[:, 9:11])
 
 
 def view_arguments(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

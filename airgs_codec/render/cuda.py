@@ -9,8 +9,9 @@ from typing import Any
 
 import torch
 
-from airgs_codec.render.absgrad import AbsGrad, Background, RasterInputs
+from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.cpu import DILATION, FAR
+from airgs_codec.render.inputs import BLACK, Background, RasterInputs
 from airgs_codec.scene.camera import Camera
 
 
@@ -28,9 +29,9 @@ def missing() -> str | None:
 
 
 def rasterize(
-    inputs: RasterInputs,
+    inputs: RasterInputs[torch.Tensor],
     camera: Camera,
-    background: Background = (0.0, 0.0, 0.0),
+    background: Background = BLACK,
     absgrad: AbsGrad | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """As `differentiable.rasterize`. Pixels may differ by 5e-3 where alpha is next to 1/255, others by 1e-5."""
@@ -49,7 +50,7 @@ def rasterize(
         near_plane=camera.near,
         far_plane=FAR,
         eps2d=DILATION,
-        sh_degree=round(inputs.sh.shape[1] ** 0.5) - 1,
+        sh_degree=inputs.sh_degree,
         packed=False,
         backgrounds=on_device(background)[None],
         absgrad=absgrad is not None,

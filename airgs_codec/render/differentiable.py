@@ -8,7 +8,8 @@ import numpy as np
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.render.absgrad import AbsGrad, Background, RasterInputs
+from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.inputs import BLACK, Background, RasterInputs
 from airgs_codec.scene.camera import Camera
 
 
@@ -16,29 +17,29 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, torch.Tensor]:
         *tensors, camera, background, absgrad = inputs
-        columns = [np.ascontiguousarray(t.detach().numpy(), np.float32) for t in tensors]
-        ctx.activated = cpu.Activated(*columns)
+        ctx.inputs = RasterInputs(*(np.ascontiguousarray(t.detach().numpy(), np.float32) for t in tensors))
         ctx.camera, ctx.absgrad = camera, absgrad
-        ctx.blended = cpu.blend(ctx.activated, camera, background)
+        ctx.blended = cpu.blend(ctx.inputs, camera, background)
         picture = ctx.blended.picture
         return torch.from_numpy(picture.rgb), torch.from_numpy(picture.transmittance)
 
     @staticmethod
     def backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
         rgb, transmittance = (np.ascontiguousarray(g.numpy(), np.float32) for g in grads)
-        columns, absolute = cpu.gradients_and_absgrad(ctx.activated, ctx.camera, ctx.blended, rgb, transmittance)
+        gradients = cpu.gradients(ctx.inputs, ctx.camera, ctx.blended, rgb, transmittance)
         if ctx.absgrad is not None:
+            absolute = gradients.absolute
             seen = np.zeros(len(absolute), bool)
             seen[ctx.blended.order] = True
             result = torch.from_numpy(np.hypot(absolute[:, 0], absolute[:, 1])), torch.from_numpy(seen)
             ctx.absgrad.read = lambda: result
-        return (*(torch.from_numpy(c) for c in columns), None, None, None)
+        return (*(torch.from_numpy(column) for column in gradients.inputs), None, None, None)
 
 
 def rasterize(
-    inputs: RasterInputs,
+    inputs: RasterInputs[torch.Tensor],
     camera: Camera,
-    background: Background = (0.0, 0.0, 0.0),
+    background: Background = BLACK,
     absgrad: AbsGrad | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The picture (H, W, 3) and its transmittance (H, W), float32, differentiable, on the device of the inputs.

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import torch
 
-from airgs_codec.render.absgrad import Background, RasterInputs
 from airgs_codec.render.cpu import DILATION, FAR
+from airgs_codec.render.inputs import BLACK, Background, RasterInputs
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import SH_C0
 
-Picture = tuple[torch.Tensor, torch.Tensor]
+Picture = tuple[torch.Tensor, torch.Tensor]  # rgb (H, W, 3), transmittance (H, W)
 
 
 def rotation_matrices(q: torch.Tensor) -> torch.Tensor:
@@ -46,14 +46,16 @@ def sh_colours(directions: torch.Tensor, sh: torch.Tensor) -> torch.Tensor:
     return ((values[..., None] * sh).sum(-2) + 0.5).clamp_min(0)
 
 
-def render_reference(inputs: RasterInputs, camera: Camera, background: Background = (0.0, 0.0, 0.0)) -> Picture:
+def render_reference(inputs: RasterInputs[torch.Tensor], camera: Camera, background: Background = BLACK) -> Picture:
     """rgb (H, W, 3) and transmittance (H, W) in the precision of the inputs."""
     weights, transmittance, colours = blending_weights(inputs, camera)
     rgb = weights @ colours + transmittance[:, None] * torch.tensor(background, dtype=colours.dtype)
     return rgb.reshape(camera.height, camera.width, 3), transmittance.reshape(camera.height, camera.width)
 
 
-def blending_weights(inputs: RasterInputs, camera: Camera) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def blending_weights(
+    inputs: RasterInputs[torch.Tensor], camera: Camera
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """alpha T of every pixel and Gaussian (P, N), final transmittance (P,), colours (N, 3)."""
     means, opacities = inputs.means, inputs.opacities
     view = torch.as_tensor(camera.world_to_camera, dtype=means.dtype)
@@ -78,7 +80,9 @@ def blending_weights(inputs: RasterInputs, camera: Camera) -> tuple[torch.Tensor
     return weights, before[:, -1], colours
 
 
-def _conics(inputs: RasterInputs, places: torch.Tensor, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+def _conics(
+    inputs: RasterInputs[torch.Tensor], places: torch.Tensor, camera: Camera
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Inverse projected covariances (N, 2, 2) and pixel positions (N, 2) of `places` (N, 3) in camera space."""
     rotation = torch.as_tensor(camera.world_to_camera[:3, :3], dtype=places.dtype)
     x, y, z = places.unbind(-1)

@@ -5,9 +5,9 @@ import pytest
 import torch
 
 from airgs_codec.render import Camera, measure_contribution, read_cameras, render
-from airgs_codec.render.absgrad import RasterInputs
 from airgs_codec.render.cpu import activate
 from airgs_codec.render.differentiable import rasterize
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.render.reference import blending_weights, render_reference
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import read_ply

@@ -14,8 +14,9 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from airgs_codec.render.absgrad import AbsGrad, RasterInputs
+from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.differentiable import rasterize
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
 
