@@ -14,15 +14,15 @@ class SessionSettings:
 
     buffer_s: float = field(default=10.0, metadata={"help": "most media time ahead of the playhead"})
     startup_s: float = field(
-        default=1.0, metadata={"help": "media time to have before playing begins, one segment at least"}
+        default=1.0, metadata={"help": "media time to buffer before playing begins, one segment at least"}
     )
     resume_s: float = field(default=0.5, metadata={"help": "the same before playing goes on after a stall"})
-    decode_frame_s: float = field(default=0.004, metadata={"help": "time to decode and apply a frame"})
+    decode_frame_s: float = field(default=0.004, metadata={"help": "time to decode and apply one frame"})
     replace: bool = field(default=True, metadata={"help": "fetch better rungs for segments that are buffered"})
     abandon: bool = field(default=True, metadata={"help": "give up a download that would come too late"})
     pipelined: bool = field(
         default=True,
-        metadata={"help": "send a request one round trip before the batch before it ends, knowing one download less"},
+        metadata={"help": "request a segment one round trip before the current batch ends, knowing one download less"},
     )
     loops: int | None = field(
         default=None, metadata={"help": "times the sequence is played (default: about 30 s of play)"}

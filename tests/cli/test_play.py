@@ -4,7 +4,9 @@ import json
 
 import pytest
 
+from airgs_codec.cli import play as play_command
 from airgs_codec.cli.play import main
+from airgs_codec.play.settings import SessionSettings
 from tests.support.paths import FOX, VALID
 
 PACKAGE = VALID / "two-groups-sh1"
@@ -44,6 +46,18 @@ def test_report_and_film(capsys, tmp_path):
     assert status == 0 and "start-up" in out
     assert (report / "index.html").exists() and (report / "screen.png").exists()
     assert film.read_bytes()[4:8] == b"ftyp"
+
+
+def test_help_and_defaults_are_those_of_the_settings(monkeypatch):
+    monkeypatch.setattr(play_command, "DEFAULT_RTT_S", 0.123)
+    text = play_command._parser().format_help()
+    assert "else 123)" in text
+    args = play_command._parser().parse_args(["scene.airgs"])
+    assert play_command._settings(None, args) == SessionSettings()
+    changed = ["--buffer", "3", "--startup", "2", "--resume", "1", "--decode-ms", "5", "--loops", "4"]
+    flags = ["--no-replace", "--no-abandon", "--no-pipelining"]
+    args = play_command._parser().parse_args(["scene.airgs", *changed, *flags])
+    assert play_command._settings(None, args) == SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4)
 
 
 @pytest.mark.parametrize(

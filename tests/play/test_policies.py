@@ -190,3 +190,12 @@ def test_unknown_policies(text):
 @pytest.mark.parametrize(("text", "rung"), [("fixed:2", "Q0+L2"), ("fixed:Q1+L1", "Q1+L1")])
 def test_fixed_rungs(text, rung):
     assert names(make_policy(text, CATALOGUE, constant(1e6)).choose(state())) == rung
+
+
+def test_an_oracle_needs_a_trace_and_what_policies_may_do_is_theirs():
+    with pytest.raises(ConfigError, match="real connection"):
+        make_policy("oracle-frame", CATALOGUE)
+    paper, fixed, oracle = (make_policy(name, CATALOGUE, constant(1e6)) for name in ("paper", "fixed:0", "oracle-lp"))
+    assert (paper.may_abandon, paper.may_replace, paper.needs_quality) == (True, True, True)
+    assert (fixed.may_abandon, fixed.may_replace, fixed.needs_quality) == (False, False, False)
+    assert (oracle.may_abandon, oracle.may_replace, oracle.needs_quality) == (True, False, True)

@@ -12,9 +12,12 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.parse import parse_manifest
 from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.downloader import SimulatedDownloader
 from airgs_codec.play.events import Arrival, Arrived, BatchKind, Replaced, Request, Shown
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.link import Link
+from airgs_codec.play.player import run
+from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.report.session import format_metrics, write_report
@@ -303,6 +306,25 @@ def test_a_batch_given_up_is_wasted_but_for_its_keys():
     assert [f.wasted for f in log.fetches] == [9000 - 3 * 50 - 2 * 100 - 1000 - 500, 0]
     assert log.metrics.abandoned == 1 and [f.abandoned for f in log.fetches] == [True, False]
     assert log.metrics.bytes["key"] == 2 * 1500 and log.metrics.bytes["state"] == 500
+
+
+def test_events_come_in_the_order_in_which_they_happen():
+    """A segment is shown once nothing can replace it any more: before the next batch that arrives after its start."""
+    catalogue, over = Catalogue(tiny_manifest(), 0, 1000), link([3e4, 8e6], [0, 2], 1000)
+    policy = make_policy("paper", catalogue)
+    options = rules(replace=True, buffer_s=4.0, loops=4)
+    events = list(run(catalogue, SimulatedDownloader(over, catalogue), policy, options))
+    assert events[0].arrival.request.kind is BatchKind.MANIFESTS and isinstance(events[-1], Shown)
+    arrivals = [e.arrival.at_s for e in events if isinstance(e, Arrived)]
+    starts = [e.start_s for e in events if isinstance(e, Shown)]
+    assert arrivals == sorted(arrivals) and starts == sorted(starts)
+    first_shown = next(i for i, e in enumerate(events) if isinstance(e, Shown))
+    assert any(isinstance(e, Replaced) for e in events) and first_shown < len(events) - len(starts)
+    for i, event in enumerate(events):
+        if isinstance(event, Replaced):
+            assert isinstance(events[i - 1], Arrived)
+            shown = sum(isinstance(e, Shown) for e in events[:i])
+            assert event.position >= shown
 
 
 def test_policies_of_ones_own_and_packages_are_taken_as_they_are():
