@@ -31,7 +31,7 @@ from unittest.mock import patch
 REPOSITORY = Path(__file__).parent.parent
 TOLERANCE = 0.05
 FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-INLINE = re.compile(r"`([^`\n]+)`")
+INLINE = re.compile(r"`([^`]+)`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PATH = re.compile(r"(airgs_codec|docs|tests|tools|manifests|\.ci)/[\w./-]*")
 NUMBER = re.compile(r"\d[\d,]*(?:\.\d+)?")
@@ -81,7 +81,7 @@ def findings(page: Path) -> Iterator[str]:
             yield from (wrong for words in command_lines(block.code) if (wrong := command_error(words, whole=True)))
     prose = FENCE.sub("", text)
     for code in INLINE.findall(prose):
-        yield from inline_errors(code)
+        yield from inline_errors(" ".join(code.split()))
     for target in LINK.findall(prose):
         yield from link_errors(page, target)
 
