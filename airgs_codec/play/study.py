@@ -5,26 +5,24 @@ Bandwidth is taken as given whatever a policy does (replay), so cross traffic th
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._files import write_json
 from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.store import open_package
-from airgs_codec.package.tables import FileKind
 from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.figures import FIGURES, FRAME_FIGURES, KINDS
 from airgs_codec.play.frame_mode import CHOOSERS, frame_table, simulate_frames
 from airgs_codec.play.link import Link
 from airgs_codec.play.regret import session_bound
-from airgs_codec.play.session import simulate
+from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.progress import Progress, silent
@@ -32,27 +30,7 @@ from airgs_codec.progress import Progress, silent
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
 RESAMPLES = 2000
 PERCENTILES = tuple(range(101))  # of the frame times that are kept of a session
-FIGURES = (
-    "psnr_mean",
-    "psnr_p5",
-    "stall_ratio",
-    "startup_s",
-    "switches",
-    "change_db",
-    "bytes_per_frame",
-    "wasted",
-    "utilisation",
-    "infeasible",
-    "late",
-    "regret",
-    "qoe",
-    "frame_ms_mean",
-    "frame_ms_p50",
-    "frame_ms_p95",
-    "frame_ms_max",
-)
-KINDS = (FileKind.KEY, FileKind.STATE, FileKind.SIDECARS, FileKind.INIT, FileKind.MANIFESTS)  # of bytes
-Row = dict[str, Any]
+Row = dict[str, Any]  # what is known of one session or run, by name
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +66,7 @@ class Study:
     frame_rows: tuple[Row, ...]
 
     def of(self, policy: str, figure: str, feasible: bool | None = None) -> NDArray[np.float64]:
-        """A figure of every session of a policy, NaN where it has none."""
+        """(n,) a figure of every session of a policy, NaN where it has none, on links that are `feasible` or not."""
         rows = [r for r in self.rows if r["policy"] == policy and (feasible is None or r["feasible"] == feasible)]
         return np.array([math.nan if r[figure] is None else float(r[figure]) for r in rows])
 
@@ -117,12 +95,11 @@ def is_feasible(c: Catalogue, link: Link, settings: SessionSettings, loops: int)
     return True
 
 
-def run_study(
-    package: Path,
-    settings: StudySettings,
-    progress: Progress = silent,
-) -> Study:
-    """Every policy on every link. Raises TransportError, ConfigError, FormatError."""
+def run_study(package: Path, settings: StudySettings, progress: Progress = silent) -> Study:
+    """Play every policy on every link, `settings.jobs` traces at a time.
+
+    Raises TransportError for a trace that cannot be read or ends too soon, ConfigError, FormatError.
+    """
     for trace in settings.traces:
         open_trace(trace)  # one that cannot be read is told before minutes of work
     rows: list[Row] = []
@@ -138,71 +115,100 @@ def run_study(
 
 
 def _one_trace(task: tuple[Path, str, StudySettings]) -> tuple[list[Row], list[Row]]:
+    """Rows of the sessions and of the frame-mode runs on one trace."""
     path, name, settings = task
-    package = open_package(path)
-    c = Catalogue.of(package)
+    c = Catalogue.of(open_package(path))
     whole = open_trace(name)
-    loops = c.loops(settings.session.loops)
+    rules = replace(settings.session, loops=c.loops(settings.session.loops))
     rows, frame_rows = [], []
     for offset in offsets_of(whole, settings.offsets, settings.seed):
         trace = whole.cut(offset, settings.scale).ending(settings.end)
         link = Link.over(trace, settings.rtt_s)
-        try:
-            feasible = is_feasible(c, link, settings.session, loops)
-        except TransportError:
-            feasible = False
         start = {"trace": trace.name, "offset_s": offset, "scale": settings.scale, "mean_bps": trace.mean_bps}
+        feasible = _is_feasible_to_the_end(c, link, rules)
         for policy in settings.policies:
-            log = simulate(c, link, policy, replace(settings.session, loops=loops))
-            bound = session_bound(log)
-            row = start | {"policy": policy, "feasible": feasible} | asdict(log.metrics)
-            row |= {"bound": bound, "regret": None if bound is None else bound - log.mean_quality}
-            shown = sum(s.frames for s in log.shown)
-            row |= {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / shown / 1e3 for kind in KINDS}
-            row["frame_ms_percentiles"] = (1e3 * np.percentile(log.frame_times, PERCENTILES)).round(3).tolist()
-            rows.append(row)
+            log = simulate(c, link, policy, rules)
+            rows.append(start | {"policy": policy, "feasible": feasible} | _session_row(log))
         for chooser in CHOOSERS:
-            frames = simulate_frames(c, link, chooser, loops)
+            frames = simulate_frames(c, link, chooser, c.loops(rules.loops))
             frame_rows.append(start | {"chooser": chooser} | frame_table(frames))
     return rows, frame_rows
 
 
-def interval(values: NDArray[np.float64], groups: Sequence[str], seed: int = 0) -> tuple[float, float, float]:
-    """Mean and its 95 % interval: percentile bootstrap over whole traces, whose offsets are not independent.
+def _is_feasible_to_the_end(c: Catalogue, link: Link, rules: SessionSettings) -> bool:
+    try:
+        return is_feasible(c, link, rules, c.loops(rules.loops))
+    except TransportError:  # the trace is over first
+        return False
 
-    values (n,), NaN where there is no figure; groups (n,) name the trace of each.
+
+def _session_row(log: SessionLog) -> Row:
+    bound = session_bound(log)
+    shown = sum(s.frames for s in log.shown)
+    return (
+        asdict(log.metrics)
+        | {"bound": bound, "regret": None if bound is None else bound - log.mean_quality}
+        | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / shown / 1e3 for kind in KINDS}
+        | {"frame_ms_percentiles": (1e3 * np.percentile(log.frame_times, PERCENTILES)).round(3).tolist()}
+    )
+
+
+class Interval(NamedTuple):
+    """A mean and its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+
+def interval(values: NDArray[np.float64], groups: Sequence[str], seed: int = 0) -> Interval:
+    """Mean and 95 % interval by percentile bootstrap over whole traces, whose offsets are not independent.
+
+    values (n,), NaN where there is no figure; groups (n,) name the trace of each. All NaN where nothing is known.
     """
     names = sorted(set(groups))
     member = np.array([names.index(g) for g in groups], np.intp)
     known = np.isfinite(values)
     if not known.any():
-        return math.nan, math.nan, math.nan
+        return Interval(math.nan, math.nan, math.nan)
     sums = np.bincount(member[known], values[known], len(names))
     counts = np.bincount(member[known], minlength=len(names)).astype(np.float64)
     picks = np.random.default_rng(seed).integers(0, len(names), (RESAMPLES, len(names)))
     drawn = counts[picks].sum(axis=1)
     means = sums[picks].sum(axis=1)[drawn > 0] / drawn[drawn > 0]
     low, high = np.percentile(means, [2.5, 97.5])
-    return float(sums.sum() / counts.sum()), float(low), float(high)
+    return Interval(float(sums.sum() / counts.sum()), float(low), float(high))
 
 
-def summarise(study: Study, feasible: bool | None = None) -> list[Row]:
-    """One row a policy: every figure with its interval, and its mean difference to the first policy, paired."""
-    out: list[Row] = []
-    wanted = [r for r in study.rows if feasible is None or r["feasible"] == feasible]
+@dataclass(frozen=True, slots=True)
+class PolicySummary:
+    """Every figure of a policy over the sessions of a study."""
+
+    policy: str
+    sessions: int
+    figures: Mapping[str, Interval]  # by name in FIGURES
+    differences: Mapping[str, Interval]  # to the study's first policy on the same links
+    stall_share: float  # waiting of all sessions together, of their time
+
+
+def summarise(study: Study, feasible: bool | None = None) -> list[PolicySummary]:
+    """One summary a policy, over all links, or over those whose smallest rungs are `feasible` or not."""
     first = study.settings.policies[0]
-    traces = [r["trace"] for r in wanted if r["policy"] == first]
+    traces = [r["trace"] for r in study.rows if r["policy"] == first and feasible in (None, r["feasible"])]
+    summaries = []
     for policy in study.settings.policies:
-        row: Row = {"policy": policy, "sessions": len(traces)}
-        for figure in (*FIGURES, *(f"{kind}_kb_frame" for kind in KINDS)):
-            values = study.of(policy, figure, feasible)
-            row[figure] = interval(values, traces)
-            row[f"{figure}_difference"] = interval(values - study.of(first, figure, feasible), traces)
-        stalls = study.of(policy, "stall_s", feasible)
-        played = study.of(policy, "played_s", feasible)
-        row["stall_share"] = float(stalls.sum() / (stalls.sum() + played.sum())) if len(played) else math.nan
-        out.append(row)
-    return out
+        values = {figure.name: study.of(policy, figure.name, feasible) for figure in FIGURES}
+        stalls, played = (study.of(policy, name, feasible).sum() for name in ("stall_s", "played_s"))
+        summaries.append(
+            PolicySummary(
+                policy=policy,
+                sessions=len(traces),
+                figures={name: interval(v, traces) for name, v in values.items()},
+                differences={name: interval(v - study.of(first, name, feasible), traces) for name, v in values.items()},
+                stall_share=float(stalls / (stalls + played)) if traces else math.nan,
+            )
+        )
+    return summaries
 
 
 def frame_summary(frame_rows: Sequence[Row]) -> list[Row]:
@@ -211,34 +217,11 @@ def frame_summary(frame_rows: Sequence[Row]) -> list[Row]:
     by_chooser = {name: [r for r in frame_rows if r["chooser"] == name] for name in CHOOSERS}
     for name, rows in by_chooser.items():
         row: Row = {"chooser": name, "runs": len(rows)}
-        for figure in rows[0]:
-            if figure not in ("trace", "offset_s", "scale", "mean_bps", "chooser", "frames"):
-                row[figure] = float(np.nanmean([r[figure] for r in rows]))
-        for figure in ("paper_max_ms", "link_max_ms"):
-            shares = [a[figure] / b[figure] for a, b in zip(rows, by_chooser["unpruned"], strict=True) if b[figure] > 0]
-            row[f"{figure}_share"] = float(np.nanmedian(shares))
+        for figure in FRAME_FIGURES:
+            if figure.name in rows[0]:
+                row[figure.name] = float(np.nanmean([r[figure.name] for r in rows]))
+        for worst in ("paper_max_ms", "link_max_ms"):
+            shares = [a[worst] / b[worst] for a, b in zip(rows, by_chooser["unpruned"], strict=True) if b[worst] > 0]
+            row[f"{worst}_share"] = float(np.nanmedian(shares))
         out.append(row)
     return out
-
-
-def study_record(study: Study) -> Row:
-    """All tables; a figure that is not known is NaN, and null in JSON."""
-    return {"package": study.package, "all": summarise(study), "feasible": summarise(study, True)} | {
-        "frame_mode": frame_summary(study.frame_rows)
-    }
-
-
-def write_rows(study: Study, folder: Path) -> None:
-    """sessions.csv, frames.csv and study.json. Raises ConfigError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, rows in (("sessions", study.rows), ("frames", study.frame_rows)):
-            if rows:
-                kept = [{k: v for k, v in row.items() if k != "frame_ms_percentiles"} for row in rows]
-                with (folder / f"{name}.csv").open("w", newline="") as file:
-                    writer = csv.DictWriter(file, list(kept[0]))
-                    writer.writeheader()
-                    writer.writerows(kept)
-        write_json(folder / "study.json", study_record(study))
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot write the study: {error}") from error

@@ -1,5 +1,6 @@
 """Studies, the closed loop, the dense level space and the real link, each on a small package."""
 
+import csv
 import json
 import shutil
 from dataclasses import replace
@@ -13,6 +14,7 @@ from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.store import find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.figures import FIGURES
 from airgs_codec.play.link import Link
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
@@ -86,15 +88,40 @@ def test_a_study_compares_on_the_same_links(measured, tmp_path, capsys):
         and "oracle-lp" in text
         and "unpruned" in text
     )
-    names = {"sessions.csv", "frames.csv", "study.json", "study.png", "index.html"}
+    assert max(len(line) for line in text.splitlines()[2:] if not line.startswith("report")) <= 120
+    names = {"study.json", "study.png", "index.html"}
+    names |= {"sessions.csv", "frames.csv", "summary.csv", "frame_summary.csv"}
     assert {p.name for p in report.iterdir()} == names
     record = json.loads((report / "study.json").read_text())
     assert [r["sessions"] for r in record["all"]] == [4] * 8
-    assert all(r["regret"][0] >= -1e-6 for r in record["all"])
-    assert record["all"][0]["psnr_mean_difference"] == [0, 0, 0]
+    assert all(r["figures"]["regret"][0] >= -1e-6 for r in record["all"])
+    assert record["all"][0]["differences"]["psnr_mean"] == [0, 0, 0]
     rows = (report / "sessions.csv").read_text().splitlines()
     assert len(rows) == 1 + 4 * 8 and "mean_bps" in rows[0] and "scale" in rows[0] and "wire_bytes" in rows[0]
-    assert "paired" in (report / "index.html").read_text()
+    page = (report / "index.html").read_text()
+    assert "paired" in page
+    heads = [table.split("</tr>")[0] for table in page.split("<table>")[1:]]
+    assert len(heads) == 5 and all(head.count("<th>") <= 8 for head in heads)
+    assert 'href="summary.csv"' in page
+
+
+def test_every_table_says_which_psnr_it_shows(measured, tmp_path, capsys):
+    options = ["--compare", "--traces", "const:9", "--offsets", "1", "--loops", "2", "--jobs", "1"]
+    report = tmp_path / "report"
+    assert main([str(measured), *options, "--policies", "paper", "--report", str(report)]) == 0
+    assert "mean over display ticks" in capsys.readouterr().out
+    assert "psnr_mean_over_ticks_db" in (report / "sessions.csv").read_text().splitlines()[0]
+    assert "psnr_mean_over_frames_db" in (report / "frames.csv").read_text().splitlines()[0]
+    for name in ("sessions.csv", "frames.csv"):
+        heads = (report / name).read_text().splitlines()[0].split(",")
+        assert not [head for head in heads if head.startswith("psnr") and "_over_" not in head]
+    rows = list(csv.DictReader((report / "summary.csv").open()))
+    shown = {row["figure"]: row["meaning"] for row in rows}
+    assert "mean over display ticks" in shown["PSNR dB"] and len(shown) == len(FIGURES)
+    record = json.loads((report / "study.json").read_text())
+    assert "mean over display ticks" in record["figures"]["psnr_mean"]
+    assert "mean over the frames sent" in record["frame_figures"]["psnr"]
+    assert "mean over display ticks" in (report / "index.html").read_text()
 
 
 def test_a_study_repeats_exactly(measured):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec._files import write_json
-from airgs_codec._report import new_figure, page, save_figure
+from airgs_codec._report import new_figure, page, plain_log_ticks, save_figure
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.events import BatchKind
 from airgs_codec.play.metrics import SessionMetrics
@@ -88,11 +88,10 @@ def _throughput(axis: Any, log: SessionLog) -> None:
     if budgets:
         sizes.plot(*zip(*budgets, strict=True), "_", color=_GREY, ms=8, label="budget")
     sizes.set(ylabel="kB a batch", yscale="log")
-    for ticks in (sizes.yaxis.set_major_formatter, sizes.yaxis.set_minor_formatter):
-        ticks("{x:g}")
-    sizes.tick_params(which="both", labelsize=8)
+    sizes.tick_params(labelsize=8)
     axis.set_ylim(0, 1.2 * axis.get_ylim()[1])  # room for the legend
     sizes.set_ylim(top=2 * sizes.get_ylim()[1])
+    plain_log_ticks(sizes.yaxis)
     lines = [*axis.get_legend_handles_labels()[0], *sizes.get_legend_handles_labels()[0]]
     axis.legend(lines, [line.get_label() for line in lines], loc="upper right", ncols=5, fontsize=8)
 
