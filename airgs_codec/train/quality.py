@@ -15,7 +15,7 @@ from airgs_codec.render import cpu
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.pictures import View
 
-PSNR_DEFINITION = "mean over views of each view's PSNR in dB"
+PSNR_DEFINITION = "mean over views of the PSNR of each, in dB"
 
 
 def mean_psnr(g: Gaussians, views: Sequence[View]) -> float:

@@ -1,4 +1,7 @@
-"""Curves and pictures of a training run, and a page that shows them."""
+"""Curves and pictures of a training run, and a page that shows them.
+
+PSNR is the mean over views of each view's PSNR in dB, and over frames in the page's table. H x W pixels.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import label, to_bytes, write_png
 from airgs_codec.render import cpu
 from airgs_codec.train.data.pictures import Pictures
+from airgs_codec.train.quality import PSNR_DEFINITION
 from airgs_codec.train.record import FrameRecord, Model
 
 _BLUE, _ORANGE, _GREEN, _RED = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b"
@@ -22,24 +26,29 @@ ERROR_GAIN = 5  # of the error maps
 
 
 def write_report(model: Model, pictures: Pictures, directory: Path) -> Path:
-    """Write training.png, frame-*.png and index.html into `directory`; gives the page. Raises ConfigError."""
+    """Write training.png, frame-*.png and index.html into a directory, and give the path of the page.
+
+    Raises ConfigError when they cannot be written, or without matplotlib.
+    """
+    records = model.record.frames
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        plot_curves(model.record.frames, directory / "training.png")
-        shown = {}
-        for frame in _telling(model.record.frames):
-            name = f"frame-{frame:06d}.png"
+        plot_curves(records, directory / "training.png")
+        shown = {frame: f"frame-{frame:06d}.png" for frame in frames_to_show(records)}
+        for frame, name in shown.items():
             write_png(directory / name, compare(model, pictures, frame))
-            shown[frame] = name
-        page = directory / "index.html"
-        page.write_text(_page(model, shown), encoding="utf-8")
+        path = directory / "index.html"
+        path.write_text(_page(model, shown), encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{directory}: cannot write the report: {error}") from error
-    return page
+    return path
 
 
 def compare(model: Model, pictures: Pictures, frame: int) -> NDArray[np.uint8]:
-    """Picture, rendering and error map of a held-out view (a training one where there is none), side by side."""
+    """Picture, rendering and error map side by side, (H, 3 W, 3), of the first held-out view of a frame.
+
+    Where no view is held out, of the first training view.
+    """
     view = (pictures.held_out(frame) or pictures.train(frame))[0]
     rendered = cpu.render(model.read(frame), view.camera).rgb
     error = np.abs(np.clip(rendered, 0, 1) - view.target.rgb).mean(axis=2) * ERROR_GAIN
@@ -52,7 +61,7 @@ def compare(model: Model, pictures: Pictures, frame: int) -> NDArray[np.uint8]:
 
 
 def plot_curves(records: Sequence[FrameRecord], path: Path) -> None:
-    """PSNR, count, static updates and seconds over the frames."""
+    """Draw PSNR, count, static updates and seconds over the frames into a picture file. Raises ConfigError."""
     figure = new_figure(10, 11)
     axes = figure.subplots(4, 1, sharex=True)
     for draw, axis in zip((_psnr, _count, _static, _seconds), axes, strict=True):
@@ -71,9 +80,9 @@ def _psnr(axis: Any, records: Sequence[FrameRecord]) -> None:
     if records[0].held_out_psnr is not None:
         axis.plot(frames, [r.held_out_psnr for r in records], "o-", ms=3, color=_ORANGE, label="held-out views")
     rejected = [r for r in records if r.rejected_psnr is not None]
-    label = "in the old group" if rejected else None
+    label = "training views, the fit that was not kept" if rejected else None
     axis.plot([r.frame for r in rejected], [r.rejected_psnr for r in rejected], "x", color=_RED, label=label)
-    axis.set(ylabel="PSNR, dB")
+    axis.set(ylabel="PSNR, dB (mean over views)")
     axis.legend()
 
 
@@ -97,13 +106,13 @@ def _seconds(axis: Any, records: Sequence[FrameRecord]) -> None:
 
 
 def _heat(error: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """(H, W) of [0, 1] -> black, red, yellow, white."""
+    """(H, W, 3) black, red, yellow, white for errors (H, W) from 0 to 1; larger ones are white too."""
     e = np.clip(error, 0, 1)[..., None]
     return to_bytes(np.clip(3 * e - np.array([0.0, 1.0, 2.0]), 0, 1))
 
 
-def _telling(records: Sequence[FrameRecord]) -> list[int]:
-    """First and last frame, keyframes (at most six) and the worst one."""
+def frames_to_show(records: Sequence[FrameRecord]) -> list[int]:
+    """First and last frame, the first six keyframes, and the frame of lowest PSNR in held-out (or training) views."""
     worst = min(records, key=lambda r: r.psnr if r.held_out_psnr is None else r.held_out_psnr)
     keys = [r.frame for r in records if r.kind == "key"][:6]
     return sorted({records[0].frame, *keys, worst.frame, records[-1].frame})
@@ -118,11 +127,13 @@ def _page(model: Model, shown: dict[int, str]) -> str:
         "Gaussians": f"{records[0].gaussians:,} to {records[-1].gaussians:,}",
         "PSNR of training views": f"{np.mean([r.psnr for r in records]):.2f} dB",
         "PSNR of held-out views": f"{np.mean(held_out):.2f} dB, worst {min(held_out):.2f} dB" if held_out else "none",
+        "these PSNR are": f"the mean over frames of the {PSNR_DEFINITION}",
         "time": f"{sum(r.seconds for r in records):.0f} s",
     }
     rows = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in facts.items())
     settings = html.escape(str(model.record.settings))
     pictures = "".join(f'<h2>Frame {frame}</h2><img src="{name}" alt="frame {frame}">' for frame, name in shown.items())
     curves = '<img src="training.png" alt="PSNR, Gaussians, static updates and seconds a frame">'
-    body = f"<table>{rows}</table>{curves}{pictures}<h2>Settings</h2><p><code>{settings}</code></p>"
+    warnings = "".join(f"<p>Warning: {html.escape(warning)}</p>" for warning in model.record.warnings())
+    body = f"<table>{rows}</table>{warnings}{curves}{pictures}<h2>Settings</h2><p><code>{settings}</code></p>"
     return page(f"Training of {model.folder.name}", body, style="code{overflow-wrap:anywhere}")

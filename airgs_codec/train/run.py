@@ -158,11 +158,14 @@ def _fit_first(run: Run, frame: int, progress: Progress) -> Fitted:
 
 
 def _fit_keyframe(run: Run, target: FrameViews, before: FrameBefore, moved: Fitted, progress: Progress) -> Fitted:
-    """A keyframe in the place of a frame that `moved` in its group."""
+    """A keyframe in the place of a frame that `moved` in its group; the frame as it moved where that is as good."""
     g = run.trainer.fit_keyframe(target, before, moved.group.steps, progress)
-    group = run.trainer.start_group(g, target.views)
+    psnr = mean_psnr(g, target.views)
+    if psnr <= moved.psnr:
+        return replace(moved, rejected_psnr=psnr)
     added = len(g) - len(before.gaussians)
-    return Fitted(g, "key", group.first_psnr, group, added=added, rejected_psnr=moved.psnr)
+    group = run.trainer.start_group(g, target.views)
+    return Fitted(g, "key", psnr, group, added=added, rejected_psnr=moved.psnr)
 
 
 def _last_group(run: Run) -> Group:

@@ -9,6 +9,7 @@ import pytest
 from airgs_codec.cli.encode import main as encode_main
 from airgs_codec.cli.train import main as train_main
 from airgs_codec.package.store import open_package
+from airgs_codec.train.quality import PSNR_DEFINITION
 from tests.support.training import SETTINGS, write_blobs
 
 QUICK = ["--iterations", "30,20,8", "--budget", "150", "--sh-degree", "0", "--device", "cpu"]
@@ -32,7 +33,16 @@ def test_airgs_train_says_what_it_did_and_reports(blobs, tmp_path, capsys):
     assert train_main(words) == 2  # the model is there
     assert "--resume" in capsys.readouterr().err
     assert train_main([*words, "--resume", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["keyframes"] == [0]
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["keyframes"] == [0] and summary["psnr_definition"] == PSNR_DEFINITION
+
+
+def test_training_psnr_says_what_it_is(blobs, tmp_path, capsys):
+    """Packages pool the squared error of all views; a mean of dB is higher where views differ."""
+    words = [str(blobs), "-o", str(tmp_path / "m"), "--report", str(tmp_path / "r"), *QUICK, "--frames", "0:1"]
+    assert train_main(words) == 0
+    assert "dB (mean over views and frames)" in capsys.readouterr().out
+    assert PSNR_DEFINITION in (tmp_path / "r" / "index.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -72,3 +82,14 @@ def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, mo
     assert (tmp_path / "blobs.gaussians" / "usage.npz").is_file()
     assert encode_main([*words, "--json"]) == 0  # the model is there: only encoded
     json.loads(capsys.readouterr().out)
+
+
+def test_a_psnr_that_no_fit_reaches_is_said_once(blobs, tmp_path, capsys):
+    words = [str(blobs), "-o", str(tmp_path / "m"), "--frames", "0:3", "--min-psnr", "99", *QUICK]
+    assert train_main([*words, "--report", str(tmp_path / "r")]) == 0
+    err = capsys.readouterr().err
+    assert err.count("warning: frame 0: ") == err.count("\n") == 1
+    assert "no fit reaches the 99 dB of --min-psnr" in err
+    assert "no fit reaches the 99 dB" in (tmp_path / "r" / "index.html").read_text()
+    assert train_main([*words, "--resume", "--json"]) == 0
+    assert "no fit reaches the 99 dB" in json.loads(capsys.readouterr().out)["warnings"][0]

@@ -7,6 +7,7 @@ import pytest
 
 from airgs_codec.errors import CodecError, SceneError
 from airgs_codec.media.movie import VideoReader, write_movie
+from tests.support.multiview_files import plain, write_video
 
 
 def test_a_film_of_odd_size_is_read_back_without_its_odd_row_and_column(tmp_path):
@@ -30,3 +31,14 @@ def test_what_is_no_video_is_refused(tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"not a film")
     with pytest.raises(SceneError, match="expected a video"):
         VideoReader(tmp_path / "a.mp4")
+
+
+def test_videos_are_read_by_number_in_any_order(tmp_path):
+    write_video(tmp_path / "v.mp4", [plain(20 * t) for t in range(8)])
+    reader = VideoReader(tmp_path / "v.mp4")
+    levels = [reader.read(t).mean() / 20 for t in (0, 3, 7, 2, 2, 6)]
+    assert np.rint(levels).tolist() == [0, 3, 7, 2, 2, 6]
+    assert (reader.frames, reader.size, reader.fps) == (8, (32, 24), 25)
+    with pytest.raises(SceneError, match="the video ends after 8"):
+        reader.read(8)
+    reader.close()

@@ -12,6 +12,7 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.run import train
+from airgs_codec.train.stages import Trainer
 from tests.support.training import APPEARS, SETTINGS
 from tests.support.views import ring
 
@@ -79,3 +80,18 @@ def test_exposure_is_found(blobs, tmp_path):
     gains = {name: np.mean(values[:3]) for name, values in model.record.exposure.items()}
     assert gains["cam01"] - np.mean([g for n, g in gains.items() if n != "cam01"]) == pytest.approx(0.2, abs=0.08)
     assert np.mean(list(gains.values())) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_keyframe_that_is_no_better_is_not_kept(blobs, tmp_path, monkeypatch):
+    """The fit stays in its group, and nothing is added."""
+    monkeypatch.setattr(Trainer, "fit_keyframe", lambda self, target, before, steps, progress: before.gaussians)
+    settings = replace(SETTINGS, min_psnr_db=99.0, first_iterations=60)
+    model = train(open_scene(blobs, frames=(0, 3)), tmp_path / "m", settings)
+    assert model.record.keyframes() == [0]
+    assert [f.added for f in model.record.frames] == [0, 0, 0]
+    assert len({f.gaussians for f in model.record.frames}) == 1
+    assert all(f.rejected_psnr <= f.psnr for f in model.record.frames[1:])
+
+
+def test_a_run_that_reaches_its_psnr_has_no_warnings(run):
+    assert run.record.warnings() == []
