@@ -18,19 +18,11 @@ from airgs_codec.scene.usage import Usage
 
 PICTURES = 4  # rendered at each step of a search
 PRECISION = 0.01  # of the rows
-_WIDEST = 255  # changes told apart, steps
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Needed:
-    """Rows that are written, and what leaving the others out costs."""
-
-    rows: NDArray[np.intp]  # ascending
-    error: float  # mean squared error of pictures without the others
+WIDEST_CHANGE = 255  # steps: larger values count as this one when entropy is estimated
 
 
 def importance(frames: Sequence[Gaussians], usage: Usage, s: Sensitivity) -> NDArray[np.float64]:
-    """(N,) rank of a row among those that pictures could do without; 0: in no picture.
+    """(N,) how much pictures need each row; 0: it is in no picture. Only the order of the values means anything.
 
     A picture is linear in each alpha, so alpha^2 times the squared derivative is exactly the error of leaving one row
     out. Rows that stand in for each other look cheap one by one; their blending weights (max and sum) keep them.
@@ -39,26 +31,39 @@ def importance(frames: Sequence[Gaussians], usage: Usage, s: Sensitivity) -> NDA
     return usage.peak * usage.total * s.opacity * squares
 
 
-def in_turn(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> list[tuple[Gaussians, Camera]]:
-    """At most PICTURES cameras, each with a frame, the frames in turn."""
+def pair_with_cameras(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> list[tuple[Gaussians, Camera]]:
+    """At most PICTURES evenly spaced cameras, each with a frame; the frames take turns."""
     chosen = [cameras[i] for i in evenly_spaced(len(cameras), PICTURES)]
     return list(zip(itertools.cycle(frames), chosen, strict=False))
 
 
-class Removal:
-    """All but the least important rows of some frames: as many as pictures can do without."""
+@dataclass(frozen=True, slots=True, eq=False)
+class KeptRows:
+    """Rows that are written, and what leaving the others out costs."""
+
+    rows: NDArray[np.intp]  # ascending
+    error: float  # mean squared error of pictures without the others
+
+    @staticmethod
+    def all(count: int) -> KeptRows:
+        """All of `count` rows, at no error."""
+        return KeptRows(np.arange(count), 0.0)
+
+
+class RowPruning:
+    """Leaves out the least important rows of some frames; remembers the errors that it has rendered."""
 
     def __init__(self, frames: Sequence[Gaussians], cameras: Sequence[Camera], rank: NDArray[np.float64]) -> None:
-        """`rank` of `importance`."""
-        self._seen = [(g, camera, render(g, camera).rgb) for g, camera in in_turn(frames, cameras)]
+        """`rank` is the (N,) `importance` of the rows."""
+        self._seen = [(g, camera, render(g, camera).rgb) for g, camera in pair_with_cameras(frames, cameras)]
         self._order = np.argsort(rank, kind="stable")
         unused = int(np.count_nonzero(rank == 0))
-        self._errors = {unused if unused < len(rank) else 0: 0.0}  # of leaving out so many
+        self._errors = {unused if unused < len(rank) else 0: 0.0}  # rows left out -> mean squared error
 
-    def needed(self, allowed: float) -> Needed:
-        """Rows without those that pictures lose at a root mean squared error `allowed`.
+    def within(self, allowed: float) -> KeptRows:
+        """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
 
-        The count is found by bisection to PRECISION. Rows of rank 0 are left out at any price, unless that is all.
+        Their number is found by bisection to PRECISION. Rows of importance 0 are always dropped, unless that is all.
         """
         low = max(count for count, error in self._errors.items() if error <= allowed**2)
         high = min((count for count in self._errors if count > low), default=len(self._order))
@@ -68,46 +73,47 @@ class Removal:
                 low = middle
             else:
                 high = middle
-        return Needed(np.sort(self._order[low:]), self._errors[low])
+        return KeptRows(np.sort(self._order[low:]), self._errors[low])
 
     def _error(self, count: int) -> float:
+        """Mean squared error of pictures without the `count` least important rows."""
         kept = np.sort(self._order[count:])
         errors = [mse(render(g.take(kept), camera).rgb, full) for g, camera, full in self._seen]
         return self._errors.setdefault(count, float(np.mean(errors)))
 
 
-def affordable(
+def select_omissions(
     sizes: NDArray[np.float64],
     guesses: NDArray[np.float64],
     error: Callable[[NDArray[np.bool_]], float],
     price: float,
 ) -> tuple[NDArray[np.bool_], float]:
-    """Which of (c,) things to leave out, and the error that makes in rendered pictures.
+    """Which of (c,) things to leave out, as a mask, and the mean squared error that this makes in rendered pictures.
 
-    `sizes` in bytes a frame, `guesses` of the errors, which rank the things; `error` renders without some of them. As
-    many go as cost at most half of `price`, squared error a byte, together, so that the last one pays as well; none if
-    the price is 0.
+    `sizes` are bytes a frame, `guesses` are estimates of the error of leaving each one out, which only rank the
+    things; `error` renders without those of a mask. As many are left out as together cost at most half of `price`
+    (squared error a byte), so that the last one pays as well; none where the price is 0.
     """
     order = np.argsort(guesses - price * sizes, kind="stable")
-    chosen, cost = np.zeros(len(sizes), bool), 0.0
     most = int(np.count_nonzero(guesses < price * sizes))
     while most:
         trial = np.isin(np.arange(len(sizes)), order[:most])
-        trial_cost = error(trial)
-        if trial_cost <= price / 2 * float(sizes[trial].sum()):
-            return trial, trial_cost
+        cost = error(trial)
+        if cost <= price / 2 * float(sizes[trial].sum()):
+            return trial, cost
         most //= 2
-    return chosen, cost
+    return np.zeros(len(sizes), bool), 0.0
 
 
-def guess_channels(
+def estimate_cost(
     values: NDArray[np.float64], centres: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Bytes that each of the channels (T, c, n) takes, and the error if it were its centre (c,) in place; in steps.
+    """(c,) bytes that each channel of `values` takes, and (c,) errors if it were constant at its centre instead.
 
-    Bytes are the zero-order entropy of the first picture and of the changes after it: H.264 does a little better.
-    The error is the mean squared one of pictures, to first order, `weights` (c, n) of a squared step. It takes rows as
-    independent: neighbours that change alike make more, so it only ranks.
+    `values` (T, c, n) and `centres` (c,) are in steps, `weights` (c, n) are the squared error of pictures for a
+    squared step. Bytes are the zero-order entropy of the first picture and of the changes after it; H.264 does a
+    little better. Errors are mean squared ones to first order. They take rows as independent, but neighbours that
+    change alike make more error, so they are only good for ranking.
     """
     sizes, errors = np.empty(len(centres)), np.empty(len(centres))
     for c, weight in enumerate(weights):
@@ -119,8 +125,9 @@ def guess_channels(
 
 
 def _entropy_bytes(whole: NDArray[np.float64]) -> float:
+    """Zero-order entropy of whole numbers, in bytes."""
     if not whole.size:
         return 0.0
-    counts = np.bincount((np.clip(whole, -_WIDEST, _WIDEST) + _WIDEST).astype(np.intp).ravel())
+    counts = np.bincount((np.clip(whole, -WIDEST_CHANGE, WIDEST_CHANGE) + WIDEST_CHANGE).astype(np.intp).ravel())
     share = counts[counts > 0] / whole.size
     return float(-(share * np.log2(share)).sum()) * whole.size / 8

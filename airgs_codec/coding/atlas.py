@@ -40,19 +40,26 @@ def picture_size(atlas: Atlas) -> tuple[int, int]:
     return max(MIN_SIDE, atlas.plane_width * atlas.columns), max(MIN_SIDE, height)
 
 
-def fit_atlas(codes: NDArray[np.int32], limit: float, spare: NDArray[np.bool_] | None = None) -> Atlas:
+def fit_atlas(codes: NDArray[np.int32], limit: float, omitted: NDArray[np.bool_] | None = None) -> Atlas:
     """Centres, planes and layout of (T, channels, n) codes; a channel within `limit` of its centre has no plane.
 
-    Neither has one of the (channels,) `spare`: its centre is its median.
+    Centres are whole codes, so the distance to the chosen one decides, not the range: with a limit of 1.6, codes 0 to
+    3 need a plane. A channel of the mask `omitted` (channels,) has none either; its centre is its median.
     """
     low, high = codes.min(axis=(0, 2)).astype(np.int64), codes.max(axis=(0, 2)).astype(np.int64)
-    near_constant = high - low <= 2 * limit
+    middle = (low + high) // 2
+    constant = high - middle <= limit
     median = np.rint(np.median(codes, axis=(0, 2))).astype(np.int64)
-    centres = np.where(near_constant, (low + high) // 2, median)
-    centres = np.where(near_constant & (np.maximum(np.abs(low), np.abs(high)) <= limit), 0, centres)
-    planes = np.flatnonzero(~near_constant if spare is None else ~near_constant & ~spare).tolist()
+    centres = np.where(constant, middle, median)
+    centres = np.where(constant & (np.maximum(np.abs(low), np.abs(high)) <= limit), 0, centres)
+    planes = np.flatnonzero(~constant if omitted is None else ~constant & ~omitted).tolist()
     width, columns = choose_layout(codes.shape[2], len(planes)) if planes else (0, 0)
     return Atlas(codes.shape[2], centres.tolist(), planes, width, columns)
+
+
+def centre_codes(codes: NDArray[np.int32], atlas: Atlas) -> NDArray[np.int32]:
+    """(T, channels, n) codes -> (T, P, n) differences to the centres, of the channels that have a plane."""
+    return (codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes]
 
 
 @lru_cache(maxsize=64)

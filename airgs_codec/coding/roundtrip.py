@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import assemble, fit_atlas, picture_size, read_codes
+from airgs_codec.coding.atlas import assemble, centre_codes, fit_atlas, picture_size, read_codes
 from airgs_codec.coding.quantize import from_codes, to_codes
 from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.media.h264 import ClosedGop, CodecSettings, decode_pictures, encode_stream, qp_step
@@ -24,7 +24,7 @@ def encode_and_decode(
     if not atlas.planes:
         centres = np.array(atlas.centres, np.int32)[:, None]
         return [0] * len(codes), np.broadcast_to(from_codes(centres, steps, gain), values.shape).astype(np.float64)
-    luma, bases = escapes.split((codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes])
+    luma, bases = escapes.split(centre_codes(codes, atlas))
     size = picture_size(atlas)
     stream = encode_stream([ClosedGop(assemble(luma, atlas, *size), 0, 1)], size, Fraction(30), 30, codec)
     sizes = list(stream.picture_bytes[0])

@@ -1,153 +1,202 @@
-"""Planes and segments that a group's pictures can do without, by what rendering without them shows.
+"""What a group's pictures can do without, by what rendering without it shows.
 
-T frames and N rows of the group, n rows of its first level, C colour channels.
+T frames and N rows of the group, n rows of its first level, C colour channels. Each decision comes with a note for
+airgs.json, None where nothing was left out.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.importance import PICTURES, affordable, guess_channels, in_turn
-from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key
-from airgs_codec.encoder.plan import GroupPlan
+from airgs_codec.analysis.importance import PICTURES, estimate_cost, pair_with_cameras, select_omissions
+from airgs_codec.coding.channels import Canonical, StateApplier
+from airgs_codec.encoder.plan import GroupLayout
+from airgs_codec.encoder.survey import GroupSpan
 from airgs_codec.media.metrics import mse
-from airgs_codec.package import tables
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import STATIC, LeftOut
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-
-def spare_key_planes(plan: GroupPlan, cameras: Sequence[Camera], price: float) -> NDArray[np.bool_]:
-    """(7 + C,) channels that every row may take from the channel's median; noted in the plan.
-
-    So are the Gaussians that are not written, with the bytes of as many of the written ones, keys alone.
-    """
-    channels, missing = len(plan.key_values), plan.count - len(plan.rows)
-    if price == 0 and not missing:
-        return np.zeros(channels, bool)
-    steps = KEY.steps(plan.key_steps, channels - KEY.colour_start)[:, None]
-    centres = np.median(plan.key_values, axis=1)
-    sizes, guesses = guess_channels(plan.key_values[None] / steps, centres / steps[:, 0], plan.key_weights())
-    sizes /= plan.stop - plan.start
-    plan.leave_out("gaussians", missing, plan.removal_error, float(sizes.sum()) / len(plan.rows) * missing)
-    if price == 0:
-        return np.zeros(channels, bool)
-    full = [(camera, render(g, camera).rgb) for g, camera in in_turn([_shown(plan, plan.key_values)], cameras)]
-
-    def error(spare: NDArray[np.bool_]) -> float:
-        shown = _shown(plan, np.where(spare[:, None], centres[:, None], plan.key_values))
-        return float(np.mean([mse(render(shown, camera).rgb, picture) for camera, picture in full]))
-
-    chosen, cost = affordable(sizes, guesses, error, price)
-    plan.leave_out("key planes", int(chosen.sum()), cost, float(sizes[chosen].sum()))
-    return chosen
+Pictures = list[NDArray[np.float32]]
 
 
-def _shown(plan: GroupPlan, values: NDArray[np.float64]) -> Gaussians:
-    transform = tables.unpack_matrix(plan.transform, len(values) - KEY.colour_start)
-    depths = np.zeros(len(plan.codes), np.uint8)
-    channels = values.astype(np.float32)
-    return dequantise_key(
-        channels, plan.codes, plan.classes, depths, transform, plan.grid, plan.key_steps
-    ).to_gaussians()
+def note_omission(what: str, group: int, count: int, error: float, size: float) -> LeftOut | None:
+    """The record that `count` things were left out, at this error and to save `size` bytes a frame."""
+    return LeftOut(what, group, count, float(f"{error:.3g}"), float(f"{size:.3g}")) if count else None
 
 
-def needed_bands(
-    sequence: GaussianSequence, frame: int, span: int, cameras: Sequence[Camera], step: float, price: float
-) -> tuple[int, list[LeftOut]]:
-    """SH bands past DC that pictures of `frame`, coded once in `span` frames, need, and a note if that is not all.
+def omit_bands(
+    sequence: GaussianSequence, span: GroupSpan, cameras: Sequence[Camera], step: float, price: float
+) -> tuple[int, LeftOut | None]:
+    """Number of SH bands past DC that pictures of the canonical frame of a group need.
 
-    The highest goes as long as its bytes, at quantiser step `step`, are worth less than what rendering shows.
+    The highest band goes as long as its bytes, at quantiser step `step` and coded once in the group, are worth less
+    than the error of rendering without it; `price` is the squared error a byte a frame must be worth.
     """
     if not sequence.sh_degree or price == 0:
-        return sequence.sh_degree, []
-    g = sequence.load([frame]).frames[0]
-    full = [(camera, render(g, camera).rgb) for g, camera in in_turn([g], cameras)]
+        return sequence.sh_degree, None
+    g = sequence.load([span.canonical]).frames[0]
+    full = [(camera, render(g, camera).rgb) for g, camera in pair_with_cameras([g], cameras)]
     bands, cost, size = g.sh_degree, 0.0, 0.0
     while bands:
         fewer = g.with_degree(bands - 1)
-        top = g.with_degree(bands).sh_rest[:, SH_REST[bands - 1] :]
-        coefficients = top.reshape(1, len(g), -1).transpose(0, 2, 1).astype(np.float64) / step
-        none = np.zeros(coefficients.shape[1])
-        band = float(guess_channels(coefficients, none, np.zeros_like(coefficients[0]))[0].sum()) / span
+        band = _band_bytes(g, bands, step) / span.frames
         error = float(np.mean([mse(render(fewer, camera).rgb, picture) for camera, picture in full]))
         if error > price / 2 * (size + band):
             break
         bands, cost, size = bands - 1, error, size + band
-    dropped = g.sh_degree - bands
-    return bands, [LeftOut("sh bands", 0, dropped, float(f"{cost:.3g}"), float(f"{size:.3g}"))] if dropped else []
+    return bands, note_omission("sh bands", 0, g.sh_degree - bands, cost, size)
 
 
-class StateNeeds:
-    """What the states of a group are good for; `states` (T, 10 + C, N) in units, as `canonical.state_channels`."""
+def _band_bytes(g: Gaussians, band: int, step: float) -> float:
+    """Estimated bytes of the coefficients of one SH band of a frame."""
+    top = g.with_degree(band).sh_rest[:, SH_REST[band - 1] :]
+    coefficients = top.reshape(1, len(g), -1).transpose(0, 2, 1).astype(np.float64) / step
+    none = np.zeros(coefficients.shape[1])
+    return float(estimate_cost(coefficients, none, np.zeros_like(coefficients[0]))[0].sum())
 
-    def __init__(
-        self, plan: GroupPlan, base: Canonical, states: NDArray[np.float64], cameras: Sequence[Camera], price: float
-    ) -> None:
-        """`plan` has its depths; `price` 0: everything is needed."""
-        self._plan, self._base, self._cameras, self._price = plan, base, cameras, price
-        rows = np.flatnonzero(plan.depths != STATIC)
-        self._states = states[:, :, rows]
-        self._steps = STATE.steps(plan.state_steps, base.colours.shape[1])[:, None]
-        self._weights = plan.weights()[:, rows]
-        self._level = StateApplier.of(base, rows, plan.state_steps, True, True)
 
-    def spare_planes(self) -> NDArray[np.bool_]:
-        """(10 + C,) channels that every row may take from the channel's median; noted in the plan."""
-        count = self._states.shape[1]
-        if self._price == 0 or not self._states.size:
-            return np.zeros(count, bool)
-        centres = np.median(self._states, axis=(0, 2))
-        frames = len(self._states)
-        sizes, guesses = guess_channels(self._states / self._steps, centres / self._steps[:, 0], self._weights)
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyOmissions:
+    """What the key of a group can do without."""
+
+    layout: GroupLayout
+    values: NDArray[np.float64]  # (7 + C, N) key channels
+    centres: NDArray[np.float64]  # (7 + C,) medians
+    sizes: NDArray[np.float64]  # (7 + C,) bytes a frame of the group, estimated
+    guesses: NDArray[np.float64]  # (7 + C,) errors of leaving a channel out, estimated
+
+    @staticmethod
+    def of(layout: GroupLayout, values: NDArray[np.float64]) -> KeyOmissions:
+        """Estimate the cost of every channel."""
+        steps = KEY.steps(layout.key_steps, layout.colours)[:, None]
+        centres = np.median(values, axis=1)
+        sizes, guesses = estimate_cost(values[None] / steps, centres / steps[:, 0], layout.key_weights())
+        return KeyOmissions(layout, values, centres, sizes / layout.span.frames, guesses)
+
+    def gaussians(self) -> LeftOut | None:
+        """Note the Gaussians that are not written, with the bytes of as many of the written ones, keys alone."""
+        written = len(self.layout.rows)
+        missing = self.layout.count - written
+        size = float(self.sizes.sum()) / written * missing
+        return note_omission("gaussians", self.layout.span.index, missing, self.layout.removal_error, size)
+
+    def planes(self, cameras: Sequence[Camera], price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
+        """(7 + C,) channels that every row may take from the channel's median."""
+        if price == 0:
+            return np.zeros(len(self.sizes), bool), None
+        shown = self._show(self.values)
+        full = [(camera, render(g, camera).rgb) for g, camera in pair_with_cameras([shown], cameras)]
+
+        def error(omitted: NDArray[np.bool_]) -> float:
+            without = self._show(np.where(omitted[:, None], self.centres[:, None], self.values))
+            return float(np.mean([mse(render(without, camera).rgb, picture) for camera, picture in full]))
+
+        chosen, cost = select_omissions(self.sizes, self.guesses, error, price)
+        saved = float(self.sizes[chosen].sum())
+        return chosen, note_omission("key planes", self.layout.span.index, int(chosen.sum()), cost, saved)
+
+    def _show(self, values: NDArray[np.float64]) -> Gaussians:
+        depths = np.zeros(len(self.layout.codes), np.uint8)
+        return self.layout.canonical_space(values.astype(np.float32), depths).to_gaussians()
+
+
+def note_static(layout: GroupLayout, states: NDArray[np.float64], depths: NDArray[np.uint8]) -> LeftOut | None:
+    """Note how many rows are static, the error that this is expected to add, and the bytes a frame that it saves.
+
+    `states` (T, 10 + C, N) are in steps.
+    """
+    still = depths == STATIC
+    centres = np.zeros(states.shape[1])
+    sizes, errors = estimate_cost(states[:, :, still], centres, layout.state_weights()[:, still])
+    size = float(sizes.sum()) / len(states)
+    return note_omission("updates", layout.span.index, int(still.sum()), float(errors.sum()), size)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StateOmissions:
+    """What the states of a group can do without."""
+
+    layout: GroupLayout
+    states: NDArray[np.float64]  # (T, 10 + C, n) in channel units
+    steps: NDArray[np.float64]  # (10 + C, 1)
+    weights: NDArray[np.float64]  # (10 + C, n) squared error of pictures for a squared step
+    applier: StateApplier  # of the n rows
+
+    @staticmethod
+    def of(
+        layout: GroupLayout, base: Canonical, values: NDArray[np.float64], depths: NDArray[np.uint8]
+    ) -> StateOmissions:
+        """From (T, 10 + C, N) values of all rows and their (N,) depths."""
+        rows = np.flatnonzero(depths != STATIC)
+        steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
+        applier = StateApplier.of(base, rows, layout.state_steps)
+        return StateOmissions(layout, values[:, :, rows], steps, layout.state_weights()[:, rows], applier)
+
+    def planes(self, cameras: Sequence[Camera], price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
+        """(10 + C,) channels that every row may take from the channel's median."""
+        frames, count = self.states.shape[:2]
+        if price == 0 or not self.states.size:
+            return np.zeros(count, bool), None
+        centres = np.median(self.states, axis=(0, 2))
+        sizes, guesses = estimate_cost(self.states / self.steps, centres / self.steps[:, 0], self.weights)
         picked = evenly_spaced(frames, PICTURES)
-        full = self._pictures(picked, np.zeros(count, bool), centres)
+        full = self._pictures(picked, np.zeros(count, bool), centres, cameras)
 
-        def error(spare: NDArray[np.bool_]) -> float:
-            return _difference(self._pictures(picked, spare, centres), full)
+        def error(omitted: NDArray[np.bool_]) -> float:
+            return _difference(self._pictures(picked, omitted, centres, cameras), full)
 
-        chosen, cost = affordable(sizes / frames, guesses, error, self._price)
-        self._plan.leave_out("state planes", int(chosen.sum()), cost, float(sizes[chosen].sum()) / frames)
-        return chosen
+        chosen, cost = select_omissions(sizes / frames, guesses, error, price)
+        saved = float(sizes[chosen].sum()) / frames
+        return chosen, note_omission("state planes", self.layout.span.index, int(chosen.sum()), cost, saved)
 
-    def spare_segments(self, spans: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
-        """(S,) segments [start, stop), frames of the sequence, for which the canonical space may stand; noted."""
-        frames, count = len(self._states), self._states.shape[1]
-        if self._price == 0 or not self._states.size:
-            return np.zeros(len(spans), bool)
+    def segments(self, cameras: Sequence[Camera], price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
+        """(S,) segments of the group for which the canonical space may stand."""
+        frames, count = self.states.shape[:2]
+        spans = self.layout.segments
+        if price == 0 or not self.states.size:
+            return np.zeros(len(spans), bool), None
         none = np.zeros(count)
-        parts = [np.arange(start - self._plan.start, stop - self._plan.start) for start, stop in spans]
-        pairs = [guess_channels(self._states[p] / self._steps, none, self._weights) for p in parts]
+        parts = [np.arange(start, stop) - self.layout.span.start for start, stop in spans]
+        pairs = [estimate_cost(self.states[p] / self.steps, none, self.weights) for p in parts]
         sizes, guesses = (np.array([sum(pair[i]) for pair in pairs]) for i in (0, 1))
         shares = np.array([len(p) for p in parts]) / frames
 
-        def error(spare: NDArray[np.bool_]) -> float:
+        def error(omitted: NDArray[np.bool_]) -> float:
             costs = []
-            for part in (parts[i] for i in np.flatnonzero(spare)):
+            for part in (parts[i] for i in np.flatnonzero(omitted)):
                 picked = [int(part[i]) for i in evenly_spaced(len(part), PICTURES)]
-                full = self._pictures(picked, np.zeros(count, bool), none)
-                costs.append(_difference(self._pictures(picked, np.ones(count, bool), none), full) * len(part))
+                full = self._pictures(picked, np.zeros(count, bool), none, cameras)
+                still = self._pictures(picked, np.ones(count, bool), none, cameras)
+                costs.append(_difference(still, full) * len(part))
             return sum(costs) / frames
 
-        chosen, cost = affordable(sizes / frames, guesses * shares, error, self._price)
-        self._plan.leave_out("segments", int(chosen.sum()), cost, float(sizes[chosen].sum()) / frames)
-        return chosen
+        chosen, cost = select_omissions(sizes / frames, guesses * shares, error, price)
+        saved = float(sizes[chosen].sum()) / frames
+        return chosen, note_omission("segments", self.layout.span.index, int(chosen.sum()), cost, saved)
 
     def _pictures(
-        self, frames: Sequence[int], spare: NDArray[np.bool_], centres: NDArray[np.float64]
-    ) -> list[NDArray[np.float32]]:
+        self,
+        frames: Sequence[int],
+        omitted: NDArray[np.bool_],
+        centres: NDArray[np.float64],
+        cameras: Sequence[Camera],
+    ) -> Pictures:
+        """Pictures of some frames whose `omitted` channels are at their centres."""
         shown = []
         for t in frames:
-            values = np.where(spare[:, None], centres[:, None], self._states[t])
-            shown.append(self._level.apply(values.astype(np.float32)))
-        return [render(g, camera).rgb for g, camera in in_turn(shown, self._cameras)]
+            values = np.where(omitted[:, None], centres[:, None], self.states[t])
+            shown.append(self.applier.apply(values.astype(np.float32)))
+        return [render(g, camera).rgb for g, camera in pair_with_cameras(shown, cameras)]
 
 
-def _difference(a: Sequence[NDArray[np.float32]], b: Sequence[NDArray[np.float32]]) -> float:
+def _difference(a: Pictures, b: Pictures) -> float:
+    """Mean squared error between pictures."""
     return float(np.mean([mse(x, y) for x, y in zip(a, b, strict=True)]))

@@ -1,129 +1,197 @@
-"""What was coded -> files of the package and their tables. T frames, N rows of a group, L levels."""
+"""What was coded -> files of the package and their tables. G groups, S segments of the sequence, T tiers, L levels."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from airgs_codec.coding import escapes
-from airgs_codec.coding.rangecoder import encode_columns
+from airgs_codec import __version__
 from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
-from airgs_codec.encoder.plan import GroupPlan
-from airgs_codec.media.h264 import Stream
+from airgs_codec.encoder.error_bounds import with_bounds
+from airgs_codec.encoder.keys import CodedKeys
+from airgs_codec.encoder.plan import GroupLayout
+from airgs_codec.encoder.representation import Clock, Representation
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.states import CodedStates
+from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
 from airgs_codec.package import tables
+from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.staging import write_file
-from airgs_codec.package.tables import STATIC, FileEntry, Group, GroupTier, Picture, Segment
+from airgs_codec.package.tables import STATIC, FileEntry, Group, GroupTier, Segment, SegmentLevel
+
+
+def number_units(present: Sequence[Sequence[bool]]) -> list[list[int]]:
+    """Numbers of the files of each representation: units that are present count from 1, the others are 0.
+
+    `present` and the result are units x representations.
+    """
+    numbers: list[list[int]] = (np.cumsum(present, axis=0) * np.array(present)).tolist()
+    return numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Coded:
-    """A representation, if it has anything to show, and its picture size."""
+class CodedSequence:
+    """All that a package is made of."""
 
-    stream: Stream | None
-    size: tuple[int, int]
-    differences: list[NDArray[np.uint8]]  # (H, W) largest luma error over each closed GOP, see `h264.check_stream`
+    clock: Clock
+    layouts: Sequence[GroupLayout]
+    keys: Sequence[CodedKeys]
+    states: Sequence[CodedStates]
+    key_streams: Sequence[Sequence[Representation]]  # T x qualities
+    state_streams: Sequence[Representation]  # L
+    key_numbers: Sequence[Sequence[int]]  # G x T, of key units; 0: no rows
+    segment_numbers: Sequence[Sequence[int]]  # S x L, of state segments; 0: nothing to fetch
 
-    def picture(self) -> Picture:
-        """Its entry in the tables."""
-        return Picture(*self.size, self.stream.codecs) if self.stream else Picture(0, 0, "")
-
-
-def escapes_path(scratch: Path, group: int, level: int, segment: int) -> Path:
-    """Where the escapes of a segment wait until its number is known."""
-    return scratch / f"escapes-{group}-{level}-{segment}.bin"
-
-
-def write_streams(folder: Path, keys: list[list[Coded]], states: list[Coded]) -> dict[str, FileEntry]:
-    """Init and media segments of every representation."""
-    files = {}
-    for t, row in enumerate(keys):
-        for q, coded in enumerate(row):
-            if coded.stream:
-                path = tables.key_init_path(t, q)
-                files[path] = write_file(folder, path, coded.stream.init)
-                for n, media in enumerate(coded.stream.media, 1):
-                    path = tables.key_media_path(t, q, n)
-                    files[path] = write_file(folder, path, media)
-    for j, coded in enumerate(states):
-        if coded.stream:
-            path = tables.state_init_path(j)
-            files[path] = write_file(folder, path, coded.stream.init)
-            for n, media in enumerate(coded.stream.media, 1):
-                path = tables.state_media_path(j, n)
-                files[path] = write_file(folder, path, media)
-    return files
+    def segments(self) -> Iterator[tuple[int, int, Sequence[int]]]:
+        """For each segment of the sequence its group, its place in the group and its numbers (L)."""
+        numbers = iter(self.segment_numbers)
+        for group, layout in enumerate(self.layouts):
+            for place in range(len(layout.segments)):
+                yield group, place, next(numbers)
 
 
-def write_sidecars(
-    folder: Path,
-    plans: list[GroupPlan],
-    spans: list[list[tuple[int, int]]],
-    fetched: list[list[list[bool]]],
-    scratch: Path,
-    levels: int,
-) -> dict[str, FileEntry]:
-    """Sidecars of every key unit and state segment."""
-    files = {}
-    numbers = [0] * levels
-    for g, plan in enumerate(plans):
-        for tier, number in enumerate(plan.numbers):
-            if number:
-                rows = plan.tier_rows(tier)
-                sidecar = KeySidecar(plan.codes[rows], plan.classes[rows], plan.depths[rows])
-                path = tables.key_sidecar_path(tier, number)
-                files[path] = write_file(folder, path, pack_key_sidecar(sidecar, plan.grid))
-                for q, bases in enumerate(plan.key_bases[tier]):
-                    path = tables.key_escapes_path(tier, q, number)
-                    files[path] = write_file(folder, path, encode_columns(escapes.columns(bases[None])))
-        for s in range(len(spans[g])):
-            for level in range(levels):
-                if fetched[g][s][level]:
-                    numbers[level] += 1
-                    path = tables.state_sidecar_path(level, numbers[level])
-                    files[path] = write_file(folder, path, escapes_path(scratch, g, level, s).read_bytes())
-    return files
+def number_keys(keys: Sequence[CodedKeys]) -> list[list[int]]:
+    """G x T numbers of the key units."""
+    return number_units([[bool(tier[0].atlas.rows) for tier in group.tiers] for group in keys])
 
 
-def group_tables(plans: list[GroupPlan]) -> list[Group]:
-    """The groups as airgs.json lists them."""
-    return [
-        Group(
-            start=plan.start,
-            stop=plan.stop,
-            canonical=plan.canonical,
-            count=len(plan.rows),
-            static=int((plan.depths == STATIC).sum()),
-            unused=plan.count - len(plan.rows),
-            grid=plan.grid,
-            key_steps=plan.key_steps,
-            state_steps=plan.state_steps,
-            colour_transform=plan.transform,
-            tiers=[
-                GroupTier(atlases[0].rows, number, atlases)
-                for atlases, number in zip(plan.key_atlases, plan.numbers, strict=True)
-            ],
-            levels=plan.levels,
-        )
-        for plan in plans
-    ]
+def number_segments(states: Sequence[CodedStates]) -> list[list[int]]:
+    """S x L numbers of the state segments."""
+    return number_units(
+        [
+            [escapes is not None for escapes in segment]
+            for group in states
+            for segment in zip(*(level.escapes for level in group.levels), strict=True)
+        ]
+    )
 
 
-def segment_tables(
-    spans: list[list[tuple[int, int]]], fetched: list[list[list[bool]]], states: list[Coded]
-) -> list[Segment]:
-    """The segments as airgs.json lists them, without measured quality."""
-    segments = []
-    numbers = [0] * len(states)
-    for g, group_spans in enumerate(spans):
-        for s, (start, stop) in enumerate(group_spans):
-            levels = []
-            for j, coded in enumerate(states):
-                wanted = fetched[g][s][j]
-                numbers[j] += wanted
-                sizes = coded.stream.picture_bytes[numbers[j] - 1] if wanted and coded.stream else []
-                levels.append(tables.SegmentLevel(numbers[j] if wanted else 0, sizes, [], [], []))
-            segments.append(Segment(g, start, stop, levels))
-    return segments
+def write_files(folder: Path, coded: CodedSequence) -> dict[str, FileEntry]:
+    """Write every init segment, media segment and sidecar; gives their entries, sorted by path."""
+    files = {path: write_file(folder, path, data) for path, data in _contents(coded)}
+    return dict(sorted(files.items()))
+
+
+def _contents(coded: CodedSequence) -> Iterator[tuple[str, bytes]]:
+    """Path and bytes of every file but the manifests."""
+    yield from _streams(coded)
+    yield from _key_sidecars(coded)
+    for group, place, numbers in coded.segments():
+        for level, number in enumerate(numbers):
+            data = coded.states[group].levels[level].escapes[place]
+            if data is not None:
+                yield tables.state_sidecar_path(level, number), data
+
+
+def _streams(coded: CodedSequence) -> Iterator[tuple[str, bytes]]:
+    for t, row in enumerate(coded.key_streams):
+        for q, representation in enumerate(row):
+            if representation.stream:
+                yield tables.key_init_path(t, q), representation.stream.init
+                for number, media in enumerate(representation.stream.media, 1):
+                    yield tables.key_media_path(t, q, number), media
+    for level, representation in enumerate(coded.state_streams):
+        if representation.stream:
+            yield tables.state_init_path(level), representation.stream.init
+            for number, media in enumerate(representation.stream.media, 1):
+                yield tables.state_media_path(level, number), media
+
+
+def _key_sidecars(coded: CodedSequence) -> Iterator[tuple[str, bytes]]:
+    for g, (layout, keys) in enumerate(zip(coded.layouts, coded.keys, strict=True)):
+        for t, number in enumerate(coded.key_numbers[g]):
+            if not number:
+                continue
+            rows = layout.tier_rows(t)
+            sidecar = KeySidecar(layout.codes[rows], layout.classes[rows], coded.states[g].depths[rows])
+            yield tables.key_sidecar_path(t, number), pack_key_sidecar(sidecar, layout.grid)
+            for q, atlas in enumerate(keys.tiers[t]):
+                yield tables.key_escapes_path(t, q, number), atlas.escapes
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """Where a package comes from: what airgs.json records but no picture depends on."""
+
+    settings: EncodeSettings
+    views: tables.Views
+    attribution: str
+    notes: Sequence[str]  # what grouping found
+    frames: int
+    sh_degree: int
+
+
+def build_manifest(coded: CodedSequence, files: dict[str, FileEntry], about: Provenance) -> tables.Manifest:
+    """The tables of a package, without measured quality; `files` are those of `write_files`."""
+    settings, clock = about.settings, coded.clock
+    parts = [(keys.left_out, states.left_out) for keys, states in zip(coded.keys, coded.states, strict=True)]
+    return tables.Manifest(
+        version=tables.VERSION,
+        generator=tables.Generator(__version__, library_versions(), settings.table()),
+        attribution=about.attribution,
+        repairs=[*about.notes, *(note for layout in coded.layouts for note in layout.notes)],
+        frame_rate=[clock.fps.numerator, clock.fps.denominator],
+        timescale=clock.timescale,
+        frames=about.frames,
+        sh_degree=about.sh_degree,
+        key_gain=qp_step(KEY_QP),
+        state_gain=qp_step(STATE_QP),
+        views=about.views,
+        qualities=[tables.KeyQuality(f"Q{i}", factor) for i, factor in enumerate(settings.key_factors)],
+        levels=[
+            tables.Level(f"L{j}", share, factor, settings.tiers_of(j))
+            for j, (share, factor) in enumerate(settings.levels)
+        ],
+        key_pictures=[[representation.picture() for representation in row] for row in coded.key_streams],
+        state_pictures=[representation.picture() for representation in coded.state_streams],
+        groups=[_group_table(coded, group) for group in range(len(coded.layouts))],
+        segments=[_segment_table(coded, *segment) for segment in coded.segments()],
+        left_out=[entry for group in parts for side in group for entry in side],
+        files=files,
+    )
+
+
+def _group_table(coded: CodedSequence, group: int) -> Group:
+    layout, states = coded.layouts[group], coded.states[group]
+    return Group(
+        start=layout.span.start,
+        stop=layout.span.stop,
+        canonical=layout.span.canonical,
+        count=len(layout.rows),
+        static=int((states.depths == STATIC).sum()),
+        unused=layout.count - len(layout.rows),
+        grid=layout.grid,
+        key_steps=layout.key_steps,
+        state_steps=layout.state_steps,
+        colour_transform=tables.pack_matrix(layout.transform),
+        tiers=[_tier_table(coded, group, tier) for tier in range(len(coded.key_streams))],
+        levels=[_level_table(coded, group, level) for level in range(len(coded.state_streams))],
+    )
+
+
+def _tier_table(coded: CodedSequence, group: int, tier: int) -> GroupTier:
+    number = coded.key_numbers[group][tier]
+    qualities = coded.keys[group].tiers[tier]
+    atlases = []
+    for part, representation in zip(qualities, coded.key_streams[tier], strict=True):
+        differences = [representation.differences[number - 1]] if number else []
+        atlases.append(with_bounds(part.atlas, part.error, differences, KEY))
+    return GroupTier(qualities[0].atlas.rows, number, atlases)
+
+
+def _level_table(coded: CodedSequence, group: int, level: int) -> tables.Atlas:
+    numbers = [numbers[level] for g, _, numbers in coded.segments() if g == group]
+    differences = [coded.state_streams[level].differences[number - 1] for number in numbers if number]
+    part = coded.states[group].levels[level]
+    return with_bounds(part.atlas, part.error, differences, STATE)
+
+
+def _segment_table(coded: CodedSequence, group: int, place: int, numbers: Sequence[int]) -> Segment:
+    levels = []
+    for number, representation in zip(numbers, coded.state_streams, strict=True):
+        sizes = representation.stream.picture_bytes[number - 1] if number and representation.stream else []
+        levels.append(SegmentLevel(number, sizes, [], [], []))
+    return Segment(group, *coded.layouts[group].segments[place], levels)

@@ -1,9 +1,12 @@
 """Atlases: every sample finds its cell and comes back from it."""
 
+import hypothesis.extra.numpy as npst
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from airgs_codec.coding.atlas import assemble, choose_layout, extract, picture_size, sample_index
+from airgs_codec.coding.atlas import assemble, choose_layout, extract, fit_atlas, picture_size, sample_index
 from airgs_codec.package.tables import Atlas
 
 
@@ -28,3 +31,21 @@ def test_a_block_is_filled_along_a_z_curve():
     assert [divmod(int(i), 64) for i in index[:5]] == [(0, 0), (0, 1), (1, 0), (1, 1), (0, 2)]
     assert divmod(int(index[256]), 64) == (0, 16)  # the next block is to the right
     assert picture_size(layout) == (64, 64)
+
+
+@settings(max_examples=100)
+@given(
+    codes=npst.arrays(np.int32, (1, 1, 8), elements=st.integers(-9, 9)),
+    limit=st.sampled_from([0.5, 1.5, 2 ** (10 / 6) / 2, 2 ** (16 / 6) / 2]),
+)
+def test_a_channel_without_a_plane_is_within_the_limit_of_its_centre(codes, limit):
+    atlas = fit_atlas(codes, limit)
+    error = np.abs(codes - atlas.centres[0]).max()
+    assert atlas.planes or error <= limit
+
+
+def test_three_codes_apart_need_a_plane_where_the_limit_is_one_and_a_half():
+    """Whole centres leave 2 codes to one side; a key step is 3.17 codes, half of it 1.59."""
+    codes = np.array([[[0, 3, 1, 2]], [[0, 2, 1, 1]]], np.int32)
+    assert fit_atlas(codes[:1], 1.59).planes == [0]
+    assert fit_atlas(codes[1:], 1.59).planes == []

@@ -9,26 +9,29 @@ import pytest
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.analysis.importance import Removal, affordable, guess_channels
+from airgs_codec.analysis.importance import RowPruning, estimate_cost, select_omissions
 from airgs_codec.analysis.sensitivity import MAX_VIEWS, measure_sensitivity
 from airgs_codec.cli import encode as command
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_segment
 from airgs_codec.encoder.calibration import cache
-from airgs_codec.encoder.calibration.solve import STEPS, Subject, calibrate, get_step, solve_steps, with_step
+from airgs_codec.encoder.calibration.calibrate import calibrate
+from airgs_codec.encoder.calibration.solve import STEPS, get_step, solve_steps, with_step
+from airgs_codec.encoder.calibration.subject import Subject
 from airgs_codec.encoder.levels import assign_depths
-from airgs_codec.encoder.plan import survey_group
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal, find_quality
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.survey import GroupSpan, ViewSplit, survey_group
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import STATIC, pooled_quality
 from airgs_codec.render import render
-from airgs_codec.scene.orbits import orbit_views
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
+from airgs_codec.scene.usage import Usage, save_usage
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_demo, write_sequence
 
@@ -38,18 +41,18 @@ FAST = EncodeSettings(preset="veryfast", jobs=2)
 @pytest.fixture(scope="module")
 def fox():
     sequence = open_sequence(FOX)
-    training = [c for c in sequence.cameras if c.split == "train"]
-    start, stop = plan_groups(sequence).spans[0]
-    return sequence, survey_group(sequence, 0, start, stop, training), training
+    views = ViewSplit.of(sequence)
+    span = GroupSpan(0, *plan_groups(sequence).spans[0])
+    return sequence, survey_group(sequence, span, views.training), views
 
 
 @pytest.fixture(scope="module")
 def calibration(fox):
-    return calibrate(*fox, True, FAST)
+    return calibrate(*fox, FAST)
 
 
 def test_a_calibration_is_the_same_every_time_and_survives_the_cache(fox, calibration):
-    assert calibrate(*fox, True, FAST) == calibration
+    assert calibrate(*fox, FAST) == calibration
     name = cache.digest(*fox, FAST)
     cache.keep(name, calibration)
     assert cache.load(name) == calibration
@@ -57,6 +60,27 @@ def test_a_calibration_is_the_same_every_time_and_survives_the_cache(fox, calibr
     assert cache.digest(*fox, replace(FAST, segment_s=0.5)) != name
     (cache.folder() / f"{name}.json").write_text('{"steps": 3}')
     assert cache.load(name) is None
+
+
+def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_path):
+    frames = moving_frames(30, 6)
+    folder = write_sequence(tmp_path / "scene", frames)
+
+    def digest():
+        sequence = open_sequence(folder)
+        views, span = ViewSplit.of(sequence), GroupSpan(0, 0, 6)
+        return cache.digest(sequence, survey_group(sequence, span, views.training), views, FAST)
+
+    digests = [digest()]
+    for number in (1, 2, 4):  # neither first, canonical nor last
+        write_ply(sorted(folder.glob("*.ply"))[number], random_gaussians(30, seed=number))
+        digests.append(digest())
+    usage = Usage(np.ones(30), np.ones(30), np.ones(30, np.int64), np.ones(30))
+    for moved in (usage.moved, 2 * usage.moved):
+        save_usage(folder / USAGE_NAME, {(0, 6): replace(usage, moved=moved)})
+        digests.append(digest())
+    assert len(set(digests)) == len(digests)
+    assert digest() == digests[-1]
 
 
 def test_steps_are_named_once_and_replaced_one_at_a_time():
@@ -69,12 +93,12 @@ def test_steps_are_named_once_and_replaced_one_at_a_time():
 
 def test_a_step_far_from_its_price_comes_back(fox):
     """Means four times too fine or too coarse: calibration moves them the other way."""
-    sequence, survey, training = fox
+    sequence, survey, views = fox
     wanted = {}
     for factor in (0.25, 1.0, 4.0):
         start = StepSettings()
         start = with_step(start, "state.means", factor * get_step(start, "state.means"))
-        subject = Subject.of(sequence, survey, training, True, replace(FAST, steps=start))
+        subject = Subject.of(sequence, survey, views, replace(FAST, steps=start))
         steps, price = solve_steps(subject.sample(24.0), subject)
         assert price > 0
         others = [get_step(steps, n) / get_step(start, n) for n in ("state.quaternions", "state.log_scales")]
@@ -95,40 +119,43 @@ def test_ladders_descend(calibration):
 
 def test_a_scene_that_stands_still_has_one_level(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300)]))
-    cameras = orbit_views(sequence.read(0))
-    found = calibrate(sequence, survey_group(sequence, 0, 0, 1, cameras), cameras, False, FAST)
+    views = ViewSplit.of(sequence)
+    found = calibrate(sequence, survey_group(sequence, GroupSpan(0, 0, 1), views.training), views, FAST)
     assert found.levels == ((0.0, 1.0),) and found.core_levels == 0
     assert found.steps.state == StepSettings().state
 
 
 def test_removed_rows_cost_what_was_allowed(fox):
-    sequence, survey, training = fox
-    frames = [sequence.load([i]).frames[0] for i in survey.shown]
-    removal = Removal(frames, training, survey.rank)
+    sequence, survey, views = fox
+    loaded = sequence.load(range(survey.span.start, survey.span.stop)).frames
+    frames = [loaded[i] for i in survey.span.surveyed]
+    pruning = RowPruning(frames, views.training, survey.importance)
     counts = []
     for allowed in (0.0, 0.002, 0.005, 0.02):
-        needed = removal.needed(allowed)
-        assert needed.error <= allowed**2
-        assert not needed.rows[survey.rank[needed.rows] == 0].size
-        counts.append(len(needed.rows))
+        kept = pruning.within(allowed)
+        assert kept.error <= allowed**2
+        assert not kept.rows[survey.importance[kept.rows] == 0].size
+        counts.append(len(kept.rows))
     assert counts == sorted(counts, reverse=True) and counts[0] > counts[-1]
-    pictures = [mse(render(frames[1].take(needed.rows), c).rgb, render(frames[1], c).rgb) for c in training]
+    pictures = [mse(render(frames[1].take(kept.rows), c).rgb, render(frames[1], c).rgb) for c in views.training]
     assert float(np.mean(pictures)) < 3 * allowed**2  # of views that were not looked at
 
 
 def test_the_error_of_leaving_one_row_out_is_known_without_rendering(fox):
     """A picture is linear in an alpha; what is left is the chance in the signs of `measure_sensitivity`."""
-    sequence, survey, training = fox
-    frame = sequence.load([survey.canonical]).frames[0]
-    s = measure_sensitivity([frame], training)
+    sequence, survey, views = fox
+    frame = sequence.load([survey.span.canonical]).frames[0]
+    s = measure_sensitivity([frame], views.training)
     expected = s.opacity * frame.opacities().astype(np.float64) ** 2
     seen = np.argsort(-survey.usage.total)[:40]
-    views = [training[i] for i in evenly_spaced(len(training), MAX_VIEWS)]
-    full = [render(frame, c).rgb for c in views]
+    cameras = [views.training[i] for i in evenly_spaced(len(views.training), MAX_VIEWS)]
+    full = [render(frame, c).rgb for c in cameras]
     rendered = []
     for row in seen:
         without = frame.take(np.delete(np.arange(len(frame)), row))
-        rendered.append(np.mean([np.mean((render(without, c).rgb - a) ** 2) for c, a in zip(views, full, strict=True)]))
+        rendered.append(
+            np.mean([np.mean((render(without, c).rgb - a) ** 2) for c, a in zip(cameras, full, strict=True)])
+        )
     assert expected[seen].sum() == pytest.approx(sum(rendered), rel=0.25)
 
 
@@ -138,16 +165,21 @@ def test_things_go_as_long_as_they_pay():
     def error(chosen):
         return float(errors[chosen].sum())
 
-    assert affordable(sizes, errors, error, 0.0) == (pytest.approx(np.zeros(3)), 0.0)
-    assert affordable(sizes, errors, error, 1.0)[0].tolist() == [True, False, True]
-    assert affordable(sizes, np.zeros(3), error, 1.0)[0].tolist() == [True, False, False]  # guesses too low: fewer
-    assert affordable(sizes, np.zeros(3), lambda chosen: 1e9, 1.0)[0].tolist() == [False] * 3
+    assert select_omissions(sizes, errors, error, 0.0) == (pytest.approx(np.zeros(3)), 0.0)
+    assert select_omissions(sizes, errors, error, 1.0)[0].tolist() == [True, False, True]
+    # guesses that are too low: fewer are left out
+    assert select_omissions(sizes, np.zeros(3), error, 1.0)[0].tolist() == [
+        True,
+        False,
+        False,
+    ]
+    assert select_omissions(sizes, np.zeros(3), lambda chosen: 1e9, 1.0)[0].tolist() == [False] * 3
 
 
 def test_guessed_bytes_are_the_entropy():
     values = np.zeros((2, 2, 8))
     values[:, 1] = [[-1, 1] * 4] * 2  # one bit a row in the first picture, nothing changes after it
-    sizes, errors = guess_channels(values, np.zeros(2), np.ones((2, 8)))
+    sizes, errors = estimate_cost(values, np.zeros(2), np.ones((2, 8)))
     assert sizes.tolist() == [0.0, 1.0]
     assert errors.tolist() == [0.0, pytest.approx(8 - 0.8)]
 

@@ -9,9 +9,10 @@ from airgs_codec.coding.channels import state_channels
 from airgs_codec.coding.grid import cell_bits
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key, decode_state
-from airgs_codec.encoder.plan import plan_group, survey_group
+from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.survey import GroupSpan, ViewSplit, survey_group
 from airgs_codec.errors import ConfigError, FormatError, SceneError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.metrics import mse, psnr
@@ -32,6 +33,14 @@ def encoded(tmp_path, frames, settings=FAST):
     encode(open_sequence(folder), tmp_path / "out", settings)
     assert validate(tmp_path / "out") == []
     return open_package(tmp_path / "out")
+
+
+def laid_out(sequence, index, group) -> GroupLayout:
+    """The layout of a group of a package that was encoded with FAST."""
+    views, span = ViewSplit.of(sequence), GroupSpan(index, group.start, group.stop)
+    survey = survey_group(sequence, span, views.training)
+    loaded = sequence.load(range(group.start, group.stop))
+    return lay_out(loaded, survey, keep_rows(loaded.frames, survey, views, FAST), FAST, sequence.fps)
 
 
 def same(a: Gaussians, b: Gaussians):
@@ -103,19 +112,17 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox):
     """
     m = fox.manifest
     sequence = open_sequence(FOX)
-    training = [c for c in sequence.cameras if c.split == "train"]
     for g, group in enumerate(m.groups):
-        survey = survey_group(sequence, g, group.start, group.stop, training)
-        plan = plan_group(sequence, survey, training, True, FAST)
+        layout = laid_out(sequence, g, group)
         frames = sequence.load(range(group.start, group.stop)).frames
         base = decode_canonical(fox, g, 0)
-        values = state_channels([f.take(plan.rows) for f in frames], base, group.state_steps)
+        values = state_channels([f.take(layout.rows) for f in frames], base, group.state_steps)
         steps = STATE.steps(group.state_steps, m.colour_channels)
         for j, level in enumerate(m.levels):
             rows = (base.depths >= j) & (base.depths != 255)
             for t, codes in enumerate(decode_state(fox, g, j, 0, group.stop - group.start)):
                 error = codes / m.state_gain - values[t][:, rows] / (steps * level.factor)[:, None]
-                drawn = frames[t].take(plan.rows).opacities()[rows] >= 1 / 255
+                drawn = frames[t].take(layout.rows).opacities()[rows] >= 1 / 255
                 assert np.abs(error[:, drawn]).max() <= 5
                 assert np.sqrt(np.mean(error**2)) <= 0.5
 
@@ -123,25 +130,23 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox):
 def test_key_codes_are_within_the_codecs_error_of_the_source(fox):
     m = fox.manifest
     sequence = open_sequence(FOX)
-    training = [c for c in sequence.cameras if c.split == "train"]
     group = m.groups[0]
-    plan = plan_group(sequence, survey_group(sequence, 0, group.start, group.stop, training), training, True, FAST)
+    layout = laid_out(sequence, 0, group)
+    values = layout.key_values(sequence.load([group.canonical]).frames[0])
     steps = KEY.steps(group.key_steps, m.colour_channels)
     for q, quality in enumerate(m.qualities):
         codes = np.concatenate([decode_key(fox, 0, t, q)[0] for t in range(2)], axis=1)
-        error = codes / m.key_gain - plan.key_values / (steps * quality.factor)[:, None]
+        error = codes / m.key_gain - values / (steps * quality.factor)[:, None]
         assert np.abs(error).max() <= 2.5 and np.sqrt(np.mean(error**2)) <= 0.5
 
 
 def test_canonical_means_are_within_half_a_cell(fox):
     sequence = open_sequence(FOX)
-    training = [c for c in sequence.cameras if c.split == "train"]
     for g, group in enumerate(fox.manifest.groups):
-        survey = survey_group(sequence, g, group.start, group.stop, training)
-        plan = plan_group(sequence, survey, training, True, FAST)
-        source = sequence.load([group.canonical]).frames[0].take(plan.rows)
+        layout = laid_out(sequence, g, group)
+        source = sequence.load([group.canonical]).frames[0].take(layout.rows)
         error = np.abs(decode_canonical(fox, g, 0).means - source.means).max(axis=1)
-        side = group.grid.step * 2.0 ** cell_bits(plan.classes, group.grid)
+        side = group.grid.step * 2.0 ** cell_bits(layout.classes, group.grid)
         assert (error <= side / 2 * (1 + 1e-6)).all()
         assert len(np.unique(side)) > 2
 
@@ -245,6 +250,11 @@ def test_what_is_not_there_is_refused(fox, arguments):
         {"tiers": (0.5, 0.4)},
         {"usage": "none"},
         {"preset": "warp"},
+        {"update_rank": "none"},
+        {"measure_frames": -1},
+        {"calibrate": "sometimes"},
+        {"levels": ((0.0, 1.0),)},  # calibration would replace them
+        {"tiers": (0.5, 0.5)},
         {"jobs": 0},
     ],
 )

@@ -7,7 +7,6 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,42 +14,50 @@ import numpy as np
 
 from airgs_codec import __version__
 from airgs_codec.coding.steps import StepSettings
-from airgs_codec.encoder.calibration.solve import REVISION, Calibration
-from airgs_codec.encoder.plan import Survey
+from airgs_codec.encoder.calibration.calibrate import REVISION, Calibration
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.survey import Survey, ViewSplit
 from airgs_codec.errors import AirgsError
 from airgs_codec.media.h264 import library_versions
 from airgs_codec.package.staging import write_file
 from airgs_codec.package.tables import KeySteps, StateSteps
-from airgs_codec.render import Camera
 from airgs_codec.scene.sequence import GaussianSequence
 
 
 def folder() -> Path:
-    """$XDG_CACHE_HOME/airgs-codec/calibration, or the same under ~/.cache."""
+    """Where calibrations are: $XDG_CACHE_HOME/airgs-codec/calibration, or the same under ~/.cache."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "airgs-codec" / "calibration"
 
 
-def digest(sequence: GaussianSequence, survey: Survey, cameras: Sequence[Camera], settings: EncodeSettings) -> str:
-    """Of everything that a calibration depends on; of the group's frames, those that were looked at."""
+def digest(sequence: GaussianSequence, survey: Survey, views: ViewSplit, settings: EncodeSettings) -> str:
+    """SHA-256 of everything that a calibration depends on.
+
+    That is every frame of the group, since the repair of one frame changes the rows of all, the usage that the trainer
+    left, the training views, the settings and the versions of the code.
+    """
     h = hashlib.sha256()
-    choices = dataclasses.asdict(dataclasses.replace(settings, quality=1.0, calibrate="none", measure_frames=0, jobs=1))
-    words = [__version__, REVISION, library_versions(), choices, str(sequence.fps), survey.start, survey.stop]
+    choices = dataclasses.replace(settings, quality=1.0, calibrate="none", measure_frames=0, jobs=1)
+    versions = [__version__, REVISION, library_versions()]
+    words = [*versions, dataclasses.asdict(choices), str(sequence.fps), views.given, dataclasses.astuple(survey.span)]
     h.update(json.dumps(words, sort_keys=True).encode())
-    for camera in cameras:
-        for field in dataclasses.fields(camera):
-            value = getattr(camera, field.name)
-            h.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
-    for frame in survey.shown:
-        g = sequence.read(frame)
-        for field in dataclasses.fields(g):
-            h.update(np.ascontiguousarray(getattr(g, field.name)).tobytes())
+    usage = sequence.usage(survey.span.start, survey.span.stop)
+    for value in [*views.training, *([] if usage is None else [usage])]:
+        _update(h, value)
+    for frame in range(survey.span.start, survey.span.stop):
+        _update(h, sequence.read(frame))
     return h.hexdigest()
 
 
+def _update(h: hashlib._Hash, value: Any) -> None:
+    """Add the fields of a dataclass of arrays and plain values."""
+    for field in dataclasses.fields(value):
+        part = getattr(value, field.name)
+        h.update(np.ascontiguousarray(part).tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
+
+
 def load(name: str) -> Calibration | None:
-    """What was kept under a digest; None if nothing, or nothing that can be read."""
+    """The calibration kept under a digest; None if there is none, or none that can be read."""
     try:
         data: dict[str, Any] = json.loads((folder() / f"{name}.json").read_text(encoding="utf-8"))
         steps = data.pop("steps")
@@ -65,7 +72,7 @@ def load(name: str) -> Calibration | None:
 
 
 def keep(name: str, calibration: Calibration) -> None:
-    """Write it; a cache that cannot be written is no reason to fail."""
+    """Keep a calibration under a digest; a cache that cannot be written is no reason to fail."""
     with contextlib.suppress(OSError, AirgsError):
         folder().mkdir(parents=True, exist_ok=True)
         write_file(folder(), f"{name}.json", json.dumps(dataclasses.asdict(calibration)).encode())

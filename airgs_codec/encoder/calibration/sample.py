@@ -17,22 +17,12 @@ from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
 from airgs_codec.coding.steps import StepSettings, world_steps
 from airgs_codec.coding.weights import channel_weights, withheld_error
 from airgs_codec.media.h264 import key_codec, state_codec
-from airgs_codec.package import tables
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.tables import KeySteps
+from airgs_codec.package.tables import KeySteps, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
 BLOCK_ROWS = 256
 PRESET = "fast"
-KEY_PARTS = {"log_scales": slice(0, 3), "quaternions": slice(3, 6), "opacity": slice(6, 7), "colour": slice(7, None)}
-STATE_PARTS = {
-    "means": slice(0, 3),
-    "log_scales": slice(3, 6),
-    "quaternions": slice(6, 9),
-    "opacity": slice(9, 10),
-    "colour": slice(10, None),
-}
-ALL = tuple(STATE_PARTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +35,7 @@ class Cost:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sample:
+class CalibrationSample:
     """Blocks of rows of a group in file order, over some of its frames."""
 
     index: NDArray[np.intp]  # (n,) rows of the group in file order
@@ -54,11 +44,11 @@ class Sample:
     classes: NDArray[np.int16]  # (n,)
     sensitivity: Sensitivity  # (n,)
     moving: NDArray[np.bool_]  # (n,) rows that some level carries
-    scale: float  # rows of the group for each of the sample
-    group: int  # frames of the group
-    segment: int  # frames of a state segment
+    row_ratio: float  # rows of the group for each of the sample
+    group_frames: int  # frames of the group
+    segment_frames: int  # frames of a state segment
 
-    def take(self, rows: NDArray[np.bool_]) -> Sample:
+    def take(self, rows: NDArray[np.bool_]) -> CalibrationSample:
         """Fewer rows, as a sample of a group that has fewer by the same share."""
         return replace(
             self,
@@ -70,56 +60,57 @@ class Sample:
             moving=self.moving[rows],
         )
 
-    def cost(self, steps: StepSettings, parts: Sequence[str] = ALL) -> Cost:
-        """Of coding these attributes, keys and states, at `steps`."""
+    def cost(self, steps: StepSettings, attributes: Sequence[str] = STATE.attributes) -> Cost:
+        """What coding the keys and states of these attributes costs at `steps`."""
         size, errors = 0.0, np.zeros(len(self.classes))
-        for part in parts:
-            key_bytes, base = self.code_key(steps, 1.0, (part,))
+        for attribute in attributes:
+            key_bytes, base = self.code_key(steps, 1.0, (attribute,))
             states = self.states(base, steps)
-            state_bytes, shown = self.code_states(states, 1.0, STATE_PARTS[part])
+            state_bytes, shown = self.code_states(states, 1.0, STATE.slice(attribute))
             size += key_bytes + state_bytes
             errors += self.error(shown, steps)
         return Cost(size, float(errors[~self.moving].sum()), float(errors[self.moving].sum()))
 
-    def code_key(self, steps: StepSettings, factor: float, parts: Sequence[str] = ALL) -> tuple[float, Canonical]:
-        """Bytes a frame, and the canonical space as decoded; attributes that are not in `parts` stay exact."""
+    def code_key(
+        self, steps: StepSettings, factor: float, attributes: Sequence[str] = STATE.attributes
+    ) -> tuple[float, Canonical]:
+        """Bytes a frame, and the canonical space as decoded; attributes that are not named stay exact."""
         key_steps, _, cell = world_steps(steps, 1.0)
-        key = self.key
-        colours = 3 * (1 + key.sh_rest.shape[1])
         transform = self._transform(key_steps)
-        values = key_channels(key, transform, key_steps)
+        channels, size = self._code_key_channels(key_steps, transform, factor, attributes)
+        grid = fit_grid(self.key.means, self.classes, cell)
+        codes = grid_codes(self.key.means, self.classes, grid)
+        still = np.zeros(len(codes), np.uint8)
+        if "means" in attributes:
+            order = np.argsort(codes, kind="stable")
+            size += len(pack_key_sidecar(KeySidecar(codes[order], self.classes[order], still), grid))
+        base = dequantise_key(channels, codes, self.classes, still, transform, grid, key_steps)
+        return self.row_ratio * size / self.group_frames, base
+
+    def _code_key_channels(
+        self, steps: KeySteps, transform: NDArray[np.float64], factor: float, attributes: Sequence[str]
+    ) -> tuple[NDArray[np.float32], float]:
+        """(7 + C, n) key channels, those of the named attributes as decoded, and the bytes of their picture."""
+        values = key_channels(self.key, transform, steps)
         channels = values.astype(np.float32)
         chosen = np.zeros(len(values), bool)
-        for part in parts:
-            if part in KEY_PARTS:
-                chosen[KEY_PARTS[part]] = True
-        size = 0.0
-        if chosen.any():
-            step = KEY.steps(key_steps, colours)[chosen] * factor
-            codec = key_codec(PRESET)
-            sizes, decoded = encode_and_decode(values[None, chosen], step, codec)
-            channels[chosen] = decoded[0]
-            size += sizes[0]
-        grid = fit_grid(key.means, self.classes, cell)
-        codes = grid_codes(key.means, self.classes, grid)
-        if "means" in parts:
-            order = np.argsort(codes, kind="stable")
-            still = np.zeros(len(codes), np.uint8)
-            size += len(pack_key_sidecar(KeySidecar(codes[order], self.classes[order], still), grid))
-        base = dequantise_key(channels, codes, self.classes, np.zeros(len(codes), np.uint8), transform, grid, key_steps)
-        return self.scale * size / self.group, base
+        for attribute in set(attributes) & set(KEY.attributes):
+            chosen[KEY.slice(attribute)] = True
+        if not chosen.any():
+            return channels, 0.0
+        step = KEY.steps(steps, len(transform))[chosen] * factor
+        sizes, decoded = encode_and_decode(values[None, chosen], step, key_codec(PRESET))
+        channels[chosen] = decoded[0]
+        return channels, float(sizes[0])
 
     def error(self, errors: NDArray[np.float64], steps: StepSettings) -> NDArray[np.float64]:
         """(n,) what errors (T, 10 + C, n), in steps, add to the mean squared error of pictures of the whole group."""
         key_steps, state_steps, _ = world_steps(steps, 1.0)
-        transform = self._transform(key_steps)
-        return self.scale * withheld_error(
-            errors, channel_weights(self.classes, self.sensitivity, state_steps, transform)
-        )
+        weights = channel_weights(self.classes, self.sensitivity, state_steps, self._transform(key_steps))
+        return self.row_ratio * withheld_error(errors, weights)
 
     def _transform(self, steps: KeySteps) -> NDArray[np.float64]:
-        key = self.key
-        return tables.unpack_matrix(colour_transform(key, steps), 3 * (1 + key.sh_rest.shape[1]))
+        return unpack_matrix(colour_transform(self.key, steps), 3 * (1 + self.key.sh_rest.shape[1]))
 
     def states(self, base: Canonical, steps: StepSettings) -> NDArray[np.float64]:
         """(1 + T, 10 + C, n) differences of the canonical frame and the others to a canonical space, in steps."""
@@ -141,8 +132,7 @@ class Sample:
         if not len(moving):
             return 0.0, errors
         values = states[1:, channels[:, None], moving]
-        codec = state_codec(PRESET)
-        sizes, decoded = encode_and_decode(values, np.full(len(channels), factor), codec)
+        sizes, decoded = encode_and_decode(values, np.full(len(channels), factor), state_codec(PRESET))
         errors[:, channels[:, None], moving] = decoded - values
         others = float(np.mean(sizes[1:])) if len(sizes) > 1 else 0.0
-        return self.scale * (sizes[0] + (self.segment - 1) * others) / self.segment, errors
+        return self.row_ratio * (sizes[0] + (self.segment_frames - 1) * others) / self.segment_frames, errors

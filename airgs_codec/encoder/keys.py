@@ -1,0 +1,148 @@
+"""Canonical frames -> key pictures and their escapes, and back to the canonical space that viewers have.
+
+N rows of a group, n rows of a tier, P planes, C colour channels.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.coding import escapes
+from airgs_codec.coding.atlas import assemble, centre_codes, choose_layout, fit_atlas, read_codes
+from airgs_codec.coding.channels import Canonical
+from airgs_codec.coding.quantize import from_codes, to_codes
+from airgs_codec.coding.rangecoder import Reader, encode_columns
+from airgs_codec.encoder.error_bounds import ErrorModel
+from airgs_codec.encoder.leave_out import KeyOmissions
+from airgs_codec.encoder.plan import GroupLayout
+from airgs_codec.encoder.representation import (
+    EMPTY,
+    Clock,
+    Representation,
+    common_size,
+    encode_checked,
+    encode_parallel,
+)
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.survey import ViewSplit
+from airgs_codec.media.h264 import KEY_QP, ClosedGop, decode_pictures, key_codec, qp_step
+from airgs_codec.package.layout import KEY
+from airgs_codec.package.tables import STATIC, Atlas, LeftOut
+from airgs_codec.progress import Progress
+from airgs_codec.scene.gaussians import Gaussians
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CodedAtlas:
+    """A key tier of one group at one key quality: all that its picture and its escapes are made of."""
+
+    atlas: Atlas  # without its largest errors; 0 rows: nothing is sent
+    samples: NDArray[np.uint8]  # (P, n) luma
+    escapes: bytes
+    error: ErrorModel | None  # None: nothing is sent
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CodedKeys:
+    """The keys of one group."""
+
+    tiers: tuple[tuple[CodedAtlas, ...], ...]  # tier x key quality
+    left_out: tuple[LeftOut, ...]
+
+
+def code_keys(layout: GroupLayout, canonical: Gaussians, views: ViewSplit, settings: EncodeSettings) -> CodedKeys:
+    """Quantise the canonical frame, which has all input rows, for every tier and key quality."""
+    values = layout.key_values(canonical)
+    steps = KEY.steps(layout.key_steps, layout.colours)
+    omissions = KeyOmissions.of(layout, values)
+    omitted, planes = omissions.planes(views.training, settings.scaled_price)
+    tiers = tuple(
+        tuple(_code_tier(values[None, :, layout.tier_rows(tier)], steps * f, omitted) for f in settings.key_factors)
+        for tier in range(len(settings.tiers))
+    )
+    return CodedKeys(tiers, tuple(note for note in (omissions.gaussians(), planes) if note))
+
+
+def _code_tier(values: NDArray[np.float64], steps: NDArray[np.float64], omitted: NDArray[np.bool_]) -> CodedAtlas:
+    """From (1, 7 + C, n) values, (7 + C,) steps, and the (7 + C,) channels that are left out."""
+    if not values.size:
+        return CodedAtlas(Atlas(0, [0] * len(steps), [], 0, 0), np.empty((0, 0), np.uint8), b"", None)
+    gain = qp_step(KEY_QP)
+    codes = to_codes(values, steps, gain)
+    atlas = _with_picture(fit_atlas(codes, gain / 2, omitted))
+    samples, bases = escapes.split(centre_codes(codes, atlas))
+    error = ErrorModel.of(values, atlas, steps / gain)
+    return CodedAtlas(atlas, samples[0], encode_columns(escapes.columns(bases)), error)
+
+
+def _with_picture(atlas: Atlas) -> Atlas:
+    """A key always has a picture: of its first channel, if all channels are constant."""
+    if atlas.planes:
+        return atlas
+    return replace(atlas, planes=[0], plane_width=choose_layout(atlas.rows, 1)[0], columns=1)
+
+
+def encode_keys(
+    layouts: Sequence[GroupLayout],
+    keys: Sequence[CodedKeys],
+    clock: Clock,
+    settings: EncodeSettings,
+    progress: Progress,
+) -> list[list[Representation]]:
+    """Representations of every tier and key quality, tier x quality."""
+    codec = key_codec(settings.preset)
+
+    def encode(tier: int, quality: int) -> Representation:
+        coded = [(layout.span, group.tiers[tier][quality]) for layout, group in zip(layouts, keys, strict=True)]
+        used = [(span, part) for span, part in coded if part.atlas.rows]
+        if not used:
+            return EMPTY
+        size = common_size([part.atlas for _, part in used])
+        ticks = clock.frame_ticks
+        gops = [
+            ClosedGop(assemble(part.samples[None], part.atlas, *size), span.start * ticks, span.frames * ticks)
+            for span, part in used
+        ]
+        return encode_checked(lambda: gops, size, clock, codec)
+
+    qualities = range(len(settings.key_factors))
+    pairs = [(tier, quality) for tier in range(len(settings.tiers)) for quality in qualities]
+    tasks = [functools.partial(encode, *pair) for pair in pairs]
+    coded = iter(encode_parallel(tasks, settings.jobs, "key pictures", progress))
+    return [[next(coded) for _ in qualities] for _ in settings.tiers]
+
+
+def decode_base(
+    layout: GroupLayout,
+    keys: CodedKeys,
+    representations: Sequence[Sequence[Representation]],
+    numbers: Sequence[int],
+    settings: EncodeSettings,
+) -> Canonical:
+    """The canonical space of a group as viewers of key quality 0 have it, every row static.
+
+    `representations` are those of `encode_keys`, `numbers` the group's key unit in each tier.
+    """
+    steps = KEY.steps(layout.key_steps, layout.colours) * settings.key_factors[0]
+    parts = []
+    for tier, number in enumerate(numbers):
+        stream, coded = representations[tier][0].stream, keys.tiers[tier][0]
+        if stream is None or not number:
+            continue
+        where = f"key tier {tier} of frames {layout.span.start}-{layout.span.stop - 1}"
+        picture = next(decode_pictures(stream.init, stream.media[number - 1], where))
+        codes = read_codes(picture, coded.atlas, _read_bases(coded, where))
+        parts.append(from_codes(codes, steps, qp_step(KEY_QP)))
+    return layout.canonical_space(np.concatenate(parts, axis=1), np.full(len(layout.codes), STATIC, np.uint8))
+
+
+def _read_bases(coded: CodedAtlas, where: str) -> NDArray[np.int32]:
+    """(P, n) escape bases of a key picture, from the bytes that are sent."""
+    shape = (1, len(coded.atlas.planes), coded.atlas.rows)
+    index, jumps = escapes.read(Reader(coded.escapes, where), shape, where)
+    return escapes.bases_at(index, jumps, shape, 0)

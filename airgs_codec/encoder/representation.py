@@ -1,0 +1,78 @@
+"""Atlases -> coded and checked streams, several at a time. H x W samples a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.coding.atlas import picture_size
+from airgs_codec.errors import SceneError
+from airgs_codec.media.h264 import ClosedGop, CodecSettings, Stream, check_stream, encode_stream
+from airgs_codec.package.tables import MAX_SIDE, Atlas, Picture
+from airgs_codec.progress import Progress
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """Time in a package."""
+
+    fps: Fraction  # frames a second
+    timescale: int  # ticks a second, at least 1000
+    frame_ticks: int  # ticks a frame
+
+    @staticmethod
+    def of(fps: Fraction) -> Clock:
+        """A clock in which a frame takes a whole number of ticks."""
+        factor = 1 if fps.numerator >= 1000 else 1000
+        return Clock(fps, fps.numerator * factor, fps.denominator * factor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Representation:
+    """The coded pictures of a key tier at a key quality, or of a level, over the whole sequence."""
+
+    stream: Stream | None  # None: there is nothing to show
+    size: tuple[int, int]  # width and height of its pictures, samples
+    differences: tuple[NDArray[np.uint8], ...]  # (H, W) largest luma error of each closed GOP, see `h264.check_stream`
+
+    def picture(self) -> Picture:
+        """Its entry in the tables."""
+        return Picture(*self.size, self.stream.codecs) if self.stream else Picture(0, 0, "")
+
+
+EMPTY = Representation(None, (0, 0), ())
+
+
+def encode_checked(
+    gops: Callable[[], Iterable[ClosedGop]], size: tuple[int, int], clock: Clock, codec: CodecSettings
+) -> Representation:
+    """Encode pictures, then decode them again and compare; `gops` is called for each of the two. Raises CodecError."""
+    stream = encode_stream(gops(), size, clock.fps, clock.timescale, codec)
+    return Representation(stream, size, tuple(check_stream(stream, gops(), codec)))
+
+
+def common_size(atlases: Sequence[Atlas]) -> tuple[int, int]:
+    """Least width and height that hold every one of the atlases. Raises SceneError for a picture that is too large."""
+    sizes = [picture_size(atlas) for atlas in atlases]
+    size = (max((w for w, _ in sizes), default=0), max((h for _, h in sizes), default=0))
+    if max(size) > MAX_SIDE:
+        raise SceneError(f"pictures of {size[0]}x{size[1]} exceed {MAX_SIDE}: too many Gaussians for one atlas")
+    return size
+
+
+def encode_parallel(
+    tasks: Sequence[Callable[[], Representation]], jobs: int, stage: str, progress: Progress
+) -> list[Representation]:
+    """What the tasks give, in order, `jobs` at a time: x264 releases the interpreter lock, so threads serve."""
+    with ThreadPoolExecutor(jobs) as pool:
+        futures = [pool.submit(task) for task in tasks]
+        results = []
+        for done, future in enumerate(futures):
+            progress(stage, done, len(tasks))
+            results.append(future.result())
+    return results
