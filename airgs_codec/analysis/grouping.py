@@ -1,4 +1,4 @@
-"""Which frames share a canonical space."""
+"""Which frames share a canonical space. Row n of a frame is a Gaussian; N rows."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import numpy as np
 from airgs_codec.scene.sequence import GaussianSequence
 
 DEFAULT_GROUP_FRAMES = 30
-UNTRACKED_RATIO = 0.5  # of the distance between unrelated rows; tracked scenes stay below 0.05
+UNTRACKED_RATIO = 0.5  # move of a row / distance to an unrelated row; tracked scenes stay below 0.05
+FEWEST_ROWS = 8  # below it a median says nothing
 
 
 @dataclass(frozen=True, slots=True)
 class Grouping:
-    """Spans [start, stop) that cover the sequence, and why they are what they are."""
+    """The groups of a sequence, and why they are what they are."""
 
-    spans: list[tuple[int, int]]
+    spans: list[tuple[int, int]]  # frames [start, stop), one after the other, covering the sequence
     notes: list[str]
 
 
@@ -26,10 +27,10 @@ def middle_frame(start: int, stop: int) -> int:
 
 
 def plan_groups(sequence: GaussianSequence, group_frames: int = DEFAULT_GROUP_FRAMES) -> Grouping:
-    """Given keyframes, else a new group where the count changes, else every `group_frames` frames.
+    """Split a sequence into groups: at the keyframes that it names, else every `group_frames` frames.
 
-    A count that changes inside a given group starts another one, and a group whose rows clearly do not correspond
-    from frame to frame is coded all-intra (one frame a group); both are noted.
+    A group also starts where the number of Gaussians changes. A group whose rows clearly do not correspond from frame
+    to frame is coded all-intra (one frame a group). Notes say where either overrode the keyframes or the length.
     """
     counts = [header.count for header in sequence.headers]
     changes = [i for i in range(1, len(counts)) if counts[i] != counts[i - 1]]
@@ -65,11 +66,11 @@ def _split_untracked(
 
 
 def _displacement_ratio(sequence: GaussianSequence, start: int) -> float:
-    """Median move of a row from `start` to the next frame, over its median distance to an unrelated row."""
+    """Median move of a row from frame `start` to the next, over the median distance between unrelated rows."""
     a, b = (sequence.read(i).means.astype(np.float64) for i in (start, start + 1))
     finite = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
     a, b = a[finite], b[finite]
-    if len(a) < 8:  # too few rows to tell
+    if len(a) < FEWEST_ROWS:
         return 0.0
     b = b - np.median(b - a, axis=0)  # a scene that moves as a whole is tracked
     unrelated = np.random.default_rng(0).permutation(len(a))

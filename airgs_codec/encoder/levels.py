@@ -1,4 +1,4 @@
-"""Which rows come first (key tiers) and whose updates are sent (depths). N rows."""
+"""Assigns rows to key tiers and to the deepest level that carries their updates. N rows of a group."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ DEFAULT_TIERS = (0.8, 0.2)  # core, rest
 
 
 def assign_tiers(usage: NDArray[np.float64], shares: Sequence[float] = DEFAULT_TIERS) -> NDArray[np.uint8]:
-    """(N,) usage -> (N,) tier: the most used first, ties by row; `shares` of the rows each, summing to 1.
+    """(N,) tier of each row: the rows with the highest `usage` (N,) are in the first tier, ties by row.
 
-    The first tier has at least one row: some levels do with it.
+    Tiers hold `shares` of the rows, which sum to 1. The first has at least one row, since some levels have no other.
     """
     order = np.argsort(-usage, kind="stable")
     bounds = np.maximum(np.rint(np.cumsum(shares) * len(usage)), 1).astype(np.intp)
@@ -31,11 +31,11 @@ def assign_depths(
     tiers: NDArray[np.uint8] | None = None,
     level_tiers: Sequence[int] = (),
 ) -> NDArray[np.uint8]:
-    """(N,) depth: the deepest level that carries a row; STATIC for rows that no level does.
+    """(N,) deepest level that carries each row; STATIC for rows that no level carries.
 
-    Level j withholds the `pruned[j]` share of the moving rows with the lowest score (paper: p keeps the Gaussians
-    with the highest usage frequency), and with `tiers`, the (N,) tier of each row, all rows that are not in the first
-    `level_tiers[j]` of them. Ascending shares and descending tiers make levels nested.
+    Level j withholds the share `pruned[j]` of the `moving` rows, those with the lowest `score` (the paper prunes by
+    usage frequency). Where `tiers`, the (N,) tier of each row, is given, it also withholds all rows outside of the
+    first `level_tiers[j]` tiers. Shares that ascend and tiers that descend make levels nested.
     """
     rows = np.flatnonzero(moving)
     ranked = rows[np.argsort(-score[rows], kind="stable")]
