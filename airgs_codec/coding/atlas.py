@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.package.tables import Atlas
+from airgs_codec.package.tables import BLOCK, Atlas, plane_height
 
-BLOCK = 16
 CELLS = BLOCK * BLOCK
 MIN_SIDE = 64  # smaller pictures trip encoders
 GREY = 128
@@ -28,16 +27,10 @@ def choose_layout(rows: int, planes: int) -> tuple[int, int]:
     return wide * BLOCK, columns
 
 
-def plane_height(rows: int, plane_width: int) -> int:
-    """Samples from the top to the bottom of a plane of `rows` rows."""
-    blocks = -(-rows // CELLS)
-    return BLOCK * -(-blocks // (plane_width // BLOCK))
-
-
 def picture_size(atlas: Atlas) -> tuple[int, int]:
-    """The least width and height in samples that hold the atlas."""
-    height = plane_height(atlas.rows, atlas.plane_width) * -(-len(atlas.planes) // atlas.columns)
-    return max(MIN_SIDE, atlas.plane_width * atlas.columns), max(MIN_SIDE, height)
+    """Width and height in samples of the smallest picture that holds the atlas and that encoders take."""
+    width, height = atlas.size
+    return max(MIN_SIDE, width), max(MIN_SIDE, height)
 
 
 def fit_atlas(codes: NDArray[np.int32], limit: float, omitted: NDArray[np.bool_] | None = None) -> Atlas:

@@ -1,7 +1,8 @@
 """airgs.json: the normative tables of a package as frozen values, their paths and their JSON.
 
-T tiers, Q key qualities, L levels. Every number in `files` counts bytes. FORMAT.md says what each field means;
-`parse.parse_manifest` reads the JSON back and refuses what FORMAT.md does not name.
+T tiers, Q key qualities, L levels, C colour channels. FORMAT.md says what each field means. What a field may hold
+beside its type stands in its annotation (`constraints`); `schema` makes the JSON Schema of it, and
+`parse.parse_manifest` reads the JSON back and refuses everything else.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ import json
 from dataclasses import dataclass
 from enum import StrEnum
 from fractions import Fraction
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.media.metrics import psnr
+from airgs_codec.package.constraints import Length, OneOf, Pattern, Range
 from airgs_codec.scene.gaussians import SH_REST
 
 VERSION = 1
@@ -30,9 +33,33 @@ MAX_FRAMES = 1_000_000
 MAX_SIDE = 16384  # samples, either side of a picture
 MAX_FILE_BYTES = 1 << 31
 MAX_CHOICES = 64  # tiers, qualities, levels
+MAX_CENTRE = 1 << 30  # so that a centre, a luma level and the base of an escape add up within int32
+MAX_PSNR = 1000.0  # dB; nothing measured comes near, and ten to the power of a tenth of it is still a float
+MAX_DELTA_E = 1000.0  # CIEDE2000; the largest of two sRGB colours is about 120
+BLOCK = 16  # samples, either side of the blocks that a plane is made of
 STATE_ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity", "sh_dc", "sh_rest")
 KEY_ATTRIBUTES = STATE_ATTRIBUTES[1:]  # canonical means travel in the sidecar
 STATIC = 255  # depth of a row that no level carries
+
+Path = Annotated[
+    str,
+    Pattern(
+        r"key/T\d+/\d+\.bin|(key/T\d+/Q|state/L)\d+/(init\.mp4|\d+\.(m4s|bin))",
+        "a path of this format",
+        "unsafe_path",
+    ),
+]
+Count = Annotated[int, Range(0, MAX_COUNT)]
+FrameNumber = Annotated[int, Range(0, MAX_FRAMES)]
+FileNumber = Annotated[int, Range(0, MAX_FRAMES)]
+FileBytes = Annotated[int, Range(1, MAX_FILE_BYTES)]
+Side = Annotated[int, Range(0, MAX_SIDE)]
+Ticks = Annotated[int, Range(1, 1 << 31)]
+Share = Annotated[float, Range(0, 1)]
+Factor = Annotated[float, Range(1e-6, 1e6)]
+Step = Annotated[float, Range(1e-30, 1e30)]
+Gain = Annotated[float, Range(1e-3, 128)]
+Choices = Length(1, MAX_CHOICES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +75,12 @@ class Generator:
 class Views:
     """Where usage and quality were measured."""
 
-    source: str  # "given" cameras or "generated" ones
+    source: Annotated[str, OneOf(("given", "generated"))]  # of the cameras
     usage: int  # cameras that usage was measured on
     measured: int  # cameras that quality was measured on
     width: int  # pixels, of the first measured camera
     height: int
-    reference: str  # "original" (the unpruned input) or "none" (not measured)
+    reference: Annotated[str, OneOf(("original", "none"))]  # the unpruned input; none: quality was not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +88,7 @@ class KeyQuality:
     """A quality of the key: steps multiplied by `factor`."""
 
     id: str
-    factor: float
+    factor: Factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +96,8 @@ class Level:
     """A pruning level: which share of the moving rows is withheld at least, and the step factor of the others."""
 
     id: str
-    pruned: float  # share of the moving rows, 0..1
-    factor: float
+    pruned: Share  # of the moving rows
+    factor: Factor
     tiers: int  # key tiers that its viewers fetch; rows of later tiers have no state in it
 
 
@@ -78,8 +105,8 @@ class Level:
 class Picture:
     """The coded picture of a representation, the same in every segment; 0x0 when it has none."""
 
-    width: int
-    height: int
+    width: Side
+    height: Side
     codecs: str  # RFC 6381, such as avc1.64000D
 
 
@@ -90,53 +117,65 @@ class Grid:
     k = c - finest, from 0 to `bits`; a cell begins at origin + step * index, index 0 .. 2^bits - 1 with k low bits 0.
     """
 
-    origin: list[float]  # (3,) world units
-    step: float  # world units
-    bits: int
-    finest: int  # motion class whose cells are one step wide
+    origin: Annotated[list[float], Length(3, 3)]  # world units
+    step: Annotated[float, Range(0, 1e30)]  # world units
+    bits: Annotated[int, Range(1, 21)]
+    finest: Annotated[int, Range(-128, 127 + 21)]  # motion class whose cells are one step wide
 
 
 @dataclass(frozen=True, slots=True)
 class KeySteps:
     """Quantiser steps of the key at factor 1."""
 
-    quaternions: float  # radians
-    log_scales: float  # ln
-    opacity: float  # of [0, 1]
-    sh_dc: float
-    sh_rest: float
+    quaternions: Step  # radians
+    log_scales: Step  # ln
+    opacity: Step  # of [0, 1]
+    sh_dc: Step
+    sh_rest: Step
 
 
 @dataclass(frozen=True, slots=True)
 class StateSteps:
     """Quantiser steps of the state at factor 1."""
 
-    means: float  # motion units of the row
-    quaternions: float  # radians
-    log_scales: float  # ln
-    opacity: float  # of [0, 1]
-    sh_dc: float
-    sh_rest: float
+    means: Step  # motion units of the row
+    quaternions: Step  # radians
+    log_scales: Step  # ln
+    opacity: Step  # of [0, 1]
+    sh_dc: Step
+    sh_rest: Step
 
 
 @dataclass(frozen=True, slots=True)
 class Atlas:
     """How one group's rows lie in the pictures of a representation."""
 
-    rows: int
-    centres: list[int]  # a code for every channel
+    rows: Count
+    centres: list[Annotated[int, Range(-MAX_CENTRE, MAX_CENTRE)]]  # a code for every channel
     planes: list[int]  # channels that have a plane, ascending; the others are constant at their centre
     plane_width: int  # samples, a multiple of 16
     columns: int  # planes side by side
-    max_error: list[float] = dataclasses.field(default_factory=list)  # an attribute of the `Layout`, in channel units
+    max_error: list[Annotated[float, Range(0, 1e38)]] = dataclasses.field(default_factory=list)  # for each attribute
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in samples of what the planes cover together."""
+        height = plane_height(self.rows, self.plane_width) * -(-len(self.planes) // self.columns)
+        return self.plane_width * self.columns, height
+
+
+def plane_height(rows: int, plane_width: int) -> int:
+    """Samples from the top to the bottom of a plane of `rows` rows."""
+    blocks = -(-rows // BLOCK**2)
+    return BLOCK * -(-blocks // (plane_width // BLOCK))
 
 
 @dataclass(frozen=True, slots=True)
 class GroupTier:
     """One key tier of one group."""
 
-    count: int  # rows
-    number: int  # of its files; 0: no rows, no files
+    count: Count  # rows
+    number: FileNumber  # of its files; 0: no rows, no files
     qualities: list[Atlas]
 
 
@@ -144,12 +183,12 @@ class GroupTier:
 class Group:
     """Frames [start, stop) that share the canonical space of frame `canonical`."""
 
-    start: int
-    stop: int
-    canonical: int
-    count: int  # rows written, over all tiers
-    static: int  # rows of `count` that no level carries
-    unused: int  # Gaussians no view uses: not written
+    start: FrameNumber
+    stop: FrameNumber
+    canonical: FrameNumber
+    count: Annotated[int, Range(1, MAX_COUNT)]  # rows written, over all tiers
+    static: Count  # rows of `count` that no level carries
+    unused: Count  # Gaussians no view uses: not written
     grid: Grid
     key_steps: KeySteps
     state_steps: StateSteps
@@ -162,20 +201,20 @@ class Group:
 class SegmentLevel:
     """One level of one segment."""
 
-    number: int  # of its files; 0: nothing to fetch, the canonical space is shown
-    frame_bytes: list[int]  # H.264 bytes of each frame, in display order
-    psnr: list[float]  # dB for each key quality; empty: not measured
-    ssim: list[float]  # for each key quality
-    delta_e: list[float]  # CIEDE2000 for each key quality
+    number: FileNumber  # of its files; 0: nothing to fetch, the canonical space is shown
+    frame_bytes: list[FileBytes]  # H.264 bytes of each frame, in display order
+    psnr: list[Annotated[float, Range(-MAX_PSNR, MAX_PSNR)]]  # dB for each key quality; empty: not measured
+    ssim: list[Annotated[float, Range(-1, 1)]]  # for each key quality
+    delta_e: list[Annotated[float, Range(0, MAX_DELTA_E)]]  # CIEDE2000 for each key quality
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
     """Frames [start, stop) of group `group`, fetched and decoded together."""
 
-    group: int
-    start: int
-    stop: int
+    group: FrameNumber
+    start: FrameNumber
+    stop: FrameNumber
     levels: list[SegmentLevel]
 
 
@@ -183,8 +222,8 @@ class Segment:
 class FileEntry:
     """Length and digest of a file of the package."""
 
-    bytes: int
-    sha256: str
+    bytes: FileBytes
+    sha256: Annotated[str, Pattern("[0-9a-f]{64}", "64 hex digits of SHA-256")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,22 +244,22 @@ class Manifest:
     version: int
     generator: Generator
     attribution: str
-    repairs: list[str]  # what was mended in the input before coding
-    frame_rate: list[int]  # numerator, denominator: frames a second
-    timescale: int  # ticks a second in the MP4 files and the MPD
-    frames: int
-    sh_degree: int
-    key_gain: float  # luma levels a step in key atlases
-    state_gain: float  # luma levels a step in state atlases
+    repairs: list[str]  # what was repaired in the input before coding
+    frame_rate: Annotated[list[Ticks], Length(2, 2)]  # numerator, denominator: frames a second
+    timescale: Ticks  # a second in the MP4 files and the MPD
+    frames: Annotated[int, Range(1, MAX_FRAMES)]
+    sh_degree: Annotated[int, Range(0, 3)]
+    key_gain: Gain  # luma levels a step in key atlases
+    state_gain: Gain  # luma levels a step in state atlases
     views: Views
-    qualities: list[KeyQuality]
-    levels: list[Level]
-    key_pictures: list[list[Picture]]  # T x Q
+    qualities: Annotated[list[KeyQuality], Choices]
+    levels: Annotated[list[Level], Choices]
+    key_pictures: Annotated[list[list[Picture]], Choices]  # T x Q
     state_pictures: list[Picture]  # L
     groups: list[Group]
     segments: list[Segment]
     left_out: list[LeftOut]
-    files: dict[str, FileEntry]
+    files: dict[Path, FileEntry]
 
     @property
     def fps(self) -> Fraction:

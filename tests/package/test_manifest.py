@@ -14,9 +14,9 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.package.mpd import adaptation_sets, write_mpd
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.parse import parse_manifest
+from airgs_codec.package.schema import manifest_schema
 from airgs_codec.package.store import open_package
 from tests.support.paths import CORPUS
-from tools.make_schema import SCHEMA, manifest_schema
 
 VALID = sorted((CORPUS / "valid").iterdir())
 INVALID = sorted((CORPUS / "invalid").iterdir())
@@ -48,15 +48,15 @@ def test_every_reason_of_the_corpus_is_in_the_format():
 
 
 def test_the_committed_schema_is_the_generated_one():
-    assert json.loads(SCHEMA.read_text()) == manifest_schema()
+    assert json.loads((CORPUS / "airgs.schema.json").read_text()) == manifest_schema()
 
 
-def test_the_schema_agrees_with_the_reader_on_structure():
+def test_the_schema_agrees_with_the_reader():
     jsonschema.Draft202012Validator.check_schema(manifest_schema())
     validator = jsonschema.Draft202012Validator(manifest_schema())
     for path in VALID:
         validator.validate(json.loads((path / "airgs.json").read_text()))
-    for name in ("unknown_field", "missing_field", "wrong_type", "unknown_version"):
+    for name in ("unknown_field", "missing_field", "wrong_type", "unknown_version", "bad_value", "unsafe_path"):
         assert not validator.is_valid(json.loads((CORPUS / "invalid" / name / "airgs.json").read_text())), name
 
 
@@ -107,6 +107,33 @@ def test_claims_that_cannot_be_true_are_refused(place, value):
     with pytest.raises(FormatError) as caught:
         parse_manifest(set_in(place, value))
     assert caught.value.reason == "bad_value"
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "detail"),
+    [
+        (("sh_degree",), 4, "airgs.json.sh_degree: expected 0 to 3, got 4"),
+        (("qualities", 1, "factor"), 0, "airgs.json.qualities[1].factor: expected 1e-06 to 1000000.0, got 0.0"),
+        (("frame_rate",), [30], "airgs.json.frame_rate: expected 2 to 2 values, got 1"),
+        (("views", "source"), "guessed", "airgs.json.views.source: expected one of given, generated, got 'guessed'"),
+        (
+            ("segments", 0, "levels", 0, "ssim", 1),
+            1.5,
+            "airgs.json.segments[0].levels[0].ssim[1]: expected -1 to 1, got 1.5",
+        ),
+        (
+            ("files", "key/T0/1.bin", "sha256"),
+            "12",
+            "airgs.json.files['key/T0/1.bin'].sha256: expected 64 hex digits of SHA-256, got '12'",
+        ),
+    ],
+)
+def test_a_value_out_of_its_range_is_refused_by_reader_and_schema_alike(place, value, detail):
+    text = set_in(place, value)
+    with pytest.raises(FormatError) as caught:
+        parse_manifest(text)
+    assert str(caught.value) == f"{detail} [bad_value]"
+    assert not jsonschema.Draft202012Validator(manifest_schema()).is_valid(json.loads(text))
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"version": NaN}', "nul", "[" * 100_000])

@@ -1,0 +1,54 @@
+"""The JSON Schema of airgs.json, made from the dataclasses of `tables` and their annotations.
+
+`python -m airgs_codec.package.schema` prints it; manifests/airgs.schema.json holds what it prints.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import typing
+from typing import Annotated, Any
+
+from airgs_codec.package.tables import VERSION, Manifest
+
+_PLAIN = {int: "integer", float: "number", str: "string"}
+
+
+def manifest_schema() -> dict[str, Any]:
+    """The schema of airgs.json; what ties one field to another it cannot say, and `references` checks."""
+    schema = _schema_of(Manifest)
+    schema["properties"]["version"] = {"const": VERSION}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "airgs.json", **schema}
+
+
+def _schema_of(kind: Any) -> dict[str, Any]:
+    """Of an annotated type."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is Annotated:
+        keywords = [constraint.schema() for constraint in arguments[1:]]
+        return {key: value for part in (_schema_of(arguments[0]), *keywords) for key, value in part.items()}
+    if origin is list:
+        return {"type": "array", "items": _schema_of(arguments[0])}
+    if origin is dict:
+        names, values = (_schema_of(argument) for argument in arguments)
+        return {"type": "object", "propertyNames": names, "additionalProperties": values}
+    if dataclasses.is_dataclass(kind):
+        return _schema_of_dataclass(kind)
+    return {"type": _PLAIN[kind]}
+
+
+def _schema_of_dataclass(kind: Any) -> dict[str, Any]:
+    hints = typing.get_type_hints(kind, include_extras=True)
+    properties = {name: _schema_of(hint) for name, hint in hints.items()}
+    return {
+        "type": "object",
+        "description": (kind.__doc__ or "").split("\n")[0],
+        "properties": properties,
+        "required": list(properties),
+        "additionalProperties": False,
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(manifest_schema(), indent=1))
