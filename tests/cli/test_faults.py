@@ -1,6 +1,5 @@
 """Full disks, targets that cannot be written, bombs: one line, exit code 2, and what was there stays."""
 
-import json
 import os
 import resource
 import shutil
@@ -15,6 +14,7 @@ from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.staging import staged
 from airgs_codec.package.store import open_package
+from tests.support.mutations import on_disk, set_value
 from tests.support.paths import FOX, VALID
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -76,14 +76,7 @@ def test_a_full_disk_while_decoding(tmp_path):
     ],
 )
 def test_absurd_counts_are_refused_with_little_memory(tmp_path, where, value):
-    bomb = tmp_path / "bomb.airgs"
-    shutil.copytree(MOVING, bomb)
-    data = json.loads((bomb / "airgs.json").read_text())
-    here = data
-    for key in where[:-1]:
-        here = here[key]
-    here[where[-1]] = value
-    (bomb / "airgs.json").write_text(json.dumps(data))
+    bomb = on_disk(shutil.copytree(MOVING, tmp_path / "bomb.airgs"), set_value(where, value))
     with pytest.raises(FormatError):
         decode(open_package(bomb), 0)
 

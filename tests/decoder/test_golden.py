@@ -6,8 +6,8 @@ import pytest
 
 from airgs_codec.coding.rangecoder import Reader
 from airgs_codec.package.store import open_package
+from tests.makers.golden import digests
 from tests.support.paths import GOLDEN
-from tools.make_golden import digests
 
 CASES = sorted(path.stem for path in GOLDEN.glob("*.json"))
 

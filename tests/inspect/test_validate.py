@@ -1,7 +1,6 @@
 """Validation: everything wrong is a finding with its reason, nothing raises, whatever the bytes are."""
 
 import dataclasses
-import hashlib
 import json
 import os
 import random
@@ -14,6 +13,16 @@ import pytest
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import JSON_NAME
+from tests.support.mutations import (
+    add_file,
+    by_chance,
+    edit_tables,
+    honest,
+    on_disk,
+    random_tables,
+    set_value,
+)
 from tests.support.paths import VALID
 
 
@@ -22,17 +31,10 @@ def package(tmp_path):
     return shutil.copytree(VALID / "moving", tmp_path / "package")
 
 
-def edit(package: Path, change) -> None:
-    tables = json.loads((package / "airgs.json").read_text())
-    change(tables)
-    (package / "airgs.json").write_text(json.dumps(tables))
-
-
 def replace_file(package: Path, relative: str, data: bytes) -> None:
     """Write a file and make its entry agree, so that only its content can be refused."""
-    (package / relative).write_bytes(data)
-    entry = {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
-    edit(package, lambda tables: tables["files"].update({relative: entry}))
+    listed = edit_tables(lambda tables: tables["files"].setdefault(relative, {}))
+    on_disk(package, add_file(relative, data), listed, honest)
 
 
 def reasons(package: Path) -> set[str]:
@@ -108,20 +110,20 @@ def test_more_pictures_than_promised_are_refused(package):
 )
 def test_what_the_tables_claim_of_a_segment_is_checked(package, field, value, reason):
     assert open_package(package).manifest.segments[0].levels[0].psnr
-    edit(package, lambda tables: tables["segments"][0]["levels"][0].update({field: value}))
+    on_disk(package, set_value(("segments", 0, "levels", 0, field), value))
     assert reasons(package) == {reason}
 
 
 def test_steps_that_decode_to_no_finite_number_are_refused(package):
-    edit(package, lambda tables: tables["groups"][0]["key_steps"].update(log_scales=1e30, quaternions=1e30))
-    edit(package, lambda tables: tables["qualities"][0].update(factor=1e6))
-    edit(package, lambda tables: tables["qualities"][1].update(factor=1e6))
-    edit(package, lambda tables: tables.update(key_gain=1e-3))
+    steps = {("key_steps", "log_scales"): 1e30, ("key_steps", "quaternions"): 1e30}
+    factors = [set_value(("qualities", q, "factor"), 1e6) for q in (0, 1)]
+    coarse = [set_value(("groups", 0, *place), value) for place, value in steps.items()]
+    on_disk(package, *coarse, *factors, set_value(("key_gain",), 1e-3))
     assert reasons(package) == {"bad_value"}
 
 
 def test_a_number_that_fits_no_array_is_refused(package):
-    edit(package, lambda tables: tables["groups"][0]["levels"][1]["centres"].__setitem__(0, 1 << 31))
+    on_disk(package, set_value(("groups", 0, "levels", 1, "centres", 0), 1 << 31))
     assert reasons(package) == {"bad_value"}
 
 
@@ -134,7 +136,7 @@ def test_a_group_without_keys_is_refused(package):
             for level in segment["levels"]:
                 level.update(number=0, frame_bytes=[])
 
-    edit(package, forget)
+    on_disk(package, edit_tables(forget))
     found = validate(package)
     assert found and {f.reason for f in found} <= {"foreign_file", "mpd_mismatch", "bad_value"}
 
@@ -155,51 +157,24 @@ def test_depths_that_disagree_with_a_level_are_counted(package):
     assert reasons(package) == {"count_mismatch"}
 
 
-def broken(data: bytes, rng: random.Random) -> bytes:
-    out = bytearray(data)
-    for _ in range(rng.choice([1, 3])):
-        at = rng.randrange(len(out))
-        how = rng.randrange(4)
-        if how == 0:
-            out[at] = rng.randrange(256)
-        elif how == 1:
-            out[at] ^= 1 << rng.randrange(8)
-        elif how == 2:
-            out[at:at] = bytes(8)
-        else:
-            del out[at : at + rng.choice([1, 8])]
-        out = out or bytearray(1)
-    return bytes(out)
-
-
 @pytest.mark.parametrize("name", ["moving", "two-groups-sh1", "one-gaussian"])
 def test_random_damage_is_found_or_harmless_and_never_raises(name, tmp_path):
     """Digests are made to agree, so that only decoding stands between the damage and a caller."""
-    rng = random.Random(name)
-    files = sorted(open_package(VALID / name).manifest.files)
+    chance = random.Random(name)
     seen = set()
-    for _ in range(60):
-        package = shutil.copytree(VALID / name, tmp_path / "package")
-        relative = rng.choice(files)
-        replace_file(package, relative, broken((package / relative).read_bytes(), rng))
-        seen |= reasons(package)
-        shutil.rmtree(package)
+    for number in range(60):
+        package = shutil.copytree(VALID / name, tmp_path / str(number))
+        seen |= reasons(on_disk(package, by_chance(chance, tables=False), honest))
     assert {"bad_picture", "bad_sidecar"} <= seen
 
 
 @pytest.mark.parametrize("name", ["moving", "two-groups-sh1"])
-def test_random_numbers_in_the_tables_never_raise(name, tmp_path):
+def test_random_changes_of_the_tables_never_raise(name, tmp_path):
     package = shutil.copytree(VALID / name, tmp_path / "package")
-    rng = random.Random(name)
-    text = (package / "airgs.json").read_text()
+    chance = random.Random(name)
+    text = (package / JSON_NAME).read_bytes()
+    seen = set()
     for _ in range(150):
-        tables = json.loads(text)
-        target = tables[rng.choice(["groups", "segments", "levels", "key_pictures", "state_pictures", "qualities"])]
-        while True:
-            key = rng.choice(sorted(target) if isinstance(target, dict) else range(len(target)))
-            if not isinstance(target[key], (dict, list)) or not target[key]:
-                break
-            target = target[key]
-        target[key] = rng.choice([0, 1, -1, 2, 255, 65536, 1 << 31, 1e30, 1e-30, [], "x"])
-        (package / "airgs.json").write_text(json.dumps(tables))
-        reasons(package)
+        (package / JSON_NAME).write_bytes(random_tables(chance, text))
+        seen |= reasons(package)
+    assert {"bad_value", "wrong_type", "missing_field"} <= seen

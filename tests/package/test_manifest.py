@@ -16,11 +16,14 @@ from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.parse import parse_manifest
 from airgs_codec.package.schema import manifest_schema
 from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import JSON_NAME
+from tests.makers.conformance import BREAKS
+from tests.support.mutations import apply, places, read_files, set_value
 from tests.support.paths import CORPUS
 
 VALID = sorted((CORPUS / "valid").iterdir())
 INVALID = sorted((CORPUS / "invalid").iterdir())
-TEXT = (CORPUS / "valid" / "two-groups-sh1" / "airgs.json").read_text()
+TEXT = (CORPUS / "valid" / "two-groups-sh1" / "airgs.json").read_bytes()
 
 
 def test_the_corpus_is_not_empty():
@@ -42,6 +45,12 @@ def test_invalid_packages_are_refused_for_their_reason(path):
     assert all("\n" not in str(f) for f in findings)
 
 
+def test_the_committed_corpus_is_what_its_maker_makes_of_a_valid_package():
+    assert {path.name for path in INVALID} == BREAKS.keys()
+    for path in INVALID:
+        assert read_files(path) == apply(read_files(CORPUS / "valid" / "moving"), *BREAKS[path.name]), path.name
+
+
 def test_every_reason_of_the_corpus_is_in_the_format():
     text = (CORPUS.parent / "FORMAT.md").read_text()
     assert [p.name for p in INVALID if p.name not in text] == []
@@ -60,13 +69,6 @@ def test_the_schema_agrees_with_the_reader():
         assert not validator.is_valid(json.loads((CORPUS / "invalid" / name / "airgs.json").read_text())), name
 
 
-def places(value, path=()):
-    yield path
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, item in items:
-        yield from places(item, (*path, key))
-
-
 PLACES = [p for p in places(json.loads(TEXT)) if p]
 
 
@@ -83,12 +85,7 @@ def test_a_mutated_table_is_read_or_refused_never_a_crash(place, value):
 
 def set_in(place, value):
     """The text of a valid table with one value changed."""
-    data = json.loads(TEXT)
-    target = data
-    for key in place[:-1]:
-        target = target[key]
-    target[place[-1]] = value
-    return json.dumps(data)
+    return apply({JSON_NAME: TEXT}, set_value(place, value))[JSON_NAME]
 
 
 @pytest.mark.parametrize(

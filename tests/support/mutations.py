@@ -57,7 +57,7 @@ def edit_tables(change: Callable[[dict[str, Any]], object]) -> Mutation:
     def mutate(files: Files) -> Files:
         tables = json.loads(files[JSON_NAME])
         change(tables)
-        return files | {JSON_NAME: json.dumps(tables, separators=(",", ":")).encode()}
+        return files | {JSON_NAME: _compact(tables)}
 
     return mutate
 
@@ -80,6 +80,11 @@ def places(document: Any, above: Place = ()) -> Iterator[Place]:
     )
     for key, inner in items:
         yield from places(inner, (*above, key))
+
+
+def _compact(tables: Any) -> bytes:
+    """JSON as the encoder writes it."""
+    return json.dumps(tables, separators=(",", ":")).encode()
 
 
 def _parent(document: Any, place: Place) -> Any:
@@ -126,7 +131,7 @@ def honest(files: Files) -> Files:
     for name, entry in tables["files"].items():
         if name in files and isinstance(entry, dict):
             entry |= {"bytes": len(files[name]), "sha256": hashlib.sha256(files[name]).hexdigest()}
-    return files | {JSON_NAME: json.dumps(tables).encode()}
+    return files | {JSON_NAME: _compact(tables)}
 
 
 def by_chance(chance: random.Random, *, tables: bool = True) -> Mutation:

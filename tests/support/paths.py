@@ -10,3 +10,4 @@ FOX_VIEWS = DATA / "fox_views"  # its pictures
 GOLDEN = REPOSITORY / "tests" / "golden"
 CORPUS = REPOSITORY / "manifests"
 VALID = CORPUS / "valid"
+INVALID = CORPUS / "invalid"

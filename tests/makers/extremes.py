@@ -1,6 +1,6 @@
 """Write docs/extremes.md: every case of tests/support/extremes.py with its bound and measured error, or its refusal.
 
-python -m tools.make_extremes
+python -m tests.makers.extremes
 """
 
 from __future__ import annotations
@@ -9,14 +9,15 @@ import tempfile
 from pathlib import Path
 
 from tests.support.extremes import CASES, Outcome, measure_case
+from tests.support.paths import REPOSITORY
 
-PAGE = Path(__file__).parent.parent / "docs" / "extremes.md"
+PAGE = REPOSITORY / "docs" / "extremes.md"
 HEAD = """# Extreme sequences
 
 Each is encoded with `--keep-all` at the default steps, validated, decoded and compared with its original, attribute by
 attribute, against the `max_error` in its package (FORMAT.md, section 4). The column shows the top rung's attribute that
 comes nearest to its bound, in the unit of its channel; no other, nor any other rung, exceeds its own. Written by
-`python -m tools.make_extremes` from tests/support/extremes.py; tests/encoder/test_extremes.py checks the same.
+`python -m tests.makers.extremes` from tests/support/extremes.py; tests/encoder/test_extremes.py checks the same.
 
 | sequence | nearest to its bound | measured | bound | bytes a row and frame | what was repaired, or why it is refused |
 |---|---|---|---|---|---|

@@ -1,6 +1,6 @@
 """Write tests/golden: small packages, and the digests of the codes they decode to.
 
-    python tools/make_golden.py
+    python -m tests.makers.golden
 
 Run it only when the byte format changes: the digests say what every later decoder must read from these bytes.
 """
@@ -20,11 +20,10 @@ from airgs_codec.decoder.decode import decode_key, decode_state
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.store import Package, open_package
-from airgs_codec.scene.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX, GOLDEN
+from tests.support.scenes import write_sequence
 
-GOLDEN = Path(__file__).parent.parent / "tests" / "golden"
-FOX = Path(__file__).parent.parent / "tests" / "data" / "fox"
 ROWS = 700  # Gaussians kept of the embedded scene
 
 
@@ -69,10 +68,9 @@ def main() -> None:
     for name, (frames, settings) in cases.items():
         with tempfile.TemporaryDirectory() as folder:
             rows = np.linspace(0, 4999, ROWS).astype(int)
-            for number, frame in enumerate(frames):
-                write_ply(Path(folder) / f"{number:06d}.ply", source.read(frame).take(rows))
-            (Path(folder) / "sequence.json").write_text(json.dumps({"fps": 24, "keyframes": [0, 2]}))
-            encode(open_sequence(Path(folder)), GOLDEN / name, settings)
+            cut = [source.read(frame).take(rows) for frame in frames]
+            scene = write_sequence(Path(folder), cut, fps=24, keyframes=[0, 2])
+            encode(open_sequence(scene), GOLDEN / name, settings)
         table = json.dumps(digests(open_package(GOLDEN / name)), indent=1)
         (GOLDEN / f"{name}.json").write_text(table + "\n")
 

@@ -1,6 +1,6 @@
 """Cut the embedded multi-view pictures out of the full ones: six frames around the keyframe, small.
 
-    python tools/make_demo_views.py MULTIVIEW OUT
+    python -m tests.makers.demo_views MULTIVIEW OUT
 
 MULTIVIEW: folder with transforms.json, points3d.npy and 320 x 320 pictures; the points are of its first frame.
 """

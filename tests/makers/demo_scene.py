@@ -1,6 +1,6 @@
 """Cut the embedded demo scene out of a full sequence: fewer frames and the most used Gaussians, rows kept in place.
 
-    python tools/make_demo_scene.py SEQUENCE MULTIVIEW TRACE OUT
+    python -m tests.makers.demo_scene SEQUENCE MULTIVIEW TRACE OUT
 
 SEQUENCE: folder of .ply frames with a keyframe at 12; MULTIVIEW: its transforms.json and images; TRACE: a Raca CSV.
 """
