@@ -115,7 +115,7 @@ def test_every_table_says_which_psnr_it_shows(measured, tmp_path, capsys):
     for name in ("sessions.csv", "frames.csv"):
         heads = (report / name).read_text().splitlines()[0].split(",")
         assert not [head for head in heads if head.startswith("psnr") and "_over_" not in head]
-    rows = list(csv.DictReader((report / "summary.csv").open()))
+    rows = list(csv.DictReader((report / "summary.csv").read_text().splitlines()))
     shown = {row["figure"]: row["meaning"] for row in rows}
     assert "mean over display ticks" in shown["PSNR dB"] and len(shown) == len(FIGURES)
     record = json.loads((report / "study.json").read_text())

@@ -115,9 +115,8 @@ def plot_study(study: Study, path: Path) -> None:
     transmission.axvline(1e3 * study.rows[0]["played_s"] / study.rows[0]["frames"], color="0.5", linestyle="--")
     for axis in axes.ravel():
         axis.grid(alpha=0.25)
-    figure.legend(
-        *means.get_legend_handles_labels(), loc="outside lower center", ncols=min(6, len(study.settings.policies))
-    )
+    columns = min(6, len(study.settings.policies))
+    figure.legend(*means.get_legend_handles_labels(), loc="outside lower center", ncols=columns)
     save_figure(figure, path)
 
 
