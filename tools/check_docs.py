@@ -25,6 +25,7 @@ import tempfile
 import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from unittest.mock import patch
 
@@ -70,7 +71,12 @@ def blocks(text: str) -> list[Block]:
 def command_lines(code: str) -> list[list[str]]:
     """The commands of a shell block as words, comments and what follows a pipe left out."""
     lines = (shlex.split(line, comments=True) for line in code.replace("\\\n", " ").splitlines())
-    return [words[: words.index("|")] if "|" in words else words for words in lines if words]
+    return [before_redirection(words) for words in lines if words]
+
+
+def before_redirection(words: list[str]) -> list[str]:
+    """The words of a command before the first `|` or `>`."""
+    return list(takewhile(lambda word: word not in ("|", ">"), words))
 
 
 def findings(page: Path) -> Iterator[str]:
@@ -91,7 +97,7 @@ def inline_errors(code: str) -> Iterator[str]:
     words = code.replace("[", "").replace("]", "").split()
     program = words[0] if words else ""
     if len(words) > 1 and (program in scripts() or words[:2] == ["python", "-m"]):
-        yield from filter(None, [command_error(words, whole=False)])
+        yield from filter(None, [command_error(before_redirection(words), whole=False)])
     elif PATH.fullmatch(program) and not (REPOSITORY / program).exists():
         yield f"{program}: no such file"
     elif re.fullmatch(r"airgs(_codec)?(\.\w+)+", code) and not resolves(code.replace("airgs.", "airgs_codec.", 1)):
@@ -181,8 +187,8 @@ def _refusal(entry: str, arguments: list[str]) -> str | None:
         raise _ParserError(message)
 
     try:
-        main = getattr(importlib.import_module(module), function)
-    except (ModuleNotFoundError, AttributeError) as error:
+        main = getattr(importlib.import_module(module), function, lambda: None)  # a module may just print
+    except ModuleNotFoundError as error:
         return str(error)
     with (
         patch.object(argparse.ArgumentParser, "parse_args", stop),
