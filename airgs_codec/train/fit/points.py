@@ -1,4 +1,4 @@
-"""The cloud that the first frame starts from: given, COLMAP's, or triangulated from SIFT features.
+"""The cloud that the first frame starts from: given, COLMAP's, or triangulated, and random points where it is thin.
 
 P points, V views.
 """
@@ -10,27 +10,23 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from airgs_codec.errors import SceneError
-from airgs_codec.media.image import match_features, sift
 from airgs_codec.render import Camera
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import View
-from airgs_codec.train.fit.seeds import project
+from airgs_codec.train.fit.projection import project
+from airgs_codec.train.fit.triangulate import triangulate
 
-FEATURES = 4000  # a view
-NEIGHBOURS = 6  # views that each one is matched with
-RATIO = 0.8  # Lowe 2004
-REPROJECTION = 2.0  # pixels, in every view of a track
-BOX_POINTS = 50  # given points that tell where the scene is
-BOX_MARGIN = 1.15
-LEAST_ANGLE = np.radians(1.0)  # between two rays of a track
+BOX_POINTS = 50  # so many given points tell where the scene is
+BOX_MARGIN = 1.15  # size of the box of random points, over that of the given ones
 
 
 def scene_extent(cameras: Sequence[Camera], points: Points | None = None) -> float:
-    """1.1 times the largest distance of a camera to their centre, as 3DGS has it; of the points where that is 0."""
+    """Size of a scene in world units: 1.1 times the largest distance of a camera to their centre, as 3DGS has it.
+
+    Where all cameras are in one place, the largest standard deviation of the points; 1 where there are none.
+    """
     places = np.stack([camera.position for camera in cameras])
     extent = 1.1 * float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
     if extent > 0:
@@ -40,9 +36,10 @@ def scene_extent(cameras: Sequence[Camera], points: Points | None = None) -> flo
 
 
 def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng: np.random.Generator) -> Points:
-    """`given` points, or triangulated ones; random ones beside them up to `fewest`. Every point gets a colour.
+    """The given points, or triangulated ones, with random ones beside them up to `fewest`. Every point has a colour.
 
-    Raises SceneError when there are neither points nor two views to find them in.
+    Points that are not finite are left out. Raises SceneError when there are neither points nor two views to find them
+    in, or no view sees a random point.
     """
     points = given
     if points is None:
@@ -59,81 +56,8 @@ def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng
     return points
 
 
-def triangulate(views: Sequence[View]) -> Points:
-    """Points of SIFT tracks: features matched between neighbouring views, joined, triangulated, checked."""
-    features = [sift(view.target.rgb, FEATURES) for view in views]
-    first = np.concatenate([[0], np.cumsum([len(f[0]) for f in features])])
-    links = [
-        match_features(features[a][1], features[b][1], RATIO) + np.array([first[a], first[b]])
-        for a, b in _neighbours([view.camera for view in views])
-    ]
-    pairs = np.concatenate(links) if links else np.empty((0, 2), np.intp)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(first[-1], first[-1]))
-    _, track = connected_components(graph, directed=False)
-    places = np.concatenate([f[0] for f in features])
-    view_of = np.repeat(np.arange(len(views)), np.diff(first))
-    positions, colours = [], []
-    for members in _tracks(track, view_of):
-        cameras = [views[view_of[m]].camera for m in members]
-        point = intersect(cameras, places[members])
-        if point is not None:
-            positions.append(point)
-            seen = [views[view_of[m]].target.rgb[tuple(places[m][::-1].astype(int))] for m in members]
-            colours.append(np.median(seen, axis=0))
-    shape = (-1, 3)
-    return Points(np.array(positions, np.float32).reshape(shape), np.array(colours, np.float32).reshape(shape))
-
-
-def _neighbours(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
-    """Pairs of cameras that look most alike: near in direction, then in place."""
-    forward = np.stack([camera.world_to_camera[2, :3] for camera in cameras])
-    place = np.stack([camera.position for camera in cameras])
-    apart = np.linalg.norm(place[:, None] - place[None], axis=2)
-    unlike = (1 - forward @ forward.T) + apart / max(float(apart.max()), 1e-12)  # one place: directions decide
-    pairs = set()
-    for a, row in enumerate(unlike):
-        for b in np.argsort(row, kind="stable")[: NEIGHBOURS + 1]:
-            if a != b:
-                pairs.add((min(a, int(b)), max(a, int(b))))
-    return sorted(pairs)
-
-
-def _tracks(track: NDArray[np.integer], view_of: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Features of each track; tracks that meet a view twice are mistaken and left out."""
-    order = np.argsort(track, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(track[order])) + 1)
-    return [g for g in groups if len(g) > 1 and len(set(view_of[g])) == len(g)]
-
-
-def intersect(cameras: Sequence[Camera], places: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """(3,) the point seen at pixels (V, 2), by linear triangulation (Hartley and Zisserman, 12.2).
-
-    None if it is behind a camera, projects REPROJECTION or more away from a pixel, or the rays are nearly parallel.
-    """
-    rows = []
-    for camera, (u, v) in zip(cameras, places, strict=True):
-        m = camera.world_to_camera[:3]
-        rows += [(u - camera.cx) / camera.fx * m[2] - m[0], (v - camera.cy) / camera.fy * m[2] - m[1]]
-    *_, vt = np.linalg.svd(np.array(rows))
-    x, y, z, w = vt[-1]
-    if abs(w) < 1e-12:  # at infinity
-        return None
-    point = np.array([x, y, z]) / w
-    rays = []
-    for camera, place in zip(cameras, places, strict=True):
-        a, b, depth = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
-        if depth <= 0:
-            return None
-        seen = np.array([camera.fx * a / depth + camera.cx, camera.fy * b / depth + camera.cy])
-        if np.linalg.norm(seen - place) >= REPROJECTION:
-            return None
-        rays.append((point - camera.position) / np.linalg.norm(point - camera.position))
-    cosines = np.stack(rays) @ np.stack(rays).T
-    return point if cosines.min() < np.cos(LEAST_ANGLE) else None
-
-
 def _with_random(points: Points, count: int, views: Sequence[View], rng: np.random.Generator) -> Points:
-    """About `count` random points beside the given ones, in their box or, where they are too few, before the cameras.
+    """The points and about `count` random ones, in their box or, where they are too few, before the cameras.
 
     Surfaces without texture have no points of their own; what is placed in empty space fades away.
     """
@@ -158,8 +82,8 @@ def _with_random(points: Points, count: int, views: Sequence[View], rng: np.rand
 
 
 def _looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """The point nearest to all optical axes, least squares."""
-    total, right = 1e-6 * np.eye(3), np.zeros(3)  # parallel axes meet nowhere: near the cameras then
+    """(3,) the point nearest to all optical axes, by least squares."""
+    total, right = 1e-6 * np.eye(3), np.zeros(3)  # parallel axes meet nowhere: the system would be singular
     for camera in cameras:
         forward = camera.world_to_camera[2, :3]
         across = np.eye(3) - np.outer(forward, forward)
@@ -169,7 +93,10 @@ def _looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
 
 
 def _seen_colours(positions: NDArray[np.float32], views: Sequence[View]) -> NDArray[np.float32]:
-    """(P, 3) median over the views whose picture a point falls into; views that it is hidden from are the fewer."""
+    """(P, 3) median colour over the views whose picture a point falls into, 0.5 where there is none.
+
+    The median is that of the surface as long as the point is hidden from fewer than half of the views.
+    """
     colours = np.full((len(views), len(positions), 3), np.nan, np.float32)
     for colour, view in zip(colours, views, strict=True):
         rows, columns, inside = project(view.camera, positions)

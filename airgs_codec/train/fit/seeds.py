@@ -1,53 +1,68 @@
-"""New Gaussians where something has appeared: the visual hull of what the views cannot explain.
+"""New Gaussians where something has appeared: on the visual hull of what the views cannot explain.
 
 Densification only refines what is there; an object in empty space has no Gaussian near it to clone (21.7 dB against
 33.9 with seeds on a test scene). A point belongs to the hull if almost every view that sees it disagrees there.
+
+P points, V views, H x W pixels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from airgs_codec.media.image import box_mean
-from airgs_codec.render import Camera, cpu
+from airgs_codec.render import cpu
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.parameters import from_points
+from airgs_codec.train.fit.projection import project
 
-CANDIDATES = 200_000
-RESIDUAL = 0.06  # mean absolute difference of colours, over 3 x 3 pixels
-AGREE = 0.85  # of the views that see a point
-SEEN = 0.5  # of all views
-FEWEST = 50  # candidates; below that it is noise, and densification has to do
-OPACITY = 0.5
-VISIBLE = 0.1
+CANDIDATES = 200_000  # points that are drawn to find the hull, and drawn again inside it
+RESIDUAL = 0.06  # mean absolute difference of colours over 3 x 3 pixels, from which a view disagrees
+AGREE = 0.85  # share of the views that see a point of the hull, which disagree there
+SEEN = 0.5  # share of all views that see a point of the hull
+FEWEST = 50  # points of a hull; below that it is noise, and densification has to do
+OPACITY = 0.5  # of a seed
+VISIBLE = 0.1  # opacity of a Gaussian that counts as being there
 CLEAR = 3.0  # median spacings of what is there: nearer to it, it can move or change its colour itself
-TIGHT = 0.7  # of the distance to the nearest seeds: they lie on a surface
+TIGHT = 0.7  # radius of a seed, over the distance to the nearest ones: they lie on a surface
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surface:
+    """Points that views see."""
+
+    positions: NDArray[np.float64]  # (P, 3) world units
+    colours: NDArray[np.float64]  # (P, 3) mean over the views that see a point, 0..1
+    disagreement: NDArray[np.float64]  # (P,) variance over these views, summed over colours
 
 
 def residual_seeds(
     g: Gaussians, views: Sequence[View], most: int, largest: float, rng: np.random.Generator
 ) -> Gaussians | None:
-    """Up to `most` new Gaussians on the hull of the residual of `g` against `views`; None when there is none."""
+    """Up to `most` new Gaussians where the pictures of `g` differ from the views; None where nothing has appeared.
+
+    `largest`: their largest radius in world units.
+    """
     wrong = [box_mean(np.abs(cpu.render(g, v.camera).rgb - v.target.rgb).mean(axis=2), 3) > RESIDUAL for v in views]
-    coarse = _hull(_empty(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
+    coarse = _hull(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
     if len(coarse) < FEWEST or most < 1:
         return None
     low, high = coarse.min(axis=0), coarse.max(axis=0)
     margin = 0.05 * (high - low)
-    hull = _hull(_empty(rng.uniform(low - margin, high + margin, (CANDIDATES, 3)), g), views, wrong)
+    drawn = rng.uniform(low - margin, high + margin, (CANDIDATES, 3))
+    hull = _hull(_away_from_visible(drawn, g), views, wrong)
     if len(hull) < FEWEST:
         return None
-    points, colours, unlike = _surface(hull, views)
-    chosen = _spread(points, unlike, most)
-    seeds = from_points(
-        points[chosen].astype(np.float32), colours[chosen].astype(np.float32), g.sh_degree, OPACITY, largest
-    )
+    surface = _surface(hull, views)
+    chosen = _one_per_cell(surface, most)
+    positions, colours = (a[chosen].astype(np.float32) for a in (surface.positions, surface.colours))
+    seeds = from_points(positions, colours, g.sh_degree, OPACITY, largest)
     sizes = np.minimum(seeds.log_scales, np.median(seeds.log_scales))  # one that lies apart is no larger than others
     return replace(seeds, log_scales=sizes + np.float32(np.log(TIGHT)))
 
@@ -55,7 +70,7 @@ def residual_seeds(
 def _hull(
     points: NDArray[np.float64], views: Sequence[View], wrong: Sequence[NDArray[np.bool_]]
 ) -> NDArray[np.float64]:
-    """The points (P, 3) that fall where (almost) every view that sees them is `wrong`."""
+    """The points (P, 3) at which almost every view that sees them is in its mask `wrong` (H, W)."""
     seen, agree = np.zeros(len(points)), np.zeros(len(points))
     for view, mask in zip(views, wrong, strict=True):
         rows, columns, inside = project(view.camera, points)
@@ -64,8 +79,8 @@ def _hull(
     return points[(seen >= SEEN * len(views)) & (agree >= AGREE * seen)]
 
 
-def _empty(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.float64]:
-    """The points that are not next to a Gaussian that can be seen."""
+def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.float64]:
+    """The points (P, 3) that are not next to a Gaussian that can be seen."""
     there = g.means[g.opacities() > VISIBLE].astype(np.float64)
     if len(there) < 2:
         return points
@@ -74,10 +89,8 @@ def _empty(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.float64]:
     return points[tree.query(points, distance_upper_bound=clear)[0] > clear]
 
 
-def _surface(
-    hull: NDArray[np.float64], views: Sequence[View]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Points of the hull that views see first, the colour they see, and how much they disagree on it.
+def _surface(hull: NDArray[np.float64], views: Sequence[View]) -> _Surface:
+    """The points of a hull (P, 3) that at least three views see first.
 
     A point is seen by a view if no other lies clearly before it in its pixel. Hulls are larger than what is in them:
     where the surface is not that of the object, views see different things behind it.
@@ -97,13 +110,13 @@ def _surface(
         squares[inside[first]] += colour**2
     outside = np.flatnonzero(seen >= min(3, len(views)))
     mean = sums[outside] / seen[outside, None]
-    unlike = (squares[outside] / seen[outside, None] - mean**2).sum(axis=1)
-    return hull[outside], mean, unlike
+    return _Surface(hull[outside], mean, (squares[outside] / seen[outside, None] - mean**2).sum(axis=1))
 
 
-def _spread(points: NDArray[np.float64], unlike: NDArray[np.float64], most: int) -> NDArray[np.intp]:
-    """At most `most` of the points, one a cell of a grid: where views agree best on the colour."""
-    best = np.argsort(unlike, kind="stable")
+def _one_per_cell(surface: _Surface, most: int) -> NDArray[np.intp]:
+    """At most `most` of the points, one in each cell of a grid: the one on whose colour views agree best."""
+    points = surface.positions
+    best = np.argsort(surface.disagreement, kind="stable")
     size = float((points.max(axis=0) - points.min(axis=0)).max()) if len(points) else 0.0
     for cells in range(round(most**0.5) + 2, 0, -1):
         if size == 0.0:
@@ -116,20 +129,7 @@ def _spread(points: NDArray[np.float64], unlike: NDArray[np.float64], most: int)
 
 
 def _box(g: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the scene is, without the farthest hundredth, and a fifth more on every side."""
+    """Corners (3,) of the box that holds all but the farthest hundredths, and a fifth more on every side."""
     visible = g.means[g.opacities() > VISIBLE].astype(np.float64)
     low, high = np.quantile(visible if len(visible) else g.means, [0.01, 0.99], axis=0)
     return low - 0.2 * (high - low), high + 0.2 * (high - low)
-
-
-def project(
-    camera: Camera, points: NDArray[np.floating]
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Pixel rows and columns of the points (P, 3) that fall into the picture, and which points those are."""
-    view = camera.world_to_camera
-    x, y, z = (points @ view[:3, :3].T + view[:3, 3]).T
-    ahead = z > camera.near
-    safe = np.where(ahead, z, 1.0)
-    column, row = camera.fx * x / safe + camera.cx, camera.fy * y / safe + camera.cy
-    inside = np.flatnonzero(ahead & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height))
-    return row[inside].astype(np.intp), column[inside].astype(np.intp), inside
