@@ -121,6 +121,8 @@ class HttpDownloader:
 
     def _ask(self, transfer: _Transfer) -> socket.socket:
         """Send the requests of all files that are waited for."""
+        if self._socket is not None and select.select([self._socket], [], [], 0.0)[0]:
+            self.close()  # the server has ended a connection that was idle for too long
         if self._socket is None:
             self._socket = socket.create_connection(self._address, TIMEOUT_S)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

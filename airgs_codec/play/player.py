@@ -77,11 +77,11 @@ class _Player:
         yield self._fetch_manifests()
         for position in range(self.playout.end):
             self.playout.make_room(position)
-            room_s = self.playout.earliest_request_s(position)
-            while self.now_s < room_s and (yield from self._replace_best()):
+            earliest_s = self.playout.earliest_request_s(position)
+            while self.now_s < earliest_s and (yield from self._replace_best()):
                 pass
-            latency_s = self._latency_s(position, room_s)
-            self.now_s = max(self.now_s, room_s)
+            latency_s = self._latency_s(position, earliest_s)
+            self.now_s = max(self.now_s, earliest_s)
             while not (yield from self._fetch_next(position, latency_s)):
                 latency_s = self.downloader.rtt_s
             yield from self._shown(self.playout.started(self.now_s))
@@ -94,11 +94,11 @@ class _Player:
         arrival = self._receive(request)
         return Arrived(arrival, Decision(0, True, "start", arrival.bytes), 0.0, 0.0)
 
-    def _latency_s(self, position: int, room_s: float) -> float:
+    def _latency_s(self, position: int, earliest_s: float) -> float:
         """What is left of the round trip when the link is free: pipelined, the request was sent before."""
         rtt_s = self.downloader.rtt_s
-        if self.settings.pipelined and self.downloader.pipelines and position and room_s < self.now_s:
-            return max(0.0, rtt_s - (self.now_s - room_s))
+        if self.settings.pipelined and self.downloader.pipelines and position and earliest_s < self.now_s:
+            return max(0.0, rtt_s - (self.now_s - earliest_s))
         return rtt_s
 
     def _sent_s(self, latency_s: float) -> float:

@@ -38,8 +38,8 @@ def served():
     """Serves a folder with the standard library; gives its URL."""
     servers = []
 
-    def serve(folder, version="HTTP/1.1"):
-        handler = type("Handler", (Quiet,), {"protocol_version": version})
+    def serve(folder, version="HTTP/1.1", timeout=None):
+        handler = type("Handler", (Quiet,), {"protocol_version": version, "timeout": timeout})
         servers.append(ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=folder)))
         servers[-1].daemon_threads = True
         threading.Thread(target=servers[-1].serve_forever, daemon=True).start()
@@ -89,6 +89,17 @@ def test_missing_and_altered_files_are_refused_as_they_come(served, tmp_path):
     assert any(state in line and "SHA-256" in line for line in log.lost)
     assert any("status 404" in line for line in log.lost)
     assert log.shown[0].rung is None and log.shown[-1].rung == 1  # one level; the other quality can be had
+
+
+def test_a_server_may_end_an_idle_connection(served):
+    """A player whose buffer is full asks for nothing for a while."""
+    catalogue = Catalogue(open_package(PACKAGE).manifest)
+    downloader = HttpDownloader(served(PACKAGE, timeout=0.1), catalogue)
+    batch = Batch(state=tuple(catalogue.manifest.state_files(0, 0)))
+    for sent_s in (0.0, 0.5):
+        arrival = downloader.fetch(Request(BatchKind.STATE, 0, 0, batch, sent_s, 0.0))
+        assert arrival.complete and arrival.at_s >= arrival.first_byte_s >= sent_s
+    downloader.close()
 
 
 def test_a_link_that_falls_silent_is_given_up():
