@@ -1,13 +1,15 @@
 """The JSON Schema of airgs.json, made from the dataclasses of `tables` and their annotations.
 
-`python -m airgs_codec.package.schema` prints it; manifests/airgs.schema.json holds what it prints.
+python -m airgs_codec.package.schema manifests/airgs.schema.json
 """
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import json
 import typing
+from pathlib import Path
 from typing import Annotated, Any
 
 from airgs_codec.package.tables import VERSION, Manifest
@@ -50,5 +52,12 @@ def _schema_of_dataclass(kind: Any) -> dict[str, Any]:
     }
 
 
+def main() -> None:
+    """Write the schema to a file."""
+    parser = argparse.ArgumentParser(description="Write the JSON Schema of airgs.json.")
+    parser.add_argument("file", type=Path)
+    parser.parse_args().file.write_text(json.dumps(manifest_schema(), indent=1) + "\n")
+
+
 if __name__ == "__main__":
-    print(json.dumps(manifest_schema(), indent=1))
+    main()

@@ -93,6 +93,15 @@ class Catalogue:
         return table
 
     @cached_property
+    def delta_e(self) -> NDArray[np.float64]:
+        """(S, Q L) mean colour difference CIEDE2000; NaN where it was not measured."""
+        table = np.full((len(self.manifest.segments), len(self.rungs)), np.nan)
+        for s, segment in enumerate(self.manifest.segments):
+            for r, (q, j) in enumerate(self.rungs):
+                table[s, r] = segment.levels[j].delta_e[q] if segment.levels[j].delta_e else np.nan
+        return table
+
+    @cached_property
     def state_bytes(self) -> NDArray[np.int64]:
         """(S, L) wire bytes of a state segment; 0 where there is nothing to fetch."""
         m = self.manifest

@@ -51,6 +51,7 @@ class SessionMetrics:
     switches: int  # changes of the rung from one segment to the next
     psnr_mean: float | None  # dB, mean over display ticks, frozen ones with the picture that stood
     psnr_p5: float | None  # dB, 5th percentile of the same
+    delta_e_mean: float | None  # CIEDE2000, mean over display ticks as for psnr_mean
     change_db: float  # mean change of PSNR from one segment to the next
     qoe: float | None  # dB a segment: quality - changes - STALL_DB a second of waiting
     bytes: Mapping[str, int]  # by FileKind, of files that were of use, without headers
@@ -114,7 +115,9 @@ def session_metrics(
     frames = sum(s.frames for s in shown)
     stalls = [s.stall_s for s in shown if s.stall_s > SHORTEST_S]
     played, stall = frames / catalogue.fps, math.fsum(stalls)
-    psnr = np.array([p for i, _ in screen_ticks(shown, catalogue.fps) if (p := shown[i].psnr) is not None])
+    on_screen = [shown[i] for i, _ in screen_ticks(shown, catalogue.fps)]
+    psnr = np.array([s.psnr for s in on_screen if s.psnr is not None])
+    delta_e = [catalogue.delta_e[s.segment, s.rung] for s in on_screen if s.psnr is not None]
     quality = [s.psnr for s in shown if s.psnr is not None]
     changes = [abs(b - a) for a, b in itertools.pairwise(quality)]
     rungs = [s.rung for s in shown]
@@ -134,6 +137,7 @@ def session_metrics(
         switches=sum(a != b for a, b in itertools.pairwise(rungs)),
         psnr_mean=float(psnr.mean()) if len(psnr) else None,
         psnr_p5=float(np.percentile(psnr, 5)) if len(psnr) else None,
+        delta_e_mean=float(np.mean(delta_e)) if delta_e else None,
         change_db=float(np.mean(changes)) if changes else 0.0,
         qoe=(sum(quality) - sum(changes) - STALL_DB * stall) / len(quality) if quality else None,
         bytes={kind.value: size for kind, size in bytes_by_kind.items()},

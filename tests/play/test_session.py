@@ -68,7 +68,7 @@ def test_a_session_by_hand():
     assert (result.stalls, result.stall_s, result.switches, result.frames) == (0, 0, 0, 20)
     assert result.bytes == {"manifests": 1000, "init": 150, "key": 8000, "sidecars": 600, "state": 4000}
     assert result.wire_bytes == 13_750
-    assert result.psnr_mean == 40.0
+    assert result.psnr_mean == 40.0 and result.delta_e_mean == 0.5
     assert result.trace_mean_bps == 8e4
 
 
@@ -149,7 +149,7 @@ def test_paper_needs_measured_quality_everywhere():
         with pytest.raises(ConfigError, match="no measured quality"):
             play(unmeasured, link([8e6]), "paper")
     log = play(tiny_manifest(psnr=None), link([8e6]))
-    assert log.metrics.psnr_mean is None and "not measured" in format_metrics(log)
+    assert log.metrics.psnr_mean is log.metrics.delta_e_mean is None and "not measured" in format_metrics(log)
 
 
 @pytest.mark.parametrize(

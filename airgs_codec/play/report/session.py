@@ -187,6 +187,8 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
         ("frame on its way", f"mean {r['frame_ms_mean']:.0f} ms, 95 % under {r['frame_ms_p95']:.0f} ms"),
         ("no rung fitted", f"{100 * r['infeasible']:.0f} %"),
     ]
+    if r["delta_e_mean"] is not None:
+        rows.append(("ΔE on screen", f"mean {r['delta_e_mean']:.2f} (CIEDE2000; about 1 is just noticeable)"))
     if r["qoe"] is not None:
         rows.append(("QoE", f"{r['qoe']:.2f} dB: quality - changes - 20 dB for a second of waiting"))
     if bound is not None:
