@@ -35,7 +35,7 @@ def _plot_rungs(axes: Any, m: Manifest, manifest_bytes: int) -> None:
                 state, (a, b), offset, textcoords="offset points", fontsize=8, color=line.get_color(), ha=align
             )
     axes.margins(0.08)
-    axes.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB", title="Rungs")
+    axes.set(xlabel="kB a frame, everything fetched", ylabel="PSNR of the pooled error, dB", title="Rungs")
     if rungs:
         axes.legend()
     else:

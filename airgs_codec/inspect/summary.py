@@ -53,7 +53,7 @@ class LevelSummary:
     bytes_per_frame: float
     mean_bps: float
     peak_bps: float  # of its largest segment
-    psnr: float | None  # dB; None: not measured, as are the next two
+    psnr: float | None  # dB, of the error pooled over views and frames; None: not measured, as are the next two
     ssim: float | None
     delta_e: float | None  # CIEDE2000
     max_error: dict[str, float]  # the largest over groups, for each attribute in the units of its channels
@@ -67,7 +67,7 @@ class RungSummary:
     state: str
     bytes_per_frame: float
     mean_bps: float
-    psnr: float | None  # dB; None: not measured, as are the next two
+    psnr: float | None  # dB, of the error pooled over views and frames; None: not measured, as are the next two
     ssim: float | None
     delta_e: float | None  # CIEDE2000
     best: bool  # on the ladder, see `ladder`

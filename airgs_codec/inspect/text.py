@@ -47,6 +47,7 @@ def format_summary(s: Summary) -> str:
 def _head(s: Summary) -> list[str]:
     v = s.views
     measured = f"quality against the {v.reference} over {v.measured} views of {v.width}x{v.height}"
+    measured += ", errors pooled for PSNR"
     return [
         f"{s.frames} frames at {s.fps:g} fps ({s.duration_s:.2f} s), SH degree {s.sh_degree}, "
         f"{s.package_bytes / 1e6:.3f} MB in all ({_kilobytes(s.package_bytes / s.frames)} kB/frame)",

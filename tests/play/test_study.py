@@ -1,4 +1,4 @@
-"""Studies, the closed loop, the dense level space and the real link, each on a small package."""
+"""Studies and their reports, frame mode and damaged packages on the command line, each on a small package."""
 
 import csv
 import json
@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airgs_codec.cli.manifest import main as inspect_main
 from airgs_codec.cli.play import main
 from airgs_codec.decoder.decode import decode
 from airgs_codec.decoder.timing import measure_decoding
@@ -122,6 +123,17 @@ def test_every_table_says_which_psnr_it_shows(measured, tmp_path, capsys):
     assert "mean over display ticks" in record["figures"]["psnr_mean"]
     assert "mean over the frames sent" in record["frame_figures"]["psnr"]
     assert "mean over display ticks" in (report / "index.html").read_text()
+
+
+def test_a_session_says_which_psnr_it_shows(measured, tmp_path, capsys):
+    assert main([str(measured), "--trace", "const:9", "--loops", "1", "--report", str(tmp_path)]) == 0
+    assert "mean over ticks" in capsys.readouterr().out
+    assert "mean over ticks" in (tmp_path / "index.html").read_text()
+    assert "mean over display ticks" in json.loads((tmp_path / "session.json").read_text())["meanings"]["psnr_mean"]
+    assert main([str(measured), "--trace", "const:9", "--loops", "1", "--mode", "closed-loop"]) == 0
+    assert "PSNR of the pooled error" in capsys.readouterr().out
+    assert inspect_main(["inspect", str(measured)]) == 0
+    assert "errors pooled for PSNR" in capsys.readouterr().out
 
 
 def test_a_study_repeats_exactly(measured):

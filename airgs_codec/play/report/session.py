@@ -13,6 +13,7 @@ from airgs_codec._files import write_json
 from airgs_codec._report import new_figure, page, plain_log_ticks, save_figure
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.events import BatchKind
+from airgs_codec.play.figures import FIGURES, meanings
 from airgs_codec.play.metrics import SessionMetrics
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import SessionLog
@@ -26,6 +27,7 @@ def write_report(log: SessionLog, directory: Path) -> Path:
         directory.mkdir(parents=True, exist_ok=True)
         record = {
             "metrics": dataclasses.asdict(log.metrics),
+            "meanings": meanings(FIGURES),
             "fetches": [dataclasses.asdict(f) for f in log.fetches],
             "shown": [dataclasses.asdict(s) for s in log.shown],
         }
@@ -130,7 +132,7 @@ def _psnr(axis: Any, log: SessionLog) -> None:
         fps = log.catalogue.fps
         times = log.shown[0].start_s + np.arange(len(values)) / fps
         axis.step(times, np.array(values, np.float64), where="post", color=_BLUE)
-    axis.set(ylabel="dB", title="PSNR of what was on the screen (measured a segment; a frozen picture keeps its own)")
+    axis.set(ylabel="dB", title="PSNR on the screen: each segment has that of its rung, a frozen picture keeps its own")
 
 
 def _arrivals(axis: Any, log: SessionLog) -> None:
@@ -169,7 +171,7 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
     bound = session_bound(log) if log.catalogue.measured else None
     quality = "not measured"
     if r["psnr_mean"] is not None:
-        quality = f"mean {r['psnr_mean']:.2f} dB, 5th percentile {r['psnr_p5']:.2f} dB"
+        quality = f"mean over ticks {r['psnr_mean']:.2f} dB, 5th percentile {r['psnr_p5']:.2f} dB"
     wire = ", ".join(f"{kind} {size / 1e3:.1f}" for kind, size in r["bytes"].items())
     used = "" if r["utilisation"] is None else f", {100 * r['utilisation']:.0f} % of what could pass"
     rows = [
