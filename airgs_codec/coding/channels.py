@@ -17,6 +17,7 @@ from airgs_codec.coding.attributes import from_opacity, to_opacity
 from airgs_codec.coding.colour import colour_steps, colours, from_klt, split_colours, to_klt
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.coding.motion import motion_units
+from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.package.layout import COLOUR, KEY, STATE
 from airgs_codec.package.tables import Grid, KeySteps, StateSteps
 from airgs_codec.scene.gaussians import Gaussians
@@ -59,24 +60,22 @@ def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps) 
 
 def dequantise_key(
     channels: NDArray[np.float32],
-    codes: NDArray[np.uint64],
-    classes: NDArray[np.int16],
-    depths: NDArray[np.uint8],
+    sidecar: KeySidecar,
     transform: NDArray[np.float64],
     grid: Grid,
     steps: KeySteps,
 ) -> Canonical:
-    """Decoded (7 + C, N) key channels and the columns of the sidecar -> the canonical space of the group."""
+    """Decoded (7 + C, N) key channels and the sidecar of their rows -> the canonical space of the group."""
     colour = from_klt(channels[KEY.slice(COLOUR)].T, transform.astype(np.float32))
     scale = colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1]).astype(np.float32)
     return Canonical(
-        means=grid_means(codes, classes, grid),
-        motion_units=motion_units(classes),
+        means=grid_means(sidecar.codes, sidecar.classes, grid),
+        motion_units=motion_units(sidecar.classes),
         quaternions=from_rotation_vector(np.ascontiguousarray(channels[KEY.slice("quaternions")].T)),
         log_scales=np.ascontiguousarray(channels[KEY.slice("log_scales")].T),
         opacity=channels[KEY.slice("opacity")][0],
         colours=colour * scale,
-        depths=depths,
+        depths=sidecar.depths,
         transform=transform,
     )
 

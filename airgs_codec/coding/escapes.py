@@ -5,10 +5,12 @@ T frames, P planes, N rows; code - centre = luma - 128 + UNIT * base. A sample h
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.rangecoder import Column, Reader
+from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
 from airgs_codec.errors import FormatError
 
 UNIT = 128  # codes that a base of 1 stands for
@@ -39,39 +41,48 @@ def split(codes: NDArray[np.int32]) -> tuple[NDArray[np.uint8], NDArray[np.int32
     return (codes - UNIT * bases + 128).astype(np.uint8), bases
 
 
-def columns(bases: NDArray[np.int32]) -> list[Column]:
-    """The columns of an escape file for (T, P, N) bases: number of jumps, gaps of their flat indices, zigzag sizes."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Escapes:
+    """The E jumps of the bases of a segment."""
+
+    shape: tuple[int, int, int]  # T, P, N
+    index: NDArray[np.int64]  # (E,) ascending flat indices into the shape
+    jumps: NDArray[np.int32]  # (E,)
+
+    def bases(self, frame: int) -> NDArray[np.int32]:
+        """(P, N) bases in force at a frame, counted from the start of the segment."""
+        area = self.shape[1] * self.shape[2]
+        upto = np.searchsorted(self.index, (frame + 1) * area)
+        bases = np.zeros(area, np.int32)
+        np.add.at(bases, self.index[:upto] % area, self.jumps[:upto])
+        return bases.reshape(self.shape[1:])
+
+
+def pack(bases: NDArray[np.int32]) -> bytes:
+    """(T, P, N) bases -> the column file of their jumps: how many, gaps of flat indices, sizes in zigzag coding."""
     jumps = np.diff(bases, axis=0, prepend=np.zeros_like(bases[:1])).ravel()
     index = np.flatnonzero(jumps)
     values = jumps[index].astype(np.int64)
     zigzag = (values << 1) ^ (values >> 63)
-    return [(np.array([len(index)]), 0), (np.diff(index, prepend=0), 0), (zigzag, 1)]
+    return encode_columns([(np.array([len(index)]), 0), (np.diff(index, prepend=0), 0), (zigzag, 1)])
 
 
-def read(reader: Reader, shape: tuple[int, int, int], where: str) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Inverse of `columns`: ascending flat indices into the `shape` (T, P, N), and the jumps there.
+def unpack(data: bytes, shape: tuple[int, int, int], where: str) -> Escapes:
+    """Inverse of `pack` for bases of `shape` (T, P, N); `where` names the file.
 
-    Raises FormatError(bad_sidecar) when there are more jumps than samples, an index leaves the shape or a jump 31 bits.
+    Raises FormatError(bad_sidecar) when there are more jumps than samples, an index leaves the shape or a jump 31 bits,
+    or the data does not end with the last jump.
     """
     area = int(np.prod(shape, dtype=np.int64))
+    reader = ColumnReader(data, where)
     count = int(reader.column(1, 0)[0])
     if count > area:
         raise FormatError("bad_sidecar", where, f"expected at most {area} escapes, got {count}")
     gaps = reader.column(count, 0)
     zigzag = reader.column(count, 1)
+    reader.close()
     if count and (int(gaps.max()) >= area or (gaps[1:] == 0).any() or int(gaps.sum()) >= area):
         raise FormatError("bad_sidecar", where, "escapes are not in ascending order inside the segment")
     if count and int(zigzag.max()) >= 1 << 32:
         raise FormatError("bad_sidecar", where, "an escape jumps by more than 31 bits")
-    return np.cumsum(gaps), ((zigzag >> 1) ^ -(zigzag & 1)).astype(np.int32)
-
-
-def bases_at(
-    index: NDArray[np.int64], jumps: NDArray[np.int32], shape: tuple[int, int, int], frame: int
-) -> NDArray[np.int32]:
-    """(P, N) bases in force at a frame, counted from the start of the segment."""
-    area = shape[1] * shape[2]
-    upto = np.searchsorted(index, (frame + 1) * area)
-    bases = np.zeros(area, np.int32)
-    np.add.at(bases, index[:upto] % area, jumps[:upto])
-    return bases.reshape(shape[1:])
+    return Escapes(shape, np.cumsum(gaps), ((zigzag >> 1) ^ -(zigzag & 1)).astype(np.int32))

@@ -160,7 +160,7 @@ def _models(order: int) -> NDArray[np.int32]:
 
 
 def encode_columns(columns: Sequence[Column]) -> bytes:
-    """Columns -> bytes, which `Reader` gives back. Raises ValueError for a number below 0."""
+    """Columns -> bytes, which `ColumnReader` gives back. Raises ValueError for a number below 0."""
     state = np.array([0, 0xFFFFFFFF, 0, 0, 1, 0], np.int64)
     out = np.empty(_MOST_BYTES * _BATCH, np.uint8)
     parts = []
@@ -179,7 +179,7 @@ def encode_columns(columns: Sequence[Column]) -> bytes:
     return b"".join([*parts, out[: state[_AT]].tobytes()])
 
 
-class Reader:
+class ColumnReader:
     """Decodes columns in the order in which they were encoded; `where` names the file in errors.
 
     Everything raises FormatError(bad_sidecar) when the data is not what `encode_columns` writes.

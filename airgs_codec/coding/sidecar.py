@@ -1,25 +1,35 @@
-"""The sidecar of a key unit: what must be exact (FORMAT.md §3). N rows of one tier, in Morton order."""
+"""The sidecar of a key unit: what must be exact (FORMAT.md §3). N rows, in Morton order within a tier."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.grid import cell_bits
-from airgs_codec.coding.rangecoder import Reader, encode_columns, sum_gaps
+from airgs_codec.coding.rangecoder import ColumnReader, encode_columns, sum_gaps
 from airgs_codec.errors import FormatError
 from airgs_codec.package.tables import Grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeySidecar:
-    """Canonical means, motion classes and depths of a tier."""
+    """Canonical means, motion classes and depths of the rows of a tier, or of several one after another."""
 
-    codes: NDArray[np.uint64]  # (N,) ascending Morton codes of the canonical means
+    codes: NDArray[np.uint64]  # (N,) Morton codes of the canonical means
     classes: NDArray[np.int16]  # (N,) motion classes, -128..127
     depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
+
+
+def join_sidecars(parts: Sequence[KeySidecar]) -> KeySidecar:
+    """The rows of several tiers, one after another."""
+    return KeySidecar(
+        np.concatenate([part.codes for part in parts]),
+        np.concatenate([part.classes for part in parts]),
+        np.concatenate([part.depths for part in parts]),
+    )
 
 
 def pack_key_sidecar(sidecar: KeySidecar, grid: Grid) -> bytes:
@@ -35,7 +45,7 @@ def pack_key_sidecar(sidecar: KeySidecar, grid: Grid) -> bytes:
 
 def unpack_key_sidecar(data: bytes, rows: int, grid: Grid, where: str) -> KeySidecar:
     """Inverse of `pack_key_sidecar` for `rows` rows; `where` names the file. Raises FormatError(bad_sidecar)."""
-    reader = Reader(data, where)
+    reader = ColumnReader(data, where)
     classes = int(reader.column(1, 0)[0]) - 128 + reader.column(rows, 1)
     gaps, carried = reader.column(rows, 0), reader.column(rows, 1)
     reader.close()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES, KeySteps, StateSteps
 
@@ -25,9 +25,8 @@ class StepSettings:
     grid: float = 0.0007  # side of the cells of canonical means, in motion units
     rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) that leaving out Gaussians may make
 
-
-def world_steps(steps: StepSettings, quality: float) -> tuple[KeySteps, StateSteps, float]:
-    """Steps of key and state, and the cells of the grid in motion units."""
-    key = KeySteps(*(getattr(steps.key, name) * quality for name in KEY_ATTRIBUTES))
-    state = StateSteps(*(getattr(steps.state, name) * quality for name in STATE_ATTRIBUTES))
-    return key, state, steps.grid * quality
+    def scaled(self, quality: float) -> StepSettings:
+        """These steps times a quality factor; `rows`, an error of pictures, stays."""
+        key = KeySteps(*(getattr(self.key, name) * quality for name in KEY_ATTRIBUTES))
+        state = StateSteps(*(getattr(self.state, name) * quality for name in STATE_ATTRIBUTES))
+        return replace(self, key=key, state=state, grid=self.grid * quality)

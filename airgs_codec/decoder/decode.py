@@ -15,8 +15,7 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import read_codes
 from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key
 from airgs_codec.coding.quantize import from_codes
-from airgs_codec.coding.rangecoder import Reader
-from airgs_codec.coding.sidecar import KeySidecar, unpack_key_sidecar
+from airgs_codec.coding.sidecar import KeySidecar, join_sidecars, unpack_key_sidecar
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.media.h264 import decode_pictures
 from airgs_codec.package.layout import COLOUR, KEY, STATE
@@ -90,9 +89,7 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
         raise ConfigError(f"group {group}: expected at least one key tier with rows, got tiers={tiers}")
     return dequantise_key(
         np.concatenate([from_codes(codes, steps, m.key_gain) for codes, _ in parts], axis=1),
-        np.concatenate([sidecar.codes for _, sidecar in parts]),
-        np.concatenate([sidecar.classes for _, sidecar in parts]),
-        np.concatenate([sidecar.depths for _, sidecar in parts]),
+        join_sidecars([sidecar for _, sidecar in parts]),
         unpack_matrix(g.colour_transform, m.colour_channels),
         g.grid,
         g.key_steps,
@@ -112,9 +109,7 @@ def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[N
     _expect_size(picture, m.key_pictures[tier][quality], media)
     atlas = unit.qualities[quality]
     shape = (1, len(atlas.planes), atlas.rows)
-    reader = Reader(package.read(escapes_path), escapes_path)
-    bases = escapes.bases_at(*escapes.read(reader, shape, escapes_path), shape, 0)
-    reader.close()
+    bases = escapes.unpack(package.read(escapes_path), shape, escapes_path).bases(0)
     return read_codes(picture, atlas, bases), sidecar
 
 
@@ -128,15 +123,13 @@ def decode_state(package: Package, index: int, level: int, first: int, last: int
     media, sidecar_path = m.state_files(index, level)
     atlas = m.groups[segment.group].levels[level]
     shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
-    reader = Reader(package.read(sidecar_path), sidecar_path)
-    escape_index, jumps = escapes.read(reader, shape, sidecar_path)
-    reader.close()
+    jumps = escapes.unpack(package.read(sidecar_path), shape, sidecar_path)
     shown = 0
     pictures = decode_pictures(package.read(state_init_path(level)), package.read(media), media)
     for shown, picture in enumerate(pictures, 1):
         if shown > first:
             _expect_size(picture, m.state_pictures[level], media)
-            yield read_codes(picture, atlas, escapes.bases_at(escape_index, jumps, shape, shown - 1))
+            yield read_codes(picture, atlas, jumps.bases(shown - 1))
         if shown == last:
             break
     if shown < last:

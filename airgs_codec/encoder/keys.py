@@ -16,7 +16,6 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import assemble, centre_codes, choose_layout, fit_atlas, read_codes
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.coding.quantize import from_codes, to_codes
-from airgs_codec.coding.rangecoder import Reader, encode_columns
 from airgs_codec.encoder.error_bounds import ErrorModel
 from airgs_codec.encoder.leave_out import KeyOmissions
 from airgs_codec.encoder.plan import GroupLayout
@@ -77,7 +76,7 @@ def _code_tier(values: NDArray[np.float64], steps: NDArray[np.float64], omitted:
     atlas = _with_picture(fit_atlas(codes, gain / 2, omitted))
     samples, bases = escapes.split(centre_codes(codes, atlas))
     error = ErrorModel.of(values, atlas, steps / gain)
-    return CodedAtlas(atlas, samples[0], encode_columns(escapes.columns(bases)), error)
+    return CodedAtlas(atlas, samples[0], escapes.pack(bases), error)
 
 
 def _with_picture(atlas: Atlas) -> Atlas:
@@ -144,5 +143,4 @@ def decode_base(
 def _read_bases(coded: CodedAtlas, where: str) -> NDArray[np.int32]:
     """(P, n) escape bases of a key picture, from the bytes that are sent."""
     shape = (1, len(coded.atlas.planes), coded.atlas.rows)
-    index, jumps = escapes.read(Reader(coded.escapes, where), shape, where)
-    return escapes.bases_at(index, jumps, shape, 0)
+    return escapes.unpack(coded.escapes, shape, where).bases(0)

@@ -19,7 +19,7 @@ from airgs_codec.coding.channels import Canonical, dequantise_key, key_channels
 from airgs_codec.coding.colour import colour_transform
 from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import classify_motion
-from airgs_codec.coding.steps import world_steps
+from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.coding.weights import channel_weights
 from airgs_codec.encoder.levels import assign_tiers
 from airgs_codec.encoder.rank import RowUsage
@@ -75,21 +75,22 @@ class GroupLayout:
 
     def canonical_space(self, channels: NDArray[np.float32], depths: NDArray[np.uint8]) -> Canonical:
         """The canonical space that (7 + C, N) decoded key channels and (N,) depths make."""
-        return dequantise_key(channels, self.codes, self.classes, depths, self.transform, self.grid, self.key_steps)
+        sidecar = KeySidecar(self.codes, self.classes, depths)
+        return dequantise_key(channels, sidecar, self.transform, self.grid, self.key_steps)
 
 
 def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSettings, fps: Fraction) -> GroupLayout:
     """Order, tiers, steps and transforms of a group: `loaded` are its frames, of which `kept` rows are written."""
-    key_steps, state_steps, cell = world_steps(settings.steps, settings.quality)
+    steps = settings.steps.scaled(settings.quality)
     canonical = loaded.frames[survey.span.middle].take(kept.rows)
     classes = classify_motion(survey.sensitivity.take(kept.rows), canonical)
-    grid = fit_grid(canonical.means, classes, cell)
+    grid = fit_grid(canonical.means, classes, steps.grid)
     codes = grid_codes(canonical.means, classes, grid)
     score, moved = survey.score(settings.usage), survey.usage.moved
     tiers = assign_tiers(score[kept.rows], settings.tiers)
     order = np.lexsort((codes, tiers))
     rows = kept.rows[order]
-    transform = colour_transform(canonical.take(order), key_steps)
+    transform = colour_transform(canonical.take(order), steps.key)
     return GroupLayout(
         span=survey.span,
         segments=split_segments(survey.span, settings.segment_s, fps),
@@ -103,8 +104,8 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
         usage=RowUsage(score[rows], None if moved is None else moved[rows]),
         sensitivity=survey.sensitivity.take(rows),
         grid=grid,
-        key_steps=key_steps,
-        state_steps=state_steps,
+        key_steps=steps.key,
+        state_steps=steps.state,
         transform=unpack_matrix(transform, 3 * (1 + canonical.sh_rest.shape[1])),
     )
 

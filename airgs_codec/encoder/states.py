@@ -18,7 +18,6 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import assemble, centre_codes, fit_atlas
 from airgs_codec.coding.channels import Canonical, state_channels
 from airgs_codec.coding.quantize import to_codes
-from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.encoder.error_bounds import ErrorModel
 from airgs_codec.encoder.leave_out import StateOmissions, note_static
 from airgs_codec.encoder.levels import assign_depths
@@ -165,7 +164,7 @@ def _code_level(
             coded.append(None)
             continue
         samples[part], bases = escapes.split(centred[part])
-        coded.append(encode_columns(escapes.columns(bases)))
+        coded.append(escapes.pack(bases))
     return CodedLevel(atlas, error, StoredSamples.write(file, samples), tuple(coded))
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.rangecoder import Reader, encode_columns
+from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
 from airgs_codec.decoder.group_states import SHARES, GroupStates, kept_rows, load_states, score_rows
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.store import Package
@@ -80,7 +80,7 @@ def decode_change(message: bytes, kept: KeptRows, channels: int) -> NDArray[np.i
     if message:
         end = 1 + -(-channels // 8)
         used = np.unpackbits(np.frombuffer(message[1:end], np.uint8), count=channels).astype(bool)
-        reader = Reader(message[end:], "message")
+        reader = ColumnReader(message[end:], "message")
         for channel in np.flatnonzero(used):
             zigzag = reader.column(int(rows.sum()), 1)
             change[channel, rows] = (zigzag >> 1) ^ -(zigzag & 1)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.rangecoder import Reader, encode_columns
+from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.errors import FormatError
 
 codes = npst.arrays(
@@ -23,11 +23,9 @@ def test_escapes_are_lossless_and_stay_off_the_ends_of_luma(values):
     luma, bases = escapes.split(values)
     assert luma.min() >= 20 and luma.max() <= 236
     np.testing.assert_array_equal(luma.astype(np.int64) - 128 + escapes.UNIT * bases.astype(np.int64), values)
-    reader = Reader(encode_columns(escapes.columns(bases)), "here")
-    index, jumps = escapes.read(reader, values.shape, "here")
-    reader.close()
+    unpacked = escapes.unpack(escapes.pack(bases), values.shape, "here")
     for t in range(len(values)):
-        np.testing.assert_array_equal(escapes.bases_at(index, jumps, values.shape, t), bases[t])
+        np.testing.assert_array_equal(unpacked.bases(t), bases[t])
 
 
 def fewest_jumps(series):
@@ -48,4 +46,4 @@ def test_no_choice_of_bases_jumps_less(series):
 def test_more_escapes_than_samples_are_refused():
     bomb = encode_columns([(np.array([10**15]), 0)])
     with pytest.raises(FormatError, match="at most 70 escapes"):
-        escapes.read(Reader(bomb, "x.bin"), (1, 2, 35), "x.bin")
+        escapes.unpack(bomb, (1, 2, 35), "x.bin")

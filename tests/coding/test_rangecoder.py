@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from airgs_codec.coding.rangecoder import MOST, Reader, encode_columns
+from airgs_codec.coding.rangecoder import MOST, ColumnReader, encode_columns
 from airgs_codec.errors import FormatError
 
 columns = st.lists(
@@ -21,7 +21,7 @@ columns = st.lists(
 @given(columns)
 @settings(deadline=None)  # the first call compiles
 def test_coded_columns_are_exact(written):
-    reader = Reader(encode_columns(written), "x")
+    reader = ColumnReader(encode_columns(written), "x")
     for values, order in written:
         np.testing.assert_array_equal(reader.column(len(values), order), values)
     reader.close()
@@ -31,7 +31,7 @@ def test_columns_longer_than_a_batch_are_exact_and_near_their_entropy():
     rng = np.random.default_rng(3)
     values = rng.geometric(0.3, 100_000)
     coded = encode_columns([(values, 0)])
-    np.testing.assert_array_equal(Reader(coded, "x").column(len(values), 0), values)
+    np.testing.assert_array_equal(ColumnReader(coded, "x").column(len(values), 0), values)
     share = 0.3 * 0.7 ** (np.arange(1, 60) - 1)
     entropy = -(share * np.log2(share)).sum()
     assert 8 * len(coded) / len(values) < 1.03 * entropy
@@ -46,7 +46,7 @@ def test_the_number_before_helps_order_1():
 def test_a_column_file_cut_or_extended_is_refused(change):
     values = np.arange(50)
     with pytest.raises(FormatError) as caught:
-        reader = Reader(change(encode_columns([(values, 0)])), "x.bin")
+        reader = ColumnReader(change(encode_columns([(values, 0)])), "x.bin")
         reader.column(50, 0)
         reader.close()
     assert caught.value.reason == "bad_sidecar"

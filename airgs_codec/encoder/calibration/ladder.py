@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import PICTURES, pair_with_cameras
 from airgs_codec.coding.channels import key_channels, state_channels
-from airgs_codec.coding.steps import StepSettings, world_steps
+from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.calibration.sample import CalibrationSample
 from airgs_codec.encoder.calibration.subject import Subject
 from airgs_codec.encoder.levels import assign_depths
@@ -109,12 +109,11 @@ def _rank(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """`rank_updates` of all N rows at `steps`; `frames` are the canonical one and those that are ranked."""
     layout, settings = subject.layout, subject.settings
-    key_steps, state_steps, _ = world_steps(steps, 1.0)
-    layout = replace(layout, key_steps=key_steps, state_steps=state_steps)
-    channels = key_channels(frames[0], layout.transform, key_steps).astype(np.float32)
+    layout = replace(layout, key_steps=steps.key, state_steps=steps.state)
+    channels = key_channels(frames[0], layout.transform, steps.key).astype(np.float32)
     base = layout.canonical_space(channels, np.zeros(len(layout.codes), np.uint8))
-    states = state_channels(frames, base, state_steps)
-    states /= STATE.steps(state_steps, layout.colours)[:, None]
+    states = state_channels(frames, base, steps.state)
+    states /= STATE.steps(steps.state, layout.colours)[:, None]
     changes = states - states[0]
     known = layout.usage if settings.update_rank == "usage" else None
     return rank_updates(states[1:], changes[1:], layout.state_weights(), known, settings.keep_all)

@@ -14,7 +14,7 @@ from airgs_codec.coding.colour import colour_transform
 from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
-from airgs_codec.coding.steps import StepSettings, world_steps
+from airgs_codec.coding.steps import StepSettings
 from airgs_codec.coding.weights import channel_weights, withheld_error
 from airgs_codec.media.h264 import key_codec, state_codec
 from airgs_codec.package.layout import KEY, STATE
@@ -75,16 +75,15 @@ class CalibrationSample:
         self, steps: StepSettings, factor: float, attributes: Sequence[str] = STATE.attributes
     ) -> tuple[float, Canonical]:
         """Bytes a frame, and the canonical space as decoded; attributes that are not named stay exact."""
-        key_steps, _, cell = world_steps(steps, 1.0)
-        transform = self._transform(key_steps)
-        channels, size = self._code_key_channels(key_steps, transform, factor, attributes)
-        grid = fit_grid(self.key.means, self.classes, cell)
+        transform = self._transform(steps.key)
+        channels, size = self._code_key_channels(steps.key, transform, factor, attributes)
+        grid = fit_grid(self.key.means, self.classes, steps.grid)
         codes = grid_codes(self.key.means, self.classes, grid)
         still = np.zeros(len(codes), np.uint8)
         if "means" in attributes:
             order = np.argsort(codes, kind="stable")
             size += len(pack_key_sidecar(KeySidecar(codes[order], self.classes[order], still), grid))
-        base = dequantise_key(channels, codes, self.classes, still, transform, grid, key_steps)
+        base = dequantise_key(channels, KeySidecar(codes, self.classes, still), transform, grid, steps.key)
         return self.row_ratio * size / self.group_frames, base
 
     def _code_key_channels(
@@ -105,8 +104,7 @@ class CalibrationSample:
 
     def error(self, errors: NDArray[np.float64], steps: StepSettings) -> NDArray[np.float64]:
         """(n,) what errors (T, 10 + C, n), in steps, add to the mean squared error of pictures of the whole group."""
-        key_steps, state_steps, _ = world_steps(steps, 1.0)
-        weights = channel_weights(self.classes, self.sensitivity, state_steps, self._transform(key_steps))
+        weights = channel_weights(self.classes, self.sensitivity, steps.state, self._transform(steps.key))
         return self.row_ratio * withheld_error(errors, weights)
 
     def _transform(self, steps: KeySteps) -> NDArray[np.float64]:
@@ -114,9 +112,8 @@ class CalibrationSample:
 
     def states(self, base: Canonical, steps: StepSettings) -> NDArray[np.float64]:
         """(1 + T, 10 + C, n) differences of the canonical frame and the others to a canonical space, in steps."""
-        _, state_steps, _ = world_steps(steps, 1.0)
-        values = state_channels([self.key, *self.frames], base, state_steps)
-        return values / STATE.steps(state_steps, base.colours.shape[1])[:, None]
+        values = state_channels([self.key, *self.frames], base, steps.state)
+        return values / STATE.steps(steps.state, base.colours.shape[1])[:, None]
 
     def code_states(
         self, states: NDArray[np.float64], factor: float, part: slice = slice(None)
