@@ -1,0 +1,77 @@
+"""What a scene does not need, against rendering without it."""
+
+import numpy as np
+import pytest
+
+from airgs_codec._sampling import evenly_spaced
+from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.importance import RowPruning, estimate_cost, importance, select_omissions
+from airgs_codec.analysis.sensitivity import MAX_VIEWS, measure_sensitivity
+from airgs_codec.analysis.usage import measure_usage
+from airgs_codec.media.metrics import mse
+from airgs_codec.render import render
+from airgs_codec.scene.camera import training_views
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX
+
+
+@pytest.fixture(scope="module")
+def scene():
+    """The training views of the embedded scene, and the first, middle and last frame of its first group."""
+    sequence = open_sequence(FOX)
+    start, stop = plan_groups(sequence).spans[0]
+    loaded = sequence.load(range(start, stop)).frames
+    return training_views(sequence.cameras), [loaded[0], loaded[len(loaded) // 2], loaded[-1]]
+
+
+def test_removed_rows_cost_what_was_allowed(scene):
+    cameras, frames = scene
+    rank = importance(frames, measure_usage(frames, cameras), measure_sensitivity(frames, cameras))
+    pruning = RowPruning(frames, cameras, rank)
+    counts = []
+    for allowed in (0.0, 0.002, 0.005, 0.02):
+        kept = pruning.within(allowed)
+        assert kept.error <= allowed**2
+        assert not kept.rows[rank[kept.rows] == 0].size
+        counts.append(len(kept.rows))
+    assert counts == sorted(counts, reverse=True) and counts[0] > counts[-1]
+    pictures = [mse(render(frames[1].take(kept.rows), c).rgb, render(frames[1], c).rgb) for c in cameras]
+    assert float(np.mean(pictures)) < 3 * allowed**2  # of views that were not looked at
+
+
+def test_the_error_of_leaving_one_row_out_is_known_without_rendering(scene):
+    """A picture is linear in an alpha; what is left is the chance in the signs of `measure_sensitivity`."""
+    training, (_, frame, _) = scene
+    s = measure_sensitivity([frame], training)
+    expected = s.opacity * frame.opacities().astype(np.float64) ** 2
+    seen = np.argsort(-measure_usage([frame], training).total)[:40]
+    cameras = [training[i] for i in evenly_spaced(len(training), MAX_VIEWS)]
+    full = [render(frame, c).rgb for c in cameras]
+    rendered = []
+    for row in seen:
+        without = frame.take(np.delete(np.arange(len(frame)), row))
+        rendered.append(
+            np.mean([np.mean((render(without, c).rgb - a) ** 2) for c, a in zip(cameras, full, strict=True)])
+        )
+    assert expected[seen].sum() == pytest.approx(sum(rendered), rel=0.25)
+
+
+def test_things_go_as_long_as_they_pay():
+    sizes, errors = np.array([10.0, 10.0, 10.0]), np.array([1.0, 100.0, 3.0])
+
+    def error(chosen):
+        return float(errors[chosen].sum())
+
+    assert select_omissions(sizes, errors, error, 0.0) == (pytest.approx(np.zeros(3)), 0.0)
+    assert select_omissions(sizes, errors, error, 1.0)[0].tolist() == [True, False, True]
+    # guesses that are too low: fewer are left out
+    assert select_omissions(sizes, np.zeros(3), error, 1.0)[0].tolist() == [True, False, False]
+    assert select_omissions(sizes, np.zeros(3), lambda chosen: 1e9, 1.0)[0].tolist() == [False] * 3
+
+
+def test_guessed_bytes_are_the_entropy():
+    values = np.zeros((2, 2, 8))
+    values[:, 1] = [[-1, 1] * 4] * 2  # one bit a row in the first picture, nothing changes after it
+    sizes, errors = estimate_cost(values, np.zeros(2), np.ones((2, 8)))
+    assert sizes.tolist() == [0.0, 1.0]
+    assert errors.tolist() == [0.0, pytest.approx(8 - 0.8)]

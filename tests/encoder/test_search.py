@@ -1,0 +1,63 @@
+"""Targets: the search for a quality factor, on formulas and with trial encodes."""
+
+import json
+import math
+
+import pytest
+
+from airgs_codec.cli import encode as command
+from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal, find_quality
+from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.validate import validate
+from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import pooled_quality
+from tests.support.scenes import write_demo
+
+
+def test_a_search_ends_at_its_goal():
+    tried = []
+
+    def trial(factor):
+        tried.append(factor)
+        return 43.0 - 7.0 * math.log(factor) + 0.02 * math.sin(40 * factor)
+
+    assert trial(find_quality(Goal(PSNR, 35.0), trial, 1.0)) == pytest.approx(35.0, abs=0.1)
+    assert len(tried) <= 6
+    size = find_quality(Goal(SIZE, 3.0), lambda f: 1.0 + 12.0 * f**-0.9, 1.0)
+    assert 1.0 + 12.0 * size**-0.9 == pytest.approx(3.0, rel=0.01)
+    with pytest.raises(ConfigError, match=r"0\.5 kB/frame is out of reach, the nearest was 1"):
+        find_quality(Goal(SIZE, 0.5), lambda f: 1.0 + 12.0 * f**-0.9, 1.0)
+    with pytest.raises(ConfigError, match="positive PSNR, got nan"):
+        Goal(PSNR, math.nan)
+
+
+@pytest.fixture(scope="module")
+def first_frames(tmp_path_factory):
+    """The first three frames of the embedded scene, one group, seen in small pictures."""
+    return write_demo(tmp_path_factory.mktemp("targets") / "fox", frames=3, scale=0.5)
+
+
+def run(scene, tmp_path, capsys, *options):
+    arguments = [str(scene), "-o", str(tmp_path / "out"), "--preset", "veryfast", *options]
+    code = command.main([*arguments, "--json"])
+    captured = capsys.readouterr()
+    return code, json.loads(captured.out) if code == 0 else captured.err
+
+
+def test_targets_are_reached(first_frames, tmp_path, capsys):
+    code, report = run(first_frames, tmp_path, capsys, "--target-psnr", "41")
+    assert code == 0 and validate(tmp_path / "out") == []
+    m = open_package(tmp_path / "out").manifest
+    assert pooled_quality(m, 0, 0).psnr == pytest.approx(41, abs=0.3)
+    wanted = 0.8 * report["top_rung_bytes"] / m.frames / 1e6
+    code, report = run(first_frames, tmp_path, capsys, "--target-mb", f"{wanted}")
+    assert code == 0 and report["top_rung_bytes"] / m.frames / 1e6 == pytest.approx(wanted, rel=0.03)
+    assert report["calibration_cached"]
+    code, report = run(first_frames, tmp_path, capsys, "--target-mbps", f"{1.4 * 8 * wanted * float(m.fps)}")
+    assert code == 0 and report["top_rung_bytes"] / m.frames / 1e6 == pytest.approx(1.4 * wanted, rel=0.03)
+
+
+def test_a_target_out_of_reach_is_one_line_and_leaves_nothing(first_frames, tmp_path, capsys):
+    code, error = run(first_frames, tmp_path, capsys, "--target-mb", "0.000001")
+    assert code == 2 and error.count("\n") == 1 and "out of reach" in error
+    assert list(tmp_path.iterdir()) == []
