@@ -14,9 +14,9 @@ from airgs_codec.render.inputs import BLACK
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.rotations import multiply
 
-MAX_VIEWS = 8  # a frame; more change the estimate little
+MAX_VIEWS = 8  # rendered for each frame; more views change the estimate little
 CODING_VARIANCE = 0.1  # steps^2: 1/12 of the quantiser and some of H.264
-LEAK = 0.3  # share of that which a channel gets from its neighbours when nothing in it is worth coding
+LEAK = 0.3  # share of CODING_VARIANCE that a channel gets from its neighbours when nothing in it is worth coding
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
 
 
@@ -36,7 +36,7 @@ class Sensitivity:
     sh_rest: NDArray[np.float64]  # (N,)
 
     def take(self, rows: NDArray[np.intp]) -> Sensitivity:
-        """Some rows, in that order."""
+        """The sensitivity of some rows, in the order of `rows`."""
         return Sensitivity(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 

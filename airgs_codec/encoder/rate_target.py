@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from airgs_codec.errors import ConfigError
 
 PSNR, SIZE = "PSNR", "kB/frame"
-TOLERANCES = {PSNR: 0.1, SIZE: 0.01}  # dB, share: of a search; finished packages differ by a little
+TOLERANCES = {PSNR: 0.1, SIZE: 0.01}  # of a search, in dB and as a share; finished packages differ by a little
 # How PSNR and the logarithm of the size change with the logarithm of the factor, before two trials say it better:
 # error grows with the square of the steps; sizes were seen to fall by 0.6 to 1.
 SLOPES = {PSNR: -20 / math.log(10), SIZE: -0.75}
 TRIALS = 8
-ENOUGH = 2.5  # tolerances
-FACTORS = 0.01, 100.0
+ENOUGH = 2.5  # tolerances by which the best of all trials may miss
+FACTORS = 0.01, 100.0  # least and largest quality factor that is tried
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,17 +30,17 @@ class Goal:
             raise ConfigError(f"target: expected a positive {self.kind}, got {self.value:g}")
 
     def misses(self, got: float) -> float:
-        """How far, in tolerances of a search, with sign."""
+        """By how many tolerances `got` misses the goal; positive: it is above."""
         wide = TOLERANCES[self.kind]
         return (got - self.value) / wide if self.kind == PSNR else math.log(got / self.value) / wide
 
 
 def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> float:
-    """A factor at which `trial` gives what the goal asks for, to TOLERANCES, or to ENOUGH of them after all TRIALS.
+    """A quality factor at which `trial` gives what the goal asks for; the search begins at `start`.
 
-    Steps by the slopes of SLOPES until two trials lie on both sides, then by regula falsi between the nearest: trials
-    are noisy by about a tolerance, so that no slope between two of them can be trusted. Raises ConfigError when the
-    goal is out of reach.
+    It is met to TOLERANCES, or to ENOUGH of them after TRIALS trials. The search steps by SLOPES until two trials lie
+    on both sides of the goal, then by regula falsi between the nearest two: trials are noisy by about a tolerance, so
+    no slope between two of them can be trusted. Raises ConfigError when the goal is out of reach.
     """
     slope = SLOPES[goal.kind] / TOLERANCES[goal.kind]
     seen: dict[float, float] = {}
@@ -63,7 +63,7 @@ def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> f
 
 
 def _next_factor(seen: dict[float, float], slope: float) -> float:
-    """The next to try, from the misses of those tried; a positive miss asks for a larger factor."""
+    """The next factor to try, from the misses of those tried; a positive miss asks for a larger factor."""
     above = [f for f in seen if seen[f] > 0]
     below = [f for f in seen if seen[f] < 0]
     if above and below:

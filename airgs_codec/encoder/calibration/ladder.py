@@ -21,20 +21,20 @@ from airgs_codec.package.layout import STATE
 from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians
 
-LEVEL_PRICES = (1.0, 2.5, 6.0, 12.0)  # of a byte at each level, in those of the top one
-KEY_PRICE = 7.0  # the same at the second key quality
-CORE_LEVELS = 2  # the last ones, for which the first key tier must do
-FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # of the steps, tried for lower rungs
-SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)  # of the updates, tried to withhold
-RANKED_FRAMES = 6  # of a group, to tell which updates matter
+LEVEL_PRICES = (1.0, 2.5, 6.0, 12.0)  # price of a byte at each level / price at the top level
+KEY_PRICE = 7.0  # price of a byte at the second key quality / price at the first
+CORE_LEVELS = 2  # how many of the last levels fetch only the first key tier
+FACTORS = (1.0, 1.4, 2.0, 2.8, 4.0, 5.6)  # on the steps, tried for lower rungs
+SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)  # of the updates that a level withholds, tried
+RANKED_FRAMES = 6  # frames of a group that tell which updates matter
 
 Levels = tuple[tuple[float, float], ...]  # pruned share and step factor of each level
 
 
 def choose_tiers(subject: Subject, steps: StepSettings, levels: int) -> tuple[tuple[float, ...], int]:
-    """Share of the rows in each key tier, and how many of the last levels do without the last tier.
+    """Share of the rows in each key tier, and how many of the last of `levels` levels fetch only the first tier.
 
-    Their byte costs more, so they can do without more rows.
+    A byte costs more in these levels, so that they can do without more rows.
     """
     core = min(CORE_LEVELS, levels - 1)
     if not (core and subject.layout.removal_error > 0):
@@ -45,7 +45,10 @@ def choose_tiers(subject: Subject, steps: StepSettings, levels: int) -> tuple[tu
 
 
 def choose_key_factors(sample: CalibrationSample, steps: StepSettings, price: float) -> tuple[float, ...]:
-    """1, and a coarser one for KEY_PRICE; states are differences to the first, so its error is not theirs."""
+    """Factors on the key steps: 1, and the coarser one that is cheapest at KEY_PRICE.
+
+    States are differences to the first key quality, so rows that move have only the error that the second one adds.
+    """
     coded = [sample.code_key(steps, factor) for factor in FACTORS]
     errors = [sample.states(base, steps)[0] for _, base in coded]
     added = [np.where(sample.moving, error - errors[0], error)[None] for error in errors]
@@ -54,7 +57,7 @@ def choose_key_factors(sample: CalibrationSample, steps: StepSettings, price: fl
 
 
 def choose_levels(sample: CalibrationSample, subject: Subject, steps: StepSettings, price: float) -> Levels:
-    """Pruned share and step factor for each of LEVEL_PRICES, from all pairs; the first has factor 1."""
+    """The cheapest pruned share and step factor at each of LEVEL_PRICES; the factor of the first level is 1."""
     only = ((0.0, 1.0),)
     if not sample.moving.any():
         return only

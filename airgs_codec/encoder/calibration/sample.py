@@ -21,8 +21,8 @@ from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import KeySteps, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
-BLOCK_ROWS = 256
-PRESET = "fast"
+BLOCK_ROWS = 256  # a block of an atlas
+PRESET = "fast"  # of x264, for trial encodes
 
 
 @dataclass(frozen=True, slots=True)

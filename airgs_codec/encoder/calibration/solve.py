@@ -18,7 +18,7 @@ from airgs_codec.encoder.calibration.sample import CalibrationSample, Cost
 from airgs_codec.encoder.calibration.subject import Subject
 
 TRIAL = 1.5  # factor between the two steps at which bytes and error are measured
-PRIOR = 0.02  # share of all bytes and error that every step is taken to have: what is hardly measured hardly moves
+PRIOR = 0.02  # share of all bytes and error that every step has at least: a step without effect hardly moves
 
 # The attribute whose planes are coded anew when a step changes.
 STEPS = {

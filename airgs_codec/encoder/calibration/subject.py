@@ -23,7 +23,9 @@ from airgs_codec.render import Camera
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-SAMPLE_BLOCKS, FEWEST_BLOCKS, MOST_FRAMES = 150, 5, 32  # of the sample: blocks of all its frames together
+SAMPLE_BLOCKS = 150  # of rows, over all frames of the sample together
+FEWEST_BLOCKS = 5  # in a frame
+MOST_FRAMES = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
