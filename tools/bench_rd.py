@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     """Run everything, write and print."""
     args = parse(argv)
     sequence = open_sequence(args.sequence, views=args.views, fps=args.fps)
-    cameras = [c for c in read_cameras(args.views) if c.split == "test"]
+    cameras = [c for c in read_cameras(args.views) if c.held_out]
     subject = open_subject(sequence, cameras, args.frames, args.views)
     points = list(run(subject, trials(args)))
     args.output.parent.mkdir(parents=True, exist_ok=True)

@@ -195,7 +195,7 @@ def reference(inputs: RasterInputs[torch.Tensor], camera: Camera) -> torch.Tenso
 def measure_render(quick: bool) -> Iterator[Row]:
     """Pictures of the embedded scene of several sizes, against float64."""
     g = read_ply(SCENE / "000005.ply")
-    whole = next(c for c in read_cameras(SCENE / "transforms.json") if c.split == "test")
+    whole = next(c for c in read_cameras(SCENE / "transforms.json") if c.held_out)
     a = activate(g)
     columns = RasterInputs(*(torch.from_numpy(getattr(a, n)) for n in RasterInputs._fields))
     for side in (16, 32, 48) if quick else (16, 32, 64, 96):

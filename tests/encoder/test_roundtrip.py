@@ -63,7 +63,7 @@ def fox(demo_package):
 def test_the_embedded_scene_reaches_its_quality_and_size(fox):
     m = fox.manifest
     sequence = open_sequence(FOX)
-    views = [c for c in sequence.cameras if c.split == "test"]
+    views = [c for c in sequence.cameras if c.held_out]
     errors = []
     for number in (0, 4, 7):
         shown = decode(fox, number)
