@@ -2,7 +2,6 @@
 
 import csv
 import json
-import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +21,7 @@ from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.scene.orbits import orbit_views
 from tests.support.manifests import tiny_manifest
-from tests.support.paths import FOX, VALID
+from tests.support.paths import VALID
 
 MOVING = VALID / "moving"
 
@@ -62,26 +61,11 @@ def test_intervals_are_over_traces():
     assert np.isnan(interval(np.array([np.nan]), ["a"])).all()
 
 
-@pytest.fixture(scope="module")
-def measured(tmp_path_factory):
-    """A package with measured quality: the fox that is embedded, two frames a group."""
-    from airgs_codec.cli.encode import main as encode
-
-    folder = tmp_path_factory.mktemp("study")
-    scene = folder / "fox"
-    scene.mkdir()
-    for path in sorted(FOX.glob("*.ply"))[:4]:
-        shutil.copy(path, scene)
-    options = ["--preset", "ultrafast", "--steps", "default", "--measure-frames", "1", "--keep-all"]
-    assert encode([str(scene), "-o", str(folder / "fox.airgs"), *options]) == 0
-    return folder / "fox.airgs"
-
-
-def test_a_study_compares_on_the_same_links(measured, tmp_path, capsys):
+def test_a_study_compares_on_the_same_links(demo_package, tmp_path, capsys):
     options = ["--compare", "--traces", "markov:1:6", "const:9", "--offsets", "2", "--loops", "20", "--jobs", "1"]
     policies = "robust-mpc,paper,paper-literal,throughput,bola,oracle-frame,oracle-lp,fixed:0"
     report = tmp_path / "report"
-    assert main([str(measured), *options, "--policies", policies, "--report", str(report)]) == 0
+    assert main([str(demo_package), *options, "--policies", policies, "--report", str(report)]) == 0
     text = capsys.readouterr().out
     assert (
         "2 traces, 2 offsets each (seed 1), unscaled" in text
@@ -106,10 +90,10 @@ def test_a_study_compares_on_the_same_links(measured, tmp_path, capsys):
     assert 'href="summary.csv"' in page
 
 
-def test_every_table_says_which_psnr_it_shows(measured, tmp_path, capsys):
+def test_every_table_says_which_psnr_it_shows(demo_package, tmp_path, capsys):
     options = ["--compare", "--traces", "const:9", "--offsets", "1", "--loops", "2", "--jobs", "1"]
     report = tmp_path / "report"
-    assert main([str(measured), *options, "--policies", "paper", "--report", str(report)]) == 0
+    assert main([str(demo_package), *options, "--policies", "paper", "--report", str(report)]) == 0
     assert "mean over display ticks" in capsys.readouterr().out
     assert "psnr_mean_over_ticks_db" in (report / "sessions.csv").read_text().splitlines()[0]
     assert "psnr_mean_over_frames_db" in (report / "frames.csv").read_text().splitlines()[0]
@@ -125,20 +109,20 @@ def test_every_table_says_which_psnr_it_shows(measured, tmp_path, capsys):
     assert "mean over display ticks" in (report / "index.html").read_text()
 
 
-def test_a_session_says_which_psnr_it_shows(measured, tmp_path, capsys):
-    assert main([str(measured), "--trace", "const:9", "--loops", "1", "--report", str(tmp_path)]) == 0
+def test_a_session_says_which_psnr_it_shows(demo_package, tmp_path, capsys):
+    assert main([str(demo_package), "--trace", "const:9", "--loops", "1", "--report", str(tmp_path)]) == 0
     assert "mean over ticks" in capsys.readouterr().out
     assert "mean over ticks" in (tmp_path / "index.html").read_text()
     assert "mean over display ticks" in json.loads((tmp_path / "session.json").read_text())["meanings"]["psnr_mean"]
-    assert main([str(measured), "--trace", "const:9", "--loops", "1", "--mode", "closed-loop"]) == 0
+    assert main([str(demo_package), "--trace", "const:9", "--loops", "1", "--mode", "closed-loop"]) == 0
     assert "PSNR of the pooled error" in capsys.readouterr().out
-    assert inspect_main(["inspect", str(measured)]) == 0
+    assert inspect_main(["inspect", str(demo_package)]) == 0
     assert "errors pooled for PSNR" in capsys.readouterr().out
 
 
-def test_a_study_repeats_exactly(measured):
+def test_a_study_repeats_exactly(demo_package):
     settings = StudySettings(("paper", "bola"), ("markov:3:1",), 2, session=replace(SessionSettings(), loops=10))
-    a, b = (run_study(measured, replace(settings, jobs=jobs)) for jobs in (1, 2))
+    a, b = (run_study(demo_package, replace(settings, jobs=jobs)) for jobs in (1, 2))
     assert a.rows == b.rows and summarise(a) == summarise(b)
 
 
@@ -156,39 +140,38 @@ def test_a_study_repeats_exactly(measured):
         (["--trace", "markov:1:1", "--end", "error", "--loops", "3000"], "ends after"),
     ],
 )
-def test_studies_that_cannot_be(measured, options, words, capsys):
-    assert main([str(measured), *options]) == 2
+def test_studies_that_cannot_be(demo_package, options, words, capsys):
+    assert main([str(demo_package), *options]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
 
 
-def test_an_empty_folder_of_traces(measured, tmp_path, capsys):
-    assert main([str(measured), "--compare", "--traces", str(tmp_path)]) == 2
+def test_an_empty_folder_of_traces(demo_package, tmp_path, capsys):
+    assert main([str(demo_package), "--compare", "--traces", str(tmp_path)]) == 2
     assert "empty" in capsys.readouterr().err
 
 
-def test_frame_mode_and_closed_loop_print_tables(measured, capsys):
-    assert main([str(measured), "--trace", "const:1", "--mode", "frames", "--loops", "2"]) == 0
+def test_frame_mode_and_closed_loop_print_tables(demo_package, capsys):
+    assert main([str(demo_package), "--trace", "const:1", "--mode", "frames", "--loops", "2"]) == 0
     assert "paper-literal" in capsys.readouterr().out
-    assert main([str(measured), "--trace", "const:1", "--mode", "closed-loop", "--loops", "1", "--json"]) == 0
+    assert main([str(demo_package), "--trace", "const:1", "--mode", "closed-loop", "--loops", "1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["drift_steps"] == 0
 
 
-def test_damaged_packages_play_on(measured, tmp_path, capsys):
-    broken = tmp_path / "broken.airgs"
-    shutil.copytree(measured, broken)
-    package = open_package(broken)
+def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
+    package = open_package(demo_copy)
     assert find_faults(package) == {}
     first, second = (package.manifest.state_files(0, j)[0] for j in (0, 1))
-    (broken / first).unlink()
-    (broken / second).write_bytes(b"x" * package.manifest.files[second].bytes)
+    (demo_copy / first).unlink()
+    (demo_copy / second).write_bytes(b"x" * package.manifest.files[second].bytes)
     faults = find_faults(package)
     assert (faults[first].reason, faults[second].reason) == ("missing_file", "hash_mismatch")
     film = tmp_path / "film.mp4"
-    play = [str(broken), "--trace", "const:50", "--loops", "1", "--video", str(film)]
+    play = [str(demo_copy), "--trace", "const:50", "--loops", "1", "--video", str(film)]
     assert main([*play, "--policy", "fixed:0"]) == 0
     assert first in capsys.readouterr().out and film.exists()
-    (broken / package.manifest.key_files(0, 0, 0)[0]).unlink()
+    for group in range(len(package.manifest.groups)):
+        (demo_copy / package.manifest.key_files(group, 0, 0)[0]).unlink()
     assert main(play) == 2
     assert "nothing can be shown" in capsys.readouterr().err
     assert main(play[:5]) == 0
