@@ -36,7 +36,7 @@ def _decisions(m: Manifest) -> Iterator[str]:
 def _sentence(entries: list[LeftOut]) -> str:
     """A line about one group, or about many: ranges, and the largest error."""
     error = max(entry.error for entry in entries)
-    alone = f"{psnr(error):.1f} dB if nothing else were wrong" if error > 0 else "no error"
+    alone = f"{psnr(error):.1f} dB by itself" if error > 0 else "no error"
     saved = f"{np.mean([entry.bytes for entry in entries]) / 1e3:.2f} kB/frame saved"
     count = span(min(entry.count for entry in entries), max(entry.count for entry in entries))
     where = f"group {entries[0].group}" if len(entries) == 1 else f"{len(entries)} groups"
