@@ -1,6 +1,6 @@
 """The paper's streaming, frame by frame: frame t is pushed at t / R and should be there at (t + 1) / R.
 
-Keys are not part of it (no link that carries frames at 1 / R carries a key unit in that time, see `select`, case 15);
+Keys are not part of it (no link that carries frames at 1 / R carries a key unit in that time, see `ladder`, case 15);
 with `keys`, every frame also carries its share of its group's key. Frames follow one another on the link: one that is
 not through when the next is due delays it. A frame none of whose levels fits is skipped under `paper` (nothing is
 sent, the last state stands) and sent at whatever level Algorithm 1 names under `paper-literal`.
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,11 @@ from airgs_codec.play.policies.state import Download, estimate_throughput
 
 MEMORY = 24  # frames that the throughput estimate looks back on
 PROBE_BYTES = 1500
+SHORTEST_S = 1e-9  # s; a shorter download would divide by zero
 SKIPPED = -1  # in place of a level
 
-Chooser = Callable[
-    [tuple[Option, ...], float], tuple[int, bool]
-]  # levels and budget -> level or SKIPPED, whether it fits
+Levels = tuple[Option, ...]  # of one frame
+Chooser = Callable[[Levels, float], tuple[int, bool]]  # levels, budget in bytes -> level or SKIPPED, whether it fits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,54 +50,59 @@ class FrameLog:
 
 
 def frame_options(c: Catalogue, keys: bool) -> list[tuple[Option, ...]]:
-    """For each frame of the sequence its levels: H.264 bytes and its share of the sidecar, with `keys` of the key."""
-    m = c.manifest
+    """For each frame of the sequence its levels: the bytes of its state picture and its share of the sidecar.
+
+    With `keys`, its share of its group's keys too.
+    """
     frames: list[tuple[Option, ...]] = []
-    for index, segment in enumerate(m.segments):
-        group = m.groups[segment.group]
-        count = segment.stop - segment.start
-        extra = [0.0] * len(m.levels)
-        for j, level in enumerate(m.levels):
-            files = m.state_files(index, j)
-            extra[j] = m.files[files[1]].bytes / count if files else 0.0
-            if keys:
-                paths = [p for t in range(level.tiers) for p in m.key_files(segment.group, t, 0)]
-                extra[j] += m.bytes_of(paths) / (group.stop - group.start)
-        for t in range(count):
+    for index, segment in enumerate(c.manifest.segments):
+        shared = [_shared_bytes(c, index, j, keys) for j in range(len(segment.levels))]
+        for t in range(segment.stop - segment.start):
+            sizes = [level.frame_bytes[t] if level.frame_bytes else 0 for level in segment.levels]
             frames.append(
                 tuple(
-                    Option(
-                        j,
-                        round((s.frame_bytes[t] if s.frame_bytes else 0) + extra[j]),
-                        s.psnr[0] if s.psnr else 0.0,
-                        m.levels[j].pruned,
+                    Option(j, round(sizes[j] + shared[j]), level.psnr[0] if level.psnr else 0.0, pruned)
+                    for j, (level, pruned) in enumerate(
+                        zip(segment.levels, (entry.pruned for entry in c.manifest.levels), strict=True)
                     )
-                    for j, s in enumerate(segment.levels)
                 )
             )
     return frames
 
 
-def choose_best(levels: tuple[Option, ...], budget: float) -> tuple[int, bool]:
+def _shared_bytes(c: Catalogue, index: int, level: int, keys: bool) -> float:
+    """Bytes a frame of what the frames of a segment share: its sidecar and, with `keys`, its group's keys."""
+    m = c.manifest
+    segment = m.segments[index]
+    files = m.state_files(index, level)
+    shared = m.files[files[1]].bytes / (segment.stop - segment.start) if files else 0.0
+    if keys:
+        group = m.groups[segment.group]
+        paths = [p for t in range(m.levels[level].tiers) for p in m.key_files(segment.group, t, 0)]
+        shared += m.bytes_of(paths) / (group.stop - group.start)
+    return shared
+
+
+def choose_best(levels: Levels, budget: float) -> tuple[int, bool]:
     """`paper`: the best level that fits, no level if none does."""
     decision = select(Ladder.build(levels, beta=math.inf, cliff_db=math.inf), budget)
     return (decision.index, True) if decision.fits else (SKIPPED, False)
 
 
-def choose_literally(levels: tuple[Option, ...], budget: float) -> tuple[int, bool]:
+def choose_literally(levels: Levels, budget: float) -> tuple[int, bool]:
     """`paper-literal`: what Algorithm 1 names, the last level where it names none."""
     answer = select_literal(levels, budget)
     chosen = levels[-1 if answer is None else answer]
     return chosen.index, chosen.size_bytes <= budget
 
 
-def choose_top(levels: tuple[Option, ...], budget: float) -> tuple[int, bool]:
+def choose_top(levels: Levels, budget: float) -> tuple[int, bool]:
     """`unpruned`: always level 0."""
     return levels[0].index, levels[0].size_bytes <= budget
 
 
-def choose_smallest(levels: tuple[Option, ...], budget: float) -> tuple[int, bool]:
-    """`pruned`: the smallest level whose frames the ladder keeps, skipped never; the paper's full pruning."""
+def choose_smallest(levels: Levels, budget: float) -> tuple[int, bool]:
+    """`pruned`: always the smallest level, the paper's full pruning; no frame is skipped."""
     smallest = min(levels, key=lambda p: p.size_bytes)
     return smallest.index, smallest.size_bytes <= budget
 
@@ -113,44 +118,64 @@ CHOOSERS: dict[str, Chooser] = {
 def simulate_frames(
     c: Catalogue, link: Link, chooser: str, loops: int, keys: bool = False, known: bool = True
 ) -> FrameLog:
-    """Push `loops` rounds of the sequence. `known`: B is the true rate at the frame's moment, as in the paper, else
-    estimated from the frames before.
+    """Push `loops` rounds of the sequence, with levels that one of CHOOSERS names.
 
-    Raises ConfigError for a package without measured quality or an unknown chooser.
+    `known`: B is the true rate at the frame's moment, as in the paper, else estimated from the frames before. `keys`:
+    frames carry their share of their group's keys. Raises ConfigError for a package without measured quality or an
+    unknown chooser, TransportError for a trace that ends too soon.
     """
     if chooser not in CHOOSERS:
         raise ConfigError(f"frame mode: expected {', '.join(CHOOSERS)}, got {chooser}")
     if not c.measured:
         raise ConfigError("frame mode: the package has no measured quality, encode it without --measure-frames 0")
-    choose, sequence = CHOOSERS[chooser], frame_options(c, keys)
+    choose, sequence, trace = CHOOSERS[chooser], frame_options(c, keys), link.trace
     history: list[Download] = []
-    free = 0.0
-    rows: list[tuple[int, float, float, float, float, bool, float]] = []
+    free_s = 0.0
+    frames: list[_Frame] = []
     for n in range(loops * len(sequence)):
-        levels = sequence[n % len(sequence)]
-        due = n / c.fps
-        rate = link.trace.rate_at(due) if known else estimate_throughput(history[-MEMORY:])
+        levels, due_s = sequence[n % len(sequence)], n / c.fps
+        rate = trace.rate_at(due_s) if known else estimate_throughput(history[-MEMORY:])
         level, fits = choose(levels, frame_budget(rate, c.fps))
+        begin_s = max(due_s, free_s)
         if level == SKIPPED:
-            rows.append((SKIPPED, 0.0, 0.0, 0.0, 0.0, False, math.nan))
+            frames.append(_Frame(SKIPPED, 0.0, 0.0, 0.0, 0.0, False, math.nan))
             if not known:  # a packet to measure with: an estimate of zero must be able to recover
-                begin = max(due, free)
-                arrival = link.trace.arrival_s(PROBE_BYTES, begin)
-                history.append(Download(PROBE_BYTES, max(arrival - begin, 1e-9)))
+                history.append(_download(PROBE_BYTES, begin_s, trace.arrival_s(PROBE_BYTES, begin_s)))
             continue
         size = levels[level].size_bytes
-        begin = max(due, free)
-        free = link.trace.arrival_s(size, begin)
-        history.append(Download(max(1, size), max(free - begin, 1e-9)))
-        now = link.trace.rate_at(due)
-        paper = 8 * size / now if now > 0 else math.inf
-        rows.append((level, float(size), free - begin, begin - due, paper, fits, levels[level].quality))
-    table = [np.array(column) for column in zip(*rows, strict=True)]
-    return FrameLog(table[0], table[1], table[2], table[3], table[4], table[5], table[6], c.fps)
+        free_s = trace.arrival_s(size, begin_s)
+        history.append(_download(size, begin_s, free_s))
+        now = trace.rate_at(due_s)
+        paper_s = 8 * size / now if now > 0 else math.inf
+        waited_s, quality = begin_s - due_s, levels[level].quality
+        frames.append(_Frame(level, float(size), free_s - begin_s, waited_s, paper_s, fits, quality))
+    columns = {field.name: np.array([getattr(frame, field.name) for frame in frames]) for field in fields(_Frame)}
+    return FrameLog(fps=c.fps, **columns)
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """One entry of every array of a FrameLog."""
+
+    levels: int
+    sizes: float
+    sent_s: float
+    waited_s: float
+    paper_s: float
+    fits: bool
+    quality: float
+
+
+def _download(size: int, begin_s: float, arrival_s: float) -> Download:
+    """What the throughput estimate sees; a download that rounds to no time still has a rate."""
+    return Download(max(1, size), max(arrival_s - begin_s, SHORTEST_S))
 
 
 def frame_table(log: FrameLog) -> dict[str, float]:
-    """The figures of the paper's table: milliseconds of the frames sent, by the paper's terms and over the link."""
+    """The figures of the paper's table: milliseconds of the frames sent, by the paper's terms and over the link.
+
+    `psnr` is the mean over the frames sent of the dB of their level; see `figures.FRAME_FIGURES` for the others.
+    """
     ms = 1e3 * log.paper_s
     sent = log.levels != SKIPPED
     finite = ms[sent & np.isfinite(ms)]
