@@ -1,5 +1,7 @@
 """A few of many: ascending, within bounds, evenly spaced."""
 
+from itertools import pairwise
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,7 +13,7 @@ def test_evenly_spaced_picks_have_the_first_and_last_among_them(count, most):
     picks = evenly_spaced(count, most)
     assert len(picks) == min(count, most) and picks == sorted(set(picks)) and picks[0] == 0
     if most > 1:
-        gaps = [b - a for a, b in zip(picks, picks[1:], strict=False)]
+        gaps = [b - a for a, b in pairwise(picks)]
         assert picks[-1] == count - 1 and (not gaps or max(gaps) - min(gaps) <= 2)
 
 
