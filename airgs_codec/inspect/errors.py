@@ -33,7 +33,7 @@ class Measured:
     bound: float  # `max_error` of the atlas
     error: float
     rows: int  # compared
-    ambiguous: int  # rows left out, whose original is not the nearest one of theirs alone
+    ambiguous: int  # rows left out: more of them than there are such originals have the same nearest original
 
 
 def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Measured]:
@@ -54,7 +54,7 @@ def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Mea
 def _match(
     package: Package, index: int, group: Group, base: Canonical, frames: list[Gaussians]
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """(N,) original of every row, and (N,) whether no more rows than there are such originals have it."""
+    """(N,) nearest original of every row; (N,) False where more rows have it than there are such originals."""
     m = package.manifest
     picks = sorted({0, group.canonical - group.start, len(frames) - 1})
     decoded = []
@@ -140,7 +140,7 @@ def _measured(
 
 
 def format_errors(measured: list[Measured]) -> str:
-    """A line an atlas: measured / promised for each attribute."""
+    """A line for each atlas: what was measured and what `max_error` promises, for each attribute."""
     lines = ["largest error, measured / max_error, in the units of the channels (FORMAT.md, section 5):"]
     for where in dict.fromkeys(m.where for m in measured):
         same = [m for m in measured if m.where == where]

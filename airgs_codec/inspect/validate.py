@@ -52,7 +52,7 @@ def validate(path: str | Path) -> list[Finding]:
 
 
 def exceeded(measured: Iterable[Measured]) -> list[Finding]:
-    """Every `max_error` that a comparison with the original (`remeasure.measure_errors`) found too small."""
+    """Every `max_error` that a comparison with the original (`errors.measure_errors`) found too small."""
     return [
         Finding("bound_exceeded", m.where, f"{m.attribute}: max_error {m.bound:g}, measured {m.error:g}")
         for m in measured
@@ -100,7 +100,7 @@ def _check_files(package: Package) -> Iterator[Finding]:
 
 
 def _check_measures(package: Package) -> Iterator[Finding]:
-    """Bytes of the frames of each segment against its file."""
+    """The H.264 bytes of the frames of a segment are no more than the file that holds them."""
     m = package.manifest
     for s, segment in enumerate(m.segments):
         for j, level in enumerate(segment.levels):

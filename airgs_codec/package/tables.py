@@ -278,7 +278,7 @@ class Manifest:
 
     @property
     def tier_count(self) -> int:
-        """T."""
+        """How many key tiers there are, T."""
         return len(self.key_pictures)
 
     def level_index(self, choice: str | int) -> int:
