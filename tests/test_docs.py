@@ -83,3 +83,12 @@ def test_blocks_are_told_apart_and_keep_their_output():
         ("text", "played 1\n", ""),
         ("sh not-run", "make demo\n", ""),
     ]
+
+
+def test_every_file_of_the_documentation_is_linked_from_a_page():
+    linked = {
+        (page.parent / target).resolve()
+        for page in check_docs.pages()
+        for target in check_docs.LINK.findall(page.read_text())
+    }
+    assert [path.name for path in (REPOSITORY / "docs").iterdir() if path.resolve() not in linked] == []
