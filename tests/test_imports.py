@@ -89,7 +89,7 @@ TORCHLESS = [
     "encoder.publish",
     "play.session",
     "inspect.validate",
-    *(f"cli.{c}" for c in ("decode", "encode", "play")),
+    *(f"cli.{c}" for c in ("decode", "encode", "play", "train")),
 ]
 
 

@@ -33,8 +33,10 @@ def files(folder):
     return found, record
 
 
-@pytest.mark.parametrize("deltas", ["direct", "mlp+residual"])
-@pytest.mark.parametrize("killed", [(0, 70), (2, 9), (APPEARS, 30), (4, 1)])
+@pytest.mark.parametrize(
+    ("deltas", "killed"),
+    [("direct", (0, 70)), ("direct", (APPEARS, 30)), ("mlp+residual", (2, 9)), ("mlp+residual", (4, 1))],
+)
 def test_a_killed_run_goes_on_to_the_same_end(blobs, tmp_path, deltas, killed, unbroken):
     settings = replace(SETTINGS, deltas=deltas)
     scene = open_scene(blobs)
