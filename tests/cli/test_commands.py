@@ -8,6 +8,7 @@ import pytest
 
 from airgs_codec.cli import decode, encode, manifest, play
 from airgs_codec.scene.ply import read_ply, write_ply
+from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
 
@@ -15,6 +16,7 @@ from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 def package(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli")
     scene = write_sequence(folder / "scene", moving_frames(120, 4), fps=10, keyframes=[0, 2])
+    (scene / "ATTRIBUTION.txt").write_text("points by nobody\n")
     options = ["--preset", "veryfast", "--steps", "default"]
     assert encode.main([str(scene), "-o", str(folder / "out"), *options, "--json"]) == 0
     return folder / "out"
@@ -203,8 +205,9 @@ def test_commands_say_what_they_take(capsys):
         assert "usage: airgs-" in capsys.readouterr().out
 
 
-def test_the_embedded_scene_has_an_attribution(demo_package):
-    assert "tomkranis" in json.loads((demo_package / "airgs.json").read_text())["attribution"]
+def test_the_attribution_of_a_scene_is_in_its_package(package):
+    assert json.loads((package / "airgs.json").read_text())["attribution"] == "points by nobody"
+    assert "tomkranis" in (FOX / "ATTRIBUTION.txt").read_text()
 
 
 def test_a_target_that_cannot_be_written_is_one_line(tmp_path, capsys):
