@@ -10,6 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from airgs_codec._settings import about
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.cli.training import train_by_default
 from airgs_codec.encoder.publish import EncodeReport, encode
@@ -30,7 +31,7 @@ from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from airgs_codec.scene.usage import MEASURES
 from airgs_codec.train.data.readers import is_multiview
 
-FIELDS = {field.name: field for field in fields(EncodeSettings)}
+FIELDS = tuple(field.name for field in fields(EncodeSettings))
 STEPS = ("calibrated", "default")
 
 
@@ -65,8 +66,8 @@ def _parser() -> argparse.ArgumentParser:
 def _add_setting(group: argparse._ActionsContainer, option: str, name: str, **more: Any) -> None:
     """An option that is a field of EncodeSettings: its default and its help text are the field's."""
     default = getattr(DEFAULT_SETTINGS, name)
-    about = f"{FIELDS[name].metadata['about']} (default: {default})"
-    group.add_argument(option, dest=name, type=type(default), default=default, help=about, **more)
+    words = f"{about(EncodeSettings, name)} (default: {default})"
+    group.add_argument(option, dest=name, type=type(default), default=default, help=words, **more)
 
 
 def _add_rate(parser: argparse.ArgumentParser) -> None:
@@ -113,7 +114,7 @@ def _add_ladder(parser: argparse.ArgumentParser) -> None:
     levels.add_argument("--ladder", choices=("paper",), help="paper: ten levels, 0 to 90 %% pruned, equal steps")
     _add_setting(group, "--usage", "usage", choices=MEASURES)
     _add_setting(group, "--rank", "update_rank", choices=UPDATE_RANKS)
-    group.add_argument("--keep-all", action="store_true", help=FIELDS["keep_all"].metadata["about"])
+    group.add_argument("--keep-all", action="store_true", help=about(EncodeSettings, "keep_all"))
 
 
 def _add_coding(parser: argparse.ArgumentParser) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from airgs_codec._files import to_json
 from airgs_codec._report import require_matplotlib
+from airgs_codec._settings import about
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.decoder.decode import decode
 from airgs_codec.decoder.timing import measure_decoding
@@ -75,17 +76,17 @@ def _parser() -> argparse.ArgumentParser:
 def _add_player_options(parser: argparse.ArgumentParser) -> None:
     """Options for the fields of SessionSettings, which say what they mean and their defaults."""
     player = parser.add_argument_group("player")
-    rules = {field.name: field for field in dataclasses.fields(SessionSettings)}
+    defaults = SessionSettings()
     for option, name in (("--buffer", "buffer_s"), ("--startup", "startup_s"), ("--resume", "resume_s")):
-        words = f"{rules[name].metadata['help']} (default: %(default)g)"
-        player.add_argument(option, dest=name, type=float, default=rules[name].default, metavar="S", help=words)
-    milliseconds = f"{1e3 * SessionSettings().decode_frame_s:g}"
-    words = f"{rules['decode_frame_s'].metadata['help']}, or measure (default: %(default)s)"
+        words = f"{about(SessionSettings, name)} (default: %(default)g)"
+        player.add_argument(option, dest=name, type=float, default=getattr(defaults, name), metavar="S", help=words)
+    milliseconds = f"{1e3 * defaults.decode_frame_s:g}"
+    words = f"{about(SessionSettings, 'decode_frame_s')}, or measure (default: %(default)s)"
     player.add_argument("--decode-ms", default=milliseconds, metavar="MS", help=words)
     for option, name in (("--no-replace", "replace"), ("--no-abandon", "abandon"), ("--no-pipelining", "pipelined")):
-        words = f"do not {rules[name].metadata['help']}"
+        words = f"do not {about(SessionSettings, name)}"
         player.add_argument(option, dest=name, action="store_false", help=words)
-    player.add_argument("--loops", type=int, help=rules["loops"].metadata["help"])
+    player.add_argument("--loops", type=int, help=about(SessionSettings, "loops"))
 
 
 def main(argv: Sequence[str] | None = None) -> int:

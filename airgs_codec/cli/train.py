@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from airgs_codec._report import require_matplotlib
+from airgs_codec._settings import about
 from airgs_codec.cli.common import parse_frames, run_command
 from airgs_codec.cli.training import default_model, default_settings, pick_device, require_torch, run_training
 from airgs_codec.errors import ConfigError
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.settings import DELTAS, METHODS, PRESETS, Temporal, TrainSettings, about, preset
+from airgs_codec.train.settings import DELTAS, METHODS, PRESETS, Temporal, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.train.record import Model
@@ -62,8 +63,8 @@ def _add_pictures(group: argparse._ArgumentGroup) -> None:
         metavar="UNITS",
         help="hide Gaussians nearer to a camera than this many world units (default: the scene's, else 0.01)",
     )
-    group.add_argument("--match-exposure", action="store_true", help=about("match_exposure"))
-    group.add_argument("--foreground", action="store_true", help=about("foreground"))
+    group.add_argument("--match-exposure", action="store_true", help=about(TrainSettings, "match_exposure"))
+    group.add_argument("--foreground", action="store_true", help=about(TrainSettings, "foreground"))
 
 
 def _add_method(group: argparse._ArgumentGroup) -> None:
@@ -105,7 +106,7 @@ def _help(name: str, default: str = "") -> str:
     """Meaning and default of a setting; `default` in words where the field does not tell it."""
     value = getattr(DEFAULTS, name)
     default = default or (f"{value:g}" if isinstance(value, float) else str(value))
-    return f"{about(name)} (default: {default})"
+    return f"{about(TrainSettings, name)} (default: {default})"
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
+from airgs_codec._settings import computed_setting, documented, setting
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.levels import DEFAULT_TIERS
@@ -21,11 +21,7 @@ UPDATE_RANKS = ("error", "usage")
 CALIBRATIONS = ("ladder", "steps", "none")
 
 
-def setting(default: Any, about: str) -> Any:
-    """A dataclass field whose `about`, a phrase with units, is its documentation and the help text of its option."""
-    return field(default=default, metadata={"about": about})
-
-
+@documented
 @dataclass(frozen=True, slots=True)
 class EncodeSettings:
     """Everything that decides the bytes of a package besides the scene.
@@ -45,9 +41,7 @@ class EncodeSettings:
     core_levels: int = setting(0, "how many of the last levels fetch only the first key tier")
     tiers: tuple[float, ...] = setting(DEFAULT_TIERS, "share of the Gaussians in each key tier, summing to 1")
     key_factors: tuple[float, ...] = setting((1.0, 3.0), "for each key quality a factor on the key steps")
-    steps: StepSettings = field(
-        default_factory=StepSettings, metadata={"about": "quantiser steps at quality 1; calibration starts there"}
-    )
+    steps: StepSettings = computed_setting(StepSettings, "quantiser steps at quality 1; calibration starts there")
     segment_s: float = setting(1.0, "longest state segment, in seconds")
     group_frames: int = setting(
         DEFAULT_GROUP_FRAMES, "longest group of frames with a common canonical space, where no keyframes are given"
@@ -71,9 +65,9 @@ class EncodeSettings:
     )
     measure_frames: int = setting(6, "frames of each segment on which the quality of every rung is measured; 0: none")
     preset: str = setting(DEFAULT_PRESET, "x264 preset")
-    jobs: int = field(
-        default_factory=lambda: os.cpu_count() or 1,
-        metadata={"about": "representations encoded at the same time; the bytes are the same"},
+    jobs: int = computed_setting(
+        lambda: os.cpu_count() or 1,
+        "representations encoded at the same time, by default one for each core; the bytes are the same",
     )
 
     def __post_init__(self) -> None:

@@ -3,30 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
+from airgs_codec._settings import documented, setting
 from airgs_codec.errors import ConfigError
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class SessionSettings:
-    """Rules of the player, with the command line's help. Raises ConfigError for rules that cannot work."""
+    """Rules of the player. Raises ConfigError for rules that cannot work."""
 
-    buffer_s: float = field(default=10.0, metadata={"help": "most media time ahead of the playhead"})
-    startup_s: float = field(
-        default=1.0, metadata={"help": "media time to buffer before playing begins, one segment at least"}
+    buffer_s: float = setting(10.0, "most media time ahead of the playhead, in seconds")
+    startup_s: float = setting(1.0, "media time in seconds to buffer before playing begins, one segment at least")
+    resume_s: float = setting(0.5, "media time in seconds to buffer before playing goes on after a stall")
+    decode_frame_s: float = setting(0.004, "time to decode and apply one frame")
+    replace: bool = setting(True, "fetch better rungs for segments that are buffered")
+    abandon: bool = setting(True, "give up a download that would come too late")
+    pipelined: bool = setting(
+        True, "request a segment one round trip before the current batch ends, knowing one download less"
     )
-    resume_s: float = field(default=0.5, metadata={"help": "the same before playing goes on after a stall"})
-    decode_frame_s: float = field(default=0.004, metadata={"help": "time to decode and apply one frame"})
-    replace: bool = field(default=True, metadata={"help": "fetch better rungs for segments that are buffered"})
-    abandon: bool = field(default=True, metadata={"help": "give up a download that would come too late"})
-    pipelined: bool = field(
-        default=True,
-        metadata={"help": "request a segment one round trip before the current batch ends, knowing one download less"},
-    )
-    loops: int | None = field(
-        default=None, metadata={"help": "times the sequence is played (default: about 30 s of play)"}
-    )
+    loops: int | None = setting(None, "times the sequence is played (default: about 30 s of play)")
 
     def __post_init__(self) -> None:
         if not 0 < self.buffer_s < math.inf:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from airgs_codec._settings import computed_setting, documented, setting
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.gaussians import SH_REST
 
@@ -14,11 +15,6 @@ METHODS = ("airgs", "naive3dgs", "v3")
 DELTAS = ("direct", "mlp", "mlp+residual")
 PRESETS = ("default", "paper")
 UNITS = ("step", "raw")
-
-
-def _setting(default: Any, about: str) -> Any:
-    """A field whose `about`, a phrase with units, is its documentation and the help text of its option."""
-    return field(default=default, metadata={"about": about})
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,33 +25,34 @@ class Temporal:
     unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally
 
 
+@documented
 @dataclass(frozen=True, slots=True)
 class TrainSettings:
     """The settings of a run. Raises ConfigError for values that cannot work."""
 
-    method: str = _setting(
+    method: str = setting(
         "airgs",
         "airgs: groups by quality; naive3dgs: each frame on its own; v3: groups of one length, keyframes from scratch",
     )
-    budget: int = _setting(8_000, "Gaussians of the first frame")
-    capacity: int = _setting(12_000, "most Gaussians that there may ever be")
-    sh_degree: int = _setting(1, "degree of the spherical harmonics, 0 to 3")
-    first_iterations: int = _setting(2500, "iterations of the first frame, and of every frame from scratch")
-    key_iterations: int = _setting(1500, "iterations of a keyframe")
-    frame_iterations: int = _setting(300, "iterations of a frame in a group")
-    deltas: str = _setting("direct", "how frames in a group move: each Gaussian on its own, by six MLPs, or by both")
-    temporal: Temporal = field(default_factory=Temporal)
-    min_psnr_db: float = _setting(30.0, "mean PSNR over training views below which a frame becomes a keyframe")
-    max_drop_db: float = _setting(
+    budget: int = setting(8_000, "Gaussians of the first frame")
+    capacity: int = setting(12_000, "most Gaussians that there may ever be")
+    sh_degree: int = setting(1, "degree of the spherical harmonics, 0 to 3")
+    first_iterations: int = setting(2500, "iterations of the first frame, and of every frame from scratch")
+    key_iterations: int = setting(1500, "iterations of a keyframe")
+    frame_iterations: int = setting(300, "iterations of a frame in a group")
+    deltas: str = setting("direct", "how frames in a group move: each Gaussian on its own, by six MLPs, or by both")
+    temporal: Temporal = computed_setting(Temporal, "weight and unit of the temporal loss")
+    min_psnr_db: float = setting(30.0, "mean PSNR over training views below which a frame becomes a keyframe")
+    max_drop_db: float = setting(
         5.0, "loss against the first frame of its group above which a frame becomes a keyframe"
     )
-    max_growth: float = _setting(0.15, "most Gaussians that a keyframe adds, as a share of those it starts from")
-    inflation: float = _setting(1e-6, "weight of the summed opacity of what a keyframe adds")
-    group_frames: int = _setting(20, "frames in a group of the method v3")
-    max_size: int | None = _setting(None, "longest side of the pictures in pixels, larger ones are shrunk")
-    foreground: bool = _setting(False, "train only what the scene's masks show")
-    match_exposure: bool = _setting(False, "find a gain and an offset for each camera at the first frame")
-    seed: int = _setting(0, "seed of all random numbers")
+    max_growth: float = setting(0.15, "most Gaussians that a keyframe adds, as a share of those it starts from")
+    inflation: float = setting(1e-6, "weight of the summed opacity of what a keyframe adds")
+    group_frames: int = setting(20, "frames in a group of the method v3")
+    max_size: int | None = setting(None, "longest side of the pictures in pixels, larger ones are shrunk")
+    foreground: bool = setting(False, "train only what the scene's masks show")
+    match_exposure: bool = setting(False, "find a gain and an offset for each camera at the first frame")
+    seed: int = setting(0, "seed of all random numbers")
 
     def __post_init__(self) -> None:
         for good, message in (*self._choices(), *self._ranges()):
@@ -99,11 +96,6 @@ def settings_from_table(table: Mapping[str, Any]) -> TrainSettings:
     """
     drop = math.inf if table["max_drop_db"] is None else table["max_drop_db"]
     return TrainSettings(**{**table, "temporal": Temporal(**table["temporal"]), "max_drop_db": drop})
-
-
-def about(name: str) -> str:
-    """What a setting means, in words."""
-    return next(f.metadata["about"] for f in fields(TrainSettings) if f.name == name)
 
 
 def preset(name: str, settings: TrainSettings) -> TrainSettings:
