@@ -84,6 +84,19 @@ def test_importing_the_package_loads_nothing_heavy():
     assert done.returncode == 0, f"loaded: {done.stderr}"
 
 
+def test_a_sequence_is_encoded_with_its_attribution_and_decoded_by_names_or_numbers(tmp_path):
+    scene = write_sequence(tmp_path / "scene", moving_frames(60, 2))
+    (scene / "ATTRIBUTION.txt").write_text("points by nobody\n")
+    settings = airgs.EncodeSettings(calibrate="none", measure_frames=0, preset="ultrafast")
+    airgs.encode(airgs.open_sequence(str(scene)), str(tmp_path / "scene.airgs"), settings)
+    package = airgs.open_package(str(tmp_path / "scene.airgs"))
+    assert package.manifest.attribution == "points by nobody"
+    assert airgs.validate(str(package.path)) == []
+    by_name, by_number = (airgs.decode(package, 1, level=j, key_quality=q) for j, q in (("L2", "Q1"), (2, 1)))
+    assert isinstance(by_name, airgs.Gaussians)
+    assert (by_name.means == by_number.means).all()
+
+
 WITHOUT_EXTRAS = """
 import sys
 for name in ("torch", "pycolmap", "gsplat", "matplotlib"):

@@ -23,11 +23,11 @@ from airgs_codec.encoder.settings import (
     UPDATE_RANKS,
     EncodeSettings,
 )
-from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.media.h264 import PRESETS
-from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence, read_attribution
 from airgs_codec.scene.usage import MEASURES
 from airgs_codec.train.data.readers import is_multiview
 
@@ -159,7 +159,7 @@ def _run(args: argparse.Namespace) -> int:
     sequence = open_sequence(folder, views=args.views, fps=args.fps)
     scene = args.scene.resolve()  # "." has no name of its own
     target = args.output or scene.with_name(scene.name + ".airgs")
-    goal, attribution = _goal(args, sequence), _attribution(args)
+    goal, attribution = _goal(args, sequence), args.attribution or read_attribution(args.scene)
     bar = Bar(args.json)
     try:
         report = encode(sequence, target, settings, goal=goal, attribution=attribution, progress=bar)
@@ -177,14 +177,6 @@ def _goal(args: argparse.Namespace, sequence: GaussianSequence) -> Goal | None:
     if args.target_mbps is not None:
         return Goal(SIZE, 1e3 / 8 * args.target_mbps / float(sequence.fps))
     return None
-
-
-def _attribution(args: argparse.Namespace) -> str:
-    file = args.scene / "ATTRIBUTION.txt"
-    try:
-        return args.attribution or (file.read_text(encoding="utf-8").strip() if file.is_file() else "")
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{file}: expected UTF-8 text: {error}") from error
 
 
 def _as_json(report: EncodeReport, target: Path) -> dict[str, object]:

@@ -22,7 +22,7 @@ from airgs_codec.package.staging import staged, write_file
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import JSON_NAME, MPD_NAME, LeftOut, Manifest
 from airgs_codec.progress import Progress, silent
-from airgs_codec.scene.sequence import GaussianSequence
+from airgs_codec.scene.sequence import GaussianSequence, read_attribution
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +55,14 @@ def encode(
     settings: EncodeSettings = DEFAULT_SETTINGS,
     *,
     goal: Goal | None = None,
-    attribution: str = "",
+    attribution: str | None = None,
     progress: Progress = silent,
 ) -> EncodeReport:
     """Encode a sequence and publish it as the package at `path`, whole or not at all.
 
     `goal`: a quality factor is searched for that brings the top rung to this PSNR or size; `settings.quality` is where
-    the search starts. `attribution`: who made the scene, for the record. An existing package at `path` is replaced.
+    the search starts. `attribution`: who made the scene, by default what ATTRIBUTION.txt in its folder says. An
+    existing package at `path` is replaced.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails, and ConfigError for a
     goal out of reach or a `path` with other files in it; then `path` is as it was.
@@ -71,7 +72,8 @@ def encode(
         watch = _Stopwatch()
         grouping = plan_groups(sequence, settings.group_frames)
         surveys = survey_groups(sequence, grouping.spans, views.training, progress)
-        job = EncodeJob(sequence, surveys, views, grouping.notes, attribution)
+        credit = read_attribution(sequence.folder) if attribution is None else attribution
+        job = EncodeJob(sequence, surveys, views, grouping.notes, credit)
         survey_s = watch.lap()
         calibrated = _calibrate(job, settings, progress)
         calibrate_s = watch.lap()

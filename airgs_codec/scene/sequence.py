@@ -21,6 +21,7 @@ DEFAULT_FPS = Fraction(30)
 MAX_FPS = 1000
 SETTINGS_NAME = "sequence.json"
 CAMERAS_NAME = "transforms.json"
+ATTRIBUTION_NAME = "ATTRIBUTION.txt"
 USAGE_NAME = "usage.npz"
 
 
@@ -61,6 +62,15 @@ class GaussianSequence:
         numbers = list(frames)
         span = f"frame {numbers[0]}" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}"
         return repair([self.read(i) for i in numbers], f"{self.folder.name} {span}")
+
+
+def read_attribution(folder: Path) -> str:
+    """Who made a scene: the text of ATTRIBUTION.txt in its folder, empty without the file. Raises SceneError."""
+    file = folder / ATTRIBUTION_NAME
+    try:
+        return file.read_text(encoding="utf-8").strip() if file.is_file() else ""
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(f"{file}: expected UTF-8 text: {error}") from error
 
 
 def open_sequence(
