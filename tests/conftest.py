@@ -1,8 +1,11 @@
 """What every test shares: a cache of its own, and the embedded scene, encoded once."""
 
+import os
 import shutil
 
 import pytest
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba: threads that wait must not take a core
 
 from tests.support.mutations import read_files
 from tests.support.paths import FOX

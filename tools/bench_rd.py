@@ -14,11 +14,14 @@ negative is smaller.
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba: threads that wait must not take a core
 
 from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.render import read_cameras
