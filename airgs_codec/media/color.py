@@ -20,7 +20,8 @@ def delta_e(a: NDArray[np.float32], b: NDArray[np.float32]) -> float:
     Over every s-th pixel of every s-th row from the first on, s = ceil(sqrt(H W / MAX_PIXELS)): evenly spread, and at
     most about MAX_PIXELS. Samples outside [0, 1] are shown as the nearest end, and compared so.
     """
-    with warnings.catch_warnings(action="ignore"):  # colour-science misses matplotlib, which it needs for plots alone
+    # colour-science warns where matplotlib is missing, which only its plots need, and sets numpy's print options.
+    with warnings.catch_warnings(action="ignore"), np.printoptions():
         from colour import XYZ_to_Lab, sRGB_to_XYZ
         from colour.difference import delta_E_CIE2000
     stride = math.ceil(math.sqrt(a.shape[0] * a.shape[1] / MAX_PIXELS))

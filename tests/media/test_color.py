@@ -1,5 +1,8 @@
 """CIEDE2000 of pictures: published pairs, and pictures larger than what is compared of them."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -31,3 +34,14 @@ def test_a_part_of_the_pixels_stands_for_a_large_picture():
     strips = [delta_e(a[:, i : i + 40], b[:, i : i + 40]) for i in range(0, 280, 40)]  # small enough: all their pixels
     assert 200 * 40 < MAX_PIXELS < 200 * 300
     assert delta_e(a, b) == pytest.approx(np.mean(strips), rel=0.02)
+
+
+def test_numbers_print_as_before():
+    """Importing colour-science sets numpy's print options for the whole process."""
+    code = (
+        "import numpy as np; from airgs_codec.media.color import delta_e;"
+        "before = np.get_printoptions(), str(np.float32(1000001));"
+        "delta_e(np.zeros((8, 8, 3), 'f4'), np.ones((8, 8, 3), 'f4'));"
+        "assert (np.get_printoptions(), str(np.float32(1000001))) == before"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
