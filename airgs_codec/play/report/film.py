@@ -135,7 +135,7 @@ def _pictures(
 
 
 def buffered_s(log: SessionLog, at_s: float) -> float:
-    """Media at hand and not yet shown at a moment."""
+    """Seconds of media that have arrived and are not shown yet, at a moment."""
     fps = log.catalogue.fps
     at_hand = sum(s.frames / fps for s in log.shown if s.ready_s <= at_s)
     played = sum(min(max(at_s - s.start_s, 0.0), s.frames / fps) for s in log.shown)
