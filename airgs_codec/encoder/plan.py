@@ -25,6 +25,7 @@ from airgs_codec.encoder.levels import assign_tiers
 from airgs_codec.encoder.rank import RowUsage
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Survey, ViewSplit
+from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, Grid, KeySteps, StateSteps, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.repair import Repaired
@@ -67,7 +68,7 @@ class GroupLayout:
     def key_weights(self) -> NDArray[np.float64]:
         """(7 + C, N) the same for the channels of a key, which has no means."""
         steps = StateSteps(1.0, *(getattr(self.key_steps, name) for name in KEY_ATTRIBUTES))
-        return channel_weights(self.classes, self.sensitivity, steps, self.transform)[3:]
+        return channel_weights(self.classes, self.sensitivity, steps, self.transform)[STATE.slice("means").stop :]
 
     def key_values(self, canonical: Gaussians) -> NDArray[np.float64]:
         """(7 + C, N) key channels of the canonical frame, which has all input rows."""

@@ -137,9 +137,9 @@ def _pictures(
 def buffered_s(log: SessionLog, at_s: float) -> float:
     """Seconds of media that have arrived and are not shown yet, at a moment."""
     fps = log.catalogue.fps
-    at_hand = sum(s.frames / fps for s in log.shown if s.ready_s <= at_s)
+    arrived = sum(s.frames / fps for s in log.shown if s.ready_s <= at_s)
     played = sum(min(max(at_s - s.start_s, 0.0), s.frames / fps) for s in log.shown)
-    return max(0.0, at_hand - played)
+    return max(0.0, arrived - played)
 
 
 def buffer_bar(picture: NDArray[np.uint8], seconds: float, limit: float, waits: bool) -> NDArray[np.uint8]:
