@@ -20,7 +20,6 @@ COUNTED = (
     "formats their files."
 )
 STYLES = {"medium": ":", "veryslow": "-", "keeps all": "--"}  # by the last words of a coder's name
-COLOURS = {"V3 layout": "tab:green", "MPEG anchor layout": "tab:red", "airgs": "tab:blue"}  # by the first
 
 
 def write_csv(points: Sequence[RdPoint], path: Path) -> None:
@@ -59,12 +58,13 @@ def machine() -> str:
 
 
 def plot(points: Sequence[RdPoint], path: Path, title: str) -> None:
-    """Bytes against PSNR, one curve a coder; both axes are logarithmic in their quantity."""
+    """Bytes against PSNR: a curve for each coder, in one colour for all curves of the same layout."""
     figure = new_figure(9, 5.5)
     axis = figure.subplots()
+    families = list(dict.fromkeys(p.coder.split(",")[0] for p in points))
     for coder, curve in curves(points).items():
         style = next((line for words, line in STYLES.items() if coder.endswith(words)), "-")
-        colour = next((c for words, c in COLOURS.items() if coder.startswith(words)), None)
+        colour = f"C{families.index(coder.split(',')[0])}"
         x, y = [p.kb_per_frame for p in curve], [p.psnr for p in curve]
         axis.plot(x, y, f"o{style}", color=colour, label=coder, linewidth=2.5 if coder == OURS else 1.3, markersize=4)
     axis.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB (against renderings of the input)", title=title)
