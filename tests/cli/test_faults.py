@@ -39,9 +39,20 @@ def scene(tmp_path_factory):
     return write_sequence(tmp_path_factory.mktemp("faults") / "scene", moving_frames(3000, 3))
 
 
-def test_a_full_disk_leaves_the_old_package(scene, tmp_path):
-    target = tmp_path / "out.airgs"
-    command("encode", scene, "-o", target, *ENCODE, check=True)
+@pytest.fixture(scope="module")
+def encoded(scene):
+    path = scene.parent / "encoded.airgs"
+    command("encode", scene, "-o", path, *ENCODE, check=True)
+    return path
+
+
+@pytest.fixture
+def target(encoded, tmp_path):
+    """A package where a command will write; nothing else is in its folder."""
+    return shutil.copytree(encoded, tmp_path / "out.airgs")
+
+
+def test_a_full_disk_leaves_the_old_package(scene, target, tmp_path):
     before = {p: p.read_bytes() for p in target.rglob("*") if p.is_file()}
     done = command("encode", scene, "-o", target, *ENCODE, "--quality", "high", limit=4000)
     assert (
@@ -81,10 +92,8 @@ def test_absurd_counts_are_refused_with_little_memory(tmp_path, where, value):
         decode(open_package(bomb), 0)
 
 
-def test_a_kill_in_the_middle_leaves_the_old_package(scene, tmp_path):
+def test_a_kill_in_the_middle_leaves_the_old_package(scene, target, tmp_path):
     """`python -m tests.long.kill` does it fifty times."""
-    target = tmp_path / "out.airgs"
-    command("encode", scene, "-o", target, *ENCODE, check=True)
     code = "import sys; from airgs_codec.cli.encode import main; sys.exit(main(sys.argv[1:]))"
     process = subprocess.Popen([sys.executable, "-c", code, str(FOX), "-o", str(target)], stdout=subprocess.DEVNULL)
     while process.poll() is None and not list(tmp_path.glob(".out.airgs.*.stage")):
@@ -98,10 +107,8 @@ def test_a_kill_in_the_middle_leaves_the_old_package(scene, tmp_path):
     assert not list(tmp_path.glob(".out.airgs.*"))
 
 
-def test_a_package_that_was_moved_aside_comes_back(scene, tmp_path):
+def test_a_package_that_was_moved_aside_comes_back(scene, target, tmp_path):
     """Killed between the two renames that put a new package in the place of an old one."""
-    target = tmp_path / "out.airgs"
-    command("encode", scene, "-o", target, *ENCODE, check=True)
     target.rename(tmp_path / ".out.airgs.abcd.old")
     done = command("encode", scene, "-o", target, *ENCODE, "--quality", "high", limit=4000)  # and the disk is full
     assert done.returncode == 2 and validate(target) == []
