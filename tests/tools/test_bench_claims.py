@@ -1,0 +1,104 @@
+"""The benchmark of claims: what it measures is what a viewer sees, and it says which claims fail."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.compare import compare_streams, rung_streams
+from airgs_codec.media.metrics import psnr
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX
+from tests.support.temporal import write_temporal
+from tools.bench_claims import (
+    Measured,
+    Row,
+    bought,
+    fresh_views,
+    is_beaten,
+    main,
+    measure,
+    pooled,
+    verdict,
+    with_fields,
+)
+
+FOUND = Measured(40.0, 38.0, 35.0)
+
+
+def row(kilobytes, found, claimed=40.0, single=None):
+    return Row("fox", "40", f"{kilobytes:g}", kilobytes, claimed, replace(FOUND, mean=found), single)
+
+
+def test_it_measures_what_the_comparison_does(demo_package):
+    package, sequence = open_package(demo_package), open_sequence(FOX)
+    cameras = fresh_views(sequence, 2, seed=3)
+    found = measure(package, sequence, cameras, most=4)
+    frames = range(0, 10, 3)
+    compared = compare_streams(rung_streams(package, frames), sequence, frames, cameras)
+    assert {name: m.mean for name, m in found.items()} == {n: round(q.psnr, 3) for n, q in compared.items()}
+    assert all(m.worst_picture <= m.worst_view <= m.mean for m in found.values())
+
+
+def test_the_worst_view_pools_its_frames():
+    errors = np.array([[1e-4, 1e-3], [1e-4, 3e-3]])
+    assert pooled(errors) == Measured(*(round(psnr(e), 3) for e in (1.05e-3, 2e-3, 3e-3)))
+
+
+def test_fresh_views_are_none_of_the_cameras_and_lie_between_them():
+    sequence = open_sequence(FOX)
+    views = fresh_views(sequence, 8, seed=1)
+    places = np.stack([c.position for c in sequence.cameras])
+    for view in views:
+        assert np.linalg.norm(places - view.position, axis=1).min() > 0
+        assert (view.position >= places.min(axis=0)).all() and (view.position <= places.max(axis=0)).all()
+        np.testing.assert_allclose(np.linalg.det(view.world_to_camera), 1)
+    again, other = (fresh_views(sequence, 8, seed)[0].position for seed in (1, 2))
+    assert (again == views[0].position).all() and (other != again).any()
+
+
+def test_a_size_buys_what_lies_between_its_neighbours():
+    curve = [row(4.0, 36.0), row(1.0, 30.0), row(2.0, 34.0)]
+    assert bought(curve, 2.0) == 34.0
+    assert bought(curve, 2 * np.sqrt(2)) == pytest.approx(35.0)
+    assert bought(curve, 4.1) is None and bought(curve, 0.9) is None and bought([], 1.0) is None
+
+
+def test_the_verdict_names_the_largest_error_and_what_is_beaten():
+    rows = [row(4.0, 39.0), row(3.0, 39.5, 39.6, single=40.5), row(2.0, 35.0, 35.5, single=35.1)]
+    assert [is_beaten(r, rows) for r in rows] == [True, False, False]
+    (line,) = verdict(rows)
+    assert "-1.00 dB at most" in line and "1.00 dB below" in line and line.endswith("rung: 4")
+
+
+def test_settings_are_read_as_what_they_are():
+    read = with_fields(EncodeSettings(), ["group_frames=7", "keep_all=True", "preset=medium", "segment_s=0.5"])
+    assert (read.group_frames, read.keep_all, read.preset, read.segment_s) == (7, True, "medium", 0.5)
+    for wrong in ("levels=3", "nothing=3", "group_frames=x", "keep_all=yes", "group_frames=0"):
+        with pytest.raises(ConfigError):
+            with_fields(EncodeSettings(), [wrong])
+
+
+def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):
+    scene = write_temporal(tmp_path / "clip", count=120, frames=3, size=24)
+    words = [str(scene), "--targets", "99.9,default", "--single-rungs", "0.2,8", "--draws", "2"]
+    words += ["--set", "preset=ultrafast", "--set", "jobs=1", "--packages", str(tmp_path / "kept")]
+    assert main([*words, "-o", str(tmp_path / "claims.json")]) == 0
+    printed = capsys.readouterr()
+    assert "clip 99.9: target: 99.9 PSNR is out of reach" in printed.err
+    assert "clip default: claims off by" in printed.out
+    rows = json.loads((tmp_path / "claims.json").read_text())
+    top, last = rows[0], rows[-1]
+    manifest = open_package(tmp_path / "kept" / "clip-default.airgs").manifest
+    assert top["claimed"] == pytest.approx(manifest.segments[0].levels[0].psnr[0], abs=1e-3)
+    assert top["off"] == pytest.approx(top["measured"]["mean"] - top["claimed"], abs=1e-3)
+    assert last["target"] == "x8" and rows[-2]["kilobytes"] > last["kilobytes"]
+
+
+def test_a_scene_that_is_not_there_is_one_line(capsys):
+    assert main(["nowhere"]) == 2
+    assert capsys.readouterr().err.startswith("bench_claims: nowhere")
