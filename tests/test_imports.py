@@ -17,7 +17,7 @@ ORDER = (
 MAY_IMPORT = {
     "torch": {"render/absgrad.py", "render/differentiable.py", "render/cuda.py", "render/reference.py", "train"},
     "gsplat": {"render/cuda.py"},
-    "pycolmap": {"train/data/colmap.py"},
+    "pycolmap": set(),  # of tests alone
     "av": {"media/h264.py", "media/movie.py"},
     "cv2": {"media/image.py"},
     "colour": {"media/color.py"},

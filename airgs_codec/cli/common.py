@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 from tqdm import tqdm
 
@@ -57,6 +59,13 @@ class Bar:
         if self._bar is not None:
             self._bar.close()
             self._bar = None
+
+
+def add_views(parser: argparse._ActionsContainer, purpose: str, default: str) -> None:
+    """The option --views; `purpose` says what the cameras are for, `default` which are taken without it."""
+    forms = "transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json, poses_bounds.npy"
+    words = f"{purpose}: a file or folder of any form ({forms}, .splatv, .4dgs; default: {default})"
+    parser.add_argument("--views", type=Path, metavar="PATH", help=words)
 
 
 def parse_frames(text: str | None) -> tuple[int, int | None]:

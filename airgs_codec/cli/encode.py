@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec._settings import about
-from airgs_codec.cli.common import Bar, run_command
+from airgs_codec.cli.common import Bar, add_views, run_command
 from airgs_codec.cli.training import train_by_default
 from airgs_codec.encoder.publish import EncodeReport, encode
 from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal
@@ -44,16 +44,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "scene",
         type=Path,
-        help="a folder of .ply frames, optionally with sequence.json and transforms.json; or of multi-view pictures",
+        help="a folder of .ply frames, optionally with sequence.json and cameras; or of multi-view pictures",
     )
     parser.add_argument("-o", "--output", type=Path, help="package folder (default: SCENE with .airgs appended)")
     parser.add_argument("--fps", type=Fraction, help="frames a second (default: what sequence.json says, else 30)")
-    parser.add_argument(
-        "--views",
-        type=Path,
-        metavar="FILE",
-        help="transforms.json with the cameras that usage and quality are measured with (default: SCENE's own, else "
-        "cameras on an orbit)",
+    add_views(
+        parser, "cameras that usage and quality are measured with", "those beside the frames, else cameras on an orbit"
     )
     parser.add_argument("--attribution", metavar="TEXT", help="who made the scene (default: SCENE/ATTRIBUTION.txt)")
     parser.add_argument("--json", action="store_true", help="print a JSON report instead of a table")
@@ -160,13 +156,22 @@ def _run(args: argparse.Namespace) -> int:
     scene = args.scene.resolve()  # "." has no name of its own
     target = args.output or scene.with_name(scene.name + ".airgs")
     goal, attribution = _goal(args, sequence), args.attribution or read_attribution(args.scene)
+    if sequence.cameras_path and not args.json:
+        print(_cameras_line(sequence), flush=True)
     bar = Bar(args.json)
     try:
         report = encode(sequence, target, settings, goal=goal, attribution=attribution, progress=bar)
     finally:
         bar.close()
-    print(json.dumps(_as_json(report, target)) if args.json else _as_words(report, target))
+    cameras = {"cameras": str(sequence.cameras_path) if sequence.cameras_path else None}
+    print(json.dumps(_as_json(report, target) | cameras) if args.json else _as_words(report, target))
     return 0
+
+
+def _cameras_line(sequence: GaussianSequence) -> str:
+    """Which cameras were taken, in words."""
+    held_out = sum(camera.held_out for camera in sequence.cameras)
+    return f"cameras: {sequence.cameras_path}, {len(sequence.cameras)} of them, {held_out} held out"
 
 
 def _goal(args: argparse.Namespace, sequence: GaussianSequence) -> Goal | None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from airgs_codec._report import require_matplotlib
-from airgs_codec.cli.common import Bar, parse_range, run_command
+from airgs_codec.cli.common import Bar, add_views, parse_range, run_command
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
@@ -46,7 +46,7 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="picture of the ladder and of bytes over time")
     parser.add_argument("--ladder", action="store_true", help="measure the dense level space (minutes)")
     parser.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original, for --ladder (default: L0)")
-    parser.add_argument("--views", type=Path, metavar="FILE", help="cameras, for --ladder (default: generated)")
+    add_views(parser, "cameras, for --ladder", "those of --against, or generated")
 
 
 def _add_validate(parser: argparse.ArgumentParser) -> None:
@@ -62,7 +62,7 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--key-quality", help="of a package: one key quality, Q0, Q1, … or its number (default: all)")
     parser.add_argument("--frames", default=":", metavar="A:B", help="frames A to B - 1 (default: all)")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the frames (default: 1)")
-    parser.add_argument("--views", type=Path, metavar="FILE", help="cameras (default: the original's, or generated)")
+    add_views(parser, "cameras to compare from", "the original's, or generated")
     parser.add_argument("--split", metavar="NAME", help="cameras of this split alone (default: test, or all without)")
     parser.add_argument("--json", action="store_true", help="the same as JSON")
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from airgs_codec._files import to_json
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
-from airgs_codec.cli.common import Bar, run_command
+from airgs_codec.cli.common import Bar, add_views, run_command
 from airgs_codec.decoder.decode import decode
 from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
@@ -65,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--seed", type=int, default=1)
     study.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     out = parser.add_argument_group("output")
-    out.add_argument("--views", type=Path, metavar="FILE", help="cameras to look from (default: generated)")
+    add_views(out, "cameras to look from", "generated")
     out.add_argument("--original", type=Path, metavar="SEQUENCE", help="shown beside the screen in --video")
     out.add_argument("--report", type=Path, metavar="DIR", help="write pictures and a page")
     out.add_argument("--video", type=Path, metavar="OUT.mp4", help="film what was on the screen")

@@ -1,22 +1,17 @@
-"""Pinhole cameras, read from nerfstudio's transforms.json.
+"""Pinhole cameras, as OpenCV has them: x to the right, y down, z forward, world-to-camera matrices.
 
-Here cameras are as OpenCV has them: x to the right, y down, z forward, world-to-camera matrices; the centre of the
-first pixel is at (0.5, 0.5). Files have OpenGL's camera-to-world matrices: x to the right, y up, looking along -z.
+The centre of the first pixel is at (0.5, 0.5). `scene.cameras` reads them from files.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.errors import SceneError
 
 MOST_MEASURED_VIEWS = 4
 NEAR = 0.01  # world units, as gsplat has it
@@ -75,32 +70,6 @@ def look_at(
     return Camera(name, size, size, focal, focal, size / 2, size / 2, matrix)
 
 
-def read_cameras(path: Path) -> list[Camera]:
-    """The distinct cameras of a nerfstudio transforms.json, in the order in which they first appear.
-
-    Entries with the same `camera` name count once: a dynamic scene lists an entry for each camera and frame. Entries
-    without a name are all kept. `split` defaults to "train".
-
-    Raises SceneError when the file is not a transforms.json or has no camera.
-    """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        cameras: dict[str, Camera] = {}
-        for number, frame in enumerate(data["frames"]):
-            name = str(frame.get("camera", f"view{number:03d}"))
-            if name not in cameras:
-                cameras[name] = camera_from_transforms(name, data, frame)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read cameras: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError, AttributeError, np.linalg.LinAlgError) as error:
-        raise SceneError(
-            f"{path}: expected a nerfstudio transforms.json, got {type(error).__name__}: {error}"
-        ) from error
-    if not cameras:
-        raise SceneError(f"{path}: expected at least one camera under 'frames', got none")
-    return list(cameras.values())
-
-
 def training_views(cameras: Sequence[Camera]) -> list[Camera]:
     """The cameras that encoding and training may look at: all but held-out ones, or all if every one is held out."""
     return [c for c in cameras if not c.held_out] or list(cameras)
@@ -113,27 +82,3 @@ def measured_views(cameras: Sequence[Camera]) -> list[Camera]:
     """
     chosen = [c for c in cameras if c.held_out] or list(cameras)
     return [chosen[i] for i in evenly_spaced(len(chosen), MOST_MEASURED_VIEWS)]
-
-
-def camera_from_transforms(name: str, shared: dict[str, Any], frame: dict[str, Any]) -> Camera:
-    """The camera of one entry under `frames`; what the entry lacks is taken from the fields `shared` by the file.
-
-    Sizes, focal lengths and centres are in pixels. Raises KeyError, TypeError, ValueError or LinAlgError for an entry
-    that describes no camera.
-    """
-
-    def value(key: str) -> float:
-        return float(frame[key] if key in frame else shared[key])
-
-    camera_to_world = np.asarray(frame["transform_matrix"], np.float64).reshape(4, 4)
-    matrix: NDArray[np.float64] = np.linalg.inv(camera_to_world @ OPENGL_TO_OPENCV).astype(np.float64)
-    if not np.isfinite(matrix).all():
-        raise ValueError(f"camera {name} has a matrix that is not finite")
-    width, height = int(value("w")), int(value("h"))
-    if width < 1 or height < 1:
-        raise ValueError(f"camera {name} has size {width}x{height}")
-    intrinsics = (value("fl_x"), value("fl_y"), value("cx"), value("cy"))
-    near = float(frame.get("near", shared.get("near", NEAR)))
-    if not 0 < near < np.inf:
-        raise ValueError(f"camera {name} has near {near}")
-    return Camera(name, width, height, *intrinsics, matrix, str(frame.get("split", "train")), near)

@@ -1,4 +1,4 @@
-"""A Gaussian sequence on disk: a folder of .ply frames, optional sequence.json, transforms.json and usage.npz."""
+"""A Gaussian sequence on disk: a folder of .ply frames, optional sequence.json, cameras and usage.npz."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.camera import Camera, read_cameras
+from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader, read_ply, read_ply_header
 from airgs_codec.scene.repair import Repaired, repair
@@ -20,7 +21,6 @@ from airgs_codec.scene.usage import Usage, load_usage
 DEFAULT_FPS = Fraction(30)
 MAX_FPS = 1000
 SETTINGS_NAME = "sequence.json"
-CAMERAS_NAME = "transforms.json"
 ATTRIBUTION_NAME = "ATTRIBUTION.txt"
 USAGE_NAME = "usage.npz"
 
@@ -36,6 +36,7 @@ class GaussianSequence:
     keyframes: tuple[int, ...] | None  # first frames of groups, where sequence.json names them
     cameras: tuple[Camera, ...]  # empty where none are given
     max_sh_degree: int = 3  # SH bands above it are not read
+    cameras_path: Path | None = None  # the file or folder that the cameras are from
 
     @property
     def sh_degree(self) -> int:
@@ -81,11 +82,12 @@ def open_sequence(
     Frames are INRIA Gaussian .ply files in natural order of their names (frame2 before frame10). Beside them may lie
 
     - sequence.json: `{"fps": number, "keyframes": [first frame of each group, ...]}`; 30 frames a second without it;
-    - transforms.json: cameras as nerfstudio has them (OpenGL camera-to-world matrices, sizes in pixels);
+    - cameras in a form that people have them in, the first of transforms.json, INRIA's cameras.json, COLMAP's sparse/
+      and Panoptic's train_meta.json; they may also lie in the INRIA model whose point_cloud/ the frames are in;
     - usage.npz: how much each Gaussian contributes to the training views, as the trainer measured it.
 
-    `views` is another file of cameras, `fps` (frames a second, above 0 and at most 1000) another frame rate; both take
-    precedence over what the folder says.
+    `views` is another file or folder of cameras (`scene.cameras.read.read_cameras`), `fps` (frames a second, above 0
+    and at most 1000) another frame rate; both take precedence over what the folder says.
 
     Raises SceneError when there is no such folder, it has no frames, a frame is not a Gaussian .ply, has no rows or
     another SH degree than the first, or one of the files beside them is malformed.
@@ -107,9 +109,9 @@ def open_sequence(
             raise SceneError(f"{path}: {expected}, got {header.sh_degree}")
     own_fps, keyframes = _read_settings(folder / SETTINGS_NAME, len(paths))
     rate = own_fps if fps is None else _frame_rate(str(folder), fps)
-    cameras_path = Path(views or folder / CAMERAS_NAME)
-    cameras = tuple(read_cameras(cameras_path)) if views or cameras_path.exists() else ()
-    return GaussianSequence(folder, paths, headers, rate, keyframes, cameras)
+    cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
+    cameras = tuple(read_cameras(cameras_path)) if cameras_path else ()
+    return GaussianSequence(folder, paths, headers, rate, keyframes, cameras, cameras_path=cameras_path)
 
 
 def natural_key(path: Path) -> list[tuple[int, str]]:

@@ -8,8 +8,10 @@ import pytest
 
 from airgs_codec.cli import decode, encode, manifest, play
 from airgs_codec.scene.ply import read_ply, write_ply
+from tests.support.camera_files import write_colmap_binary, write_inria
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+from tests.support.views import ring
 
 
 @pytest.fixture(scope="module")
@@ -182,6 +184,22 @@ def test_encode_refuses_bad_scenes_in_one_line_and_leaves_nothing(tmp_path, what
     assert encode.main([str(scene), "-o", str(tmp_path / "out")]) == 2
     assert "expected" in line_of(capsys)
     assert sorted(p.name for p in tmp_path.iterdir()) in (["scene"], [])
+
+
+def test_encode_says_which_cameras_it_took(tmp_path, capsys):
+    scene = write_sequence(tmp_path / "model" / "point_cloud" / "iteration_7", moving_frames(60, 1))
+    found = write_inria(tmp_path / "model", ring(3, held_out=1))
+    given = write_colmap_binary(tmp_path / "rec", ring(5, held_out=1))
+    options = [str(scene), "-o", str(tmp_path / "out"), "--steps", "default", "--preset", "ultrafast"]
+    assert encode.main(options) == 0
+    assert capsys.readouterr().out.startswith(f"cameras: {found}, 3 of them, 0 held out\n")
+    assert encode.main([*options, "--views", str(given)]) == 0
+    assert capsys.readouterr().out.startswith(f"cameras: {given}, 5 of them, 1 held out\n")
+    assert encode.main([*options, "--views", str(given.parent.parent), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["cameras"] == str(given)  # where it was
+    found.unlink()
+    assert encode.main([*options, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["cameras"] is None
 
 
 def test_encode_names_the_repairs(tmp_path, capsys):

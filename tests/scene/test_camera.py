@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.camera import look_at, measured_views, read_cameras, training_views
+from airgs_codec.scene.camera import look_at, measured_views, training_views
+from airgs_codec.scene.cameras.read import read_cameras
 from tests.support.multiview_files import matrix_of
 from tests.support.paths import FOX
 from tests.support.views import ring

@@ -7,15 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.cameras import colmap
+from airgs_codec.scene.cameras.posed import Posed
 from airgs_codec.scene.sequence import DEFAULT_FPS
-from airgs_codec.train.data.colmap import Posed, find_model, read_model
+from airgs_codec.train.data.colmap import read_points3d
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
 from airgs_codec.train.data.videos import VIDEO_SUFFIXES, CameraFilm, find_pictures, scene_from_films
 
 
 def has_colmap(folder: Path) -> bool:
     """Whether there is a reconstruction in the folder."""
-    return find_model(folder) is not None
+    return colmap.find_model(folder) is not None
 
 
 def read_colmap(folder: Path) -> MultiviewScene:
@@ -24,16 +26,16 @@ def read_colmap(folder: Path) -> MultiviewScene:
     A camera's pictures over time are a video or a folder; where no camera has any, the scene is one frame of all
     images.
 
-    Raises SceneError, or ConfigError without pycolmap.
+    Raises SceneError.
     """
-    model = find_model(folder)
+    model = colmap.find_model(folder)
     if model is None:
         raise SceneError(f"{folder}: expected a COLMAP reconstruction, got none")
-    posed, points = read_model(model)
+    posed, points = colmap.read(model), read_points3d(model)
     shots = _first_shots(folder, posed)
     films = {name: _film(folder, name) for name in shots}
     if not any(films.values()):
-        frame = tuple(_shot(folder, image, image.name) for image in posed)
+        frame = tuple(_shot(folder, image, image.picture) for image in posed)
         return MultiviewScene(folder, DEFAULT_FPS, (frame,), points)
     if missing := [name for name, film in films.items() if film is None]:
         raise SceneError(f"{folder}: expected a video or a folder of frames of {', '.join(missing)}")
@@ -45,7 +47,7 @@ def _first_shots(folder: Path, posed: Sequence[Posed]) -> dict[str, Shot]:
     """The first image of every camera, by the camera's name: cameras stand still."""
     shots: dict[str, Shot] = {}
     for image in posed:
-        relative = Path(image.name)
+        relative = Path(image.picture)
         name = relative.parent.name or relative.stem
         if name not in shots:
             shots[name] = _shot(folder, image, name)
@@ -53,7 +55,7 @@ def _first_shots(folder: Path, posed: Sequence[Posed]) -> dict[str, Shot]:
 
 
 def _shot(folder: Path, image: Posed, name: str) -> Shot:
-    return Shot(replace(image.camera, name=name), PictureFile(folder / "images" / image.name), image.lens)
+    return Shot(replace(image.camera, name=name), PictureFile(folder / "images" / image.picture), image.lens)
 
 
 def _film(folder: Path, name: str) -> Path | None:

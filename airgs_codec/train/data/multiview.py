@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens, read_picture
 from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.cameras.posed import Posed
 
 HELD_OUT_SHARE = 8  # one camera in so many is held out where a scene names none
 
@@ -81,6 +82,14 @@ class MultiviewScene:
     def cameras(self) -> list[Camera]:
         """The cameras of the first frame."""
         return [shot.camera for shot in self.frames[0]]
+
+
+def in_frames(posed: Sequence[Posed], shot: Callable[[Posed], Shot]) -> tuple[tuple[Shot, ...], ...]:
+    """The shots of each frame; frames are the distinct times, ascending."""
+    frames: dict[float, list[Shot]] = {time: [] for time in sorted({p.time for p in posed})}
+    for p in posed:
+        frames[p.time].append(shot(p))
+    return tuple(map(tuple, frames.values()))
 
 
 def with_near(scene: MultiviewScene, near: float) -> MultiviewScene:

@@ -1,6 +1,8 @@
 """CMU Panoptic."""
 
-from airgs_codec.train.data.multiview import with_near
+import json
+
+from airgs_codec.train.data.multiview import with_held_out, with_near
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene
 from tests.support.multiview_files import same_camera, write_panoptic
@@ -14,6 +16,16 @@ def test_panoptic_reads_cameras_and_masks(tmp_path):
     cut = Pictures(scene, foreground=True).train(0)[0].target.rgb
     assert whole[:, :24].min() > 0.7
     assert cut[:, :24].max() == 0 and cut[:, 24:].min() > 0.7
+
+
+def test_cameras_of_the_test_file_are_held_out(tmp_path):
+    write_panoptic(tmp_path, ring(3))
+    meta = json.loads((tmp_path / "train_meta.json").read_text())
+    meta["cam_id"] = [[7, 8, 9]] * 2
+    (tmp_path / "test_meta.json").write_text(json.dumps(meta))
+    scene = with_held_out(open_scene(tmp_path), None)
+    assert [(c.name, c.held_out) for c in scene.cameras][2:4] == [("cam02", False), ("cam07", True)]
+    assert [len(frame) for frame in scene.frames] == [6, 6]
 
 
 def test_near_planes_come_with_the_scene(tmp_path):

@@ -2,13 +2,13 @@
 
 import json
 
-import numpy as np
 import pytest
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import write_png
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import is_multiview, open_scene
+from tests.support.camera_files import write_llff
 from tests.support.multiview_files import plain, write_views
 from tests.support.paths import FOX, FOX_VIEWS
 from tests.support.views import coloured_cloud, ring
@@ -34,7 +34,7 @@ def broken(tmp_path, what):
         folder.mkdir()
     elif what == "poses":
         folder.mkdir()
-        np.save(folder / "poses_bounds.npy", np.zeros((2, 17)))
+        write_llff(folder, ring(2))
     elif what == "colmap":
         (folder / "sparse" / "0").mkdir(parents=True)
         (folder / "sparse" / "0" / "images.bin").write_bytes(b"12")

@@ -24,6 +24,17 @@ def test_transforms_gives_back_the_cameras_that_were_written(moving):
     assert [c.split for c in scene.cameras] == ["train"] * 5 + ["test"]
 
 
+def test_unnamed_cameras_have_one_name_at_all_times(moving):
+    """That of the folder of their pictures: what is held out or exposed alike is told by it."""
+    path = moving / "transforms.json"
+    data = json.loads(path.read_text())
+    for entry in data["frames"]:
+        del entry["camera"]
+    path.write_text(json.dumps(data))
+    names = [[shot.camera.name for shot in frame] for frame in open_scene(moving).frames]
+    assert names == [[c.name for c in ring(6)]] * 2
+
+
 def test_transforms_may_name_videos(tmp_path):
     cameras = ring(2)
     entries = [{"file_path": f"{c.name}.mp4", "camera": c.name, "transform_matrix": matrix_of(c)} for c in cameras]

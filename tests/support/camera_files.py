@@ -1,0 +1,190 @@
+"""One rig as each form of cameras has it: writers, independent of the readers."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from airgs_codec.scene.camera import Camera
+from tests.support.multiview_files import matrix_of
+
+Rig = Sequence[Camera]
+Writer = Callable[[Path, Rig], Path]
+
+
+def intrinsics_of(c: Camera) -> dict[str, float]:
+    """As transforms.json has them."""
+    return {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
+
+
+def to_world(c: Camera) -> np.ndarray:
+    """(4, 4) camera-to-world in OpenCV's axes."""
+    return np.linalg.inv(c.world_to_camera)
+
+
+def saved(path: Path, data: Any) -> Path:
+    """`path`, with JSON or bytes written to it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(data, bytes):
+        path.write_bytes(data)
+    else:
+        path.write_text(json.dumps(data))
+    return path
+
+
+def write_transforms(folder: Path, rig: Rig) -> Path:
+    """Two frames of named cameras."""
+    entries = [
+        {"camera": c.name, "split": c.split, "time_index": t, "transform_matrix": matrix_of(c), **intrinsics_of(c)}
+        for t in range(2)
+        for c in rig
+    ]
+    return saved(folder / "transforms.json", {"camera_model": "PINHOLE", "frames": entries})
+
+
+def write_nerfstudio(folder: Path, rig: Rig) -> Path:
+    """One picture for each camera, held-out ones in a list, as nerfstudio itself has it."""
+    entries = [{"file_path": f"images/{c.name}.png", "transform_matrix": matrix_of(c)} for c in rig]
+    lists = {"test_filenames": [f"images/{c.name}.png" for c in rig if c.held_out]}
+    return saved(folder / "transforms.json", {**intrinsics_of(rig[0]), **lists, "frames": entries})
+
+
+def as_inria(rig: Rig) -> list[dict[str, Any]]:
+    """The list of a cameras.json."""
+    return [
+        {
+            "id": i,
+            "img_name": c.name,
+            "width": c.width,
+            "height": c.height,
+            "position": to_world(c)[:3, 3].tolist(),
+            "rotation": to_world(c)[:3, :3].tolist(),
+            "fy": c.fy,
+            "fx": c.fx,
+        }
+        for i, c in enumerate(rig)
+    ]
+
+
+def write_inria(folder: Path, rig: Rig) -> Path:
+    """A cameras.json."""
+    return saved(folder / "cameras.json", as_inria(rig))
+
+
+def write_splatv(folder: Path, rig: Rig) -> Path:
+    """A .splatv with one row of texels."""
+    chunk = {"type": "splat", "size": 65536, "texwidth": 4096, "texheight": 1, "cameras": as_inria(rig)}
+    header = json.dumps([chunk]).encode()
+    return saved(folder / "scene.splatv", struct.pack("<II", 0x674B, len(header)) + header + bytes(65536))
+
+
+def _colmap_pose(c: Camera) -> list[float]:
+    x, y, z, w = Rotation.from_matrix(c.world_to_camera[:3, :3]).as_quat()
+    return [w, x, y, z, *c.world_to_camera[:3, 3]]
+
+
+def _colmap_test(model: Path, rig: Rig) -> Path:
+    (model / "test.txt").write_text("".join(f"{c.name}.png\n" for c in rig if c.held_out))
+    return model
+
+
+def write_colmap_text(folder: Path, rig: Rig) -> Path:
+    """sparse/0 in text, images in another order than their names'; one has no points, an empty line."""
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True)
+    cameras, images = ["# Camera list"], ["# Image list", "#   POINTS2D[] as (X, Y, POINT3D_ID)"]
+    for i, c in reversed(list(enumerate(rig, start=1))):
+        cameras.append(f"{i} PINHOLE {c.width} {c.height} {c.fx} {c.fy} {c.cx} {c.cy}")
+        images.append(f"{i} {' '.join(map(repr, map(float, _colmap_pose(c))))} {i} {c.name}.png")
+        images.append("" if i == 2 else "1.5 2.5 -1 3.5 4.5 -1")
+    (model / "cameras.txt").write_text("\n".join(cameras) + "\n")
+    (model / "images.txt").write_text("\n".join(images) + "\n")
+    return _colmap_test(model, rig)
+
+
+def write_colmap_binary(folder: Path, rig: Rig) -> Path:
+    """sparse/0 in binary."""
+    model = folder / "sparse" / "0"
+    cameras = images = struct.pack("<Q", len(rig))
+    for i, c in enumerate(rig, start=1):
+        cameras += struct.pack("<IiQQ4d", i, 1, c.width, c.height, c.fx, c.fy, c.cx, c.cy)
+        images += struct.pack("<I7dI", i, *_colmap_pose(c), i) + f"{c.name}.png".encode() + b"\0"
+        images += struct.pack("<QddqddQ", 2, 1.5, 2.5, -1, 3.5, 4.5, 7)
+    saved(model / "cameras.bin", cameras)
+    saved(model / "images.bin", images)
+    return _colmap_test(model, rig)
+
+
+def write_panoptic_meta(folder: Path, rig: Rig) -> Path:
+    """train_meta.json and test_meta.json of two frames; cameras are numbered in the order of the rig."""
+    for name, split in (("train_meta.json", "train"), ("test_meta.json", "test")):
+        chosen = [(i, c) for i, c in enumerate(rig) if c.split == split]
+        k = [[[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1]] for _, c in chosen]
+        moment = {
+            "fn": [f"{i}/0.png" for i, _ in chosen],
+            "k": k,
+            "w2c": [c.world_to_camera.tolist() for _, c in chosen],
+            "cam_id": [i for i, _ in chosen],
+        }
+        size = {"w": rig[0].width, "h": rig[0].height}
+        if chosen:
+            saved(folder / name, size | {key: [row, row] for key, row in moment.items()})
+    return folder / "train_meta.json"
+
+
+def write_llff(folder: Path, rig: Rig) -> Path:
+    """A poses_bounds.npy."""
+    rows = []
+    for c in rig:
+        right, down, forward, position = to_world(c)[:3].T
+        pose = np.stack([down, right, -forward, position, [c.height, c.width, c.fx]], axis=1)
+        rows.append([*pose.ravel(), 0.5, 20.0])
+    np.save(folder / "poses_bounds.npy", np.array(rows))
+    return folder / "poses_bounds.npy"
+
+
+def fourdgs_string(text: str) -> bytes:
+    """A 32-bit length and UTF-8."""
+    return struct.pack("<I", len(text.encode())) + text.encode()
+
+
+def fourdgs_sensor(c: Camera, matrix: np.ndarray, model: int = 1, lens: Sequence[float] = (), rig: str = "") -> bytes:
+    """The content of a Sensor Calibration record; `matrix`: camera to scene, or to `rig`."""
+    pose = [*Rotation.from_matrix(matrix[:3, :3]).as_quat(), *matrix[:3, 3]]
+    head = fourdgs_string(c.name) + fourdgs_string("camera")
+    body = struct.pack("<BII4dB", model, c.width, c.height, c.fx, c.fy, c.cx, c.cy, len(lens))
+    body += struct.pack(f"<{len(lens) + 7}d", *lens, *pose) + struct.pack("<B", bool(rig)) + fourdgs_string(rig)
+    return head + body
+
+
+def save_fourdgs(path: Path, records: Sequence[tuple[int, bytes]]) -> Path:
+    """A .4dgs of these records, (opcode, content), among others."""
+    whole = [(0x01, b"header"), *records, (0x05, bytes(100)), (0x90, b"private"), (0x02, bytes(20))]
+    magic = b"\x894DGS1\r\n"
+    body = b"".join(struct.pack("<BQ", opcode, len(content)) + content for opcode, content in whole)
+    return saved(path, magic + body + magic)
+
+
+def write_fourdgs(folder: Path, rig: Rig) -> Path:
+    """A .4dgs with a sensor for each camera."""
+    return save_fourdgs(folder / "scene.4dgs", [(0x21, fourdgs_sensor(c, to_world(c))) for c in rig])
+
+
+FORMS: dict[str, Writer] = {
+    "transforms": write_transforms,
+    "nerfstudio": write_nerfstudio,
+    "inria": write_inria,
+    "colmap text": write_colmap_text,
+    "colmap binary": write_colmap_binary,
+    "panoptic": write_panoptic_meta,
+    "llff": write_llff,
+    "splatv": write_splatv,
+    "4dgs": write_fourdgs,
+}
+MARK_HELD_OUT = ("transforms", "nerfstudio", "colmap text", "colmap binary", "panoptic")
