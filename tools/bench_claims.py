@@ -80,6 +80,7 @@ class Row:
     kilobytes: float  # a frame, of everything a viewer fetches
     claimed: float | None  # dB; None: the package does not say
     measured: Measured
+    ladder: bool  # whether the package says that no mixture of two other rungs beats it
     single: float | None = None  # dB, of a package of its own with as many bytes; None: not known
 
     @property
@@ -93,7 +94,8 @@ class Row:
         m = self.measured
         figures = [f"{m.mean:.2f}", f"{self.off:+.2f}", f"{m.worst_view:.2f}", f"{m.worst_picture:.2f}"]
         single = "-" if self.single is None else f"{m.mean - self.single:+.2f}"
-        return [self.scene, self.target, self.rung, f"{self.kilobytes:.2f}", claimed, *figures, single]
+        mark = "*" if self.ladder else ""
+        return [self.scene, self.target, self.rung + mark, f"{self.kilobytes:.2f}", claimed, *figures, single]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +163,7 @@ def rows_of(scene: str, target: str, package: Package, found: dict[str, Measured
     """The rungs of a package by falling bytes."""
     rungs = summarise(package.manifest, package.manifest_bytes).rungs
     by_size = sorted(rungs, key=lambda rung: -rung.bytes_per_frame)
-    return [Row(scene, target, _name(r), r.bytes_per_frame / 1e3, r.psnr, found[_name(r)]) for r in by_size]
+    return [Row(scene, target, _name(r), r.bytes_per_frame / 1e3, r.psnr, found[_name(r)], r.best) for r in by_size]
 
 
 def _name(rung: RungSummary) -> str:
@@ -211,14 +213,15 @@ def bought(curve: Sequence[Row], kilobytes: float) -> float | None:
 
 
 def verdict(rows: Sequence[Row]) -> Iterator[str]:
-    """For each package how far its claims are off, how far it lies below the curve, and its rungs that others beat."""
+    """For each package how far claims are off, how far its ladder is below the curve, which of its rungs are beaten."""
     for scene, target in dict.fromkeys((row.scene, row.target) for row in rows):
         of = [row for row in rows if (row.scene, row.target) == (scene, target)]
         words = [f"claims off by {max((row.off for row in of), key=abs):+.2f} dB at most"]
-        losses = [row.single - row.measured.mean for row in of if row.single is not None]
+        ladder = [row for row in of if row.ladder]
+        losses = [row.single - row.measured.mean for row in ladder if row.single is not None]
         if losses:
             words.append(f"up to {max(losses):.2f} dB below packages of one rung")
-        beaten = [row.rung for row in of if is_beaten(row, of)]
+        beaten = [row.rung for row in ladder if is_beaten(row, of)]
         if beaten:
             words.append(f"beaten by a cheaper rung: {' '.join(beaten)}")
         yield f"{scene} {target}: {'; '.join(words)}"

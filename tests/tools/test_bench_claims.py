@@ -30,8 +30,8 @@ from tools.bench_claims import (
 FOUND = Measured(40.0, 38.0, 35.0)
 
 
-def row(kilobytes, found, claimed=40.0, single=None):
-    return Row("fox", "40", f"{kilobytes:g}", kilobytes, claimed, replace(FOUND, mean=found), single)
+def row(kilobytes, found, claimed=40.0, ladder=True, single=None):
+    return Row("fox", "40", f"{kilobytes:g}", kilobytes, claimed, replace(FOUND, mean=found), ladder, single)
 
 
 def test_it_measures_what_the_comparison_does(demo_package):
@@ -69,8 +69,9 @@ def test_a_size_buys_what_lies_between_its_neighbours():
 
 
 def test_the_verdict_names_the_largest_error_and_what_is_beaten():
-    rows = [row(4.0, 39.0), row(3.0, 39.5, 39.6, single=40.5), row(2.0, 35.0, 35.5, single=35.1)]
-    assert [is_beaten(r, rows) for r in rows] == [True, False, False]
+    rows = [row(4.0, 39.0), row(3.0, 39.5, 39.6, single=40.5), row(2.0, 35.0, 35.5, ladder=False, single=37.0)]
+    rows.append(row(1.0, 36.0, 36.0))
+    assert [is_beaten(r, rows) for r in rows] == [True, False, True, False]
     (line,) = verdict(rows)
     assert "-1.00 dB at most" in line and "1.00 dB below" in line and line.endswith("rung: 4")
 
