@@ -118,7 +118,7 @@ def _at_origin(sensor: _Sensor) -> tuple[Camera, Lens | None]:
     if not model.focals:
         raise ValueError(f"expected a perspective or fisheye camera model, got {model.name}")
     fx, fy, cx, cy = map(float, values[[0, model.focals - 1, model.focals, model.focals + 1]])
-    camera = Camera("", *sensor.size, fx, fy, cx, cy, np.eye(4))
+    camera = Camera(model.name, *sensor.size, fx, fy, cx, cy, np.eye(4))
     return undistorted(camera, values[list(model.coefficients)], model.fisheye)
 
 

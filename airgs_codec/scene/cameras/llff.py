@@ -7,6 +7,7 @@ the nearest and farthest depth.
 from __future__ import annotations
 
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,18 @@ MAGIC = b"\x93NUMPY"
 def read(path: Path) -> list[Posed]:
     """One for each row. Raises SceneError."""
     with expecting(path, "rows of 17 numbers"):
-        rows = np.load(path, allow_pickle=False).astype(np.float64).reshape(-1, 17)
+        rows = _load(path).astype(np.float64).reshape(-1, 17)
         posed = [_posed(row, number) for number, row in enumerate(rows)]
     if not posed:
         raise SceneError(f"{path}: expected at least one row, got none")
     return posed
+
+
+def _load(path: Path) -> NDArray:
+    try:
+        return np.asarray(np.load(path, allow_pickle=False))
+    except (SyntaxError, TokenError) as error:  # what numpy raises for a broken header is Python's, which it looks like
+        raise ValueError("its header is broken") from error
 
 
 def _posed(row: NDArray[np.float64], number: int) -> Posed:

@@ -52,10 +52,14 @@ def distinct(posed: Iterable[Posed]) -> list[Camera]:
 def undistorted(camera: Camera, coefficients: NDArray[np.float64], fisheye: bool = False) -> tuple[Camera, Lens | None]:
     """The camera of undistorted pictures, and the lens that they are undistorted for; None for a pinhole camera.
 
-    `camera` has the intrinsics of pictures as they were taken, `coefficients` are OpenCV's of the model.
+    `camera` has the intrinsics of pictures as they were taken, `coefficients` are OpenCV's of the model. Raises
+    ValueError for a camera that is none.
     """
     if not fisheye and not coefficients.any():
         return camera, None
+    _check(camera)
+    if not np.isfinite(coefficients).all():
+        raise ValueError(f"camera {camera.name} has a lens that is not finite")
     matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
     lens = fit_lens((camera.width, camera.height), matrix, coefficients, fisheye)
     (fx, _, cx), (_, fy, cy), _ = lens.pinhole
@@ -71,7 +75,8 @@ def inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
 def expecting(path: Path, what: str) -> Iterator[None]:
     """Turns what goes wrong while `path` is read as `what` into a SceneError of one line."""
     try:
-        yield
+        with np.errstate(all="ignore"):  # what is not finite in the end is refused
+            yield
     except SceneError:
         raise
     except OSError as error:

@@ -47,8 +47,9 @@ def test_a_lens_leaves_the_pinhole_camera_of_undistorted_pictures(tmp_path):
     fisheye = read_entries(tmp_path, entries_of(ring(1), camera_model="OPENCV_FISHEYE"))[0]
     assert plain.fx == ring(1)[0].fx and abs(bent.fx - plain.fx) > 0.5 and abs(fisheye.fx - plain.fx) > 0.5
     np.testing.assert_array_equal(bent.world_to_camera, plain.world_to_camera)
-    with pytest.raises(SceneError, match="EQUIRECTANGULAR"):
-        read_entries(tmp_path, entries_of(ring(1), camera_model="EQUIRECTANGULAR"))
+    for wrong in ({"camera_model": "EQUIRECTANGULAR"}, {"k1": float("nan")}, {"k1": 0.1, "w": 10**20}):
+        with pytest.raises(SceneError, match=r"json: expected a nerfstudio transforms\.json: camera"):
+            read_entries(tmp_path, [entry | wrong for entry in entries_of(ring(1))])
 
 
 def test_unnamed_cameras_count_once_for_each_place(tmp_path):

@@ -78,6 +78,13 @@ def test_what_is_no_cameras_is_refused_in_one_line(tmp_path, content):
     assert "\n" not in str(caught.value)
 
 
+def test_a_header_of_numpy_that_is_broken_is_refused_in_one_line(tmp_path):
+    path = FORMS["llff"](tmp_path, ring(3))
+    path.write_bytes(path.read_bytes().replace(b"False", b"Fa\0se"))
+    with pytest.raises(SceneError, match=r"poses_bounds\.npy: expected rows of 17 numbers: its header is broken"):
+        read_cameras(path)
+
+
 def test_nothing_an_empty_folder_and_another_file_are_refused(tmp_path):
     with pytest.raises(SceneError, match=r"none: expected cameras .* No such file"):
         read_cameras(tmp_path / "none")
