@@ -1,7 +1,8 @@
-"""How much a picture changes when an attribute of one Gaussian does. N Gaussians."""
+"""How much a picture changes when an attribute of one Gaussian does; usage with it, in one pass. N Gaussians."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -9,10 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
+from airgs_codec.analysis.usage import UsageSums
 from airgs_codec.render import Camera, cpu
-from airgs_codec.render.inputs import BLACK
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.rotations import multiply
+from airgs_codec.scene.usage import Usage
+
+Floats = NDArray[np.float32]
 
 MAX_VIEWS = 8  # rendered for each frame; more views change the estimate little
 CODING_VARIANCE = 0.1  # steps^2: 1/12 of the quantiser and some of H.264
@@ -41,32 +45,41 @@ class Sensitivity:
 
 
 def measure_sensitivity(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> Sensitivity:
-    """Mean over `frames` (of one group) and at most MAX_VIEWS cameras spread evenly.
+    """Mean over `frames` (of one group) and at most MAX_VIEWS cameras spread evenly."""
+    chosen = [cameras[i] for i in evenly_spaced(len(cameras), MAX_VIEWS)]
+    return measure_views([(frame, camera) for frame in frames for camera in chosen])[1]
 
-    One random sign a picture sample: the squared derivative of a signed sum is, on average over signs, the sum of
-    squared derivatives (Hutchinson 1990). The signs are the same in every run.
+
+def measure_views(pictures: Sequence[tuple[Gaussians, Camera]]) -> tuple[Usage, Sensitivity]:
+    """Usage of the rows of a group in some pictures and their sensitivity, each picture drawn once for both.
+
+    A picture is a frame of the group and a camera; pictures of one frame that follow each other share work. One random
+    sign a picture sample: the squared derivative of a signed sum is, on average over signs, the sum of squared
+    derivatives (Hutchinson 1990). The signs are the same in every run. At least one picture.
     """
     rng = np.random.default_rng(0)
-    sums = np.zeros((len(fields(Sensitivity)), len(frames[0])))
+    usage = UsageSums(len(pictures[0][0]))
+    squares = np.zeros((len(fields(Sensitivity)), len(pictures[0][0])))
     samples = 0
-    for frame in frames:
-        for camera in (cameras[i] for i in evenly_spaced(len(cameras), MAX_VIEWS)):
+    for _, same in itertools.groupby(pictures, key=lambda picture: id(picture[0])):
+        shown = list(same)
+        active = cpu.activate(shown[0][0])
+        for _, camera in shown:
             signs = rng.integers(0, 2, (camera.height, camera.width, 3)).astype(np.float32) * 2 - 1
-            sums += _squares(frame, camera, signs)
+            contribution, derivatives = cpu.contribution_and_gradients(active, camera, signs)
+            usage.add(contribution)
+            squares += _squares(active, derivatives)
             samples += signs.size
-    return Sensitivity(*(sums / samples))
+    return usage.usage(), Sensitivity(*(squares / samples))
 
 
-def _squares(g: Gaussians, camera: Camera, signs: NDArray[np.float32]) -> NDArray[np.float64]:
-    """(6, N) squared derivatives of the signed sum of picture samples, summed over channels."""
-    active = cpu.activate(g)
-    opaque = np.zeros(signs.shape[:2], np.float32)
-    blended = cpu.blend(active, camera, BLACK)
-    means, quaternions, scales, opacity, sh = cpu.gradients(active, camera, blended, signs, opaque).inputs
-    # A rotation by a small w after q adds (0, w) q / 2: the derivative by w is the inner product with that.
-    turns = [multiply(np.eye(4)[axis] / 2, active.quaternions.astype(np.float64)) for axis in (1, 2, 3)]
-    rotation = np.stack([np.einsum("ni,ni->n", turn, quaternions) for turn in turns], axis=1)
+def _squares(active: RasterInputs[Floats], derivatives: RasterInputs[Floats]) -> NDArray[np.float64]:
+    """(6, N) squared derivatives by what is coded, summed over channels, from those by the activated attributes."""
+    means, quaternions, scales, opacity, sh = derivatives
+    # A rotation by a small w after q adds (0, w) q / 2. These three directions and q are orthogonal, each with length
+    # |q| / 2 for a unit w; the derivative has no part along q.
+    turns = quaternions * (np.linalg.norm(active.quaternions.astype(np.float64), axis=1, keepdims=True) / 2)
     # An infinite scale is not drawn and pulls at nothing: 0, where 0 * inf would be no number.
     sizes = np.multiply(scales, active.scales, out=np.zeros_like(scales), where=scales != 0)
-    columns = (means, rotation, sizes, opacity[:, None], sh[:, 0], sh[:, 1:].reshape(len(g), -1))
-    return np.stack([np.einsum("ni,ni->n", c, c) for c in (c.astype(np.float64) for c in columns)])
+    columns = (means, turns, sizes, opacity[:, None], sh[:, 0], sh[:, 1:].reshape(len(sh), -1))
+    return np.stack([np.einsum("ni,ni->n", c, c, dtype=np.float64) for c in columns])

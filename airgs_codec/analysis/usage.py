@@ -6,19 +6,32 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from airgs_codec.render import Camera, measure_contribution
+from airgs_codec.render import Camera, Contribution, measure_contribution
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 
 
+class UsageSums:
+    """Adds up what single pictures say about N rows."""
+
+    def __init__(self, rows: int) -> None:
+        self._total, self._peak, self._hits = np.zeros(rows), np.zeros(rows), np.zeros(rows, np.int64)
+
+    def add(self, seen: Contribution) -> None:
+        """One more picture."""
+        self._total += seen.total
+        self._peak = np.maximum(self._peak, seen.peak)
+        self._hits += seen.hits
+
+    def usage(self) -> Usage:
+        """Over all pictures added so far."""
+        return Usage(self._total, self._peak, self._hits)
+
+
 def measure_usage(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> Usage:
     """Usage over some frames of one group, seen by all cameras."""
-    n = len(frames[0])
-    total, peak, hits = np.zeros(n), np.zeros(n), np.zeros(n, np.int64)
+    sums = UsageSums(len(frames[0]))
     for frame in frames:
         for camera in cameras:
-            seen = measure_contribution(frame, camera)
-            total += seen.total
-            peak = np.maximum(peak, seen.peak)
-            hits += seen.hits
-    return Usage(total, peak, hits)
+            sums.add(measure_contribution(frame, camera))
+    return sums.usage()

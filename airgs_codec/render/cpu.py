@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,10 +18,11 @@ from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import Gaussians
 
 Floats = NDArray[np.float32]
+Ints = NDArray[np.int32]
+Longs = NDArray[np.int64]
 
 FAR = 1e10  # world units along the view axis
 DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
-BANDS = 4  # bands of tile rows that threads bin side by side
 
 _LOCK = threading.Lock()  # numba's thread layers abort when two threads run parallel kernels
 _announced = False
@@ -40,7 +42,31 @@ class Contribution:
 
     total: NDArray[np.float64]  # (N,) their sum
     peak: NDArray[np.float64]  # (N,) their maximum, 0..1
-    hits: NDArray[np.int64]  # (N,) pixels where it was blended
+    hits: Longs  # (N,) pixels where it was blended
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Projected:
+    """Gaussians as a camera sees them, sorted by depth and assigned to tiles."""
+
+    flat: Floats  # (N, 12) projected Gaussians, see `cpu_kernels`
+    order: Ints  # (V,) front to back
+    first_pair: Longs  # (V + 1,) first place in `slots` of each visible Gaussian
+    tile_start: Longs  # (tiles + 1,) first pair of each tile
+    ids: Ints  # (M,) Gaussian of each pair, tile by tile
+    slots: Ints  # (M,) place in `ids` of each pair, Gaussian by Gaussian
+    tile_order: Ints  # (tiles,) in which they are blended
+    tiles: tuple[int, int]  # across, down
+
+    @property
+    def tiled(self) -> tuple[Floats, Longs, Ints, Ints, int, int]:
+        """The first arguments of every kernel that walks through the tiles."""
+        return self.flat, self.tile_start, self.ids, self.tile_order, *self.tiles
+
+    @property
+    def summed(self) -> tuple[Ints, Longs, Ints]:
+        """The first arguments of every kernel that sums the pairs of a Gaussian."""
+        return self.order, self.first_pair, self.slots
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,15 +74,16 @@ class Blended:
     """A picture and everything its gradient and statistics need."""
 
     picture: Render
-    flat: Floats  # (N, 12) projected Gaussians, see `cpu_kernels`
-    order: NDArray[np.int32]  # (V,) front to back
-    first_pair: NDArray[np.int64]  # (V + 1,) first place in `slots` of each visible Gaussian
-    tile_start: NDArray[np.int64]  # (tiles + 1,) first pair of each tile
-    ids: NDArray[np.int32]  # (M,) Gaussian of each pair, tile by tile
-    slots: NDArray[np.int32]  # (M,) place in `ids` of each pair, Gaussian by Gaussian
-    tile_order: NDArray[np.int32]  # (tiles,) in which they are blended
-    blended: NDArray[np.int32]  # (tiles,) pairs that were visited before every pixel was opaque
-    tiles: tuple[int, int]  # across, down
+    projected: Projected
+    visited: Ints  # (tiles,) pairs that were visited before every pixel was opaque
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gradients:
+    """Derivatives of a loss by what a picture was made of."""
+
+    inputs: RasterInputs[Floats]
+    absolute: Floats  # (N, 2) by x and y of the pixel position, the absolute values of single pixels summed (AbsGS)
 
 
 def activate(g: Gaussians) -> RasterInputs[Floats]:
@@ -73,75 +100,99 @@ def render(gaussians: Gaussians, camera: Camera, background: Background = BLACK)
     return blend(activate(gaussians), camera, background).picture
 
 
+def render_views(gaussians: Gaussians, cameras: Iterable[Camera], background: Background = BLACK) -> list[Render]:
+    """The pictures that several cameras see of the same Gaussians, which are activated once."""
+    active = activate(gaussians)
+    return [blend(active, camera, background).picture for camera in cameras]
+
+
 def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:
     """How much each Gaussian contributes to what `camera` sees."""
-    b = blend(activate(gaussians), camera, BLACK)
-    pairs = np.zeros((len(b.ids), 12), np.float32)
+    p = project(activate(gaussians), camera)
+    pairs = np.empty((len(p.ids), 3), np.float32)
     with _LOCK:
-        kernels.blend_statistics(
-            b.flat, b.tile_start, b.ids, b.tile_order, *b.tiles, b.blended, pairs, camera.width, camera.height
-        )
-    n = len(gaussians)
-    peak = np.zeros(n)
-    np.maximum.at(peak, b.ids, pairs[:, 1])
-    hits = np.bincount(b.ids, pairs[:, 2], n).astype(np.int64)
-    total = np.bincount(b.ids, pairs[:, 0], n).astype(np.float64)
-    return Contribution(total, peak, hits)
+        kernels.blend_statistics(*p.tiled, camera.width, camera.height, pairs)
+    return _contribution(p, pairs, 0)
 
 
-def blend(inputs: RasterInputs[Floats], camera: Camera, background: Background) -> Blended:
-    """Project the Gaussians, sort them by depth, assign them to tiles, blend them front to back."""
+def project(inputs: RasterInputs[Floats], camera: Camera) -> Projected:
+    """Project the Gaussians, sort them by depth, assign them to tiles."""
     _announce()
     n = len(inputs.means)
     flat = np.zeros((n, 12), np.float32)
     key = np.empty(n, np.uint64)
     touched = np.empty(n, np.int32)
-    view, intrinsics = view_arguments(camera)
     shape = (camera.width, camera.height)
-    geometry = (*inputs, inputs.sh_degree)
-    rgb = np.empty((camera.height, camera.width, 3), np.float32)
-    transmittance = np.empty((camera.height, camera.width), np.float32)
+    geometry = (*inputs, inputs.sh_degree, *view_arguments(camera))
+    tiles = (-(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE))
     with _LOCK:
-        kernels.project(*geometry, view, intrinsics, *shape, camera.near, FAR, DILATION, flat, key, touched)
+        kernels.project(*geometry, *shape, camera.near, FAR, DILATION, flat, key, touched)
         visible = np.sort(key[touched > 0])  # depth, then row: the same order every time
         order = (visible & np.uint64(0xFFFFFFFF)).astype(np.int32)
         first_pair = np.concatenate([[0], np.cumsum(touched[order], dtype=np.int64)])
-        tiles = (-(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE))
-        tile_start, ids, slots = kernels.bin_tiles(flat, order, first_pair, *tiles, BANDS)
-        tile_order = _balanced(np.diff(tile_start))
-        blended = np.empty(tiles[0] * tiles[1], np.int32)
-        colour = np.asarray(background, np.float32)
-        kernels.blend(flat, tile_start, ids, tile_order, *tiles, colour, rgb, transmittance, blended)
-    picture = Render(rgb, transmittance)
-    return Blended(picture, flat, order, first_pair, tile_start, ids, slots, tile_order, blended, tiles)
+        tile_start, ids, slots = kernels.bin_tiles(flat, order, first_pair, *tiles)
+    return Projected(flat, order, first_pair, tile_start, ids, slots, _balanced(np.diff(tile_start)), tiles)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Gradients:
-    """Derivatives of a loss by what a picture was made of."""
-
-    inputs: RasterInputs[Floats]
-    absolute: Floats  # (N, 2) by x and y of the pixel position, the absolute values of single pixels summed (AbsGS)
+def blend(inputs: RasterInputs[Floats], camera: Camera, background: Background) -> Blended:
+    """Project the Gaussians and blend them front to back."""
+    p = project(inputs, camera)
+    rgb = np.empty((camera.height, camera.width, 3), np.float32)
+    transmittance = np.empty((camera.height, camera.width), np.float32)
+    visited = np.empty(len(p.tile_order), np.int32)
+    with _LOCK:
+        kernels.blend(*p.tiled, np.asarray(background, np.float32), rgb, transmittance, visited)
+    return Blended(Render(rgb, transmittance), p, visited)
 
 
 def gradients(
     inputs: RasterInputs[Floats], camera: Camera, blended: Blended, grad_rgb: Floats, grad_transmittance: Floats
 ) -> Gradients:
     """The backward pass of `blend`, from dL / d rgb (H, W, 3) and dL / d transmittance (H, W)."""
-    b = blended
-    pairs = np.empty((len(b.ids), 12), np.float32)
+    pairs = _pair_gradients(blended, grad_rgb, grad_transmittance, None)
+    out, sums = _sum_gradients(inputs, camera, blended.projected, pairs)
+    return Gradients(out, sums[:, 9:11])
+
+
+def contribution_and_gradients(
+    inputs: RasterInputs[Floats], camera: Camera, grad_rgb: Floats
+) -> tuple[Contribution, RasterInputs[Floats]]:
+    """What `measure_contribution` and `gradients` give for one picture on black, at once, from dL / d rgb (H, W, 3)."""
+    blended = blend(inputs, camera, BLACK)
+    pairs = _pair_gradients(blended, grad_rgb, np.zeros(grad_rgb.shape[:2], np.float32), True)
+    out, _ = _sum_gradients(inputs, camera, blended.projected, pairs)
+    return _contribution(blended.projected, pairs, 9), out
+
+
+def _pair_gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floats, statistics: bool | None) -> Floats:
+    """(M, 12) of `kernels.blend_gradient`; `statistics` is True or None, for which different kernels are compiled."""
+    p, picture = blended.projected, blended.picture
+    pairs = np.empty((len(p.ids), 12), np.float32)
+    given = (picture.rgb, picture.transmittance, blended.visited, grad_rgb, grad_transmittance)
+    with _LOCK:
+        kernels.blend_gradient(*p.tiled, *given, statistics, pairs)
+    return pairs
+
+
+def _sum_gradients(
+    inputs: RasterInputs[Floats], camera: Camera, p: Projected, pairs: Floats
+) -> tuple[RasterInputs[Floats], Floats]:
+    """Gradients of the inputs, and the (N, 12) sums of the pairs."""
     sums = np.zeros((len(inputs.means), 12), np.float32)
     out = RasterInputs(*(np.zeros_like(column) for column in inputs))
-    view, intrinsics = view_arguments(camera)
-    tiled = (b.flat, b.tile_start, b.ids, b.tile_order, *b.tiles)
-    picture = (b.picture.rgb, b.picture.transmittance, b.blended)
-    size = (camera.width, camera.height)
+    geometry = (*inputs, inputs.sh_degree, *view_arguments(camera), camera.width, camera.height)
     with _LOCK:
-        kernels.blend_gradient(*tiled, *picture, grad_rgb, grad_transmittance, pairs)
-        kernels.sum_pairs(b.order, b.first_pair, b.slots, pairs, sums)
-        geometry = (*inputs, inputs.sh_degree, view, intrinsics)
-        kernels.project_gradient(*geometry, *size, DILATION, b.flat, b.order, sums, *out)
-    return Gradients(out, sums[:, 9:11])
+        kernels.sum_pairs(*p.summed, pairs, sums)
+        kernels.project_gradient(*geometry, DILATION, p.flat, p.order, sums, *out)
+    return out, sums
+
+
+def _contribution(p: Projected, pairs: Floats, column: int) -> Contribution:
+    """From three columns of the pairs, `column` the first: total, peak, hits."""
+    sums = np.zeros((len(p.flat), 3))
+    with _LOCK:
+        kernels.sum_statistics(*p.summed, pairs, column, sums)
+    return Contribution(sums[:, 0], sums[:, 1], sums[:, 2].astype(np.int64))
 
 
 def view_arguments(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -150,7 +201,7 @@ def view_arguments(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.floa
     return view, np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
 
-def _balanced(costs: NDArray[np.int64]) -> NDArray[np.int32]:
+def _balanced(costs: Longs) -> Ints:
     """Tiles in an order whose equal static chunks cost alike: dealt out by descending cost, like cards."""
     ranked = np.argsort(-costs, kind="stable").astype(np.int32)
     threads = numba.get_num_threads()

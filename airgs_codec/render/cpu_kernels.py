@@ -6,13 +6,16 @@ N Gaussians, V visible ones front to back, M (Gaussian, tile) pairs, H x W pixel
 
 A projected Gaussian is kept in a form that needs no float32 determinant: with d = dx + shear * dy,
 power = -(peak * d^2 + fall * dy^2) / 2, where peak = Syy / det, shear = -Sxy / Syy, fall = 1 / Syy (the Cholesky form
-of the inverse covariance). With reach = ln(255 opacity), alpha = exp(reach + power) / 255, so the pixels of a row with
-alpha >= 1/255 are a closed interval: no pixel is visited in vain. Pixel semantics are gsplat's: centres at +0.5, alpha
-at most 0.999, blending stops before transmittance would fall to 1e-4, 0.3 px^2 is added to the covariance.
+of the inverse covariance). With reach = ln(255 opacity), alpha = exp(reach + power) / 255, so alpha >= 1/255 where
+reach + power >= 0. Pixel semantics are gsplat's: centres at +0.5, alpha at most 0.999, blending stops before
+transmittance would fall to 1e-4, 0.3 px^2 is added to the covariance.
+
+Loops over pixels are in float32 throughout: a whole number that numba reads as int64 would turn them into float64 and
+halve the speed (`f4` is around every one of them), and so would a branch or a float maximum, which do not vectorise.
 
 Columns of `flat` (N, 12): 0-1 pixel position, 2 peak, 3 shear, 4 fall, 5 reach, 6-8 r g b, 9-10 half width and
 height of the ellipse alpha >= 1/255, 11 opacity. Columns of `pairs` (M, 12) and `grads` (N, 12) of the backward pass:
-0-2 r g b, 3 reach, 4-5 position, 6 peak, 7 shear, 8 fall, then 9-10 absolute position gradients.
+0-2 r g b, 3 reach, 4-5 position, 6 peak, 7 shear, 8 fall, then 9-10 absolute position gradients (or statistics).
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from airgs_codec.scene.gaussians import SH_C0
 
 TILE = 16
 TILE_PIXELS = TILE * TILE
-LANES = 8  # pixels of a row blended together: one AVX2 vector
+BIN_CHUNKS = 16  # of Gaussians that threads bin side by side
 # Never nnan or ninf: they would delete the comparisons that keep NaN and Inf out.
 FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
 f4 = np.float32
@@ -394,49 +397,47 @@ def _ntiles(flat, i, tiles_x, tiles_y):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def bin_tiles(flat, order, first_pair, tiles_x, tiles_y, bands):
-    """Pairs of (Gaussian, tile), tile by tile, front to back inside a tile.
+def bin_tiles(flat, order, first_pair, tiles_x, tiles_y):
+    """Pairs of (Gaussian, tile), tile by tile, front to back inside a tile: a counting sort.
 
     order (V,): visible rows front to back; first_pair (V + 1,): slot of each one's first pair, Gaussian by Gaussian.
     Returns tile_start (tiles + 1,), ids (M,) rows tile by tile, slots (M,) place in `ids` of a Gaussian's pairs.
     """
-    M = order.shape[0]
+    V = order.shape[0]
+    M = first_pair[V]
     count = tiles_x * tiles_y
-    cnt = np.zeros(count + 1, np.int64)
-    for bd in prange(bands):
-        ya = bd * tiles_y // bands
-        yb = (bd + 1) * tiles_y // bands
-        for k in range(M):
+    ids = np.empty(M, np.int32)
+    slots = np.empty(M, np.int32)  # first the tile of each pair, then its place
+    place = np.zeros((BIN_CHUNKS, count), np.int64)
+    for ch in prange(BIN_CHUNKS):
+        for k in range(ch * V // BIN_CHUNKS, (ch + 1) * V // BIN_CHUNKS):
             i = order[k]
+            q = first_pair[k]
             a, b = _rows(flat, i, tiles_y)
-            for ty in range(max(a, ya), min(b, yb)):
+            for ty in range(a, b):
                 x0, x1 = _xrange(flat, i, ty, tiles_x)
                 for tx in range(x0, x1):
-                    cnt[ty * tiles_x + tx + 1] += 1
-    for t in range(count):
-        cnt[t + 1] += cnt[t]
-    ids = np.empty(cnt[count], np.int32)
-    slots = np.empty(cnt[count], np.int32)
-    cur = cnt[:-1].copy()
-    for bd in prange(bands):
-        ya = bd * tiles_y // bands
-        yb = (bd + 1) * tiles_y // bands
-        for k in range(M):
-            i = order[k]
-            a, b = _rows(flat, i, tiles_y)
-            q = first_pair[k]
-            for ty in range(a, min(b, yb)):
-                x0, x1 = _xrange(flat, i, ty, tiles_x)
-                if ty >= ya:
-                    for tx in range(x0, x1):
-                        p = cur[ty * tiles_x + tx]
-                        ids[p] = i
-                        cur[ty * tiles_x + tx] = p + 1
-                        slots[q] = p
-                        q += 1
-                else:
-                    q += max(0, x1 - x0)
-    return cnt, ids, slots
+                    tile = ty * tiles_x + tx
+                    slots[q] = tile
+                    place[ch, tile] += 1
+                    q += 1
+    tile_start = np.zeros(count + 1, np.int64)
+    at = 0
+    for tile in range(count):
+        for ch in range(BIN_CHUNKS):
+            pairs = place[ch, tile]
+            place[ch, tile] = at
+            at += pairs
+        tile_start[tile + 1] = at
+    for ch in prange(BIN_CHUNKS):
+        for k in range(ch * V // BIN_CHUNKS, (ch + 1) * V // BIN_CHUNKS):
+            for q in range(first_pair[k], first_pair[k + 1]):
+                tile = slots[q]
+                p = place[ch, tile]
+                place[ch, tile] = p + 1
+                ids[p] = order[k]
+                slots[q] = p
+    return tile_start, ids, slots
 
 
 @njit(inline="always", fastmath=FAST)
@@ -450,16 +451,45 @@ def _exp(e):
 
 
 @njit(inline="always", fastmath=FAST)
-def _blend_tile(flat, ids, a, b, X0, Y0, buf):
-    """Blend pairs a..b of one tile; buf holds planes of transmittance, r, g, b. Returns how many pairs were visited.
-
-    A finished pixel keeps its transmittance with a minus sign, so that it stays finished without a branch.
-    """
+def _start_tile(X0, Y0, W, H, buf):
+    """Planes 0 to 2 of a tile's scratch: transmittance, 0 outside the picture, then x and y of the pixel centres."""
     for k in range(TILE_PIXELS):
-        buf[k] = f4(1.0)
-    for k in range(TILE_PIXELS, 4 * TILE_PIXELS):
+        x = X0 + f4(k % TILE) + f4(0.5)
+        y = Y0 + f4(k // TILE) + f4(0.5)
+        buf[k] = f4(1.0) if x < W and y < H else f4(0.0)
+        buf[TILE_PIXELS + k] = x
+        buf[2 * TILE_PIXELS + k] = y
+
+
+@njit(inline="always", fastmath=FAST)
+def _tile_rows(flat, i, Y0):
+    """Rows [a, b) of a tile with pixels of alpha >= 1/255; a <= b."""
+    top = flat[i, 1] - Y0 - f4(0.5)  # of the centre, in rows of the tile
+    a = math.ceil(min(max(top - flat[i, 10], f4(0.0)), f4(TILE)))
+    b = math.floor(max(min(top + flat[i, 10], f4(TILE - 1.0)), f4(-1.0))) + 1
+    return a, max(a, b)
+
+
+@njit(inline="always", fastmath=FAST)
+def _all_finished(buf):
+    """Whether no pixel of a tile lets light through any more."""
+    most = f4(0.0)
+    for k in range(TILE_PIXELS):
+        most = max(most, buf[k])
+    return most <= f4(0.0)
+
+
+@njit(inline="always", fastmath=FAST)
+def _blend_tile(flat, ids, a, b, Y0, buf):
+    """Blend pairs a..b of a tile that `_start_tile` has set up: planes 3 to 5 of buf become r g b.
+
+    Returns how many pairs were visited.
+
+    The pixels of all rows that a Gaussian touches are one loop without branches, which compiles to vectors. A finished
+    pixel keeps its transmittance with a minus sign, so that it stays finished.
+    """
+    for k in range(3 * TILE_PIXELS, 6 * TILE_PIXELS):
         buf[k] = f4(0.0)
-    n = b - a
     for j in range(a, b):
         i = ids[j]
         mx = flat[i, 0]
@@ -471,49 +501,26 @@ def _blend_tile(flat, ids, a, b, X0, Y0, buf):
         r = flat[i, 6]
         g = flat[i, 7]
         bl = flat[i, 8]
-        hy = flat[i, 10]
-        ya = max(0, math.ceil(max(my - hy - Y0, f4(-1.0)) - f4(0.5)))
-        yb = min(TILE, math.floor(min(my + hy - Y0, f4(TILE + 1.0)) - f4(0.5)) + 1)
-        ihA = f4(1.0) / hA
-        for yy in range(ya, yb):
-            dy = Y0 + yy + f4(0.5) - my
-            s = t - hk * dy * dy
-            if s <= f4(0.0):
-                continue
-            xr = mx - be * dy - X0 - f4(0.5)  # row centre in tile pixel index
-            hw = math.sqrt(s * ihA)
-            xa = max(xr - hw, f4(0.0))
-            xb = min(xr + hw, f4(TILE - 1.0))
-            if xa > xb:
-                continue
-            ka = int(xa) // LANES
-            kb = int(xb) // LANES + 1
-            for kk in range(ka, kb):
-                o = yy * TILE + kk * LANES
-                row = buf[o:]
-                fx0 = f4(kk * LANES) - xr
-                for q in range(LANES):
-                    d = fx0 + f4(q)
-                    e = s - hA * d * d
-                    al = min(_exp(max(e, f4(0.0))) * I255, ALPHA_MAX)
-                    T = row[q]
-                    te = max(T, f4(0.0))
-                    nT = te * (f4(1.0) - al)
-                    inside = e >= f4(0.0)
-                    ok = inside and nT > T_MIN
-                    w = al * te if ok else f4(0.0)
-                    row[q] = nT if ok else (-abs(T) if inside else T)
-                    row[TILE_PIXELS + q] += w * r
-                    row[2 * TILE_PIXELS + q] += w * g
-                    row[3 * TILE_PIXELS + q] += w * bl
-        if (j - a) % 8 == 7:
-            m = f4(0.0)
-            for k in range(TILE_PIXELS):
-                m = max(m, buf[k])
-            if m <= f4(0.0):
-                n = j - a + 1
-                break
-    return n
+        ya, yb = _tile_rows(flat, i, Y0)
+        row = buf[ya * TILE :]
+        for q in range((yb - ya) * TILE):
+            dy = row[2 * TILE_PIXELS + q] - my
+            d = row[TILE_PIXELS + q] - mx + be * dy
+            e = t - hk * dy * dy - hA * d * d
+            al = min(_exp(max(e, f4(0.0))) * I255, ALPHA_MAX)
+            T = row[q]
+            te = max(T, f4(0.0))
+            nT = te * (f4(1.0) - al)
+            inside = e >= f4(0.0)
+            ok = inside and nT > T_MIN
+            w = al * te if ok else f4(0.0)
+            row[q] = nT if ok else (-abs(T) if inside else T)
+            row[3 * TILE_PIXELS + q] += w * r
+            row[4 * TILE_PIXELS + q] += w * g
+            row[5 * TILE_PIXELS + q] += w * bl
+        if (j - a) % 8 == 7 and _all_finished(buf):
+            return j - a + 1
+    return b - a
 
 
 @njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
@@ -525,10 +532,11 @@ def blend(flat, tile_start, ids, tile_order, tiles_x, tiles_y, background, rgb, 
         tile = tile_order[tt]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x
-        buf = np.empty(4 * TILE_PIXELS + LANES, np.float32)
+        buf = np.empty(6 * TILE_PIXELS, np.float32)  # T, x, y, r, g, b
         X0 = f4(tx * TILE)
         Y0 = f4(ty * TILE)
-        blended[tile] = _blend_tile(flat, ids, tile_start[tile], tile_start[tile + 1], X0, Y0, buf)
+        _start_tile(X0, Y0, W, H, buf)
+        blended[tile] = _blend_tile(flat, ids, tile_start[tile], tile_start[tile + 1], Y0, buf)
         hh = min(TILE, H - ty * TILE)
         ww = min(TILE, W - tx * TILE)
         for yy in range(hh):
@@ -536,9 +544,21 @@ def blend(flat, tile_start, ids, tile_order, tiles_x, tiles_y, background, rgb, 
                 o = yy * TILE + xx
                 T = abs(buf[o])
                 transmittance[ty * TILE + yy, tx * TILE + xx] = T
-                rgb[ty * TILE + yy, tx * TILE + xx, 0] = buf[TILE_PIXELS + o] + T * background[0]
-                rgb[ty * TILE + yy, tx * TILE + xx, 1] = buf[2 * TILE_PIXELS + o] + T * background[1]
-                rgb[ty * TILE + yy, tx * TILE + xx, 2] = buf[3 * TILE_PIXELS + o] + T * background[2]
+                rgb[ty * TILE + yy, tx * TILE + xx, 0] = buf[3 * TILE_PIXELS + o] + T * background[0]
+                rgb[ty * TILE + yy, tx * TILE + xx, 1] = buf[4 * TILE_PIXELS + o] + T * background[1]
+                rgb[ty * TILE + yy, tx * TILE + xx, 2] = buf[5 * TILE_PIXELS + o] + T * background[2]
+
+
+@njit
+def _bits(x):
+    """The bits of a float32; of numbers from 0 they are ordered as the numbers are, and their maximum vectorises."""
+    return np.float32(x).view(np.int32)
+
+
+@njit
+def _from_bits(x):
+    """Inverse of `_bits`."""
+    return np.int32(x).view(np.float32)
 
 
 @njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
@@ -554,12 +574,14 @@ def blend_gradient(
     blended,
     grad_rgb,
     grad_transmittance,
+    statistics,
     pairs,
 ):
     """Gradients of every pair, front to back with the arithmetic of the forward pass.
 
     S, what lies behind a pixel, starts as the finished sum and loses each pair's part: no division chain by
-    1 - alpha. grad_transmittance: dL / d(final transmittance), background excluded.
+    1 - alpha. grad_transmittance: dL / d(final transmittance), background excluded. With `statistics` True, not None,
+    columns 9 to 11 of a pair are those of `blend_statistics`; it is compiled apart.
     """
     H = rgb.shape[0]
     W = rgb.shape[1]
@@ -569,15 +591,15 @@ def blend_gradient(
         tx = tile - ty * tiles_x
         a = tile_start[tile]
         n = blended[tile]
-        bnd = tile_start[tile + 1]
-        for j in range(a + n, bnd):
+        for j in range(a + n, tile_start[tile + 1]):
             for c in range(12):
                 pairs[j, c] = f4(0.0)
         if n == 0:
             continue
         X0 = f4(tx * TILE)
         Y0 = f4(ty * TILE)
-        buf = np.zeros(5 * TILE_PIXELS + LANES, np.float32)  # T, S, gR, gG, gB
+        buf = np.zeros(7 * TILE_PIXELS, np.float32)  # T, x, y, S, gR, gG, gB
+        _start_tile(X0, Y0, W, H, buf)
         hh = min(TILE, H - ty * TILE)
         ww = min(TILE, W - tx * TILE)
         for yy in range(hh):
@@ -588,33 +610,28 @@ def blend_gradient(
                 g0 = grad_rgb[Y, X, 0]
                 g1 = grad_rgb[Y, X, 1]
                 g2 = grad_rgb[Y, X, 2]
-                buf[o] = f4(1.0)
-                buf[TILE_PIXELS + o] = (
+                buf[3 * TILE_PIXELS + o] = (
                     g0 * rgb[Y, X, 0]
                     + g1 * rgb[Y, X, 1]
                     + g2 * rgb[Y, X, 2]
                     + grad_transmittance[Y, X] * transmittance[Y, X]
                 )
-                buf[2 * TILE_PIXELS + o] = g0
-                buf[3 * TILE_PIXELS + o] = g1
-                buf[4 * TILE_PIXELS + o] = g2
+                buf[4 * TILE_PIXELS + o] = g0
+                buf[5 * TILE_PIXELS + o] = g1
+                buf[6 * TILE_PIXELS + o] = g2
         for j in range(a, a + n):
             i = ids[j]
             mx = flat[i, 0]
             my = flat[i, 1]
             A = flat[i, 2]
             be = flat[i, 3]
-            ka_ = flat[i, 4]
+            ka = flat[i, 4]
             t = flat[i, 5]
             hA = f4(0.5) * A
-            hk = f4(0.5) * ka_
+            hk = f4(0.5) * ka
             r = flat[i, 6]
             g = flat[i, 7]
             bl = flat[i, 8]
-            hy = flat[i, 10]
-            ya = max(0, math.ceil(max(my - hy - Y0, f4(-1.0)) - f4(0.5)))
-            yb = min(TILE, math.floor(min(my + hy - Y0, f4(TILE + 1.0)) - f4(0.5)) + 1)
-            ihA = f4(1.0) / hA
             sr = f4(0.0)
             sg = f4(0.0)
             sb = f4(0.0)
@@ -624,78 +641,64 @@ def blend_gradient(
             m0y = f4(0.0)
             m0yy = f4(0.0)
             m1y = f4(0.0)
-            ax = f4(0.0)
-            ay = f4(0.0)
-            for yy in range(ya, yb):
-                dy = Y0 + yy + f4(0.5) - my
-                s = t - hk * dy * dy
-                if s <= f4(0.0):
-                    continue
-                xr = mx - be * dy - X0 - f4(0.5)
-                hw = math.sqrt(s * ihA)
-                xa = max(xr - hw, f4(0.0))
-                xb = min(xr + hw, f4(TILE - 1.0))
-                if xa > xb:
-                    continue
-                k0 = int(xa) // LANES
-                k1 = int(xb) // LANES + 1
-                v0 = f4(0.0)
-                v1 = f4(0.0)
-                v2 = f4(0.0)
-                kdy = ka_ * dy
-                for kk in range(k0, k1):
-                    o = yy * TILE + kk * LANES
-                    row = buf[o:]
-                    fx0 = f4(kk * LANES) - xr
-                    for q in range(LANES):
-                        d = fx0 + f4(q)
-                        e = s - hA * d * d
-                        ar = _exp(max(e, f4(0.0))) * I255
-                        al = min(ar, ALPHA_MAX)
-                        T = row[q]
-                        te = max(T, f4(0.0))
-                        om = f4(1.0) - al
-                        nT = te * om
-                        inside = e >= f4(0.0)
-                        ok = inside and nT > T_MIN
-                        w = al * te if ok else f4(0.0)
-                        row[q] = nT if ok else (-abs(T) if inside else T)
-                        gr = row[2 * TILE_PIXELS + q]
-                        gg = row[3 * TILE_PIXELS + q]
-                        gb = row[4 * TILE_PIXELS + q]
-                        gc = gr * r + gg * g + gb * bl
-                        S = row[TILE_PIXELS + q] - w * gc
-                        row[TILE_PIXELS + q] = S
-                        da = te * gc - S / om
-                        v = al * da if (ok and ar <= ALPHA_MAX) else f4(0.0)
-                        sr += w * gr
-                        sg += w * gg
-                        sb += w * gb
-                        v0 += v
-                        vd = v * d
-                        v1 += vd
-                        v2 += vd * d
-                        gx = vd * A
-                        ax += abs(gx)
-                        ay += abs(gx * be + v * kdy)
-                m0 += v0
-                m1 += v1
-                m2 += v2
-                m0y += v0 * dy
-                m0yy += v0 * dy * dy
-                m1y += v1 * dy
+            c9 = f4(0.0)
+            c10 = f4(0.0)
+            c11 = f4(0.0)
+            peak = np.int32(0)
+            ya, yb = _tile_rows(flat, i, Y0)
+            row = buf[ya * TILE :]
+            for q in range((yb - ya) * TILE):
+                dy = row[2 * TILE_PIXELS + q] - my
+                d = row[TILE_PIXELS + q] - mx + be * dy
+                e = t - hk * dy * dy - hA * d * d
+                ar = _exp(max(e, f4(0.0))) * I255
+                al = min(ar, ALPHA_MAX)
+                T = row[q]
+                te = max(T, f4(0.0))
+                om = f4(1.0) - al
+                nT = te * om
+                inside = e >= f4(0.0)
+                ok = inside and nT > T_MIN
+                w = al * te if ok else f4(0.0)
+                row[q] = nT if ok else (-abs(T) if inside else T)
+                gr = row[4 * TILE_PIXELS + q]
+                gg = row[5 * TILE_PIXELS + q]
+                gb = row[6 * TILE_PIXELS + q]
+                gc = gr * r + gg * g + gb * bl
+                S = row[3 * TILE_PIXELS + q] - w * gc
+                row[3 * TILE_PIXELS + q] = S
+                da = te * gc - S / om
+                v = al * da if (ok and ar <= ALPHA_MAX) else f4(0.0)
+                vd = v * d
+                vy = v * dy
+                sr += w * gr
+                sg += w * gg
+                sb += w * gb
+                m0 += v
+                m1 += vd
+                m2 += vd * d
+                m0y += vy
+                m0yy += vy * dy
+                m1y += vd * dy
+                if statistics is None:
+                    c9 += abs(vd * A)
+                    c10 += abs(vd * A * be + vy * ka)
+                else:
+                    c9 += w
+                    peak = max(peak, _bits(w))
+                    c11 += f4(1.0) if ok else f4(0.0)
             pairs[j, 0] = sr
             pairs[j, 1] = sg
             pairs[j, 2] = sb
             pairs[j, 3] = m0  # dL/dt = dL/d ln(op)
             pairs[j, 4] = A * m1  # mx
-            pairs[j, 5] = A * be * m1 + ka_ * m0y  # my
+            pairs[j, 5] = A * be * m1 + ka * m0y  # my
             pairs[j, 6] = f4(-0.5) * m2  # A
             pairs[j, 7] = -A * m1y  # beta
             pairs[j, 8] = f4(-0.5) * m0yy  # kappa
-            pairs[j, 9] = ax
-            pairs[j, 10] = ay
-            pairs[j, 11] = f4(0.0)
+            pairs[j, 9] = c9
+            pairs[j, 10] = c10 if statistics is None else _from_bits(peak)
+            pairs[j, 11] = c11
 
 
 @njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
@@ -855,68 +858,66 @@ def project_gradient(
 
 
 @njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
-def blend_statistics(flat, tile_start, ids, tile_order, tiles_x, tiles_y, blended, pairs, W, H):
-    """Per pair: sum and maximum of the blending weight alpha T, and pixels blended, into pairs[:, 0:3]."""
+def blend_statistics(flat, tile_start, ids, tile_order, tiles_x, tiles_y, W, H, pairs):
+    """Per pair: sum and maximum of the blending weight alpha T, and pixels blended, into pairs (M, 3)."""
     for tt in prange(tiles_x * tiles_y):
         tile = tile_order[tt]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x
-        a = tile_start[tile]
-        n = blended[tile]
         X0 = f4(tx * TILE)
         Y0 = f4(ty * TILE)
-        buf = np.zeros(TILE_PIXELS + LANES, np.float32)
-        hh = min(TILE, H - ty * TILE)
-        ww = min(TILE, W - tx * TILE)
-        for yy in range(hh):
-            for xx in range(ww):
-                buf[yy * TILE + xx] = f4(1.0)
-        for j in range(a + n, tile_start[tile + 1]):
-            pairs[j, 0] = 0
-            pairs[j, 1] = 0
-            pairs[j, 2] = 0
-        for j in range(a, a + n):
-            i = ids[j]
-            mx = flat[i, 0]
-            my = flat[i, 1]
-            hA = f4(0.5) * flat[i, 2]
-            be = flat[i, 3]
-            hk = f4(0.5) * flat[i, 4]
-            t = flat[i, 5]
-            hy = flat[i, 10]
-            ya = max(0, math.ceil(max(my - hy - Y0, f4(-1.0)) - f4(0.5)))
-            yb = min(TILE, math.floor(min(my + hy - Y0, f4(TILE + 1.0)) - f4(0.5)) + 1)
-            sw = f4(0.0)
-            mw = f4(0.0)
-            ch = f4(0.0)
-            for yy in range(ya, yb):
-                dy = Y0 + yy + f4(0.5) - my
-                s = t - hk * dy * dy
-                if s <= f4(0.0):
-                    continue
-                xr = mx - be * dy - X0 - f4(0.5)
-                hw = math.sqrt(s / hA)
-                xa = max(xr - hw, f4(0.0))
-                xb = min(xr + hw, f4(TILE - 1.0))
-                if xa > xb:
-                    continue
-                for kk in range(int(xa) // LANES, int(xb) // LANES + 1):
-                    row = buf[yy * TILE + kk * LANES :]
-                    fx0 = f4(kk * LANES) - xr
-                    for q in range(LANES):
-                        d = fx0 + f4(q)
-                        e = s - hA * d * d
-                        al = min(_exp(max(e, f4(0.0))) * I255, ALPHA_MAX)
-                        T = row[q]
-                        te = max(T, f4(0.0))
-                        nT = te * (f4(1.0) - al)
-                        inside = e >= f4(0.0)
-                        ok = inside and nT > T_MIN
-                        w = al * te if ok else f4(0.0)
-                        row[q] = nT if ok else (-abs(T) if inside else T)
-                        sw += w
-                        mw = max(mw, w)
-                        ch += f4(1.0) if ok else f4(0.0)
-            pairs[j, 0] = sw
-            pairs[j, 1] = mw
-            pairs[j, 2] = ch
+        buf = np.empty(3 * TILE_PIXELS, np.float32)  # T, x, y
+        _start_tile(X0, Y0, W, H, buf)
+        a = tile_start[tile]
+        finished = False
+        for j in range(a, tile_start[tile + 1]):
+            total = f4(0.0)
+            hits = f4(0.0)
+            peak = np.int32(0)
+            if not finished:
+                i = ids[j]
+                mx = flat[i, 0]
+                my = flat[i, 1]
+                hA = f4(0.5) * flat[i, 2]
+                be = flat[i, 3]
+                hk = f4(0.5) * flat[i, 4]
+                t = flat[i, 5]
+                ya, yb = _tile_rows(flat, i, Y0)
+                row = buf[ya * TILE :]
+                for q in range((yb - ya) * TILE):
+                    dy = row[2 * TILE_PIXELS + q] - my
+                    d = row[TILE_PIXELS + q] - mx + be * dy
+                    e = t - hk * dy * dy - hA * d * d
+                    al = min(_exp(max(e, f4(0.0))) * I255, ALPHA_MAX)
+                    T = row[q]
+                    te = max(T, f4(0.0))
+                    nT = te * (f4(1.0) - al)
+                    inside = e >= f4(0.0)
+                    ok = inside and nT > T_MIN
+                    w = al * te if ok else f4(0.0)
+                    row[q] = nT if ok else (-abs(T) if inside else T)
+                    total += w
+                    peak = max(peak, _bits(w))
+                    hits += f4(1.0) if ok else f4(0.0)
+                finished = (j - a) % 8 == 7 and _all_finished(buf)
+            pairs[j, 0] = total
+            pairs[j, 1] = _from_bits(peak)
+            pairs[j, 2] = hits
+
+
+@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+def sum_statistics(order, first_pair, slots, pairs, column, statistics):
+    """Sum, maximum and sum of columns `column` to `column` + 2 over a Gaussian's pairs, into statistics (N, 3).
+
+    `statistics` is zeroed before.
+    """
+    M = order.shape[0]
+    NCH = 64
+    for ch in prange(NCH):
+        for k in range(ch * M // NCH, (ch + 1) * M // NCH):
+            i = order[k]
+            for q in range(first_pair[k], first_pair[k + 1]):
+                p = slots[q]
+                statistics[i, 0] += pairs[p, column]
+                statistics[i, 1] = max(statistics[i, 1], pairs[p, column + 1])
+                statistics[i, 2] += pairs[p, column + 2]

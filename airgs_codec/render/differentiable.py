@@ -30,7 +30,7 @@ class _Rasterize(torch.autograd.Function):
         if ctx.absgrad is not None:
             absolute = gradients.absolute
             seen = np.zeros(len(absolute), bool)
-            seen[ctx.blended.order] = True
+            seen[ctx.blended.projected.order] = True
             result = torch.from_numpy(np.hypot(absolute[:, 0], absolute[:, 1])), torch.from_numpy(seen)
             ctx.absgrad.read = lambda: result
         return (*(torch.from_numpy(column) for column in gradients.inputs), None, None, None)

@@ -1,13 +1,15 @@
 """The CPU renderer against its plain float64 definition: pictures, gradients, statistics, extremes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render import Camera, measure_contribution, read_cameras, render
-from airgs_codec.render.cpu import activate
+from airgs_codec.render import Camera, measure_contribution, read_cameras, render, render_views
+from airgs_codec.render.cpu import activate, blend, contribution_and_gradients, gradients
 from airgs_codec.render.differentiable import rasterize
-from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.render.inputs import BLACK, RasterInputs
 from airgs_codec.render.reference import blending_weights, render_reference
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import read_ply
@@ -158,6 +160,42 @@ def test_statistics_equal_the_blending_weights_of_the_reference():
     np.testing.assert_allclose(seen.peak, weights.max(axis=0), atol=MAX_ERROR)
     assert np.abs(seen.hits - (weights > 0).sum(axis=0)).max() <= 2  # pixels at alpha = 1/255 flip
     assert seen.total.sum() == pytest.approx((1 - render(g, view).transmittance).sum(), rel=1e-5)
+
+
+def test_nothing_is_counted_behind_opaque_pixels_or_beside_the_picture():
+    """Large Gaussians in many layers: tiles end early, and those at the edges of the picture hold pixels beside it."""
+    layers = random_gaussians(400)
+    opaque = replace(
+        layers, log_scales=np.full_like(layers.log_scales, 1.0), opacity_logits=np.full(400, 8.0, np.float32)
+    )
+    seen, view = measure_contribution(opaque, camera()), camera()
+    assert 0 < np.count_nonzero(seen.hits) < 20
+    assert seen.hits.max() <= view.width * view.height
+    assert seen.total.sum() == pytest.approx((1 - render(opaque, view).transmittance).sum(), rel=1e-5)
+
+
+@pytest.mark.parametrize("logit", [0.0, 8.0])
+def test_contribution_and_gradients_of_one_pass_are_those_of_two(logit):
+    g = random_gaussians(300, 2)
+    g, view = replace(g, opacity_logits=g.opacity_logits + np.float32(logit)), camera()
+    active, pull = activate(g), np.random.default_rng(0).normal(size=(50, 70, 3)).astype(np.float32)
+    seen, derivatives = contribution_and_gradients(active, view, pull)
+    alone, apart = measure_contribution(g, view), blend(active, view, BLACK)
+    np.testing.assert_allclose(seen.total, alone.total, rtol=1e-6)
+    np.testing.assert_array_equal(seen.peak, alone.peak)
+    np.testing.assert_array_equal(seen.hits, alone.hits)
+    expected = gradients(active, view, apart, pull, np.zeros((50, 70), np.float32)).inputs
+    for name in NAMES:
+        wanted = getattr(expected, name)
+        np.testing.assert_allclose(getattr(derivatives, name), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
+
+
+def test_views_drawn_together_are_those_drawn_alone():
+    g, views = random_gaussians(100, 1), [camera(), camera(3.0, 33, 47), camera(turn=0.0)]
+    for view, picture in zip(views, render_views(g, views, (0.1, 0.2, 0.3)), strict=True):
+        alone = render(g, view, (0.1, 0.2, 0.3))
+        np.testing.assert_array_equal(picture.rgb, alone.rgb)
+        np.testing.assert_array_equal(picture.transmittance, alone.transmittance)
 
 
 def test_two_runs_give_the_same_bits():
