@@ -87,7 +87,7 @@ def test_importing_the_package_loads_nothing_heavy():
 def test_a_sequence_is_encoded_with_its_attribution_and_decoded_by_names_or_numbers(tmp_path):
     scene = write_sequence(tmp_path / "scene", moving_frames(60, 2))
     (scene / "ATTRIBUTION.txt").write_text("points by nobody\n")
-    settings = airgs.EncodeSettings(calibrate="none", measure_frames=0, preset="ultrafast")
+    settings = airgs.EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast")
     airgs.encode(airgs.open_sequence(str(scene)), str(tmp_path / "scene.airgs"), settings)
     package = airgs.open_package(str(tmp_path / "scene.airgs"))
     assert package.manifest.attribution == "points by nobody"
@@ -102,7 +102,7 @@ import sys
 for name in ("torch", "pycolmap", "gsplat", "matplotlib"):
     sys.modules[name] = None  # an import of it fails as where it is not installed
 from airgs_codec.cli import decode, encode, manifest, play, train
-options = ["--steps", "default", "--measure-frames", "1", "--preset", "ultrafast"]
+options = ["--steps", "default", "--measure-pictures", "2", "--preset", "ultrafast"]
 assert encode.main(["scene", "-o", "scene.airgs", *options]) == 0
 assert decode.main(["scene.airgs", "-o", "decoded"]) == 0
 assert manifest.main(["validate", "scene.airgs", "--against", "scene"]) == 0

@@ -29,6 +29,7 @@ from airgs_codec import EncodeSettings, encode, open_package, open_sequence
 from airgs_codec._report import table
 from airgs_codec.cli.common import run_command
 from airgs_codec.encoder.rate_target import PSNR, Goal
+from airgs_codec.encoder.settings import LevelSettings
 from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.inspect.compare import compared_views, rung_streams
 from airgs_codec.inspect.summary import RungSummary, summarise
@@ -190,7 +191,7 @@ def bench_scene(
     bench: Bench, sequence: GaussianSequence, targets: Sequence[str], factors: Sequence[float]
 ) -> Iterator[Row]:
     """All rungs at all targets; a target that the encoder refuses is a line on stderr."""
-    alone = replace(bench.settings, calibrate="steps", levels=((0.0, 1.0),), tiers=(1.0,))
+    alone = replace(bench.settings, calibrate="steps", levels=(LevelSettings(0.0),), tiers=(1.0,))
     curve = [bench_package(bench, sequence, f"x{f:g}", replace(alone, quality=f))[0] for f in factors]
     for target in targets:
         goal = None if target == DEFAULT else Goal(PSNR, float(target))

@@ -21,7 +21,7 @@ import numpy as np
 
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.publish import encode as encode_package
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import write_ply
@@ -58,7 +58,9 @@ def make_scene(count: int, folder: Path) -> None:
 
 def encode(folder: Path) -> tuple[int, str]:
     """Bytes of the top rung."""
-    settings = EncodeSettings(calibrate="none", measure_frames=0, preset="veryfast", levels=((0.0, 1.0), (0.5, 2.0)))
+    settings = EncodeSettings(
+        calibrate="none", measure_pictures=0, preset="veryfast", levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0))
+    )
     sequence = open_sequence(folder / "scene")
     m = encode_package(sequence, folder / "out", settings).manifest
     return m.bytes_of(m.rung_files(0, 0)), ""

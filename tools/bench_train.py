@@ -80,7 +80,7 @@ def measure(scene: MultiviewScene, settings: TrainSettings, folder: Path) -> dic
     pictures = pictures_for(scene, settings)
     target = folder.with_suffix(".airgs")
     begun = time.perf_counter()
-    encode(open_sequence(folder), target, EncodeSettings(measure_frames=0))
+    encode(open_sequence(folder), target, EncodeSettings(measure_pictures=0))
     encode_s = time.perf_counter() - begun
     package = open_package(target)
     manifest = package.manifest

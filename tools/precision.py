@@ -23,7 +23,7 @@ from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_state
 from airgs_codec.decoder.group_states import load_states
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.media.h264 import state_codec
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.store import Package
@@ -94,9 +94,9 @@ def measure_encode(folder: Path, quick: bool) -> Iterator[Row]:
             settings = EncodeSettings(
                 quality=factor,
                 calibrate="none",
-                levels=((0.0, 1.0),),
+                levels=(LevelSettings(0.0),),
                 key_factors=(1.0,),
-                measure_frames=2,
+                measure_pictures=8,
                 preset=preset,
             )
             report = encode(sequence, target, settings)
@@ -283,7 +283,7 @@ def measure_left_out(folder: Path) -> Iterator[Row]:
     """The default package with and without what the scene can do without."""
     sequence = open_sequence(SCENE)
     for name, keep in (("as the scene needs", False), ("--keep-all", True)):
-        report = encode(sequence, folder / name, EncodeSettings(keep_all=keep, measure_frames=2))
+        report = encode(sequence, folder / name, EncodeSettings(keep_all=keep, measure_pictures=8))
         m = report.manifest
         quality = pooled_quality(m, 0, 0)
         assert quality is not None

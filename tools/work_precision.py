@@ -89,7 +89,7 @@ def main() -> None:
     began = time.perf_counter()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        encode(open_sequence(SCENE), folder / "fox", EncodeSettings(measure_frames=2))
+        encode(open_sequence(SCENE), folder / "fox", EncodeSettings(measure_pictures=8))
         package = open_package(folder / "fox")
         parts: list[Callable[[], Iterator[Row]]] = [
             lambda: measure_encode(folder, args.quick),

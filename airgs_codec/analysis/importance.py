@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, Sensitivity
 from airgs_codec.media.metrics import mse
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 
-PICTURES = 4  # rendered at each step of a search
+PICTURES = 8  # rendered at each step of a search
 PRECISION = 0.01  # of the rows
 WIDEST_CHANGE = 255  # steps: larger values count as this one when entropy is estimated
 
@@ -31,10 +29,12 @@ def importance(frames: Sequence[Gaussians], usage: Usage, s: Sensitivity) -> NDA
     return usage.peak * usage.total * s.opacity * squares
 
 
-def pair_with_cameras(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> list[tuple[Gaussians, Camera]]:
-    """At most PICTURES evenly spaced cameras, each with a frame; the frames take turns."""
-    chosen = [cameras[i] for i in evenly_spaced(len(cameras), PICTURES)]
-    return list(zip(itertools.cycle(frames), chosen, strict=False))
+def pooled_error(errors: Sequence[float]) -> float:
+    """The root mean square of the mean squared errors of pictures: their mean, with the worst ones weighing more.
+
+    It lies between the mean and the largest, and equals both where all pictures are alike.
+    """
+    return float(np.sqrt(np.mean(np.square(errors))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +42,7 @@ class KeptRows:
     """Rows that are written, and what leaving the others out costs."""
 
     rows: NDArray[np.intp]  # ascending
-    error: float  # mean squared error of pictures without the others
+    error: float  # pooled error of pictures without the others
 
     @staticmethod
     def all(count: int) -> KeptRows:
@@ -53,12 +53,12 @@ class KeptRows:
 class RowPruning:
     """Leaves out the least important rows of some frames; remembers the errors that it has rendered."""
 
-    def __init__(self, frames: Sequence[Gaussians], cameras: Sequence[Camera], rank: NDArray[np.float64]) -> None:
+    def __init__(self, pictures: Sequence[tuple[Gaussians, Camera]], rank: NDArray[np.float64]) -> None:
         """`rank` is the (N,) `importance` of the rows."""
-        self._seen = [(g, camera, render(g, camera).rgb) for g, camera in pair_with_cameras(frames, cameras)]
+        self._seen = [(g, camera, render(g, camera).rgb) for g, camera in pictures]
         self._order = np.argsort(rank, kind="stable")
         unused = int(np.count_nonzero(rank == 0))
-        self._errors = {unused if unused < len(rank) else 0: 0.0}  # rows left out -> mean squared error
+        self._errors = {unused if unused < len(rank) else 0: 0.0}  # rows left out -> pooled error
 
     def within(self, allowed: float) -> KeptRows:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
@@ -76,10 +76,10 @@ class RowPruning:
         return KeptRows(np.sort(self._order[low:]), self._errors[low])
 
     def _error(self, count: int) -> float:
-        """Mean squared error of pictures without the `count` least important rows."""
+        """Pooled error of pictures without the `count` least important rows."""
         kept = np.sort(self._order[count:])
         errors = [mse(render(g.take(kept), camera).rgb, full) for g, camera, full in self._seen]
-        return self._errors.setdefault(count, float(np.mean(errors)))
+        return self._errors.setdefault(count, pooled_error(errors))
 
 
 def select_omissions(

@@ -22,11 +22,13 @@ from airgs_codec.encoder.settings import (
     QUALITY_FACTORS,
     UPDATE_RANKS,
     EncodeSettings,
+    LevelSettings,
 )
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.media.h264 import PRESETS
+from airgs_codec.package.parse import read_region
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence, read_attribution
 from airgs_codec.scene.usage import MEASURES
 from airgs_codec.train.data.readers import is_multiview
@@ -50,6 +52,19 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--fps", type=Fraction, help="frames a second (default: what sequence.json says, else 30)")
     add_views(
         parser, "cameras that usage and quality are measured with", "those beside the frames, else cameras on an orbit"
+    )
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--margin",
+        type=float,
+        metavar="UNITS",
+        help=about(EncodeSettings, "margin"),
+    )
+    where.add_argument(
+        "--region",
+        type=Path,
+        metavar="FILE",
+        help=f"{about(EncodeSettings, 'region')}: JSON as `region` in airgs.json",
     )
     parser.add_argument("--attribution", metavar="TEXT", help="who made the scene (default: SCENE/ATTRIBUTION.txt)")
     parser.add_argument("--json", action="store_true", help="print a JSON report instead of a table")
@@ -117,7 +132,7 @@ def _add_coding(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("coding")
     _add_setting(group, "--segment", "segment_s", metavar="S")
     _add_setting(group, "--group", "group_frames", metavar="FRAMES")
-    _add_setting(group, "--measure-frames", "measure_frames", metavar="N")
+    _add_setting(group, "--measure-pictures", "measure_pictures", metavar="N")
     _add_setting(group, "--preset", "preset", choices=PRESETS)
     _add_setting(group, "--jobs", "jobs", metavar="N")
 
@@ -128,22 +143,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run_command("airgs-encode", lambda: _run(args))
 
 
-def parse_levels(text: str) -> tuple[tuple[float, float], ...]:
-    """Levels from text: '0:1,30:1.5' gives ((0, 1), (0.3, 1.5)). Raises ConfigError."""
+def parse_levels(text: str) -> tuple[LevelSettings, ...]:
+    """Levels from text: '0:1,30:1.5' has a second one with 30 % withheld and steps times 1.5. Raises ConfigError."""
     try:
         pairs = [part.split(":") for part in text.split(",")]
-        return tuple((float(pruned) / 100, float(factor)) for pruned, factor in pairs)
+        return tuple(LevelSettings(float(pruned) / 100, float(factor)) for pruned, factor in pairs)
     except ValueError as error:
         raise ConfigError(f"--levels: expected PRUNED:FACTOR,…, got {text!r}") from error
 
 
 def _settings(args: argparse.Namespace) -> EncodeSettings:
-    """Raises ConfigError for options that cannot work."""
+    """Raises ConfigError for options that cannot work, SceneError or FormatError for a region that cannot be read."""
     chosen = parse_levels(args.levels) if args.levels else PAPER_LEVELS if args.ladder else None
     calibrate = "none" if args.steps == "default" else "steps" if chosen else "ladder"
-    same = {name: getattr(args, name) for name in FIELDS if name in args and name not in ("quality", "steps", "levels")}
+    region = read_region(args.region) if args.region else None
+    known = ("quality", "steps", "levels", "region")
+    same = {name: getattr(args, name) for name in FIELDS if name in args and name not in known}
     return EncodeSettings(
-        quality=QUALITY_FACTORS[args.quality], calibrate=calibrate, levels=chosen or DEFAULT_LEVELS, **same
+        quality=QUALITY_FACTORS[args.quality],
+        calibrate=calibrate,
+        levels=chosen or DEFAULT_LEVELS,
+        region=region,
+        **same,
     )
 
 

@@ -16,7 +16,7 @@ from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.representation import Clock
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
-from airgs_codec.encoder.survey import Survey, ViewSplit
+from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.tables import (
     CodedSequence,
     Provenance,
@@ -25,6 +25,7 @@ from airgs_codec.encoder.tables import (
     number_segments,
     write_files,
 )
+from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.package.tables import Manifest
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.sequence import GaussianSequence
@@ -35,8 +36,8 @@ class EncodeJob:
     """What every encode of one sequence shares, whatever the settings."""
 
     sequence: GaussianSequence
-    surveys: Sequence[Survey]  # one a group, made with the training views
-    views: ViewSplit
+    surveys: Sequence[Survey]  # one a group
+    views: ViewPlan
     notes: Sequence[str] = ()  # what grouping found
     attribution: str = ""
 
@@ -54,15 +55,25 @@ def encode_sequence(job: EncodeJob, settings: EncodeSettings, folder: Path, prog
         states = []
         for index, (layout, group) in enumerate(zip(layouts, keys, strict=True)):
             progress("states", index, len(layouts))
-            base = decode_base(layout, group, key_streams, key_numbers[index], settings)
+            bases = [
+                decode_base(layout, group, key_streams, key_numbers[index], settings, quality)
+                for quality in range(len(settings.key_factors))
+            ]
             frames = job.sequence.load(range(layout.span.start, layout.span.stop)).frames
-            states.append(code_states(layout, base, frames, job.views, settings, Path(scratch)))
+            states.append(code_states(layout, bases, frames, settings, Path(scratch)))
         state_streams = encode_states(layouts, states, clock, settings, progress)
     coded = CodedSequence(
         clock, layouts, keys, states, key_streams, state_streams, key_numbers, number_segments(states)
     )
-    views = job.views.table("original" if settings.measure_frames else "none")
-    about = Provenance(settings, views, job.attribution, job.notes, len(job.sequence), job.sequence.sh_degree)
+    about = Provenance(
+        settings,
+        job.views.region,
+        job.views.table(settings.measure_pictures),
+        job.attribution,
+        [*job.views.notes, *job.notes],
+        len(job.sequence),
+        job.sequence.sh_degree,
+    )
     return build_manifest(coded, write_files(folder, coded), about)
 
 
@@ -74,8 +85,8 @@ def _code_all_keys(
     for index, survey in enumerate(job.surveys):
         progress("keys", index, len(job.surveys))
         loaded = job.sequence.load(range(survey.span.start, survey.span.stop))
-        kept = keep_rows(loaded.frames, survey, job.views, settings)
+        kept = keep_rows(loaded.frames, survey, settings)
         layout = lay_out(loaded, survey, kept, settings, job.sequence.fps)
         layouts.append(layout)
-        keys.append(code_keys(layout, loaded.frames[survey.span.middle], job.views, settings))
+        keys.append(code_keys(layout, loaded.frames[survey.span.middle], settings))
     return layouts, keys

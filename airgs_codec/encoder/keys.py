@@ -28,7 +28,6 @@ from airgs_codec.encoder.representation import (
     encode_parallel,
 )
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import ViewSplit
 from airgs_codec.media.h264 import KEY_QP, ClosedGop, decode_pictures, key_codec, qp_step
 from airgs_codec.package.layout import KEY
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
@@ -54,12 +53,12 @@ class CodedKeys:
     left_out: tuple[LeftOut, ...]
 
 
-def code_keys(layout: GroupLayout, canonical: Gaussians, views: ViewSplit, settings: EncodeSettings) -> CodedKeys:
+def code_keys(layout: GroupLayout, canonical: Gaussians, settings: EncodeSettings) -> CodedKeys:
     """Quantise the canonical frame, which has all input rows, for every tier and key quality."""
     values = layout.key_values(canonical)
     steps = KEY.steps(layout.key_steps, layout.colours)
     omissions = KeyOmissions.of(layout, values)
-    omitted, planes = omissions.planes(views.training, settings.scaled_price)
+    omitted, planes = omissions.planes(settings.scaled_price)
     tiers = tuple(
         tuple(_code_tier(values[None, :, layout.tier_rows(tier)], steps * f, omitted) for f in settings.key_factors)
         for tier in range(len(settings.tiers))
@@ -122,15 +121,16 @@ def decode_base(
     representations: Sequence[Sequence[Representation]],
     numbers: Sequence[int],
     settings: EncodeSettings,
+    quality: int = 0,
 ) -> Canonical:
-    """The canonical space of a group as viewers of key quality 0 have it, every row static.
+    """The canonical space of a group as viewers of a key quality have it, every row static.
 
     `representations` are those of `encode_keys`, `numbers` the group's key unit in each tier.
     """
-    steps = KEY.steps(layout.key_steps, layout.colours) * settings.key_factors[0]
+    steps = KEY.steps(layout.key_steps, layout.colours) * settings.key_factors[quality]
     parts = []
     for tier, number in enumerate(numbers):
-        stream, coded = representations[tier][0].stream, keys.tiers[tier][0]
+        stream, coded = representations[tier][quality].stream, keys.tiers[tier][quality]
         if stream is None or not number:
             continue
         where = f"key tier {tier} of frames {layout.span.start}-{layout.span.stop - 1}"

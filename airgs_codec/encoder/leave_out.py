@@ -6,25 +6,25 @@ airgs.json, None where nothing was left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.importance import PICTURES, estimate_cost, pair_with_cameras, select_omissions
+from airgs_codec.analysis.importance import PICTURES, estimate_cost, pooled_error, select_omissions
 from airgs_codec.coding.channels import Canonical, StateApplier
 from airgs_codec.encoder.plan import GroupLayout
-from airgs_codec.encoder.survey import GroupSpan
+from airgs_codec.encoder.survey import Survey
+from airgs_codec.encoder.views import Pictures
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import STATIC, LeftOut
-from airgs_codec.render import Camera, render
+from airgs_codec.render import render
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-Pictures = list[NDArray[np.float32]]
+SEEN = 4  # pictures of a segment, when it is tried without its states
 
 
 def note_omission(what: str, group: int, count: int, error: float, size: float) -> LeftOut | None:
@@ -32,9 +32,7 @@ def note_omission(what: str, group: int, count: int, error: float, size: float) 
     return LeftOut(what, group, count, float(f"{error:.3g}"), float(f"{size:.3g}")) if count else None
 
 
-def omit_bands(
-    sequence: GaussianSequence, span: GroupSpan, cameras: Sequence[Camera], step: float, price: float
-) -> tuple[int, LeftOut | None]:
+def omit_bands(sequence: GaussianSequence, survey: Survey, step: float, price: float) -> tuple[int, LeftOut | None]:
     """Number of SH bands past DC that pictures of the canonical frame of a group need.
 
     The highest band goes as long as its bytes, at quantiser step `step` and coded once in the group, are worth less
@@ -42,13 +40,13 @@ def omit_bands(
     """
     if not sequence.sh_degree or price == 0:
         return sequence.sh_degree, None
-    g = sequence.load([span.canonical]).frames[0]
-    full = [(camera, render(g, camera).rgb) for g, camera in pair_with_cameras([g], cameras)]
+    g = sequence.load([survey.span.canonical]).frames[0]
+    full = [(camera, render(g, camera).rgb) for _, camera in survey.some(PICTURES)]
     bands, cost, size = g.sh_degree, 0.0, 0.0
     while bands:
         fewer = g.with_degree(bands - 1)
-        band = _band_bytes(g, bands, step) / span.frames
-        error = float(np.mean([mse(render(fewer, camera).rgb, picture) for camera, picture in full]))
+        band = _band_bytes(g, bands, step) / survey.span.frames
+        error = pooled_error([mse(render(fewer, camera).rgb, picture) for camera, picture in full])
         if error > price / 2 * (size + band):
             break
         bands, cost, size = bands - 1, error, size + band
@@ -88,16 +86,16 @@ class KeyOmissions:
         size = float(self.sizes.sum()) / written * missing
         return note_omission("gaussians", self.layout.span.index, missing, self.layout.removal_error, size)
 
-    def planes(self, cameras: Sequence[Camera], price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
+    def planes(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
         """(7 + C,) channels that every row may take from the channel's median."""
         if price == 0:
             return np.zeros(len(self.sizes), bool), None
         shown = self._show(self.values)
-        full = [(camera, render(g, camera).rgb) for g, camera in pair_with_cameras([shown], cameras)]
+        full = [(camera, render(shown, camera).rgb) for _, camera in self.layout.pictures]
 
         def error(omitted: NDArray[np.bool_]) -> float:
             without = self._show(np.where(omitted[:, None], self.centres[:, None], self.values))
-            return float(np.mean([mse(render(without, camera).rgb, picture) for camera, picture in full]))
+            return pooled_error([mse(render(without, camera).rgb, picture) for camera, picture in full])
 
         chosen, cost = select_omissions(self.sizes, self.guesses, error, price)
         saved = float(self.sizes[chosen].sum())
@@ -140,24 +138,23 @@ class StateOmissions:
         applier = StateApplier.of(base, rows, layout.state_steps)
         return StateOmissions(layout, values[:, :, rows], steps, layout.state_weights()[:, rows], applier)
 
-    def planes(self, cameras: Sequence[Camera], price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
+    def planes(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
         """(10 + C,) channels that every row may take from the channel's median."""
         frames, count = self.states.shape[:2]
         if price == 0 or not self.states.size:
             return np.zeros(count, bool), None
         centres = np.median(self.states, axis=(0, 2))
         sizes, guesses = estimate_cost(self.states / self.steps, centres / self.steps[:, 0], self.weights)
-        picked = evenly_spaced(frames, PICTURES)
-        full = self._pictures(picked, np.zeros(count, bool), centres, cameras)
+        full = self._render(self.layout.pictures, np.zeros(count, bool), centres)
 
         def error(omitted: NDArray[np.bool_]) -> float:
-            return _difference(self._pictures(picked, omitted, centres, cameras), full)
+            return _difference(self._render(self.layout.pictures, omitted, centres), full)
 
         chosen, cost = select_omissions(sizes / frames, guesses, error, price)
         saved = float(sizes[chosen].sum()) / frames
         return chosen, note_omission("state planes", self.layout.span.index, int(chosen.sum()), cost, saved)
 
-    def segments(self, cameras: Sequence[Camera], price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
+    def segments(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
         """(S,) segments of the group for which the canonical space may stand."""
         frames, count = self.states.shape[:2]
         spans = self.layout.segments
@@ -172,9 +169,9 @@ class StateOmissions:
         def error(omitted: NDArray[np.bool_]) -> float:
             costs = []
             for part in (parts[i] for i in np.flatnonzero(omitted)):
-                picked = [int(part[i]) for i in evenly_spaced(len(part), PICTURES)]
-                full = self._pictures(picked, np.zeros(count, bool), none, cameras)
-                still = self._pictures(picked, np.ones(count, bool), none, cameras)
+                seen = self._of_segment(part)
+                full = self._render(seen, np.zeros(count, bool), none)
+                still = self._render(seen, np.ones(count, bool), none)
                 costs.append(_difference(still, full) * len(part))
             return sum(costs) / frames
 
@@ -182,21 +179,22 @@ class StateOmissions:
         saved = float(sizes[chosen].sum()) / frames
         return chosen, note_omission("segments", self.layout.span.index, int(chosen.sum()), cost, saved)
 
-    def _pictures(
-        self,
-        frames: Sequence[int],
-        omitted: NDArray[np.bool_],
-        centres: NDArray[np.float64],
-        cameras: Sequence[Camera],
-    ) -> Pictures:
-        """Pictures of some frames whose `omitted` channels are at their centres."""
-        shown = []
-        for t in frames:
+    def _of_segment(self, places: NDArray[np.intp]) -> Pictures:
+        """Views of frames evenly spaced over a segment, which holds these places of the group."""
+        cameras = [camera for _, camera in self.layout.pictures]
+        return [(int(places[i]), camera) for i, camera in zip(evenly_spaced(len(places), SEEN), cameras, strict=False)]
+
+    def _render(
+        self, pictures: Pictures, omitted: NDArray[np.bool_], centres: NDArray[np.float64]
+    ) -> list[NDArray[np.float32]]:
+        """Pictures of frames whose `omitted` channels are at their centres."""
+        rendered = []
+        for t, camera in pictures:
             values = np.where(omitted[:, None], centres[:, None], self.states[t])
-            shown.append(self.applier.apply(values.astype(np.float32)))
-        return [render(g, camera).rgb for g, camera in pair_with_cameras(shown, cameras)]
+            rendered.append(render(self.applier.apply(values.astype(np.float32)), camera).rgb)
+        return rendered
 
 
-def _difference(a: Pictures, b: Pictures) -> float:
-    """Mean squared error between pictures."""
-    return float(np.mean([mse(x, y) for x, y in zip(a, b, strict=True)]))
+def _difference(a: list[NDArray[np.float32]], b: list[NDArray[np.float32]]) -> float:
+    """Pooled error between pictures."""
+    return pooled_error([mse(x, y) for x, y in zip(a, b, strict=True)])

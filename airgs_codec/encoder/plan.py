@@ -13,7 +13,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.importance import KeptRows, RowPruning
+from airgs_codec.analysis.importance import PICTURES, KeptRows, RowPruning
 from airgs_codec.analysis.sensitivity import Sensitivity
 from airgs_codec.coding.channels import Canonical, dequantise_key, key_channels
 from airgs_codec.coding.colour import colour_transform
@@ -24,7 +24,8 @@ from airgs_codec.coding.weights import channel_weights
 from airgs_codec.encoder.levels import assign_tiers
 from airgs_codec.encoder.rank import RowUsage
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, Survey, ViewSplit
+from airgs_codec.encoder.survey import GroupSpan, Survey, pair
+from airgs_codec.encoder.views import Pictures
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, Grid, KeySteps, StateSteps, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
@@ -36,6 +37,7 @@ class GroupLayout:
     """Everything that is decided about a group from its canonical frame. Arrays hold rows in file order."""
 
     span: GroupSpan
+    pictures: Pictures  # a few, to render what may be left out: place of a frame in the group, view
     segments: tuple[tuple[int, int], ...]  # frames [start, stop) of the sequence
     count: int  # input rows after repairs
     notes: tuple[str, ...]  # repairs
@@ -94,6 +96,7 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
     transform = colour_transform(canonical.take(order), steps.key)
     return GroupLayout(
         span=survey.span,
+        pictures=survey.some(PICTURES),
         segments=split_segments(survey.span, settings.segment_s, fps),
         count=len(score),
         notes=tuple(loaded.notes),
@@ -111,25 +114,24 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
     )
 
 
-def prune_rows(frames: Sequence[Gaussians], survey: Survey, views: ViewSplit) -> RowPruning:
-    """Pruning of a group's rows by what its surveyed frames show; `frames` are all of the group."""
-    return RowPruning([frames[i] for i in survey.span.surveyed], views.training, survey.importance)
+def prune_rows(frames: Sequence[Gaussians], survey: Survey) -> RowPruning:
+    """Pruning of a group's rows by what some of its pictures show; `frames` are all of the group."""
+    return RowPruning(pair(frames, survey.some(PICTURES)), survey.importance)
 
 
 def keep_rows(
     frames: Sequence[Gaussians],
     survey: Survey,
-    views: ViewSplit,
     settings: EncodeSettings,
     pruning: RowPruning | None = None,
 ) -> KeptRows:
-    """Rows of a group that are written: all, unless the scene has cameras of its own, which can do without some.
+    """Rows of a group that are written: all, or those that pictures cannot do without.
 
     `pruning`, of `prune_rows`, saves time where it is known already.
     """
-    if not views.given or settings.keep_all:
+    if settings.keep_all or not survey.trusted:
         return KeptRows.all(len(frames[0]))
-    return (pruning or prune_rows(frames, survey, views)).within(settings.steps.rows * settings.quality)
+    return (pruning or prune_rows(frames, survey)).within(settings.steps.rows * settings.quality)
 
 
 def split_segments(span: GroupSpan, segment_s: float, fps: Fraction) -> tuple[tuple[int, int], ...]:

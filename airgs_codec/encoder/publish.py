@@ -16,7 +16,8 @@ from airgs_codec.encoder.quality import measure_quality
 from airgs_codec.encoder.rate_target import Goal
 from airgs_codec.encoder.search import search_quality
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
-from airgs_codec.encoder.survey import Survey, ViewSplit, survey_groups
+from airgs_codec.encoder.survey import Survey, survey_groups
+from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.staging import staged, write_file
 from airgs_codec.package.store import Package
@@ -31,7 +32,7 @@ class EncodeReport:
 
     manifest: Manifest
     manifest_bytes: int  # airgs.json and manifest.mpd together
-    survey_s: float  # training views
+    survey_s: float
     calibrate_s: float
     cached: bool  # the calibration was kept from before
     search_s: float  # for a goal
@@ -61,17 +62,17 @@ def encode(
     """Encode a sequence and publish it as the package at `path`, whole or not at all.
 
     `goal`: a quality factor is searched for that brings the top rung to this PSNR or size; `settings.quality` is where
-    the search starts. `attribution`: who made the scene, by default what ATTRIBUTION.txt in its folder says. An
-    existing package at `path` is replaced.
+    the search starts. `attribution`: who made the scene, by default what ATTRIBUTION.txt in its folder says. A package
+    that is at `path` already is replaced.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails, and ConfigError for a
-    goal out of reach or a `path` with other files in it; then `path` is as it was.
+    margin below 0, a goal out of reach or a `path` with other files in it; then `path` is as it was.
     """
-    views = ViewSplit.of(sequence)
+    views = ViewPlan.of(sequence, margin=settings.margin, region=settings.region)
     with staged(Path(path)) as stage:
         watch = _Stopwatch()
         grouping = plan_groups(sequence, settings.group_frames)
-        surveys = survey_groups(sequence, grouping.spans, views.training, progress)
+        surveys = survey_groups(sequence, grouping.spans, views, progress)
         credit = read_attribution(sequence.folder) if attribution is None else attribution
         job = EncodeJob(sequence, surveys, views, grouping.notes, credit)
         survey_s = watch.lap()
@@ -85,9 +86,9 @@ def encode(
         manifest = encode_sequence(calibrated.job, settings, stage, progress)
         manifest = replace(manifest, left_out=[*calibrated.left_out, *manifest.left_out])
         encode_s = watch.lap()
-        if settings.measure_frames:
+        if settings.measure_pictures:
             package = Package(stage, manifest, 0)
-            manifest = measure_quality(package, sequence, views.measured, settings.measure_frames, progress)
+            manifest = measure_quality(package, sequence, views, settings.measure_pictures, progress)
         size = _write_manifests(stage, manifest)
         return EncodeReport(manifest, size, survey_s, calibrate_s, calibrated.cached, search_s, encode_s, watch.lap())
 
@@ -98,20 +99,19 @@ def _calibrate(job: EncodeJob, settings: EncodeSettings, progress: Progress) -> 
         return _Calibrated(job, settings, (), False)
     progress("calibration", 0, 1)
     subject = _longest(job.surveys)
-    arguments = (job.sequence, subject, job.views, settings)
-    name = cache.digest(*arguments)
+    name = cache.digest(job.sequence, subject, job.views, settings)
     kept = cache.load(name)
-    calibration = kept or calibrate(*arguments)
+    calibration = kept or calibrate(job.sequence, subject, settings)
     if kept is None:
         cache.keep(name, calibration)
     settings = calibration.apply(settings)
     step = settings.steps.key.sh_rest * settings.quality
-    bands, note = omit_bands(job.sequence, subject.span, job.views.training, step, settings.scaled_price)
+    bands, note = omit_bands(job.sequence, subject, step, settings.scaled_price)
     if note is None:
         return _Calibrated(job, settings, (), kept is not None)
     fewer = replace(job.sequence, max_sh_degree=bands)
     spans = [(survey.span.start, survey.span.stop) for survey in job.surveys]
-    surveys = survey_groups(fewer, spans, job.views.training, progress)
+    surveys = survey_groups(fewer, spans, job.views, progress)
     return _Calibrated(replace(job, sequence=fewer, surveys=surveys), settings, (note,), kept is not None)
 
 

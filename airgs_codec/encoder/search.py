@@ -13,11 +13,11 @@ from airgs_codec.encoder.rate_target import PSNR, Goal, find_quality
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import Manifest, pooled_quality
+from airgs_codec.package.tables import Group, Manifest, SegmentLevel, pooled_quality
 from airgs_codec.progress import Progress
 from airgs_codec.scene.sequence import GaussianSequence
 
-TRIAL_FRAMES = 6  # measured in each segment for a PSNR, where the package itself is not measured
+TRIAL_PICTURES = 12  # measured in each segment for a PSNR, where the package itself is not measured
 
 
 def search_quality(
@@ -32,8 +32,8 @@ def search_quality(
 
     PSNR is measured against `original`, which has all SH bands. Trials are written into `folder` and removed.
     """
-    top = replace(settings, levels=settings.levels[:1], core_levels=0)
-    frames = settings.measure_frames or TRIAL_FRAMES
+    top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
+    pictures = settings.measure_pictures or TRIAL_PICTURES
     numbers = itertools.count(1)
 
     def trial(factor: float) -> float:
@@ -41,31 +41,47 @@ def search_quality(
         with tempfile.TemporaryDirectory(prefix=".trial", dir=folder) as name:
             manifest = encode_sequence(job, replace(top, quality=factor), Path(name), progress)
             if goal.kind != PSNR:
-                return kilobytes_a_frame(manifest, len(settings.levels))
+                return kilobytes_a_frame(manifest, settings)
             package = Package(Path(name), manifest, 0)
-            measured = pooled_quality(measure_quality(package, original, job.views.measured, frames, progress), 0, 0)
+            measured = pooled_quality(measure_quality(package, original, job.views, pictures, progress), 0, 0)
         assert measured is not None
         return measured.psnr
 
     return find_quality(goal, trial, settings.quality)
 
 
-def kilobytes_a_frame(top: Manifest, levels: int) -> float:
-    """All that a viewer of the top rung fetches, manifests included, if the package of `top` had so many levels."""
-    return (top.bytes_of(top.rung_files(0, 0)) + _manifest_bytes(top, levels)) / top.frames / 1e3
+def kilobytes_a_frame(top: Manifest, settings: EncodeSettings) -> float:
+    """All that a viewer of the top rung fetches, manifests included, if `top` were a package of these settings."""
+    return (top.bytes_of(top.rung_files(0, 0)) + _manifest_bytes(top, settings)) / top.frames / 1e3
 
 
-def _manifest_bytes(m: Manifest, levels: int) -> int:
-    """Length of both manifests if the package had so many levels, each like the only one in `m`."""
+def _manifest_bytes(m: Manifest, settings: EncodeSettings) -> int:
+    """Length of both manifests if all levels and key qualities were there, each like the only one in `m`."""
+    levels, qualities = len(settings.levels), len(settings.key_factors)
     files = dict(m.files)
     for path, entry in m.files.items():
         files |= {path.replace("/L0/", f"/L{j}/"): entry for j in range(levels)}
+        files |= {path.replace("/Q0/", f"/Q{q}/"): entry for q in range(qualities)}
     many = replace(
         m,
+        qualities=m.qualities * qualities,
         levels=m.levels * levels,
+        key_pictures=[row * qualities for row in m.key_pictures],
         state_pictures=m.state_pictures * levels,
-        groups=[replace(g, levels=g.levels * levels) for g in m.groups],
-        segments=[replace(s, levels=s.levels * levels) for s in m.segments],
+        groups=[_widen(group, levels, qualities) for group in m.groups],
+        segments=[replace(s, levels=[_measured(s.levels[0], settings)] * levels) for s in m.segments],
         files=files,
     )
     return len(many.to_json()) + len(write_mpd(many))
+
+
+def _widen(group: Group, levels: int, qualities: int) -> Group:
+    tiers = [replace(tier, qualities=tier.qualities * qualities) for tier in group.tiers]
+    return replace(group, tiers=tiers, levels=group.levels * levels)
+
+
+def _measured(level: SegmentLevel, settings: EncodeSettings) -> SegmentLevel:
+    """With figures of the usual length where the package will have them."""
+    count = len(settings.key_factors) if settings.measure_pictures else 0
+    decibels = [44.44] * count
+    return replace(level, psnr=decibels, worst=decibels, ssim=[0.9999] * count, delta_e=[0.44] * count)

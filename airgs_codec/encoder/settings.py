@@ -11,11 +11,32 @@ from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.levels import DEFAULT_TIERS
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
-from airgs_codec.package.tables import MAX_CHOICES
+from airgs_codec.package.tables import MAX_CHOICES, Region
 from airgs_codec.scene.usage import MEASURES
 
-DEFAULT_LEVELS = ((0.0, 1.0), (0.3, 1.5), (0.5, 2.0), (0.6, 3.0))
-PAPER_LEVELS = tuple((share / 10, 1.0) for share in range(10))
+
+@dataclass(frozen=True, slots=True)
+class LevelSettings:
+    """A level, and with its key quality a rung of the ladder."""
+
+    pruned: float  # share of the updates that is withheld
+    factor: float = 1.0  # on the state steps
+    tiers: int = 0  # key tiers that its viewers fetch; 0: all
+    quality: int = 0  # key quality that its states correct
+
+    @property
+    def words(self) -> str:
+        """Pruned percentage and factor, as options have them."""
+        return f"{self.pruned * 100:g}:{self.factor:g}"
+
+
+DEFAULT_LEVELS = (
+    LevelSettings(0.0, 1.0),
+    LevelSettings(0.3, 1.5),
+    LevelSettings(0.5, 2.0, quality=1),
+    LevelSettings(0.6, 3.0, quality=1),
+)
+PAPER_LEVELS = tuple(LevelSettings(share / 10) for share in range(10))
 QUALITY_FACTORS = {"low": 1.6, "medium": 1.0, "high": 0.6}
 UPDATE_RANKS = ("error", "usage")
 CALIBRATIONS = ("ladder", "steps", "none")
@@ -33,12 +54,13 @@ class EncodeSettings:
     calibrate: str = setting(
         "ladder",
         "what trial encodes of the scene decide, kept for the next time: quantiser steps, levels and tiers (ladder, "
-        "which asks for the default levels, core_levels and tiers), the steps alone (steps), or nothing (none)",
+        "which asks for the default levels and tiers), the steps alone (steps), or nothing (none)",
     )
-    levels: tuple[tuple[float, float], ...] = setting(
-        DEFAULT_LEVELS, "for each level the share of the updates withheld, 0 to 1 ascending, and a factor on the steps"
+    levels: tuple[LevelSettings, ...] = setting(
+        DEFAULT_LEVELS,
+        "for each level the share of the updates withheld, 0 to 1 ascending, a factor on the steps, the number of key "
+        "tiers, descending, and the key quality, ascending",
     )
-    core_levels: int = setting(0, "how many of the last levels fetch only the first key tier")
     tiers: tuple[float, ...] = setting(DEFAULT_TIERS, "share of the Gaussians in each key tier, summing to 1")
     key_factors: tuple[float, ...] = setting((1.0, 3.0), "for each key quality a factor on the key steps")
     steps: StepSettings = computed_setting(StepSettings, "quantiser steps at quality 1; calibration starts there")
@@ -46,6 +68,13 @@ class EncodeSettings:
     group_frames: int = setting(
         DEFAULT_GROUP_FRAMES, "longest group of frames with a common canonical space, where no keyframes are given"
     )
+    margin: float | None = setting(
+        None,
+        "how far a viewer may go from the scene's cameras, in world units; by default a quarter of the largest "
+        "distance between two of them, or a tenth of the distance to the content if that is more, but at most "
+        "a quarter of it",
+    )
+    region: Region | None = setting(None, "where the scene may be looked at from, instead of about its cameras")
     usage: str = setting(
         "importance",
         "what ranks Gaussians for the key tiers: the largest blending weight alpha T (max), the sum of these weights "
@@ -63,7 +92,9 @@ class EncodeSettings:
         "squared error of pictures that must be worth a byte a frame at quality 1, or planes and segments are left "
         "out; 0: none are; calibration finds it",
     )
-    measure_frames: int = setting(6, "frames of each segment on which the quality of every rung is measured; 0: none")
+    measure_pictures: int = setting(
+        12, "pictures of each segment, of frames and views of their own, that measure every rung; 0: none"
+    )
     preset: str = setting(DEFAULT_PRESET, "x264 preset")
     jobs: int = computed_setting(
         lambda: os.cpu_count() or 1,
@@ -71,14 +102,23 @@ class EncodeSettings:
     )
 
     def __post_init__(self) -> None:
-        shares = [share for share, _ in self.levels]
-        ladder = (self.levels, self.core_levels, self.tiers)
+        shares = [level.pruned for level in self.levels]
+        tiers = [self.tiers_of(level) for level in self.levels]
+        qualities = [level.quality for level in self.levels]
+        ladder = (self.levels, self.tiers)
         checks = [
             (1 <= len(self.levels) <= MAX_CHOICES, f"expected 1 to {MAX_CHOICES} levels"),
             (all(0 <= s < 1 for s in shares), f"expected pruned shares in [0, 1), got {shares}"),
             (shares == sorted(shares), f"expected ascending pruned shares, got {shares}"),
-            (0 <= self.core_levels < len(self.levels), f"expected 0 to {len(self.levels) - 1} core levels"),
-            (all(f > 0 for _, f in self.levels) and self.quality > 0, "expected positive step factors"),
+            (
+                tiers[:1] == [len(self.tiers)] and tiers == sorted(tiers, reverse=True) and tiers[-1] > 0,
+                f"expected descending key tiers from {len(self.tiers)} on, got {tiers}",
+            ),
+            (
+                qualities == sorted(qualities) and all(0 <= q < len(self.key_factors) for q in qualities),
+                f"expected ascending key qualities below {len(self.key_factors)}, got {qualities}",
+            ),
+            (all(level.factor > 0 for level in self.levels) and self.quality > 0, "expected positive step factors"),
             (self.segment_s > 0, f"expected a positive segment length, got {self.segment_s}"),
             (self.group_frames >= 1, f"expected at least one frame a group, got {self.group_frames}"),
             (
@@ -89,10 +129,11 @@ class EncodeSettings:
             (self.update_rank in UPDATE_RANKS, f"expected rank {', '.join(UPDATE_RANKS)}, got {self.update_rank}"),
             (self.calibrate in CALIBRATIONS, f"expected calibrate {', '.join(CALIBRATIONS)}, got {self.calibrate}"),
             (
-                self.calibrate != "ladder" or ladder == (DEFAULT_LEVELS, 0, DEFAULT_TIERS),
-                'levels, core_levels and tiers would be replaced: expected calibrate "steps" or "none" with them',
+                self.calibrate != "ladder" or ladder == (DEFAULT_LEVELS, DEFAULT_TIERS),
+                'levels and tiers would be replaced: expected calibrate "steps" or "none" with them',
             ),
-            (self.measure_frames >= 0, f"expected 0 or more frames to measure, got {self.measure_frames}"),
+            (self.margin is None or self.region is None, "expected a margin or a region, got both"),
+            (self.measure_pictures >= 0, f"expected 0 or more pictures to measure, got {self.measure_pictures}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
             (self.jobs >= 1, f"expected at least one job, got {self.jobs}"),
         ]
@@ -105,15 +146,14 @@ class EncodeSettings:
         """`byte_price` at this quality: error grows with the square of the steps. 0 where all is kept."""
         return 0.0 if self.keep_all else self.byte_price * self.quality**2
 
-    def tiers_of(self, level: int) -> int:
+    def tiers_of(self, level: LevelSettings) -> int:
         """Number of key tiers that viewers of a level fetch."""
-        return 1 if level >= len(self.levels) - self.core_levels else len(self.tiers)
+        return level.tiers or len(self.tiers)
 
     def table(self) -> dict[str, str]:
         """Settings as text, for the record in airgs.json."""
         return {
-            "levels": ",".join(f"{share * 100:g}:{factor:g}" for share, factor in self.levels),
-            "core_levels": str(self.core_levels),
+            "levels": ",".join(level.words for level in self.levels),
             "key_factors": ",".join(f"{factor:g}" for factor in self.key_factors),
             "quality": f"{self.quality:g}",
             "usage": self.usage,

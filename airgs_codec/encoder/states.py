@@ -32,7 +32,6 @@ from airgs_codec.encoder.representation import (
     encode_parallel,
 )
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import ViewSplit
 from airgs_codec.media.h264 import STATE_QP, ClosedGop, qp_step, state_codec
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
@@ -79,33 +78,36 @@ class CodedStates:
 
 def code_states(
     layout: GroupLayout,
-    base: Canonical,
+    bases: Sequence[Canonical],
     frames: Sequence[Gaussians],
-    views: ViewSplit,
     settings: EncodeSettings,
     scratch: Path,
 ) -> CodedStates:
     """Quantise the states of a group for every level; `frames` are all of the group, with all input rows.
 
-    States are differences to `base`, the canonical space as decoded. A segment is fetched if anything in it differs
-    from the original canonical frame by more than half a step and rendering shows it. Samples go to files in
-    `scratch`.
+    The states of a level are differences to the one of `bases`, the canonical space as decoded in each key quality,
+    that the level corrects. A segment is fetched if anything in it differs from the original canonical frame by more
+    than half a step and rendering shows it. Samples go to files in `scratch`.
     """
-    values = state_channels([frame.take(layout.rows) for frame in frames], base, layout.state_steps)
+    shown = [frame.take(layout.rows) for frame in frames]
+    values = state_channels(shown, bases[0], layout.state_steps)
     steps = STATE.steps(layout.state_steps, layout.colours)
     states = values / steps[:, None]
     changes = states - states[layout.span.middle]
     depths = _find_depths(layout, states, changes, settings)
     static = note_static(layout, states, depths)
-    omissions = StateOmissions.of(layout, base, values, depths)
-    omitted, no_planes = omissions.planes(views.training, settings.scaled_price)
-    still, no_segments = omissions.segments(views.training, settings.scaled_price)
-    levels = []
-    for level, (_, factor) in enumerate(settings.levels):
-        rows = (depths != STATIC) & (depths >= level)
-        fetched = _fetched_frames(layout, changes, rows, factor / 2, still)
-        file = scratch / f"{layout.span.index}-{level}.npy"
-        levels.append(_code_level(values[:, :, rows], steps * factor, omitted, fetched, file))
+    omissions = StateOmissions.of(layout, bases[0], values, depths)
+    omitted, no_planes = omissions.planes(settings.scaled_price)
+    still, no_segments = omissions.segments(settings.scaled_price)
+    levels, quality = [], 0
+    for number, level in enumerate(settings.levels):
+        if level.quality != quality:
+            quality = level.quality
+            values = state_channels(shown, bases[quality], layout.state_steps)
+        rows = (depths != STATIC) & (depths >= number)
+        fetched = _fetched_frames(layout, changes, rows, level.factor / 2, still)
+        file = scratch / f"{layout.span.index}-{number}.npy"
+        levels.append(_code_level(values[:, :, rows], steps * level.factor, omitted, fetched, file))
     return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes, no_segments) if n))
 
 
@@ -115,8 +117,8 @@ def _find_depths(
     """(N,) depths, from (T, 10 + C, N) differences to the decoded and to the original canonical frame, in steps."""
     known = layout.usage if settings.update_rank == "usage" else None
     score, moving = rank_updates(states, changes, layout.state_weights(), known, settings.keep_all)
-    tiers = [settings.tiers_of(level) for level in range(len(settings.levels))]
-    return assign_depths(score, moving, [share for share, _ in settings.levels], layout.tiers, tiers)
+    tiers = [settings.tiers_of(level) for level in settings.levels]
+    return assign_depths(score, moving, [level.pruned for level in settings.levels], layout.tiers, tiers)
 
 
 def _fetched_frames(

@@ -117,6 +117,7 @@ class Provenance:
     """Where a package comes from: what airgs.json records but no picture depends on."""
 
     settings: EncodeSettings
+    region: tables.Region
     views: tables.Views
     attribution: str
     notes: Sequence[str]  # what grouping found
@@ -139,11 +140,12 @@ def build_manifest(coded: CodedSequence, files: dict[str, FileEntry], about: Pro
         sh_degree=about.sh_degree,
         key_gain=qp_step(KEY_QP),
         state_gain=qp_step(STATE_QP),
+        region=about.region,
         views=about.views,
         qualities=[tables.KeyQuality(f"Q{i}", factor) for i, factor in enumerate(settings.key_factors)],
         levels=[
-            tables.Level(f"L{j}", share, factor, settings.tiers_of(j))
-            for j, (share, factor) in enumerate(settings.levels)
+            tables.Level(f"L{j}", level.pruned, level.factor, settings.tiers_of(level), level.quality)
+            for j, level in enumerate(settings.levels)
         ],
         key_pictures=[[representation.picture() for representation in row] for row in coded.key_streams],
         state_pictures=[representation.picture() for representation in coded.state_streams],
@@ -193,5 +195,5 @@ def _segment_table(coded: CodedSequence, group: int, place: int, numbers: Sequen
     levels = []
     for number, representation in zip(numbers, coded.state_streams, strict=True):
         sizes = representation.stream.picture_bytes[number - 1] if number and representation.stream else []
-        levels.append(SegmentLevel(number, sizes, [], [], []))
+        levels.append(SegmentLevel(number, sizes, [], [], [], []))
     return Segment(group, *coded.layouts[group].segments[place], levels)

@@ -48,7 +48,7 @@ def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Mea
         rows, sure = _match(package, index, group, base, frames)
         originals = [g.take(rows) for g in frames]
         yield from _keys(package, index, group, base, originals[group.canonical - group.start], sure)
-        yield from _states(package, index, group, base, originals, sure)
+        yield from _states(package, index, base, originals, sure)
 
 
 def _match(
@@ -103,17 +103,17 @@ def _keys(
 
 
 def _states(
-    package: Package,
-    index: int,
-    group: Group,
-    base: Canonical,
-    originals: list[Gaussians],
-    sure: NDArray[np.bool_],
+    package: Package, index: int, base: Canonical, originals: list[Gaussians], sure: NDArray[np.bool_]
 ) -> Iterator[Measured]:
-    m = package.manifest
+    m, quality = package.manifest, 0
+    group = m.groups[index]
     values = state_channels(originals, base, group.state_steps)
     steps = STATE.steps(group.state_steps, m.colour_channels)
     for j, level in enumerate(m.levels):
+        if level.quality != quality:  # states are differences to the key quality of their level
+            quality = level.quality
+            corrected = decode_canonical(package, index, quality)
+            values = state_channels(originals, corrected, group.state_steps)
         rows = np.flatnonzero((base.depths >= j) & (base.depths != STATIC))
         worst = np.zeros((1, len(steps), len(rows)))
         sent = False

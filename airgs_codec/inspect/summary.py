@@ -53,7 +53,8 @@ class LevelSummary:
     bytes_per_frame: float
     mean_bps: float
     peak_bps: float  # of its largest segment
-    psnr: float | None  # dB, of the error pooled over views and frames; None: not measured, as are the next two
+    psnr: float | None  # dB, of the error pooled over views and frames; None: not measured, as are the next three
+    worst: float | None  # dB, of the picture with the largest error
     ssim: float | None
     delta_e: float | None  # CIEDE2000
     max_error: dict[str, float]  # the largest over groups, for each attribute in the units of its channels
@@ -67,7 +68,8 @@ class RungSummary:
     state: str
     bytes_per_frame: float
     mean_bps: float
-    psnr: float | None  # dB, of the error pooled over views and frames; None: not measured, as are the next two
+    psnr: float | None  # dB, of the error pooled over views and frames; None: not measured, as are the next three
+    worst: float | None  # dB, of the picture with the largest error
     ssim: float | None
     delta_e: float | None  # CIEDE2000
     best: bool  # on the ladder, see `ladder`
@@ -163,7 +165,7 @@ def _rung(m: Manifest, quality: int, level: int, manifest_bytes: int) -> RungSum
 
 def _quality(m: Manifest, level: int, quality: int) -> dict[str, Any]:
     measured = pooled_quality(m, level, quality)
-    return dataclasses.asdict(measured) if measured else {"psnr": None, "ssim": None, "delta_e": None}
+    return dataclasses.asdict(measured) if measured else {"psnr": None, "worst": None, "ssim": None, "delta_e": None}
 
 
 def segment_rates(m: Manifest, level: int) -> NDArray[np.float64]:

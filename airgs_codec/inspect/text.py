@@ -15,7 +15,7 @@ ERROR_HEADS = {
     "opacity": "opacity",
     "colour": "colour, steps",
 }
-QUALITY_HEADS = ["PSNR dB", "SSIM", "ΔE"]
+QUALITY_HEADS = ["PSNR dB", "worst", "SSIM", "ΔE"]
 
 
 def format_summary(s: Summary) -> str:
@@ -46,12 +46,11 @@ def format_summary(s: Summary) -> str:
 
 def _head(s: Summary) -> list[str]:
     v = s.views
-    measured = f"quality against the {v.reference} over {v.measured} views of {v.width}x{v.height}"
-    measured += ", errors pooled for PSNR"
+    measured = f"quality against the {v.reference} in {v.measured} pictures a segment, errors pooled for PSNR"
     return [
         f"{s.frames} frames at {s.fps:g} fps ({s.duration_s:.2f} s), SH degree {s.sh_degree}, "
         f"{s.package_bytes / 1e6:.3f} MB in all ({_kilobytes(s.package_bytes / s.frames)} kB/frame)",
-        f"usage over {v.usage} {v.source} views; "
+        f"usage in {v.decided} pictures a group; "
         + (measured if v.reference != "none" else "quality was not measured"),
     ]
 
@@ -109,7 +108,7 @@ def _rungs(s: Summary) -> list[str]:
 
 
 def _quality(entry: LevelSummary | RungSummary) -> list[str]:
-    values = ((entry.psnr, 2), (entry.ssim, 4), (entry.delta_e, 2))
+    values = ((entry.psnr, 2), (entry.worst, 2), (entry.ssim, 4), (entry.delta_e, 2))
     return [f"{value:.{digits}f}" if value is not None else "-" for value, digits in values]
 
 

@@ -10,12 +10,13 @@ import json
 import math
 import typing
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any
 
-from airgs_codec.errors import FormatError
+from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.package.constraints import Constraint
-from airgs_codec.package.references import check_references
-from airgs_codec.package.tables import JSON_NAME, VERSION, Manifest
+from airgs_codec.package.references import check_references, check_region
+from airgs_codec.package.tables import JSON_NAME, VERSION, Manifest, Region
 
 
 def parse_manifest(text: str | bytes) -> Manifest:
@@ -34,6 +35,22 @@ def parse_manifest(text: str | bytes) -> Manifest:
     manifest: Manifest = _parse(Manifest, data, JSON_NAME)
     check_references(manifest)
     return manifest
+
+
+def read_region(path: Path) -> Region:
+    """A viewing region from a JSON file, as `region` in airgs.json has it.
+
+    Raises SceneError for a file that cannot be read, FormatError for one that is no region.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot read a viewing region: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise FormatError("not_json", str(path), f"expected JSON: {error}") from error
+    region: Region = _parse(Region, data, str(path))
+    check_region(region, str(path))
+    return dataclasses.replace(region, source="file")
 
 
 def _refuse_constant(name: str) -> float:

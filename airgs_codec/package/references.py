@@ -17,6 +17,7 @@ from airgs_codec.package.tables import (
     Group,
     Manifest,
     Picture,
+    Region,
     Segment,
     expected_files,
 )
@@ -30,6 +31,7 @@ def check_references(m: Manifest) -> None:
     for where, value, low, high in _bounds(m):
         if not low <= value <= high:
             raise _bad(where, f"expected {low} to {high}, got {value}")
+    check_region(m.region, f"{JSON_NAME}.region")
     _check_clock(m)
     _check_cover(m)
     for index, segment in enumerate(m.segments):
@@ -38,6 +40,14 @@ def check_references(m: Manifest) -> None:
     for path in expected_files(m):
         if path not in m.files:
             raise FormatError("missing_entry", f"{JSON_NAME}.files", f"no entry for {path}")
+
+
+def check_region(region: Region, where: str) -> None:
+    """Raise FormatError (bad_value) unless every place has a direction to look in and one that is up."""
+    for p, place in enumerate(region.places):
+        for name, other in (("focus", place.position), ("up", [0.0, 0.0, 0.0])):
+            if (got := getattr(place, name)) == other:
+                raise FormatError("bad_value", f"{where}.places[{p}].{name}", f"expected other than {other}, got {got}")
 
 
 def _bad(where: str, detail: str) -> FormatError:
@@ -65,10 +75,12 @@ def _check_shapes(m: Manifest) -> None:
 
 
 def _bounds(m: Manifest) -> Iterator[Bound]:
+    finest = 0
     most = m.tier_count  # every tier is some level's: the first level has all of them
     for j, level in enumerate(m.levels):
         yield f"levels[{j}].tiers", level.tiers, 1 if j else most, most
-        most = level.tiers
+        yield f"levels[{j}].quality", level.quality, finest, len(m.qualities) - 1
+        most, finest = level.tiers, level.quality
     for g, group in enumerate(m.groups):
         yield from ((f"groups[{g}].{name}", *bound) for name, *bound in _group_bounds(m, group))  # type: ignore[misc]
 
@@ -137,6 +149,7 @@ def _check_segment(m: Manifest, index: int, segment: Segment) -> None:
         for name, got, allowed in (
             ("frame_bytes", len(level.frame_bytes), {segment.stop - segment.start if level.number else 0}),
             ("psnr", len(level.psnr), {0, len(m.qualities)}),
+            ("worst", len(level.worst), {len(level.psnr)}),
             ("ssim", len(level.ssim), {len(level.psnr)}),
             ("delta_e", len(level.delta_e), {len(level.psnr)}),
             ("number", level.number, {level.number} if group.levels[j].planes else {0}),

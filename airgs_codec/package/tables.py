@@ -33,6 +33,7 @@ MAX_FRAMES = 1_000_000
 MAX_SIDE = 16384  # samples, either side of a picture
 MAX_FILE_BYTES = 1 << 31
 MAX_CHOICES = 64  # tiers, qualities, levels
+MAX_PLACES = 64
 MAX_CENTRE = 1 << 30  # so that a centre, a luma level and the base of an escape add up within int32
 MAX_PSNR = 1000.0  # dB; nothing measured comes near, and ten to the power of a tenth of it is still a float
 MAX_DELTA_E = 1000.0  # CIEDE2000; the largest of two sRGB colours is about 120
@@ -59,6 +60,8 @@ Share = Annotated[float, Range(0, 1)]
 Factor = Annotated[float, Range(1e-6, 1e6)]
 Step = Annotated[float, Range(1e-30, 1e30)]
 Gain = Annotated[float, Range(1e-3, 128)]
+Decibels = Annotated[float, Range(-MAX_PSNR, MAX_PSNR)]
+Point = Annotated[list[Annotated[float, Range(-1e30, 1e30)]], Length(3, 3)]
 Choices = Length(1, MAX_CHOICES)
 
 
@@ -72,14 +75,34 @@ class Generator:
 
 
 @dataclass(frozen=True, slots=True)
-class Views:
-    """Where usage and quality were measured."""
+class Place:
+    """A ball of positions that a scene may be looked at from, and where a viewer there looks."""
 
-    source: Annotated[str, OneOf(("given", "generated"))]  # of the cameras
-    usage: int  # cameras that usage was measured on
-    measured: int  # cameras that quality was measured on
-    width: int  # pixels, of the first measured camera
-    height: int
+    position: Point  # of the centre, world units
+    focus: Point  # the point that a viewer looks at, world units
+    up: Point  # a direction that points up in the picture
+    reach: Annotated[float, Range(0, 1e30)]  # radius, world units
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """Where the scene may be looked at from: in the ball of a place, at most `turn` off the direction to its focus."""
+
+    source: Annotated[str, OneOf(("cameras", "found", "orbit", "file"))]  # what it was made of
+    width: Annotated[int, Range(1, MAX_SIDE)]  # pixels of the views that decisions and quality were measured with
+    height: Annotated[int, Range(1, MAX_SIDE)]
+    fov_y: Annotated[float, Range(0.1, 179)]  # their vertical field of view, degrees
+    near: Annotated[float, Range(1e-30, 1e30)]  # world units: Gaussians nearer than this along the axis are not drawn
+    turn: Annotated[float, Range(0, 180)]  # degrees
+    places: Annotated[list[Place], Length(1, MAX_PLACES)]
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """How many pictures were looked at."""
+
+    decided: Count  # of each group, to decide what matters
+    measured: Count  # of each segment, to measure quality: other views than those
     reference: Annotated[str, OneOf(("original", "none"))]  # the unpruned input; none: quality was not measured
 
 
@@ -99,6 +122,7 @@ class Level:
     pruned: Share  # of the moving rows
     factor: Factor
     tiers: int  # key tiers that its viewers fetch; rows of later tiers have no state in it
+    quality: Annotated[int, Range(0, MAX_CHOICES - 1)]  # key quality that its states correct: its rung of the ladder
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +227,8 @@ class SegmentLevel:
 
     number: FileNumber  # of its files; 0: nothing to fetch, the canonical space is shown
     frame_bytes: list[FileBytes]  # H.264 bytes of each frame, in display order
-    psnr: list[Annotated[float, Range(-MAX_PSNR, MAX_PSNR)]]  # dB for each key quality; empty: not measured
+    psnr: list[Decibels]  # for each key quality; empty: not measured
+    worst: list[Decibels]  # PSNR of the worst picture, for each key quality
     ssim: list[Annotated[float, Range(-1, 1)]]  # for each key quality
     delta_e: list[Annotated[float, Range(0, MAX_DELTA_E)]]  # CIEDE2000 for each key quality
 
@@ -251,6 +276,7 @@ class Manifest:
     sh_degree: Annotated[int, Range(0, 3)]
     key_gain: Gain  # luma levels a step in key atlases
     state_gain: Gain  # luma levels a step in state atlases
+    region: Region
     views: Views
     qualities: Annotated[list[KeyQuality], Choices]
     levels: Annotated[list[Level], Choices]
@@ -427,20 +453,22 @@ def expected_files(m: Manifest) -> list[str]:
 class Quality:
     """How near the pictures of a rung are to those of the original, over the whole sequence."""
 
-    psnr: float  # dB, of the mean squared error over frames
-    ssim: float  # mean over frames
-    delta_e: float  # CIEDE2000, mean over frames
+    psnr: float  # dB, of the mean squared error over pictures
+    worst: float  # dB, of the picture with the largest error
+    ssim: float  # mean over pictures
+    delta_e: float  # CIEDE2000, mean over pictures
 
 
 def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:
     """Quality of a rung, segments weighed by their frames; None when one of them was not measured."""
-    squared, similarity, difference = 0.0, 0.0, 0.0
+    squared, similarity, difference, worst = 0.0, 0.0, 0.0, MAX_PSNR
     for segment in m.segments:
         measured = segment.levels[level]
         if not measured.psnr:
             return None
         weight = (segment.stop - segment.start) / m.frames
         squared += weight * 10.0 ** min(-measured.psnr[quality] / 10, 300.0)  # 300: a float, whatever a table claims
+        worst = min(worst, measured.worst[quality])
         similarity += weight * measured.ssim[quality]
         difference += weight * measured.delta_e[quality]
-    return Quality(psnr(squared), similarity, difference)
+    return Quality(psnr(squared), worst, similarity, difference)

@@ -127,7 +127,7 @@ def simulate_frames(
     if chooser not in CHOOSERS:
         raise ConfigError(f"frame mode: expected {', '.join(CHOOSERS)}, got {chooser}")
     if not c.measured:
-        raise ConfigError("frame mode: the package has no measured quality, encode it without --measure-frames 0")
+        raise ConfigError("frame mode: the package has no measured quality, encode it without --measure-pictures 0")
     choose, sequence, trace = CHOOSERS[chooser], frame_options(c, keys), link.trace
     history: list[Download] = []
     free_s = 0.0

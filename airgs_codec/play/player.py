@@ -47,7 +47,7 @@ def run(
     """
     if policy.needs_quality and not catalogue.measured:
         raise ConfigError(
-            f"policy {policy.name}: the package has no measured quality, encode it without --measure-frames 0"
+            f"policy {policy.name}: the package has no measured quality, encode it without --measure-pictures 0"
         )
     return _Player.new(catalogue, downloader, policy, settings or SessionSettings()).play()
 

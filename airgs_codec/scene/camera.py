@@ -6,7 +6,7 @@ The centre of the first pixel is at (0.5, 0.5). `scene.cameras` reads them from 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,6 +68,16 @@ def look_at(
     matrix[:3, 3] = -rotation @ position
     focal = size / 2 / np.tan(fov_y / 2)
     return Camera(name, size, size, focal, focal, size / 2, size / 2, matrix)
+
+
+def resized(camera: Camera, share: float) -> Camera:
+    """The camera with `share` of the pixels on either side, at least 8; a share of 1 or more changes nothing."""
+    if share >= 1:
+        return camera
+    width, height = (max(8, round(share * side)) for side in (camera.width, camera.height))
+    x, y = width / camera.width, height / camera.height
+    fx, fy, cx, cy = camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y
+    return replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
 def training_views(cameras: Sequence[Camera]) -> list[Camera]:

@@ -1,11 +1,13 @@
 """What a scene does not need, against rendering without it."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.analysis.importance import RowPruning, estimate_cost, importance, select_omissions
+from airgs_codec.analysis.importance import RowPruning, estimate_cost, importance, pooled_error, select_omissions
 from airgs_codec.analysis.sensitivity import MAX_VIEWS, measure_sensitivity
 from airgs_codec.analysis.usage import measure_usage
 from airgs_codec.media.metrics import mse
@@ -27,7 +29,8 @@ def scene():
 def test_removed_rows_cost_what_was_allowed(scene):
     cameras, frames = scene
     rank = importance(frames, measure_usage(frames, cameras), measure_sensitivity(frames, cameras))
-    pruning = RowPruning(frames, cameras, rank)
+    chosen = [cameras[i] for i in evenly_spaced(len(cameras), 6)]
+    pruning = RowPruning(list(zip(itertools.cycle(frames), chosen, strict=False)), rank)
     counts = []
     for allowed in (0.0, 0.002, 0.005, 0.02):
         kept = pruning.within(allowed)
@@ -37,6 +40,11 @@ def test_removed_rows_cost_what_was_allowed(scene):
     assert counts == sorted(counts, reverse=True) and counts[0] > counts[-1]
     pictures = [mse(render(frames[1].take(kept.rows), c).rgb, render(frames[1], c).rgb) for c in cameras]
     assert float(np.mean(pictures)) < 3 * allowed**2  # of views that were not looked at
+
+
+def test_the_worst_pictures_weigh_more_in_a_pooled_error():
+    assert pooled_error([2.0, 2.0, 2.0]) == pytest.approx(2.0)
+    assert pooled_error([0.0, 0.0, 0.0, 4.0]) == pytest.approx(2.0)  # their mean is 1, the worst 4
 
 
 def test_the_error_of_leaving_one_row_out_is_known_without_rendering(scene):

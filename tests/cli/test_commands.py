@@ -33,21 +33,21 @@ def line_of(capsys):
 
 def test_encode_reports_what_it_did(tmp_path, capsys):
     scene = write_sequence(tmp_path / "scene", moving_frames(60, 2))
-    assert encode.main([str(scene), "--preset", "veryfast", "--measure-frames", "1"]) == 0
+    assert encode.main([str(scene), "--preset", "veryfast", "--measure-pictures", "2"]) == 0
     out = capsys.readouterr().out
-    assert "Q0 + L0" in out and "generated views" in out
+    assert "Q0 + L0" in out and "quality against the original in 2 pictures a segment" in out
     assert (tmp_path / "scene.airgs" / "manifest.mpd").exists()
 
 
 def test_the_folder_one_stands_in_can_be_encoded(tmp_path, monkeypatch):
     monkeypatch.chdir(write_sequence(tmp_path / "scene", moving_frames(20, 1)))
-    assert encode.main([".", "--preset", "ultrafast", "--measure-frames", "0", "--json"]) == 0
+    assert encode.main([".", "--preset", "ultrafast", "--measure-pictures", "0", "--json"]) == 0
     assert (tmp_path / "scene.airgs" / "manifest.mpd").exists()
 
 
 def test_ladder_presets_and_levels(tmp_path, capsys):
     scene = write_sequence(tmp_path / "scene", moving_frames(60, 2))
-    base = [str(scene), "-o", str(tmp_path / "out"), "--preset", "ultrafast", "--measure-frames", "0"]
+    base = [str(scene), "-o", str(tmp_path / "out"), "--preset", "ultrafast", "--measure-pictures", "0"]
     assert encode.main([*base, "--ladder", "paper", "--json"]) == 0
     tables = json.loads((tmp_path / "out" / "airgs.json").read_text())
     assert [(v["pruned"], v["factor"]) for v in tables["levels"]] == [(i / 10, 1.0) for i in range(10)]
@@ -56,6 +56,35 @@ def test_ladder_presets_and_levels(tmp_path, capsys):
     assert [(v["pruned"], v["factor"]) for v in tables["levels"]] == [(0.0, 1.0), (0.25, 4.0)]
     assert encode.main([*base, "--levels", "zero"]) == 2
     assert "PRUNED:FACTOR" in capsys.readouterr().err
+
+
+def test_a_region_from_one_package_serves_another(package, tmp_path):
+    tables = json.loads((package / "airgs.json").read_text())
+    assert tables["region"]["source"] == "orbit"
+    (tmp_path / "region.json").write_text(json.dumps(tables["region"] | {"turn": 3}))
+    scene = write_sequence(tmp_path / "scene", moving_frames(20, 1))
+    words = [str(scene), "-o", str(tmp_path / "out"), "--preset", "ultrafast", "--measure-pictures", "0"]
+    assert encode.main([*words, "--steps", "default", "--region", str(tmp_path / "region.json")]) == 0
+    given = json.loads((tmp_path / "out" / "airgs.json").read_text())["region"]
+    assert given == tables["region"] | {"turn": 3, "source": "file"}
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--region", "none.json"], "none.json: cannot read a viewing region"),
+        (["--region", "bad.json"], "bad.json: missing fields"),
+        (["--margin", "-1"], "margin: expected 0 or more world units, got -1.0"),
+        (["--margin", "nan"], "margin: expected 0 or more world units, got nan"),
+    ],
+)
+def test_regions_that_cannot_be_are_one_line(tmp_path, options, words, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.json").write_text("{}")
+    scene = write_sequence(tmp_path / "scene", moving_frames(20, 1))
+    assert encode.main([str(scene), "-o", str(tmp_path / "out"), *options]) == 2
+    assert words in line_of(capsys)
+    assert not (tmp_path / "out").exists()
 
 
 def test_decode_writes_frames(package, tmp_path, capsys):

@@ -66,11 +66,11 @@ def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, mo
         "airgs_codec.cli.training.default_settings", lambda device: replace(SETTINGS, frame_iterations=5)
     )
     shutil.copytree(blobs, tmp_path / "blobs")
-    words = [str(tmp_path / "blobs"), "--preset", "ultrafast", "--measure-frames", "1"]
+    words = [str(tmp_path / "blobs"), "--preset", "ultrafast", "--measure-pictures", "2"]
     assert encode_main(words) == 0
     assert "first frame" in capsys.readouterr().out
     package = open_package(tmp_path / "blobs.airgs")
-    assert package.manifest.frames == 5 and package.manifest.views.source == "given"
+    assert package.manifest.frames == 5 and package.manifest.region.source == "cameras"
     assert package.manifest.attribution == "blobs by nobody"
     assert (tmp_path / "blobs.gaussians" / "usage.npz").is_file()
     assert encode_main([*words, "--json"]) == 0  # the model is there: only encoded

@@ -10,7 +10,7 @@ import pytest
 
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.package.store import open_package
@@ -33,8 +33,9 @@ def package(tmp_path_factory):
     there = moving_frames(60, 40)
     turn = [*range(40), *range(38, 0, -1)]
     scene = write_sequence(folder / "scene", [there[turn[i % len(turn)]] for i in range(1000)])
+    levels = (LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1))
     settings = EncodeSettings(
-        calibrate="none", measure_frames=0, preset="ultrafast", keep_all=True, core_levels=2, jobs=2
+        calibrate="none", measure_pictures=0, preset="ultrafast", keep_all=True, levels=levels, jobs=2
     )
     encode(open_sequence(scene), folder / "out", settings)
     return open_package(folder / "out"), open_sequence(scene)

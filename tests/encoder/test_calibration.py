@@ -1,5 +1,6 @@
 """Steps and ladder of a scene, and when they are found anew."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -11,8 +12,9 @@ from airgs_codec.encoder.calibration import cache
 from airgs_codec.encoder.calibration.calibrate import calibrate
 from airgs_codec.encoder.calibration.solve import STEPS, get_step, solve_steps, with_step
 from airgs_codec.encoder.calibration.subject import Subject
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, ViewSplit, survey_group
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.survey import GroupSpan, survey_group
+from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.scene.ply import write_ply
 from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
 from airgs_codec.scene.usage import Usage, save_usage
@@ -25,18 +27,20 @@ FAST = EncodeSettings(preset="veryfast", jobs=2)
 @pytest.fixture(scope="module")
 def fox():
     sequence = open_sequence(FOX)
-    views = ViewSplit.of(sequence)
+    views = ViewPlan.of(sequence)
     span = GroupSpan(0, *plan_groups(sequence).spans[0])
-    return sequence, survey_group(sequence, span, views.training), views
+    return sequence, survey_group(sequence, span, views), views
 
 
 @pytest.fixture(scope="module")
 def calibration(fox):
-    return calibrate(*fox, FAST)
+    sequence, survey, _ = fox
+    return calibrate(sequence, survey, FAST)
 
 
 def test_a_calibration_is_the_same_every_time_and_survives_the_cache(fox, calibration):
-    assert calibrate(*fox, FAST) == calibration
+    sequence, survey, _ = fox
+    assert calibrate(sequence, survey, FAST) == calibration
     name = cache.digest(*fox, FAST)
     cache.keep(name, calibration)
     assert cache.load(name) == calibration
@@ -52,8 +56,8 @@ def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_pat
 
     def digest():
         sequence = open_sequence(folder)
-        views, span = ViewSplit.of(sequence), GroupSpan(0, 0, 6)
-        return cache.digest(sequence, survey_group(sequence, span, views.training), views, FAST)
+        views = ViewPlan.of(sequence)
+        return cache.digest(sequence, survey_group(sequence, GroupSpan(0, 0, 6), views), views, FAST)
 
     digests = [digest()]
     for number in (1, 2, 4):  # neither first, canonical nor last
@@ -77,12 +81,12 @@ def test_steps_are_named_once_and_replaced_one_at_a_time():
 
 def test_a_step_far_from_its_price_comes_back(fox):
     """Means four times too fine or too coarse: calibration moves them the other way."""
-    sequence, survey, views = fox
+    sequence, survey, _ = fox
     wanted = {}
     for factor in (0.25, 1.0, 4.0):
         start = StepSettings()
         start = with_step(start, "state.means", factor * get_step(start, "state.means"))
-        subject = Subject.of(sequence, survey, views, replace(FAST, steps=start))
+        subject = Subject.of(sequence, survey, replace(FAST, steps=start))
         steps, price = solve_steps(subject.sample(24.0), subject)
         assert price > 0
         others = [get_step(steps, n) / get_step(start, n) for n in ("state.quaternions", "state.log_scales")]
@@ -91,19 +95,25 @@ def test_a_step_far_from_its_price_comes_back(fox):
 
 
 def test_ladders_descend(calibration):
-    shares, factors = zip(*calibration.levels, strict=True)
-    assert list(shares) == sorted(shares) and list(factors) == sorted(factors) and factors[0] == 1
+    levels = calibration.levels
+    assert levels[0].factor == 1 and levels[0].quality == 0
+    for above, below in itertools.pairwise(levels):
+        assert above.pruned <= below.pruned and above.factor < below.factor
+        assert above.tiers >= below.tiers > 0 and above.quality <= below.quality
     assert len(set(calibration.levels)) == len(calibration.levels) > 1
-    assert calibration.key_factors[0] == 1 < calibration.key_factors[1]
+    factors = calibration.key_factors
+    assert factors[0] == 1 and all(a < b for a, b in itertools.pairwise(factors))
+    assert len(factors) == levels[-1].quality + 1  # every key quality has its levels
     assert sum(calibration.tiers) == pytest.approx(1)
     settings = calibration.apply(FAST)
     assert (settings.levels, settings.steps) == (calibration.levels, calibration.steps)
-    assert calibration.apply(replace(FAST, calibrate="steps")).levels == FAST.levels
+    alone = calibration.apply(replace(FAST, calibrate="steps"))
+    assert (alone.steps, alone.levels, alone.key_factors) == (calibration.steps, FAST.levels, FAST.key_factors)
 
 
 def test_a_scene_that_stands_still_has_one_level(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300)]))
-    views = ViewSplit.of(sequence)
-    found = calibrate(sequence, survey_group(sequence, GroupSpan(0, 0, 1), views.training), views, FAST)
-    assert found.levels == ((0.0, 1.0),) and found.core_levels == 0
+    survey = survey_group(sequence, GroupSpan(0, 0, 1), ViewPlan.of(sequence))
+    found = calibrate(sequence, survey, FAST)
+    assert found.levels == (LevelSettings(0.0),) and found.tiers == found.key_factors == (1.0,)
     assert found.steps.state == StepSettings().state

@@ -17,7 +17,7 @@ FAST = EncodeSettings(preset="veryfast", jobs=2)
 
 
 def test_keep_all_keeps_all(demo_package, tmp_path):
-    settings = replace(FAST, keep_all=True, measure_frames=0, calibrate="none")
+    settings = replace(FAST, keep_all=True, measure_pictures=0, calibrate="none")
     everything, less = (
         encode(open_sequence(FOX), tmp_path / "all", settings).manifest,
         open_package(demo_package).manifest,

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as npst
 from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_segment
 from airgs_codec.encoder.levels import assign_depths, assign_tiers
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import STATIC
@@ -45,10 +45,11 @@ def test_depths_keep_to_tiers():
     assert assign_depths(score, moving, [0.0, 0.25], tiers, [2, 1]).tolist() == [1, 0, 1, 0]
 
 
-def test_core_levels_do_with_the_first_tier(tmp_path):
+def test_levels_of_one_tier_do_with_the_first_tier(tmp_path):
     frames = moving_frames(600, 4)
     sequence = open_sequence(write_sequence(tmp_path / "scene", frames))
-    settings = EncodeSettings(calibrate="none", core_levels=2, tiers=(0.6, 0.4), preset="veryfast", jobs=2)
+    levels = (LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1))
+    settings = EncodeSettings(calibrate="none", levels=levels, tiers=(0.6, 0.4), preset="veryfast", jobs=2)
     encode(sequence, tmp_path / "out", settings)
     package = open_package(tmp_path / "out")
     m = package.manifest

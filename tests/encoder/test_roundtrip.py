@@ -11,8 +11,9 @@ from airgs_codec.coding.steps import StepSettings
 from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key, decode_state
 from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, ViewSplit, survey_group
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.survey import GroupSpan, survey_group
+from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.errors import ConfigError, FormatError, SceneError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.metrics import mse, psnr
@@ -23,9 +24,10 @@ from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
+from tests.support.regions import region
 from tests.support.scenes import frozen, moving_frames, random_gaussians, write_sequence
 
-FAST = EncodeSettings(calibrate="none", measure_frames=0, preset="veryfast", jobs=2)
+FAST = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", jobs=2)
 
 
 def encoded(tmp_path, frames, settings=FAST):
@@ -37,10 +39,9 @@ def encoded(tmp_path, frames, settings=FAST):
 
 def laid_out(sequence, index, group) -> GroupLayout:
     """The layout of a group of a package that was encoded with FAST."""
-    views, span = ViewSplit.of(sequence), GroupSpan(index, group.start, group.stop)
-    survey = survey_group(sequence, span, views.training)
+    survey = survey_group(sequence, GroupSpan(index, group.start, group.stop), ViewPlan.of(sequence))
     loaded = sequence.load(range(group.start, group.stop))
-    return lay_out(loaded, survey, keep_rows(loaded.frames, survey, views, FAST), FAST, sequence.fps)
+    return lay_out(loaded, survey, keep_rows(loaded.frames, survey, FAST), FAST, sequence.fps)
 
 
 def same(a: Gaussians, b: Gaussians):
@@ -80,8 +81,9 @@ def test_quality_falls_and_bytes_fall_down_the_levels(fox):
     for s, segment in enumerate(m.segments):
         sizes = [m.bytes_of(m.state_files(s, j)) for j in range(len(m.levels))]
         assert sizes == sorted(sizes, reverse=True)
-        assert [level.psnr[0] for level in segment.levels] == sorted((v.psnr[0] for v in segment.levels), reverse=True)
-        assert all(level.psnr[0] > level.psnr[1] for level in segment.levels)
+        for pairs in ([0] * len(m.levels), [level.quality for level in m.levels]):  # with one key, and down the ladder
+            shown = [level.psnr[quality] for level, quality in zip(segment.levels, pairs, strict=True)]
+            assert shown == sorted(shown, reverse=True)
 
 
 def test_the_whole_package_is_little_more_than_twice_its_top_rung(fox):
@@ -115,10 +117,10 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox):
     for g, group in enumerate(m.groups):
         layout = laid_out(sequence, g, group)
         frames = sequence.load(range(group.start, group.stop)).frames
-        base = decode_canonical(fox, g, 0)
-        values = state_channels([f.take(layout.rows) for f in frames], base, group.state_steps)
         steps = STATE.steps(group.state_steps, m.colour_channels)
         for j, level in enumerate(m.levels):
+            base = decode_canonical(fox, g, level.quality)
+            values = state_channels([f.take(layout.rows) for f in frames], base, group.state_steps)
             rows = (base.depths >= j) & (base.depths != 255)
             for t, codes in enumerate(decode_state(fox, g, j, 0, group.stop - group.start)):
                 error = codes / m.state_gain - values[t][:, rows] / (steps * level.factor)[:, None]
@@ -186,7 +188,7 @@ def test_a_segment_in_which_nothing_moves_has_no_files(tmp_path):
     still = moving_frames(60, 1)[0]
     moved = moving_frames(60, 12)[11]
     frames = [still] * 8 + [moved] * 4  # canonical: frame 6, in the still part
-    package = encoded(tmp_path, frames, replace(FAST, segment_s=4 / 30, levels=((0.0, 1.0),)))
+    package = encoded(tmp_path, frames, replace(FAST, segment_s=4 / 30, levels=(LevelSettings(0.0),)))
     assert [s.levels[0].number for s in package.manifest.segments] == [0, 0, 1]
     assert not np.array_equal(decode(package, 11).means, decode(package, 0).means)
 
@@ -241,9 +243,13 @@ def test_what_is_not_there_is_refused(fox, arguments):
     "settings",
     [
         {"levels": ()},
-        {"levels": ((0.5, 1.0), (0.0, 1.0))},
-        {"levels": ((0.0, -1.0),)},
-        {"levels": ((1.5, 1.0),)},
+        {"calibrate": "none", "levels": (LevelSettings(0.5), LevelSettings(0.0))},
+        {"calibrate": "none", "levels": (LevelSettings(0.0, -1.0),)},
+        {"calibrate": "none", "levels": (LevelSettings(1.5),)},
+        {"calibrate": "none", "levels": (LevelSettings(0.0, tiers=1),)},  # the top level needs all tiers
+        {"calibrate": "none", "levels": (LevelSettings(0.0), LevelSettings(0.0, 1.5, 3))},
+        {"calibrate": "none", "levels": (LevelSettings(0.0, 1.0, 0, 2),)},  # key qualities are 0 and 1
+        {"calibrate": "none", "levels": (LevelSettings(0.0, 1.0, 0, 1), LevelSettings(0.0, 1.5))},
         {"quality": 0.0},
         {"segment_s": 0.0},
         {"group_frames": 0},
@@ -251,9 +257,10 @@ def test_what_is_not_there_is_refused(fox, arguments):
         {"usage": "none"},
         {"preset": "warp"},
         {"update_rank": "none"},
-        {"measure_frames": -1},
+        {"measure_pictures": -1},
+        {"margin": 0.0, "region": region()},
         {"calibrate": "sometimes"},
-        {"levels": ((0.0, 1.0),)},  # calibration would replace them
+        {"levels": (LevelSettings(0.0),)},  # calibration would replace them
         {"tiers": (0.5, 0.5)},
         {"jobs": 0},
     ],

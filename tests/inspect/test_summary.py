@@ -21,10 +21,10 @@ from tests.support.paths import VALID
 MANIFESTS = 700  # bytes of airgs.json and manifest.mpd, say
 
 
-def with_measured(m, index, psnr, ssim, delta_e=1.0):
+def with_measured(m, index, psnr, ssim, delta_e=1.0, worst=20.0):
     """The same measurements for every level and quality of one segment."""
     count = len(m.qualities)
-    measured = {"psnr": [psnr] * count, "ssim": [ssim] * count, "delta_e": [delta_e] * count}
+    measured = {"psnr": [psnr] * count, "worst": [worst] * count, "ssim": [ssim] * count, "delta_e": [delta_e] * count}
     levels = [dataclasses.replace(v, **measured) for v in m.segments[index].levels]
     segments = list(m.segments)
     segments[index] = dataclasses.replace(segments[index], levels=levels)
@@ -32,16 +32,17 @@ def with_measured(m, index, psnr, ssim, delta_e=1.0):
 
 
 def test_quality_pools_squared_errors_by_frames_not_decibels():
-    m = with_measured(with_measured(tiny_manifest(groups=(30, 10)), 0, 40.0, 0.9), 1, 30.0, 0.5, 3.0)
+    m = with_measured(with_measured(tiny_manifest(groups=(30, 10)), 0, 40.0, 0.9, worst=28.0), 1, 30.0, 0.5, 3.0, 29.0)
     quality = pooled_quality(m, 0, 0)
     assert quality.psnr == pytest.approx(34.881, abs=1e-3)  # -10 log10((3 * 1e-4 + 1e-3) / 4)
     assert (quality.ssim, quality.delta_e) == (pytest.approx(0.8), pytest.approx(1.5))
+    assert quality.worst == 28.0  # no picture of any segment is worse
 
 
 def test_a_segment_without_measurements_leaves_a_rung_unmeasured():
     assert pooled_quality(tiny_manifest(psnr=None), 0, 0) is None
     summary = summarise(tiny_manifest(psnr=None), MANIFESTS).to_json()
-    for name in ("psnr", "ssim", "delta_e"):
+    for name in ("psnr", "worst", "ssim", "delta_e"):
         assert {entry[name] for entry in summary["rungs"] + summary["levels"]} == {None}
 
 
@@ -59,7 +60,8 @@ def test_rates_of_levels():
     assert level.mean_bps == pytest.approx(2 * 16800 / 1.5)
     assert level.peak_bps == 33600
     assert level.bytes_per_frame == pytest.approx(4200 / 15)
-    assert (level.psnr, level.ssim, level.delta_e) == tuple(pytest.approx(v) for v in (40, 0.9, 0.5))
+    measured = (level.psnr, level.worst, level.ssim, level.delta_e)
+    assert measured == tuple(pytest.approx(v) for v in (40, 38, 0.9, 0.5))
 
 
 def test_a_rung_counts_everything_a_viewer_fetches():

@@ -18,7 +18,7 @@ import numpy as np
 
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.package.parse import parse_manifest
 from airgs_codec.package.tables import JSON_NAME, MPD_NAME
 from airgs_codec.scene.gaussians import Gaussians
@@ -40,7 +40,7 @@ from tests.support.paths import INVALID, VALID
 from tests.support.scenes import write_sequence
 
 KEY_SIDECAR, KEY_PICTURE, STATE_SIDECAR = "key/T0/1.bin", "key/T0/Q0/1.m4s", "state/L0/1.bin"
-SETTINGS = EncodeSettings(calibrate="none", levels=((0.0, 1.0),))
+SETTINGS = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),))
 
 
 def frames(count: int, degree: int, length: int) -> list[Gaussians]:
@@ -56,7 +56,7 @@ def frames(count: int, degree: int, length: int) -> list[Gaussians]:
 
 
 PACKAGES = {
-    "moving": (frames(64, 0, 4), replace(SETTINGS, levels=((0.0, 1.0), (0.5, 2.0)))),
+    "moving": (frames(64, 0, 4), replace(SETTINGS, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))),
     "one-gaussian": (frames(1, 1, 1), replace(SETTINGS, key_factors=(1.0,))),
     "two-groups-sh1": (frames(40, 1, 5), replace(SETTINGS, group_frames=3, segment_s=0.07)),
 }

@@ -18,7 +18,7 @@ import numpy as np
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.decoder.decode import decode_key, decode_state
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX, GOLDEN
@@ -59,10 +59,13 @@ def main() -> None:
     source = open_sequence(FOX)
     fine = StepSettings(grid=0.00007)
     cases = {
-        "fox": (range(3, 7), EncodeSettings(calibrate="none", levels=((0.0, 1.0), (0.5, 2.0)))),
+        "fox": (
+            range(3, 7),
+            EncodeSettings(calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1))),
+        ),
         "fox-fine": (
             range(5, 8),
-            EncodeSettings(calibrate="none", levels=((0.0, 1.0),), key_factors=(1.0,), quality=0.1, steps=fine),
+            EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), key_factors=(1.0,), quality=0.1, steps=fine),
         ),
     }
     for name, (frames, settings) in cases.items():

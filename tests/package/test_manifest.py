@@ -92,10 +92,13 @@ def set_in(place, value):
     ("place", "value"),
     [
         (("segments", 0, "levels", 0, "psnr"), [1e300, 40.0]),
+        (("segments", 0, "levels", 0, "worst"), [30.0]),
         (("segments", 0, "levels", 0, "ssim"), []),
         (("segments", 0, "levels", 0, "delta_e"), []),
         (("segments", 0, "levels", 0, "delta_e"), [-0.1, 0.1]),
         (("segments", 0, "levels", 0, "number"), 2),
+        (("levels", 0, "quality"), 2),  # there are Q0 and Q1
+        (("region", "places", 0, "up"), [0, 0.0, -0.0]),
         (("groups", 0, "tiers", 0, "qualities", 0, "centres", 0), 2**31 - 1),
         (("segments", 0, "levels", 0, "frame_bytes"), [-1, 5]),
     ],
@@ -112,7 +115,8 @@ def test_claims_that_cannot_be_true_are_refused(place, value):
         (("sh_degree",), 4, "airgs.json.sh_degree: expected 0 to 3, got 4"),
         (("qualities", 1, "factor"), 0, "airgs.json.qualities[1].factor: expected 1e-06 to 1000000.0, got 0.0"),
         (("frame_rate",), [30], "airgs.json.frame_rate: expected 2 to 2 values, got 1"),
-        (("views", "source"), "guessed", "airgs.json.views.source: expected one of given, generated, got 'guessed'"),
+        (("region", "turn"), 181, "airgs.json.region.turn: expected 0 to 180, got 181.0"),
+        (("views", "reference"), "film", "airgs.json.views.reference: expected one of original, none, got 'film'"),
         (
             ("segments", 0, "levels", 0, "ssim", 1),
             1.5,

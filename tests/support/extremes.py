@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import AirgsError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.validate import validate
@@ -24,7 +24,7 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import random_gaussians, write_sequence
 
-PLAIN = EncodeSettings(calibrate="none", measure_frames=0, preset="ultrafast", keep_all=True, jobs=1)
+PLAIN = EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast", keep_all=True, jobs=1)
 Frames = list[Gaussians]
 TINY = float(np.finfo(np.float32).smallest_subnormal)
 
@@ -153,7 +153,7 @@ class Case:
     repaired: str = ""
 
 
-LEVELS = tuple((i / 64, 1 + i / 16) for i in range(64))
+LEVELS = tuple(LevelSettings(i / 64, 1 + i / 16) for i in range(64))
 CASES = [
     Case("scale ratios of 1e6", _stretched),
     Case("log-scales of -30", changed("log_scales", -30.0)),

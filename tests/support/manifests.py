@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package import tables as mf
+from tests.support.regions import region
 
 
 def missing(*paths: str) -> dict[str, FormatError]:
@@ -59,9 +60,10 @@ def tiny_manifest(
         sh_degree=0,
         key_gain=3.0,
         state_gain=6.0,
-        views=mf.Views("generated", 1, 1 if psnr else 0, 32, 32, "original" if psnr else "none"),
+        region=region(),
+        views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q) for q in range(qualities)],
-        levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers) for j in range(levels)],
+        levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
         key_pictures=[[picture] * qualities for _ in range(tiers)],
         state_pictures=[picture] * levels,
         groups=[
@@ -91,6 +93,7 @@ def tiny_manifest(
                         g + 1 if size else 0,
                         [size // (stop - start)] * (stop - start) if size else [],
                         list(psnr[j]) if psnr else [],
+                        [value - 2 for value in psnr[j]] if psnr else [],
                         [0.9] * qualities if psnr else [],
                         [0.5 + j] * qualities if psnr else [],
                     )

@@ -6,6 +6,7 @@ import pytest
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.analysis.usage import measure_usage
 from airgs_codec.encoder.survey import GroupSpan, survey_group
+from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.errors import SceneError
 from airgs_codec.render import measure_contribution
 from airgs_codec.scene.sequence import open_sequence
@@ -29,7 +30,8 @@ def test_usage_is_of_all_frames_and_the_encoder_takes_it(run):
     np.testing.assert_allclose(saved.total, measured.total)
     np.testing.assert_array_equal(saved.hits, measured.hits)
     assert saved.moved.min() >= 0 and saved.moved.max() > 0
-    assert survey_group(sequence, GroupSpan(0, start, stop), training).usage.total.tolist() == saved.total.tolist()
+    survey = survey_group(sequence, GroupSpan(0, start, stop), ViewPlan.of(sequence))
+    assert survey.usage.total.tolist() == saved.total.tolist()
     assert sequence.usage(0, 2) is None  # another group: measured anew
 
 

@@ -47,7 +47,7 @@ def _our_package(target_db: float, keep_all: bool, subject: Subject) -> Coded:
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "package"
-        settings = EncodeSettings(keep_all=keep_all, measure_frames=0)
+        settings = EncodeSettings(keep_all=keep_all, measure_pictures=0)
         report = encode(subject.sequence, path, settings, goal=Goal(PSNR, target_db))
         package = open_package(path)
         m = package.manifest

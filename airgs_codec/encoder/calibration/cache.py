@@ -15,8 +15,9 @@ import numpy as np
 from airgs_codec import __version__
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.calibration.calibrate import REVISION, Calibration
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import Survey, ViewSplit
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.survey import Survey
+from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.errors import AirgsError
 from airgs_codec.media.h264 import library_versions
 from airgs_codec.package.staging import write_file
@@ -30,19 +31,19 @@ def folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "airgs-codec" / "calibration"
 
 
-def digest(sequence: GaussianSequence, survey: Survey, views: ViewSplit, settings: EncodeSettings) -> str:
+def digest(sequence: GaussianSequence, survey: Survey, views: ViewPlan, settings: EncodeSettings) -> str:
     """SHA-256 of everything that a calibration depends on.
 
     That is every frame of the group, since the repair of one frame changes the rows of all, the usage that the trainer
-    left, the training views, the settings and the versions of the code.
+    left, the views that decide, the settings and the versions of the code.
     """
     h = hashlib.sha256()
-    choices = dataclasses.replace(settings, quality=1.0, calibrate="none", measure_frames=0, jobs=1)
+    choices = dataclasses.replace(settings, quality=1.0, calibrate="none", measure_pictures=0, jobs=1)
     versions = [__version__, REVISION, library_versions()]
-    words = [*versions, dataclasses.asdict(choices), str(sequence.fps), views.given, dataclasses.astuple(survey.span)]
+    words = [*versions, dataclasses.asdict(choices), str(sequence.fps), views.trusted, dataclasses.astuple(survey.span)]
     h.update(json.dumps(words, sort_keys=True).encode())
     usage = sequence.usage(survey.span.start, survey.span.stop)
-    for value in [*views.training, *([] if usage is None else [usage])]:
+    for value in [*views.deciding, *([] if usage is None else [usage])]:
         _update(h, value)
     for frame in range(survey.span.start, survey.span.stop):
         _update(h, sequence.read(frame))
@@ -62,7 +63,7 @@ def load(name: str) -> Calibration | None:
         data: dict[str, Any] = json.loads((folder() / f"{name}.json").read_text(encoding="utf-8"))
         steps = data.pop("steps")
         key, state = KeySteps(**steps.pop("key")), StateSteps(**steps.pop("state"))
-        levels = tuple((float(share), float(factor)) for share, factor in data.pop("levels"))
+        levels = tuple(LevelSettings(**level) for level in data.pop("levels"))
         tiers, factors = tuple(data.pop("tiers")), tuple(data.pop("key_factors"))
         return Calibration(
             steps=StepSettings(key=key, state=state, **steps), levels=levels, tiers=tiers, key_factors=factors, **data

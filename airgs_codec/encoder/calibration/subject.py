@@ -5,7 +5,6 @@ N rows of the group, n rows of the sample.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,8 +17,7 @@ from airgs_codec.encoder.calibration.sample import BLOCK_ROWS, CalibrationSample
 from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out, prune_rows
 from airgs_codec.encoder.rank import find_moving
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import Survey, ViewSplit
-from airgs_codec.render import Camera
+from airgs_codec.encoder.survey import Survey
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -34,18 +32,17 @@ class Subject:
 
     frames: list[Gaussians]  # all of the group, with all input rows
     layout: GroupLayout
-    cameras: Sequence[Camera]  # training views
     pruning: RowPruning
     settings: EncodeSettings
 
     @staticmethod
-    def of(sequence: GaussianSequence, survey: Survey, views: ViewSplit, settings: EncodeSettings) -> Subject:
+    def of(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Subject:
         """Lay out the group at `settings`."""
         loaded = sequence.load(range(survey.span.start, survey.span.stop))
-        pruning = prune_rows(loaded.frames, survey, views)
-        kept = keep_rows(loaded.frames, survey, views, settings, pruning)
+        pruning = prune_rows(loaded.frames, survey)
+        kept = keep_rows(loaded.frames, survey, settings, pruning)
         layout = lay_out(loaded, survey, kept, settings, sequence.fps)
-        return Subject(loaded.frames, layout, views.training, pruning, settings)
+        return Subject(loaded.frames, layout, pruning, settings)
 
     def canonical(self) -> Gaussians:
         """The canonical frame, N rows in file order."""

@@ -1,0 +1,94 @@
+"""Where a package may be looked at from: views drawn from its region, and whether a viewer is still inside.
+
+A region is a union of balls, one about each of P places, with a direction to look in at each of them (`tables.Region`).
+Cameras are as OpenCV has them; positions are in world units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.package.tables import Place, Region
+from airgs_codec.scene.camera import Camera, look_at
+
+Vector = NDArray[np.float64]
+
+
+def place_view(region: Region, place: Place, name: str = "place") -> Camera:
+    """What a viewer sees who stands at a place and looks where it says."""
+    return view_from(region, np.array(place.position), np.array(place.focus), np.array(place.up), name)
+
+
+def view_from(region: Region, position: Vector, target: Vector, up: Vector, name: str) -> Camera:
+    """A camera of the region's picture size and field of view at `position` (3,), looking at `target` (3,)."""
+    square = look_at(position, target, up, size=region.height, fov_y=float(np.radians(region.fov_y)), name=name)
+    return replace(square, width=region.width, cx=region.width / 2, near=region.near)
+
+
+def draw_views(region: Region, count: int, seed: int) -> list[Camera]:
+    """`count` views drawn from a region, the same ones for the same seed.
+
+    Places take turns in random order. About each, the distance to the place is drawn evenly between 0 and its reach,
+    the direction to it evenly over the sphere, and the view axis evenly over the disk of directions that are at most
+    `region.turn` degrees off the focus: viewers are more often near the places than at the rim.
+    """
+    rng = np.random.default_rng(seed)
+    order: list[int] = []
+    while len(order) < count:
+        order += [int(i) for i in rng.permutation(len(region.places))]
+    return [_draw(region, region.places[i], rng, f"draw{number:03d}") for number, i in enumerate(order[:count])]
+
+
+def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> Camera:
+    step = rng.normal(size=3)
+    position = np.array(place.position) + step / np.linalg.norm(step) * place.reach * rng.uniform()
+    ahead = np.array(place.focus) - position
+    distance = float(np.linalg.norm(ahead))
+    side = np.cross(ahead, rng.normal(size=3))
+    side *= distance / max(float(np.linalg.norm(side)), np.finfo(float).tiny)  # tiny: 0 / 0 where both are parallel
+    angle = np.radians(region.turn) * np.sqrt(rng.uniform())
+    target = position + np.cos(angle) * ahead + np.sin(angle) * side
+    return view_from(region, position, target, np.array(place.up), name)
+
+
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """How far a viewer is outside of a region; both are 0 inside."""
+
+    distance: float  # world units beyond the reach of the nearest place
+    degrees: float  # by which he looks further away from its focus than the region allows
+
+    @property
+    def inside(self) -> bool:
+        """Whether the viewer is inside."""
+        return self.distance == 0 and self.degrees == 0
+
+
+def departure(region: Region, camera: Camera) -> Departure:
+    """How far the viewer is outside, from the place for which it is least: distance first, then direction."""
+    position, forward = camera.position, camera.world_to_camera[2, :3]
+    return min(
+        (_departure(region, place, position, forward) for place in region.places),
+        key=lambda d: (d.distance, d.degrees),
+    )
+
+
+def _departure(region: Region, place: Place, position: Vector, forward: Vector) -> Departure:
+    slack = 1e-9 * (1 + float(np.abs(position).max()))  # a camera's position comes from its matrix, which rounds
+    away = float(np.linalg.norm(position - np.array(place.position))) - place.reach
+    ahead = np.array(place.focus) - position
+    length = float(np.linalg.norm(ahead))
+    cosine = float(ahead @ forward) / length if length > 0 else 1.0  # at the focus every direction is towards it
+    degrees = float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))) - region.turn
+    return Departure(away if away > slack else 0.0, degrees if degrees > 1e-4 else 0.0)
+
+
+def distances(places: Sequence[Place]) -> Vector:
+    """(P, P) world units between the positions of places."""
+    positions = np.array([place.position for place in places])
+    pairs: Vector = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    return pairs

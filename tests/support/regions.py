@@ -1,0 +1,15 @@
+"""Small viewing regions."""
+
+from __future__ import annotations
+
+from airgs_codec.package.tables import Place, Region
+
+
+def place(x: float, *, reach: float = 0.5) -> Place:
+    """At (x, 0, -4), looking along +z at what is four units away, with y down."""
+    return Place([x, 0.0, -4.0], [x, 0.0, 0.0], [0.0, -1.0, 0.0], reach)
+
+
+def region(*places: Place, turn: float = 10.0, source: str = "cameras") -> Region:
+    """Pictures of 32 x 24 pixels, 50 degrees high, from these places; from the one in the middle if none are given."""
+    return Region(source, 32, 24, 50.0, 0.01, turn, list(places) or [place(0.0)])
