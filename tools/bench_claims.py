@@ -3,51 +3,46 @@
     python -m tools.bench_claims SCENE[=VIEWS] ... [--targets default,36,40,43] [--single-rungs 0.5,1,2,4,8,16] -o FILE
 
 Each scene is encoded with `--target-psnr` for each target. For every rung the PSNR that the package claims stands
-beside that of fresh views over all frames, errors pooled as in a package, and that of the worst of these views.
-`--from` takes views from a file, its held-out ones if it has any. With `--single-rungs`, packages of one level are
-encoded at these quality factors, and each rung is compared with what its bytes buy on the curve of their top rungs.
+beside that of views drawn anew from its viewing region, over all frames, errors pooled as in a package; and the worst
+picture that it claims beside the worst view and the worst picture found. `--from` takes views from a file, its
+held-out ones if it has any. With `--single-rungs`, packages of one level are encoded at these quality factors, and
+each rung is compared with what its bytes buy on the curve of their top rungs.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
 import json
 import math
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from airgs_codec import EncodeSettings, encode, open_package, open_sequence
 from airgs_codec._report import table
 from airgs_codec.cli.common import run_command
 from airgs_codec.encoder.rate_target import PSNR, Goal
-from airgs_codec.encoder.settings import LevelSettings
+from airgs_codec.encoder.settings import DEFAULT_LEVELS
 from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.inspect.compare import compared_views, rung_streams
 from airgs_codec.inspect.summary import RungSummary, summarise
 from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.parse import read_region
+from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import Package
 from airgs_codec.render import Camera, read_cameras, render
-from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import GaussianSequence
 
 DEFAULT = "default"  # in place of a target: the encoder's own quality
 TARGETS = "36,40,43"  # dB
-NEIGHBOURS = 3  # a fresh view lies between a camera and one of so many nearest
-PLAIN: dict[type, Callable[[str], Any]] = {
-    bool: {"True": True, "False": False}.__getitem__,
-    int: int,
-    float: float,
-    str: str,
-}  # what --set can read
 HEAD = [
     "scene",
     "target",
@@ -56,9 +51,11 @@ HEAD = [
     "claimed",
     "measured",
     "off",
+    "claimed worst",
     "worst view",
     "worst picture",
     "to one rung",
+    "its media",
 ]
 
 
@@ -79,10 +76,13 @@ class Row:
     target: str  # dB, or DEFAULT
     rung: str
     kilobytes: float  # a frame, of everything a viewer fetches
+    manifests: float  # of these
     claimed: float | None  # dB; None: the package does not say
+    claimed_worst: float | None  # dB, of the worst picture; None likewise
     measured: Measured
     ladder: bool  # whether the package says that no mixture of two other rungs beats it
     single: float | None = None  # dB, of a package of its own with as many bytes; None: not known
+    single_media: float | None = None  # the same for as many bytes without manifests
 
     @property
     def off(self) -> float:
@@ -91,12 +91,12 @@ class Row:
 
     def cells(self) -> list[str]:
         """As a line of the table."""
-        claimed = "-" if self.claimed is None else f"{self.claimed:.2f}"
+        claimed, worst = ("-" if c is None else f"{c:.2f}" for c in (self.claimed, self.claimed_worst))
         m = self.measured
-        figures = [f"{m.mean:.2f}", f"{self.off:+.2f}", f"{m.worst_view:.2f}", f"{m.worst_picture:.2f}"]
-        single = "-" if self.single is None else f"{m.mean - self.single:+.2f}"
+        figures = [f"{m.mean:.2f}", f"{self.off:+.2f}", worst, f"{m.worst_view:.2f}", f"{m.worst_picture:.2f}"]
+        singles = ["-" if s is None else f"{m.mean - s:+.2f}" for s in (self.single, self.single_media)]
         mark = "*" if self.ladder else ""
-        return [self.scene, self.target, self.rung + mark, f"{self.kilobytes:.2f}", claimed, *figures, single]
+        return [self.scene, self.target, self.rung + mark, f"{self.kilobytes:.2f}", claimed, *figures, *singles]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,33 +110,18 @@ class Bench:
     views: tuple[Camera, ...]  # measured from, in place of fresh ones; empty: draw them
     folder: Path  # of the packages
 
-    def looks(self, sequence: GaussianSequence) -> list[Camera]:
-        """The cameras that quality is measured from."""
-        return list(self.views) or fresh_views(sequence, self.draws, self.seed)
+    def encode(self, sequence: GaussianSequence, name: str, settings: EncodeSettings, goal: Goal | None) -> Package:
+        """The package of a scene. Raises ConfigError for a goal out of reach."""
+        folder = self.folder / f"{name}.airgs"
+        encode(sequence, folder, settings, goal=goal)
+        return open_package(folder)
 
-
-def fresh_views(sequence: GaussianSequence, count: int, seed: int) -> list[Camera]:
-    """`count` views between cameras of the scene, of which no encoder knows; round the orbit where it has none."""
-    rng = np.random.default_rng(seed)
-    cameras = list(sequence.cameras) or orbit_views(sequence.read(len(sequence) // 2))
-    places = np.stack([camera.position for camera in cameras])
-    views = []
-    for number in range(count):
-        first = int(rng.integers(len(cameras)))
-        near = np.argsort(np.linalg.norm(places - places[first], axis=1), kind="stable")[1 : NEIGHBOURS + 1]
-        second = int(rng.choice(near)) if len(near) else first
-        view = between(cameras[first], cameras[second], float(rng.uniform()))
-        views.append(replace(view, name=f"fresh{number:02d}"))
-    return views
-
-
-def between(a: Camera, b: Camera, share: float) -> Camera:
-    """`a` moved and turned by `share` of the way to `b`."""
-    ends = Rotation.from_matrix(np.stack([c.world_to_camera[:3, :3] for c in (a, b)]))
-    matrix = np.eye(4)
-    matrix[:3, :3] = Slerp([0, 1], ends)(share).as_matrix()
-    matrix[:3, 3] = -matrix[:3, :3] @ ((1 - share) * a.position + share * b.position)
-    return replace(a, world_to_camera=matrix)
+    def looks(self, package: Package) -> list[Camera]:
+        """The cameras that quality is measured from. Raises ConfigError where every view of a region is one camera."""
+        region = package.manifest.region
+        if not self.views and region.turn == 0 and all(place.reach == 0 for place in region.places):
+            raise ConfigError("expected --from FILE: the viewing region has no views but those that decisions used")
+        return list(self.views) or draw_views(region, self.draws, self.seed)
 
 
 def measure(package: Package, sequence: GaussianSequence, cameras: Sequence[Camera], most: int) -> dict[str, Measured]:
@@ -163,8 +148,12 @@ def pooled(errors: NDArray[np.float64]) -> Measured:
 def rows_of(scene: str, target: str, package: Package, found: dict[str, Measured]) -> list[Row]:
     """The rungs of a package by falling bytes."""
     rungs = summarise(package.manifest, package.manifest_bytes).rungs
-    by_size = sorted(rungs, key=lambda rung: -rung.bytes_per_frame)
-    return [Row(scene, target, _name(r), r.bytes_per_frame / 1e3, r.psnr, found[_name(r)], r.best) for r in by_size]
+    manifests = package.manifest_bytes / package.manifest.frames / 1e3
+    rows = []
+    for r in sorted(rungs, key=lambda rung: -rung.bytes_per_frame):
+        sizes = r.bytes_per_frame / 1e3, manifests
+        rows.append(Row(scene, target, _name(r), *sizes, r.psnr, r.worst, found[_name(r)], r.best))
+    return rows
 
 
 def _name(rung: RungSummary) -> str:
@@ -176,12 +165,10 @@ def bench_package(
 ) -> list[Row]:
     """Encode and measure one package, named for its scene and `target`. Raises ConfigError for a goal out of reach."""
     scene = sequence.folder.resolve().name
-    folder = bench.folder / f"{scene}-{target}.airgs"
     began = time.perf_counter()
-    encode(sequence, folder, settings, goal=goal)
+    package = bench.encode(sequence, f"{scene}-{target}", settings, goal)
     encoded = time.perf_counter()
-    package = open_package(folder)
-    found = measure(package, sequence, bench.looks(sequence), bench.frames)
+    found = measure(package, sequence, bench.looks(package), bench.frames)
     seconds = f"{encoded - began:.0f} s to encode, {time.perf_counter() - encoded:.0f} s to measure"
     print(f"{scene} {target}: {seconds}", file=sys.stderr, flush=True)
     return rows_of(scene, target, package, found)
@@ -191,7 +178,7 @@ def bench_scene(
     bench: Bench, sequence: GaussianSequence, targets: Sequence[str], factors: Sequence[float]
 ) -> Iterator[Row]:
     """All rungs at all targets; a target that the encoder refuses is a line on stderr."""
-    alone = replace(bench.settings, calibrate="steps", levels=(LevelSettings(0.0),), tiers=(1.0,))
+    alone = replace(bench.settings, calibrate="steps", levels=DEFAULT_LEVELS[:1], tiers=(1.0,))
     curve = [bench_package(bench, sequence, f"x{f:g}", replace(alone, quality=f))[0] for f in factors]
     for target in targets:
         goal = None if target == DEFAULT else Goal(PSNR, float(target))
@@ -200,17 +187,25 @@ def bench_scene(
         except AirgsError as error:
             print(f"{sequence.folder.name} {target}: {error}", file=sys.stderr, flush=True)
             continue
-        yield from (replace(row, single=bought(curve, row.kilobytes)) for row in rows)
+        yield from (with_single(row, curve) for row in rows)
     yield from curve
 
 
-def bought(curve: Sequence[Row], kilobytes: float) -> float | None:
-    """PSNR that packages of one rung have at a size, linear in its logarithm; None outside the sizes of the curve."""
-    points = sorted((row.kilobytes, row.measured.mean) for row in curve)
-    if not points or not points[0][0] <= kilobytes <= points[-1][0]:
+def with_single(row: Row, curve: Sequence[Row]) -> Row:
+    """The row with what its bytes, and its bytes without manifests, buy on a curve of packages of one rung."""
+    whole = [(one.kilobytes, one.measured.mean) for one in curve]
+    media = [(one.kilobytes - one.manifests, one.measured.mean) for one in curve]
+    single, single_media = bought(whole, row.kilobytes), bought(media, row.kilobytes - row.manifests)
+    return replace(row, single=single, single_media=single_media)
+
+
+def bought(curve: Sequence[tuple[float, float]], size: float) -> float | None:
+    """PSNR at a size on a curve of (size, PSNR), linear in the logarithm of sizes; None outside the curve."""
+    points = sorted(curve)
+    if not points or not points[0][0] <= size <= points[-1][0]:
         return None
     sizes, qualities = np.array(points).T
-    return round(float(np.interp(np.log(kilobytes), np.log(sizes), qualities)), 3)
+    return round(float(np.interp(np.log(size), np.log(sizes), qualities)), 3)
 
 
 def verdict(rows: Sequence[Row]) -> Iterator[str]:
@@ -262,10 +257,11 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         metavar="FACTORS",
         help="quality factors of packages of one rung",
     )
-    parser.add_argument("--draws", type=int, default=12, help="fresh views of a scene (default: 12)")
+    parser.add_argument("--draws", type=int, default=24, help="views that are drawn (default: 24)")
     parser.add_argument("--seed", type=int, default=1000, help="of their draw (default: 1000)")
     parser.add_argument("--frames", type=int, default=1000, help="most frames measured, evenly spaced (default: 1000)")
     parser.add_argument("--from", dest="views", type=Path, metavar="FILE", help="cameras to measure from instead")
+    parser.add_argument("--region", type=Path, metavar="FILE", help="as airgs-encode has it")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a field of EncodeSettings")
     parser.add_argument("--packages", type=Path, metavar="DIR", help="keep the packages here")
     parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="write every rung as JSON")
@@ -273,23 +269,32 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def with_fields(settings: EncodeSettings, assignments: Sequence[str]) -> EncodeSettings:
-    """Settings with plain fields set from text such as group_frames=50, of the types they have. Raises ConfigError."""
+    """Settings with fields set from text such as group_frames=50, of the types they have. Raises ConfigError."""
+    kinds = {field.name: str(field.type) for field in fields(settings)}
     for assignment in assignments:
         name, _, text = assignment.partition("=")
-        kind = type(getattr(settings, name, None))
-        if kind not in PLAIN:
-            raise ConfigError(f"--set: expected NAME=VALUE with a plain field of EncodeSettings, got {assignment!r}")
-        try:
-            settings = replace(settings, **{name: PLAIN[kind](text)})
-        except (ValueError, KeyError) as error:
-            raise ConfigError(f"--set {name}: expected {kind.__name__}, got {text!r}") from error
+        value = read_value(text)
+        kind = kinds.get(name, "nothing: there is no such field")
+        if type(value).__name__ not in kind:
+            raise ConfigError(f"--set {name}: expected {kind}, got {text!r}")
+        settings = replace(settings, **{name: value})
     return settings
+
+
+def read_value(text: str) -> Any:
+    """A Python literal; other text is itself."""
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
 
 
 def run(args: argparse.Namespace, folder: Path) -> int:
     """Encode into `folder`, measure, print and write."""
     views = tuple(compared_views(read_cameras(args.views), None)) if args.views else ()
-    bench = Bench(with_fields(EncodeSettings(), args.set), args.draws, args.seed, args.frames, views, folder)
+    region = read_region(args.region) if args.region else None
+    settings = replace(with_fields(EncodeSettings(), args.set), region=region)
+    bench = Bench(settings, args.draws, args.seed, args.frames, views, folder)
     rows: list[Row] = []
     for spec in args.scenes:
         scene, _, cameras = spec.partition("=")

@@ -143,13 +143,6 @@ def temporal_cameras(size: int = 96) -> list[Camera]:
     return train + [replace(camera_at(a, r, f"test{i}", size), split="test") for i, (a, r) in enumerate(between)]
 
 
-def unseen_cameras(count: int, seed: int = 0, size: int = 96) -> list[Camera]:
-    """Cameras between those of `temporal_cameras`, of which an encoder knows nothing."""
-    rng = np.random.default_rng(seed)
-    angles = [[rng.uniform(low, high) for low, high in LOOK_FROM] for _ in range(count)]
-    return [camera_at(a, r, f"unseen{i}", size) for i, (a, r) in enumerate(angles)]
-
-
 def transforms(cameras: Sequence[Camera]) -> dict[str, object]:
     """Cameras as a nerfstudio transforms.json has them."""
     entries = []

@@ -10,33 +10,35 @@ from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import compare_streams, rung_streams
 from airgs_codec.media.metrics import psnr
+from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.temporal import write_temporal
 from tools.bench_claims import (
+    Bench,
     Measured,
     Row,
     bought,
-    fresh_views,
     is_beaten,
     main,
     measure,
     pooled,
     verdict,
     with_fields,
+    with_single,
 )
 
 FOUND = Measured(40.0, 38.0, 35.0)
 
 
 def row(kilobytes, found, claimed=40.0, ladder=True, single=None):
-    return Row("fox", "40", f"{kilobytes:g}", kilobytes, claimed, replace(FOUND, mean=found), ladder, single)
+    return Row("fox", "40", f"{kilobytes:g}", kilobytes, 0.5, claimed, 33.0, replace(FOUND, mean=found), ladder, single)
 
 
 def test_it_measures_what_the_comparison_does(demo_package):
     package, sequence = open_package(demo_package), open_sequence(FOX)
-    cameras = fresh_views(sequence, 2, seed=3)
+    cameras = draw_views(package.manifest.region, 2, seed=3)
     found = measure(package, sequence, cameras, most=4)
     frames = range(0, 10, 3)
     compared = compare_streams(rung_streams(package, frames), sequence, frames, cameras)
@@ -49,23 +51,17 @@ def test_the_worst_view_pools_its_frames():
     assert pooled(errors) == Measured(*(round(psnr(e), 3) for e in (1.05e-3, 2e-3, 3e-3)))
 
 
-def test_fresh_views_are_none_of_the_cameras_and_lie_between_them():
-    sequence = open_sequence(FOX)
-    views = fresh_views(sequence, 8, seed=1)
-    places = np.stack([c.position for c in sequence.cameras])
-    for view in views:
-        assert np.linalg.norm(places - view.position, axis=1).min() > 0
-        assert (view.position >= places.min(axis=0)).all() and (view.position <= places.max(axis=0)).all()
-        np.testing.assert_allclose(np.linalg.det(view.world_to_camera), 1)
-    again, other = (fresh_views(sequence, 8, seed)[0].position for seed in (1, 2))
-    assert (again == views[0].position).all() and (other != again).any()
-
-
 def test_a_size_buys_what_lies_between_its_neighbours():
-    curve = [row(4.0, 36.0), row(1.0, 30.0), row(2.0, 34.0)]
+    curve = [(4.0, 36.0), (1.0, 30.0), (2.0, 34.0)]
     assert bought(curve, 2.0) == 34.0
     assert bought(curve, 2 * np.sqrt(2)) == pytest.approx(35.0)
     assert bought(curve, 4.1) is None and bought(curve, 0.9) is None and bought([], 1.0) is None
+
+
+def test_larger_manifests_are_no_loss_of_the_media():
+    curve = [replace(row(4.0, 36.0), manifests=0.0), replace(row(1.0, 30.0), manifests=0.0)]
+    compared = with_single(replace(row(3.0, 32.0), manifests=1.0), curve)
+    assert compared.single_media == pytest.approx(33.0) and compared.single > 33.0
 
 
 def test_the_verdict_names_the_largest_error_and_what_is_beaten():
@@ -79,14 +75,14 @@ def test_the_verdict_names_the_largest_error_and_what_is_beaten():
 def test_settings_are_read_as_what_they_are():
     read = with_fields(EncodeSettings(), ["group_frames=7", "keep_all=True", "preset=medium", "segment_s=0.5"])
     assert (read.group_frames, read.keep_all, read.preset, read.segment_s) == (7, True, "medium", 0.5)
-    for wrong in ("levels=3", "nothing=3", "group_frames=x", "keep_all=yes", "group_frames=0"):
+    for wrong in ("levels=3", "nothing=3", "group_frames=x", "keep_all=yes", "group_frames=0", "segment_s"):
         with pytest.raises(ConfigError):
             with_fields(EncodeSettings(), [wrong])
 
 
 def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):
     scene = write_temporal(tmp_path / "clip", count=120, frames=3, size=24)
-    words = [str(scene), "--targets", "99.9,default", "--single-rungs", "0.2,8", "--draws", "2"]
+    words = [str(scene), "--targets", "99.9,default", "--single-rungs", "0.2,8", "--draws", "2", "--set", "margin=0.1"]
     words += ["--set", "preset=ultrafast", "--set", "jobs=1", "--packages", str(tmp_path / "kept")]
     assert main([*words, "-o", str(tmp_path / "claims.json")]) == 0
     printed = capsys.readouterr()
@@ -96,8 +92,19 @@ def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):
     top, last = rows[0], rows[-1]
     manifest = open_package(tmp_path / "kept" / "clip-default.airgs").manifest
     assert top["claimed"] == pytest.approx(manifest.segments[0].levels[0].psnr[0], abs=1e-3)
+    assert top["claimed_worst"] == manifest.segments[0].levels[0].worst[0]
     assert top["off"] == pytest.approx(top["measured"]["mean"] - top["claimed"], abs=1e-3)
     assert last["target"] == "x8" and rows[-2]["kilobytes"] > last["kilobytes"]
+
+
+def test_a_region_without_other_views_needs_cameras(demo_package):
+    package = open_package(demo_package)
+    region = package.manifest.region
+    point = replace(region, turn=0.0, places=[replace(place, reach=0.0) for place in region.places])
+    bench = Bench(EncodeSettings(), 3, 1000, 10, (), demo_package)
+    assert len(bench.looks(package)) == 3
+    with pytest.raises(ConfigError, match="--from"):
+        bench.looks(replace(package, manifest=replace(package.manifest, region=point)))
 
 
 def test_a_scene_that_is_not_there_is_one_line(capsys):
