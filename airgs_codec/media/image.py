@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -73,6 +74,23 @@ def label(rgb: NDArray[np.uint8], text: str, line: int = 0) -> NDArray[np.uint8]
     out[top : top + 18] //= 3
     cv2.putText(out, text, (5, top + 13), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
     return out
+
+
+def contact_sheet(
+    pictures: Sequence[NDArray[np.uint8]], captions: Sequence[str], columns: int = 4
+) -> NDArray[np.uint8]:
+    """Pictures (H, W, 3) of one size, 8-bit RGB, each under its caption, `columns` beside each other on black.
+
+    Captions may have several lines. Raises ValueError without a picture, or where their sizes or numbers differ.
+    """
+    tiles = []
+    for picture, caption in zip(pictures, captions, strict=True):
+        for line, text in enumerate(caption.splitlines()):
+            picture = label(picture, text, line)
+        tiles.append(picture)
+    black = np.zeros_like(tiles[0]) if tiles else np.zeros(0, np.uint8)
+    tiles += [black] * (-len(tiles) % columns)
+    return np.concatenate([np.concatenate(tiles[i : i + columns], axis=1) for i in range(0, len(tiles), columns)])
 
 
 def blur(picture: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:

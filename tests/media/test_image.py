@@ -8,6 +8,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.media.image import (
     Lens,
     box_mean,
+    contact_sheet,
     fit_lens,
     label,
     match_features,
@@ -24,6 +25,16 @@ from airgs_codec.media.image import (
 
 def noise(height=48, width=64, seed=0):
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)
+
+
+def test_a_contact_sheet_has_a_captioned_tile_for_each_picture():
+    pictures = [np.full((60, 80, 3), value, np.uint8) for value in (50, 100, 150)]
+    sheet = contact_sheet(pictures, ["a", "b\nsecond line", "c"], columns=2)
+    assert sheet.shape == (120, 160, 3)
+    assert (sheet[50, [0, 80]] == [[50] * 3, [100] * 3]).all() and (sheet[110, [0, 159]] == [[150] * 3, [0] * 3]).all()
+    assert sheet[30, 90].max() < 100, "the second line is darkened, too"
+    with pytest.raises(ValueError):
+        contact_sheet(pictures, ["a"])
 
 
 def test_pictures_come_back_as_they_were(tmp_path):
