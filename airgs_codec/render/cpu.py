@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -193,6 +194,17 @@ def _contribution(p: Projected, pairs: Floats, column: int) -> Contribution:
     with _LOCK:
         kernels.sum_statistics(*p.summed, pairs, column, sums)
     return Contribution(sums[:, 0], sums[:, 1], sums[:, 2].astype(np.int64))
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Kernels run on one thread inside: on small pictures threads wait for each other longer than they work."""
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(threads)
 
 
 def view_arguments(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

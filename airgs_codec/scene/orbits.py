@@ -1,4 +1,4 @@
-"""Cameras on a ring around a scene that comes without any, and paths through cameras."""
+"""Cameras all around a scene that comes without any, and paths through cameras."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ ELEVATIONS = np.radians([10.0, 35.0])  # above the horizon; neighbouring cameras
 COVERED_OPACITY = 0.9  # of the scene lies within the ring's view
 MARGIN = 1.15  # around what the ring sees
 LEAST_SHARE = 1e-6
+GOLDEN_ANGLE = np.pi * (3 - 5**0.5)  # radians; successive turns by it spread evenly over a sphere (Vogel 1979)
 
 
 def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256) -> list[Camera]:
@@ -25,17 +26,40 @@ def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256) -> list[C
     They look at the opacity-weighted median of the means, from far enough away to see 90 % of the opacity. Rows that
     are not finite are passed over.
     """
+    turns = 2 * np.pi * np.arange(count) / max(count, 1)
+    rises = np.resize(ELEVATIONS, count)
+    sides = np.stack([np.cos(turns) * np.cos(rises), np.sin(rises), np.sin(turns) * np.cos(rises)], axis=1)
+    return _views_from(gaussians, sides, np.array([0.0, 1.0, 0.0]), size)
+
+
+def dome_views(
+    gaussians: Gaussians, count: int, size: int, up: NDArray[np.float64], lowest: float = -np.pi / 2
+) -> list[Camera]:
+    """`count` square cameras of `size` pixels, all around the scene or over a dome that is upright along `up` (3,).
+
+    None is lower than `lowest`, in radians above the horizon. Else they are as those of `orbit_views`.
+    """
+    axes = np.linalg.svd(np.asarray(up, np.float64)[:, None])[0]  # the first is `up` or its opposite
+    rises, right, ahead = spiral(count, float(np.sin(lowest))).T
+    sides = np.outer(rises, up / np.linalg.norm(up)) + np.outer(right, axes[:, 1]) + np.outer(ahead, axes[:, 2])
+    return _views_from(gaussians, sides, up, size)
+
+
+def spiral(count: int, lowest: float = -1.0) -> NDArray[np.float64]:
+    """(count, 3) directions of length 1, evenly over the sphere whose first coordinate is at least `lowest`."""
+    rises = 1 - (1 - lowest) * (np.arange(count) + 0.5) / max(count, 1)
+    turns, across = GOLDEN_ANGLE * np.arange(count), np.sqrt(1 - rises**2)
+    return np.stack([rises, across * np.cos(turns), across * np.sin(turns)], axis=1)
+
+
+def _views_from(gaussians: Gaussians, sides: NDArray[np.float64], up: NDArray[np.float64], size: int) -> list[Camera]:
+    """Cameras that look at the scene from (C, 3) sides of it, unit length, far enough away to see most of it."""
     centre, radius = _extent(gaussians)
     away = MARGIN * radius / np.tan(FIELD_OF_VIEW / 2)
-    up = np.array([0.0, 1.0, 0.0])
-    cameras = []
-    for i in range(count):
-        turn, rise = 2 * np.pi * i / count, ELEVATIONS[i % len(ELEVATIONS)]
-        offset = np.array([np.cos(turn) * np.cos(rise), np.sin(rise), np.sin(turn) * np.cos(rise)])
-        cameras.append(
-            look_at(centre + away * offset, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=f"orbit{i:02d}")
-        )
-    return cameras
+    return [
+        look_at(centre + away * side, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=f"orbit{i:02d}")
+        for i, side in enumerate(sides)
+    ]
 
 
 def _extent(gaussians: Gaussians) -> tuple[NDArray[np.float64], float]:

@@ -1,0 +1,117 @@
+"""Where a scene that comes without cameras is meant to be seen from.
+
+Three answers. An object whose surroundings are empty is seen from all sides, or from above the floor it stands on. A
+filmed place is seen from where pictures of it look like pictures (`viewpoint_score`), which a search finds. Where
+neither is clear, the answer says so, and its cameras are the best guesses and views from all sides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from airgs_codec.analysis.floor import find_floor
+from airgs_codec.analysis.viewpoint_score import Sample
+from airgs_codec.analysis.viewpoint_search import UP, Pose, Search, best_apart, gaps, judge, spread
+from airgs_codec.errors import SceneError
+from airgs_codec.render import Camera
+from airgs_codec.render.cpu import one_thread
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.orbits import dome_views, orbit_views
+from airgs_codec.scene.repair import repair
+
+SIZE = 256  # pixels of the cameras
+COUNT = 12  # cameras
+GUESSES = 8  # cameras of either kind where nothing is sure; the fewest where it is
+SIDES, SIDE_SIZE, SIDE_ROWS = 12, 48, 8000  # views, pixels and rows that tell an object from a place
+OBJECT = 0.6  # solidity of three in four sides of an object; filmed places have up to 0.5, objects from 0.7
+LOWEST = np.radians(5)  # of views of an object on a floor, above the horizon
+SCATTERED, KEPT, ROUNDS = 300, 40, 5  # poses tried at random, those looked at again, rounds about the best of them
+GOOD = 0.7  # of the best score
+APART = (0.35, 0.2, 0.1)  # of `gaps`, of the poses that cameras are chosen from: the first that leaves enough
+REGION = 1.5  # of `gaps`, at most, from one pose of a region to the next
+SURE = 0.05  # score; real captures have 0.1 to 0.2, broken ones up to 0.03
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundViews:
+    """Cameras that stand for all places from which a scene looks good."""
+
+    cameras: list[Camera]
+    scores: list[float]  # 0..1 for each camera: of `Look` for a place, solidity for an object, 0 of views all around
+    confident: bool  # whether viewers stay near these cameras; else they may be anywhere
+    story: str  # a line that says what was found, and how sure it is
+
+
+def find_viewpoints(frames: Sequence[Gaussians]) -> FoundViews:
+    """Find where some frames of a scene are meant to be seen from. The middle one decides, all of them judge.
+
+    8 to 16 square cameras; the same frames give the same cameras. Up is away from the floor under an object, else -y,
+    as structure from motion mostly leaves it. A frame need not be repaired; frames need not share rows.
+
+    Raises SceneError when a frame has no finite row.
+    """
+    usable = [repair([frame], "views").frames[0] for frame in frames]
+    middle = usable[len(usable) // 2]
+    try:
+        with one_thread():
+            return _object(middle) if _solidity(middle) >= OBJECT else _place(usable, middle)
+    except SceneError:
+        return FoundViews(orbit_views(middle), [0.0] * 8, False, "nothing can be seen: 8 views on an orbit")
+
+
+def _solidity(gaussians: Gaussians) -> float:
+    """Solidity that three in four views from all sides have. Raises SceneError when no row can be seen."""
+    sample = Sample.of(gaussians, SIDE_ROWS)
+    sides = [sample.solidity(camera) for camera in dome_views(gaussians, SIDES, SIDE_SIZE, UP)]
+    return float(np.quantile(sides, 0.25))
+
+
+def _object(gaussians: Gaussians) -> FoundViews:
+    up = find_floor(gaussians)
+    cameras = dome_views(gaussians, COUNT, SIZE, UP if up is None else up, -np.pi / 2 if up is None else LOWEST)
+    sample = Sample.of(gaussians, SIDE_ROWS)
+    scores = [sample.solidity(camera) for camera in cameras]
+    where = "all around it" if up is None else "all around it, above its floor"
+    return FoundViews(cameras, scores, True, f"an object in empty space: {COUNT} views {where}")
+
+
+def _place(frames: Sequence[Gaussians], middle: Gaussians) -> FoundViews:
+    search = Search(middle)
+    search.scatter(SCATTERED, KEPT)
+    search.refine(ROUNDS)
+    good = _good(search.poses, frames)
+    sure = good[0].look.score >= SURE
+    chosen = spread(good, COUNT if sure else GUESSES)
+    cameras = [pose.camera(f"found{i:02d}", SIZE) for i, pose in enumerate(chosen)]
+    scores = [pose.look.score for pose in chosen]
+    around = [] if sure else dome_views(middle, GUESSES, SIZE, UP)
+    return FoundViews(cameras + around, scores + [0.0] * len(around), sure, _tell(good, len(cameras), len(around)))
+
+
+def _good(poses: Sequence[Pose], frames: Sequence[Gaussians]) -> list[Pose]:
+    """Poses that all frames together find good, best first: as far apart as leaves enough of them.
+
+    Where none is good enough to be sure, the best few.
+    """
+    for apart in APART:
+        ranked = judge(best_apart(poses, KEPT, apart), frames)
+        good = [pose for pose in ranked if pose.look.score >= GOOD * ranked[0].look.score]
+        if len(good) >= GUESSES:
+            break
+    return good if good[0].look.score >= SURE else ranked[: 2 * GUESSES]
+
+
+def _tell(good: Sequence[Pose], found: int, around: int) -> str:
+    """What was found in one line."""
+    regions = connected_components(gaps(good) <= REGION)[0]
+    x, y, z = np.median([pose.position for pose in good], axis=0)
+    away = float(np.median([pose.look.distance for pose in good]))
+    score = f"score {good[0].look.score:.3f}, sure from {SURE}"
+    if around:
+        return f"no place looks as if it had been filmed from ({score}): {found} guesses and {around} views all around"
+    places = f"{regions} region{'s' if regions > 1 else ''} about ({x:.3g}, {y:.3g}, {z:.3g})"
+    return f"a filmed place: {found} views from {places}, {away:.3g} from what they see ({score})"

@@ -1,0 +1,94 @@
+"""Where scenes without cameras are seen from: objects from all sides, places from where they were filmed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.analysis.viewpoints import find_viewpoints
+from airgs_codec.errors import SceneError
+from airgs_codec.render import render
+from airgs_codec.scene.ply import read_ply
+from tests.support.paths import FOX
+from tests.support.places import ball, filmed_room, floor, needles
+from tests.support.scenes import random_gaussians
+from tests.support.views import joined
+
+
+def places_of(found):
+    return np.stack([camera.position for camera in found.cameras])
+
+
+def directions_of(found):
+    return np.stack([camera.world_to_camera[2, :3] for camera in found.cameras])
+
+
+def test_an_object_is_seen_from_all_sides():
+    found = find_viewpoints([ball()])
+    assert found.confident and "object" in found.story
+    sides = -directions_of(found)
+    anywhere = np.random.default_rng(0).normal(size=(200, 3))
+    anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
+    assert (anywhere @ sides.T).max(axis=1).min() > np.cos(np.radians(60))
+
+
+@pytest.mark.parametrize("up", [1, -1])
+def test_an_object_on_a_floor_is_seen_from_above_it(up):
+    found = find_viewpoints([joined(ball(), floor(-0.55 * up))])
+    assert found.confident and "floor" in found.story
+    assert (places_of(found)[:, 1] * up > -0.55).all()
+    assert all(camera.world_to_camera[1, 1] * up <= 0 for camera in found.cameras), "up is up in the pictures"
+
+
+def test_the_fox_is_seen_as_it_was_trained():
+    found = find_viewpoints([read_ply(path) for path in sorted(FOX.glob("*.ply"))[:2]])
+    assert found.confident and 8 <= len(found.cameras) <= 16
+    assert (places_of(found)[:, 1] > 0).all()
+
+
+@pytest.fixture(scope="module")
+def room():
+    return find_viewpoints([filmed_room()])
+
+
+def test_a_place_is_seen_from_where_it_was_filmed(room):
+    assert room.confident and 8 <= len(room.cameras) <= 16
+    assert (places_of(room)[:, 2] < 4).all() and (directions_of(room)[:, 2] > 0.5).all()
+    assert all(render(filmed_room(), camera).transmittance.mean() < 0.1 for camera in room.cameras)
+    assert min(room.scores) >= 0.5 * max(room.scores) > 0
+
+
+def test_where_nothing_is_clear_it_says_so_and_looks_from_everywhere():
+    found, again = (find_viewpoints([needles(800)]) for _ in range(2))
+    assert not found.confident and "no place" in found.story
+    around = [c for c in found.cameras if c.name.startswith("orbit")]
+    assert len(around) == 8 and len(found.cameras) == len(found.scores) == 16
+    np.testing.assert_array_equal(places_of(again), places_of(found))
+
+
+def test_broken_rows_are_passed_over():
+    g = ball()
+    means, quaternions = g.means.copy(), g.quaternions.copy()
+    means[:20], quaternions[20:40] = np.nan, 0
+    found = find_viewpoints([replace(g, means=means, quaternions=quaternions)])
+    assert found.confident and np.isfinite(places_of(found)).all()
+
+
+def test_a_scene_that_cannot_be_seen_has_views_all_the_same():
+    g = random_gaussians(10)
+    found = find_viewpoints([replace(g, opacity_logits=np.full(10, -20, np.float32))])
+    assert not found.confident and len(found.cameras) == len(found.scores) == 8
+
+
+def test_huge_numbers_do_not_confuse_it():
+    g = ball(300)
+    means, scales = g.means.copy(), g.log_scales.copy()
+    means[0], scales[1] = 1e30, 60
+    found = find_viewpoints([replace(g, means=means, log_scales=scales)])
+    assert all(np.isfinite(camera.world_to_camera).all() for camera in found.cameras)
+
+
+def test_a_frame_without_finite_rows_is_refused():
+    g = random_gaussians(4)
+    with pytest.raises(SceneError, match="finite"):
+        find_viewpoints([replace(g, means=np.full((4, 3), np.nan, np.float32))])
