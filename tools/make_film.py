@@ -3,8 +3,8 @@
     python -m tools.make_film [-o docs/session.gif]
 
 The scene is encoded at 12 frames a second, half its speed, so that a viewer of the film can follow it, and the measured
-rates of the LTE trace beside it are scaled so that the top rung does not always fit. The camera swings from one of the
-scene's test cameras towards another and back. H x W pixels; pictures are (H, W, 3) RGB of 8 bits.
+rates of the LTE trace beside it are scaled so that the top rung does not always fit. The viewer walks through the
+viewing region of the package. H x W pixels; pictures are (H, W, 3) RGB of 8 bits.
 """
 
 from __future__ import annotations
@@ -27,11 +27,10 @@ import airgs_codec as airgs
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.package.store import Package
 from airgs_codec.play.report.film import screen_frames
+from airgs_codec.play.report.viewer import Viewer
 from airgs_codec.play.session import SessionLog
 from airgs_codec.play.trace import Trace
 from airgs_codec.render import render
-from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.orbits import camera_path
 
 REPOSITORY = Path(__file__).parent.parent
 SCENE = REPOSITORY / "tests" / "data" / "fox"
@@ -39,39 +38,31 @@ FPS = 12
 LOOPS = 10  # of the ten frames: about eight seconds
 BUFFER_S = 1.5  # short, so that the choices follow the link
 OFFSET_S, SCALE = 278.0, 0.7  # of the trace: a stretch where the rate falls and comes back
-CAMERAS, SWING = ("cam16", "cam17"), 4  # the way towards the second one, as a part of the whole
 CROP = slice(40, 300)  # rows of the 320 that are shown
 COLOURS = 64  # of the palette
 
 
-def play(folder: Path) -> tuple[Package, SessionLog, Trace, list[Camera]]:
-    """Encode the scene into `folder`, play it over its trace, and choose a camera for every tick of the screen."""
+def play(folder: Path) -> tuple[Package, SessionLog, Trace]:
+    """Encode the scene into `folder` and play it over its trace."""
     sequence = airgs.open_sequence(SCENE, fps=Fraction(FPS))
     airgs.encode(sequence, folder / "fox.airgs")
     package = airgs.open_package(folder / "fox.airgs")
     trace = airgs.open_trace(SCENE / "trace.csv").cut(OFFSET_S, SCALE)
     log = airgs.simulate(package, trace, "robust-mpc", airgs.SessionSettings(buffer_s=BUFFER_S, loops=LOOPS))
-    return package, log, trace, swing(sequence.cameras, len(log.screen_ticks))
+    return package, log, trace
 
 
-def swing(cameras: Sequence[Camera], ticks: int) -> list[Camera]:
-    """A camera a tick: a part of the way from the first of CAMERAS towards the second, and back."""
-    ends = [next(c for c in cameras if c.name == name) for name in CAMERAS]
-    half = -(-ticks // 2)
-    there = camera_path(ends, SWING * half)[:half]
-    return (there + there[::-1])[:ticks]
-
-
-def screens(package: Package, log: SessionLog, cameras: Sequence[Camera]) -> Iterable[NDArray[np.uint8]]:
+def screens(package: Package, log: SessionLog, viewer: Viewer) -> Iterable[NDArray[np.uint8]]:
     """What is on the screen at every tick, with the name and the quality of its rung."""
     seen = [0] * len(log.shown)
-    for (gaussians, entry), camera in zip(screen_frames(package, log), cameras, strict=True):
+    for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
         shown = log.shown[entry]
         waits = seen[entry] == shown.frames
         seen[entry] += not waits
         assert gaussians is not None and shown.rung is not None, "nothing is lost on this link"
         text = "waiting for data" if waits else f"{log.catalogue.names[shown.rung]}   {shown.psnr:.1f} dB"
-        yield label(to_bytes(render(gaussians, camera).rgb)[CROP], text)
+        picture = label(to_bytes(render(gaussians, viewer.cameras[tick]).rgb)[CROP], text)
+        yield label(picture, viewer.caption(tick), 1) if viewer.caption(tick) else picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,8 +145,8 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=REPOSITORY / "docs" / "session.gif")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        package, log, trace, cameras = play(Path(folder))
-        shots = list(screens(package, log, cameras))
+        package, log, trace = play(Path(folder))
+        shots = list(screens(package, log, Viewer.of(log)))
     chart = draw_chart(log, trace, *shots[0].shape[:2])
     shares = np.linspace(0, 1, len(shots))
     pictures = [np.hstack([shot, chart.at(float(share))]) for shot, share in zip(shots, shares, strict=True)]

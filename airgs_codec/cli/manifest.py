@@ -6,15 +6,23 @@ import argparse
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec.cli.common import Bar, add_views, parse_range, run_command
-from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
-from airgs_codec.inspect.compare import compare_streams, compared_views, format_comparison, rung_streams
+from airgs_codec.inspect.compare import (
+    claimed_quality,
+    compare_streams,
+    compared_views,
+    format_comparison,
+    region_views,
+    rung_streams,
+    splits_of,
+)
 from airgs_codec.inspect.dense import measure_dense
 from airgs_codec.inspect.dense_report import dense_table, format_dense, plot_dense
 from airgs_codec.inspect.errors import format_errors, measure_errors
@@ -22,12 +30,13 @@ from airgs_codec.inspect.plot import plot_ladder
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.inspect.validate import exceeded, validate
+from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, checking_views
 from airgs_codec.package.store import Package, open_package
-from airgs_codec.package.tables import JSON_NAME
-from airgs_codec.render import Camera, read_cameras
-from airgs_codec.scene.camera import measured_views, training_views
+from airgs_codec.package.tables import JSON_NAME, Quality
+from airgs_codec.render import read_cameras
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.orbits import orbit_views
-from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from airgs_codec.scene.sequence import open_sequence
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -46,7 +55,7 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="picture of the ladder and of bytes over time")
     parser.add_argument("--ladder", action="store_true", help="measure the dense level space (minutes)")
     parser.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original, for --ladder (default: L0)")
-    add_views(parser, "cameras, for --ladder", "those of --against, or generated")
+    add_views(parser, "cameras, for --ladder", "those of --against, or drawn from the region")
 
 
 def _add_validate(parser: argparse.ArgumentParser) -> None:
@@ -62,8 +71,12 @@ def _add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--key-quality", help="of a package: one key quality, Q0, Q1, … or its number (default: all)")
     parser.add_argument("--frames", default=":", metavar="A:B", help="frames A to B - 1 (default: all)")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the frames (default: 1)")
-    add_views(parser, "cameras to compare from", "the original's, or generated")
-    parser.add_argument("--split", metavar="NAME", help="cameras of this split alone (default: test, or all without)")
+    add_views(parser, "cameras to compare from", "the original's")
+    parser.add_argument("--split", metavar="NAME", help="train, test or region alone (default: the last two, or all)")
+    draws = "views drawn from the package's region: the split region (default: %(default)s)"
+    parser.add_argument("--draws", type=int, default=8, metavar="N", help=draws)
+    seed = f"of the draws (default: %(default)s; the encoder used {DECIDING} and {MEASURING})"
+    parser.add_argument("--seed", type=int, default=CHECKING, help=seed)
     parser.add_argument("--json", action="store_true", help="the same as JSON")
 
 
@@ -103,10 +116,9 @@ def _ladder(package: Package, args: argparse.Namespace) -> int:
     if original is not None:
         _expect_frames(args.against, len(original), package.manifest.frames)
     cameras = read_cameras(args.views) if args.views else list(original.cameras) if original else []
-    cameras = cameras or orbit_views(decode(package, 0))
-    training = training_views(cameras)
+    training, measured = checking_views(package.manifest.region, cameras)
     bar = Bar(args.json)
-    levels = measure_dense(package, measured_views(cameras), training, original, os.cpu_count() or 1, bar)
+    levels = measure_dense(package, measured, training, original, os.cpu_count() or 1, bar)
     bar.close()
     if args.plot:
         plot_dense(levels, package.manifest.frames, args.plot)
@@ -134,36 +146,45 @@ def _validate(args: argparse.Namespace) -> int:
 
 def _compare(args: argparse.Namespace) -> int:
     original = open_sequence(args.original)
-    if args.every < 1:
-        raise ConfigError(f"--every: expected at least 1, got {args.every}")
+    for name, least in (("every", 1), ("draws", 0), ("seed", 0)):
+        if getattr(args, name) < least:
+            raise ConfigError(f"--{name}: expected at least {least}, got {getattr(args, name)}")
     frames = range(*parse_range(args.frames, len(original)), args.every)
+    cameras = list(read_cameras(args.views) if args.views else original.cameras)
+    claimed: dict[str, Quality | None] = {}
     if (args.decoded / JSON_NAME).is_file():
         package = open_package(args.decoded)
         _expect_frames(args.decoded, package.manifest.frames, len(original))
         streams = rung_streams(package, frames, args.level, args.key_quality)
+        claimed = claimed_quality(package.manifest, streams)
+        cameras += region_views(package.manifest.region, args.draws, args.seed)
     else:
-        if args.level or args.key_quality:
-            raise ConfigError(f"{args.decoded}: expected a package for --level and --key-quality")
-        decoded = open_sequence(args.decoded)
-        _expect_frames(args.decoded, len(decoded), len(original))
-        streams = {args.decoded.name: (decoded.read(number) for number in frames)}
-    cameras = compared_views(_cameras(args, original), args.split)
+        streams = _sequence_stream(args, frames, len(original))
+    cameras = compared_views(cameras or orbit_views(original.read(len(original) // 2)), args.split)
     bar = Bar(args.json)
-    qualities = compare_streams(streams, original, frames, cameras, bar)
+    splits = compare_streams(streams, original, frames, cameras, bar)
     bar.close()
     if args.json:
-        plain = {name: dataclasses.asdict(quality) for name, quality in qualities.items()}
-        print(json.dumps({"frames": list(frames), "views": len(cameras), "decoded": plain}))
+        quality = {"claimed": _plain(claimed), **{split: _plain(some) for split, some in splits.items()}}
+        print(json.dumps({"frames": list(frames), "views": splits_of(cameras), "quality": quality}))
     else:
-        print(f"{len(frames)} frames, {len(cameras)} views")
-        print(format_comparison(qualities))
+        views = ", ".join(f"{count} {split}" for split, count in splits_of(cameras).items())
+        print(f"{len(frames)} frames; views: {views}; PSNR of the error pooled over pictures, and of the worst picture")
+        print(format_comparison({"claimed": claimed, **splits} if claimed else splits))
     return 0
 
 
-def _cameras(args: argparse.Namespace, original: GaussianSequence) -> Sequence[Camera]:
-    if args.views:
-        return read_cameras(args.views)
-    return original.cameras or orbit_views(original.read(len(original) // 2))
+def _sequence_stream(args: argparse.Namespace, frames: range, count: int) -> dict[str, Iterator[Gaussians]]:
+    """The frames of a decoded sequence, which is expected to have `count` of them."""
+    if args.level or args.key_quality:
+        raise ConfigError(f"{args.decoded}: expected a package for --level and --key-quality")
+    decoded = open_sequence(args.decoded)
+    _expect_frames(args.decoded, len(decoded), count)
+    return {args.decoded.name: (decoded.read(number) for number in frames)}
+
+
+def _plain(qualities: Mapping[str, Quality | None]) -> dict[str, Any]:
+    return {name: quality and dataclasses.asdict(quality) for name, quality in qualities.items()}
 
 
 def _expect_frames(path: Path, got: int, expected: int) -> None:

@@ -13,26 +13,25 @@ from airgs_codec._files import to_json
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
 from airgs_codec.cli.common import Bar, add_views, run_command
-from airgs_codec.decoder.decode import decode
 from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
+from airgs_codec.package.region import checking_views
 from airgs_codec.package.store import Package, find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.closed_loop import ClosedLoopSettings, adaptive, closed_loop_table, run_closed_loop
 from airgs_codec.play.frame_mode import CHOOSERS, frame_table, simulate_frames
 from airgs_codec.play.link import DEFAULT_RTT_S, Link
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
-from airgs_codec.play.report.film import film, first_shown, still
-from airgs_codec.play.report.session import format_metrics, write_report
+from airgs_codec.play.report.film import film, still
+from airgs_codec.play.report.session import format_metrics, place_record, write_report
 from airgs_codec.play.report.study import format_study, frame_lines, write_study
+from airgs_codec.play.report.viewer import Viewer
 from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import ENDS, open_trace
-from airgs_codec.render import Camera, read_cameras
-from airgs_codec.scene.camera import measured_views, training_views
-from airgs_codec.scene.orbits import orbit_views
+from airgs_codec.render import read_cameras
 from airgs_codec.scene.sequence import open_sequence
 
 MODES = ("segments", "frames", "closed-loop")
@@ -65,7 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--seed", type=int, default=1)
     study.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     out = parser.add_argument_group("output")
-    add_views(out, "cameras to look from", "generated")
+    add_views(out, "cameras that the viewer goes by", "the viewing region")
     out.add_argument("--original", type=Path, metavar="SEQUENCE", help="shown beside the screen in --video")
     out.add_argument("--report", type=Path, metavar="DIR", help="write pictures and a page")
     out.add_argument("--video", type=Path, metavar="OUT.mp4", help="film what was on the screen")
@@ -134,32 +133,31 @@ def _session(package: Package, link: Link, args: argparse.Namespace) -> int:
     original = open_sequence(args.original) if args.original else None
     settings, faults = _settings(package, args), find_faults(package)
     log = simulate(package, link, args.policy, settings, faults)
-    cameras = _cameras(package, log, args) if args.report or args.video else []
-    if args.report:
+    viewer = _viewer(log, args) if args.report or args.video else None
+    if args.report and viewer:
         args.report.mkdir(parents=True, exist_ok=True)
-        write_png(args.report / "screen.png", still(package, log, cameras[0]))
-        write_report(log, args.report)
-    if args.video:
+        write_png(args.report / "screen.png", still(package, log, viewer.cameras[0]))
+        write_report(log, args.report, viewer)
+    if args.video and viewer:
         bar = Bar(args.json)
-        film(package, log, cameras, args.video, original, bar)
+        film(package, log, viewer, args.video, original, bar)
         bar.close()
-    print(to_json(dataclasses.asdict(log.metrics) | {"policy": log.policy}) if args.json else _as_words(log, args))
+    record = dataclasses.asdict(log.metrics) | {"policy": log.policy} | place_record(log, viewer)
+    print(to_json(record) if args.json else _as_words(log, viewer, args))
     return 0
 
 
-def _cameras(package: Package, log: SessionLog, args: argparse.Namespace) -> list[Camera]:
-    if args.views:
-        return measured_views(read_cameras(args.views))
-    shown = first_shown(package, log)
-    if shown is None:
+def _viewer(log: SessionLog, args: argparse.Namespace) -> Viewer:
+    cameras = read_cameras(args.views) if args.views else []
+    if all(shown.rung is None for shown in log.shown):
         raise ConfigError(f"{args.package}: nothing can be shown: {'; '.join(log.lost)}")
-    return orbit_views(shown, size=320)
+    return Viewer.of(log, cameras)
 
 
-def _as_words(log: SessionLog, args: argparse.Namespace) -> str:
+def _as_words(log: SessionLog, viewer: Viewer | None, args: argparse.Namespace) -> str:
     report = f"\n{'report':<22}{args.report / 'index.html'}" if args.report else ""
     film_line = f"\n{'film':<22}{args.video}" if args.video else ""
-    return format_metrics(log) + report + film_line
+    return format_metrics(log, viewer) + report + film_line
 
 
 def _frames(package: Package, link: Link, args: argparse.Namespace) -> int:
@@ -175,11 +173,11 @@ def _frames(package: Package, link: Link, args: argparse.Namespace) -> int:
 
 
 def _closed_loop(package: Package, link: Link, args: argparse.Namespace) -> int:
-    cameras = read_cameras(args.views) if args.views else orbit_views(decode(package, 0))
-    training = training_views(cameras)
+    cameras = read_cameras(args.views) if args.views else []
+    training, measured = checking_views(package.manifest.region, cameras)
     bar = Bar(args.json)
     loops = Catalogue(package.manifest).loops(args.loops)
-    settings = ClosedLoopSettings(training, measured_views(cameras), link, loops)
+    settings = ClosedLoopSettings(training, measured, link, loops)
     served = run_closed_loop(package, adaptive, settings, bar)
     bar.close()
     table = closed_loop_table(served)

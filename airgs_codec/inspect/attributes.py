@@ -18,7 +18,8 @@ def bytes_by_attribute(package: Package) -> dict[str, float]:
     """Bytes of the top rung (all key tiers in Q0, and L0) by attribute, the largest first.
 
     H.264 codes an atlas as a whole, so its bytes are shared out by zero-order entropy: of the samples in key pictures,
-    of their change from picture to picture in state segments. Key sidecars are canonical means. Raises FormatError.
+    of their change from picture to picture in state segments. Key sidecars are canonical means, and so are the 3 bits a
+    row that Q0 adds for every power of 2 by which its cells are finer than the coarsest. Raises FormatError.
     """
     out = dict.fromkeys(STATE.attributes, 0.0)
     for attribute, size in (*_of_keys(package), *_of_states(package)):
@@ -38,10 +39,11 @@ def _of_keys(package: Package) -> Iterator[tuple[str, float]]:
     for g, group in enumerate(m.groups):
         for t, tier in enumerate(group.tiers):
             if tier.number:
-                sidecar, media, escapes = m.key_files(g, t, 0)
-                yield "means", m.files[sidecar].bytes
+                sidecar, media, detail = m.key_files(g, t, 0)
+                fine = min(3 * m.qualities[-1].coarser * tier.count / 8, m.files[detail].bytes)
+                yield "means", m.files[sidecar].bytes + fine
                 samples = _samples(package, key_init_path(t, 0), media, tier.qualities[0])
-                yield from _shares(m.bytes_of([media, escapes]), tier.qualities[0], samples, KEY)
+                yield from _shares(m.bytes_of([media, detail]) - fine, tier.qualities[0], samples, KEY)
 
 
 def _of_states(package: Package) -> Iterator[tuple[str, float]]:
@@ -60,7 +62,7 @@ def _samples(package: Package, init: str, media: str, atlas: Atlas) -> Iterator[
 
 
 def _shares(
-    size: int, atlas: Atlas, samples: Iterator[NDArray[np.int16]], layout: Layout
+    size: float, atlas: Atlas, samples: Iterator[NDArray[np.int16]], layout: Layout
 ) -> Iterator[tuple[str, float]]:
     """`size` bytes shared out among the planes of an atlas, by the entropy of their changes."""
     entropy = np.zeros(len(atlas.planes))

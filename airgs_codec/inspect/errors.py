@@ -20,7 +20,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import STATIC, Group
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, mean_frame
 from airgs_codec.scene.sequence import GaussianSequence
 
 
@@ -47,7 +47,7 @@ def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Mea
         base = decode_canonical(package, index, 0)
         rows, sure = _match(package, index, group, base, frames)
         originals = [g.take(rows) for g in frames]
-        yield from _keys(package, index, group, base, originals[group.canonical - group.start], sure)
+        yield from _keys(package, index, group, base, mean_frame(originals), sure)
         yield from _states(package, index, base, originals, sure)
 
 
@@ -56,13 +56,13 @@ def _match(
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """(N,) nearest original of every row; (N,) False where more rows have it than there are such originals."""
     m = package.manifest
-    picks = sorted({0, group.canonical - group.start, len(frames) - 1})
+    picks = sorted({0, len(frames) // 2, len(frames) - 1})
     decoded = []
     for pick in picks:
         number = group.start + pick
         segment = m.segment_at(number)
         at = number - m.segments[segment].start
-        decoded += list(decode_segment(package, segment, base, 0, at, at + 1))
+        decoded += list(decode_segment(package, segment, base, 0, [at]))
     scale = float(np.median(base.motion_units)) * group.state_steps.means
     features = np.hstack([_features(frames[pick], group, scale) for pick in picks])
     _, rows = cKDTree(features).query(np.hstack([_features(g, group, scale) for g in decoded]), workers=-1)

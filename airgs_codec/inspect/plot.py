@@ -1,4 +1,7 @@
-"""A picture of a package: quality of its rungs over their bytes, and bytes over time. F frames of the sequence."""
+"""A picture of a package: quality of its rungs over their bytes, bytes over time, and its viewing region.
+
+F frames of the sequence.
+"""
 
 from __future__ import annotations
 
@@ -11,24 +14,28 @@ from numpy.typing import NDArray
 from airgs_codec._report import new_figure, save_figure
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.package.tables import Manifest
+from airgs_codec.play.report.region_map import draw_region
 
 
 def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
     """Write the picture in the format that the ending of `path` names. Raises ConfigError."""
-    figure = new_figure(11, 4.2)
-    rungs, time = figure.subplots(1, 2)
+    figure = new_figure(15, 4.2)
+    rungs, time, place = figure.subplots(1, 3, width_ratios=(3, 3, 2))
     _plot_rungs(rungs, m, manifest_bytes)
     _plot_bytes(time, m)
+    draw_region(place, m.region)
     save_figure(figure, path, dpi=110)
 
 
 def _plot_rungs(axes: Any, m: Manifest, manifest_bytes: int) -> None:
-    """A curve for each key quality."""
+    """A curve for each key quality, and a small mark for the worst picture of each rung."""
     rungs = [rung for rung in summarise(m, manifest_bytes).rungs if rung.psnr is not None]
     for q, quality in enumerate(m.qualities):
         points = [(r.bytes_per_frame / 1e3, r.psnr or 0.0, r.state) for r in rungs if r.key == quality.id]
         x, y = [point[0] for point in points], [point[1] for point in points]
         (line,) = axes.plot(x, y, "o-", label=f"key {quality.id} (steps x{quality.factor:g})")
+        worst = [r.worst for r in rungs if r.key == quality.id]
+        axes.plot(x, worst, "v:", ms=4, lw=0.8, color=line.get_color(), label=f"{quality.id}, the worst picture")
         for a, b, state in points:  # on either side, since curves cross
             offset, align = ((6.0, -9.0), "left") if q % 2 == 0 else ((-6.0, 4.0), "right")
             axes.annotate(

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.inspect.left_out import describe_left_out
 from airgs_codec.package.layout import STATE
+from airgs_codec.package.region_summary import RegionSummary
 from airgs_codec.package.tables import Manifest, Views, pooled_quality
 
 
@@ -23,7 +24,6 @@ class GroupSummary:
     """One group of frames."""
 
     frames: tuple[int, int]  # [start, stop)
-    canonical: int  # the frame that its keys hold
     gaussians: int  # rows written
     static: int  # rows that no level carries
     unused: int  # Gaussians that no view uses: not written
@@ -53,8 +53,8 @@ class LevelSummary:
     bytes_per_frame: float
     mean_bps: float
     peak_bps: float  # of its largest segment
-    psnr: float | None  # dB, of the error pooled over views and frames; None: not measured, as are the next three
-    worst: float | None  # dB, of the picture with the largest error
+    psnr: float | None  # dB, of the error pooled over pictures; None: not measured, as are the next three
+    worst: float | None  # dB, of the worst picture
     ssim: float | None
     delta_e: float | None  # CIEDE2000
     max_error: dict[str, float]  # the largest over groups, for each attribute in the units of its channels
@@ -68,8 +68,8 @@ class RungSummary:
     state: str
     bytes_per_frame: float
     mean_bps: float
-    psnr: float | None  # dB, of the error pooled over views and frames; None: not measured, as are the next three
-    worst: float | None  # dB, of the picture with the largest error
+    psnr: float | None  # dB, of the error pooled over pictures; None: not measured, as are the next three
+    worst: float | None  # dB, of the worst picture
     ssim: float | None
     delta_e: float | None  # CIEDE2000
     best: bool  # on the ladder, see `ladder`
@@ -84,6 +84,7 @@ class Summary:
     duration_s: float
     sh_degree: int
     package_bytes: int
+    region: RegionSummary
     views: Views
     groups: tuple[GroupSummary, ...]
     keys: tuple[KeySummary, ...]
@@ -92,6 +93,7 @@ class Summary:
     top_rung_bytes: dict[str, int]  # see `bytes_by_kind`
     left_out: tuple[str, ...]
     repairs: tuple[str, ...]
+    decisions: tuple[str, ...]
     attribution: str
 
     def to_json(self) -> dict[str, Any]:
@@ -108,6 +110,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
         duration_s=float(m.frames / m.fps),
         sh_degree=m.sh_degree,
         package_bytes=manifest_bytes + sum(f.bytes for f in m.files.values()),
+        region=RegionSummary.of(m.region),
         views=m.views,
         groups=tuple(_group(m, g) for g in range(len(m.groups))),
         keys=tuple(_key(m, t, q) for t in range(m.tier_count) for q in qualities),
@@ -116,6 +119,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
         top_rung_bytes=bytes_by_kind(m, 0, 0, manifest_bytes),
         left_out=tuple(describe_left_out(m)),
         repairs=tuple(m.repairs),
+        decisions=tuple(m.decisions),
         attribution=m.attribution,
     )
 
@@ -123,7 +127,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
 def _group(m: Manifest, index: int) -> GroupSummary:
     g = m.groups[index]
     segments = sum(s.group == index for s in m.segments)
-    return GroupSummary((g.start, g.stop), g.canonical, g.count, g.static, g.unused, segments, g.grid.bits)
+    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, segments, g.grid.bits)
 
 
 def _key(m: Manifest, tier: int, quality: int) -> KeySummary:
@@ -165,7 +169,7 @@ def _rung(m: Manifest, quality: int, level: int, manifest_bytes: int) -> RungSum
 
 def _quality(m: Manifest, level: int, quality: int) -> dict[str, Any]:
     measured = pooled_quality(m, level, quality)
-    return dataclasses.asdict(measured) if measured else {"psnr": None, "worst": None, "ssim": None, "delta_e": None}
+    return dataclasses.asdict(measured) if measured else dict.fromkeys(("psnr", "worst", "ssim", "delta_e"))
 
 
 def segment_rates(m: Manifest, level: int) -> NDArray[np.float64]:
@@ -210,7 +214,7 @@ def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) ->
     boxes = m.bytes_of([media for media, _ in states]) - pictures
     return {
         "key pictures": m.bytes_of([media for _, media, _ in keys]),
-        "key sidecars": m.bytes_of([path for sidecar, _, escapes in keys for path in (sidecar, escapes)]),
+        "key sidecars": m.bytes_of([path for sidecar, _, detail in keys for path in (sidecar, detail)]),
         "state pictures": pictures,
         "state sidecars": m.bytes_of([escapes for _, escapes in states]),
         "container": boxes + m.bytes_of(m.init_files(quality, level)),

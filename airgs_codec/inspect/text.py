@@ -28,7 +28,7 @@ def format_summary(s: Summary) -> str:
         "",
         *_keys(s),
         "",
-        "levels, without keys; PSNR, SSIM and ΔE (mean CIEDE2000) with every key in Q0:",
+        "levels, without keys; PSNR, that of the worst picture, SSIM and ΔE (mean CIEDE2000) with every key in Q0:",
         *_levels(s),
         "",
         "largest error of what a level carries (max_error), in the units of its channels:",
@@ -40,17 +40,21 @@ def format_summary(s: Summary) -> str:
         f"top rung, kB/frame: {', '.join(kinds)}",
         *(f"left out: {line}" for line in s.left_out),
         *(f"repaired: {line}" for line in s.repairs),
+        *(f"decided: {line}" for line in s.decisions),
     ]
     return "\n".join(lines + ([f"attribution: {s.attribution}"] if s.attribution else []))
 
 
 def _head(s: Summary) -> list[str]:
     v = s.views
-    measured = f"quality against the {v.reference} in {v.measured} pictures a segment, errors pooled for PSNR"
+    measured = f"quality against the {v.reference} over {v.measured} other pictures of each segment"
+    measured += ", errors pooled for PSNR"
     return [
         f"{s.frames} frames at {s.fps:g} fps ({s.duration_s:.2f} s), SH degree {s.sh_degree}, "
         f"{s.package_bytes / 1e6:.3f} MB in all ({_kilobytes(s.package_bytes / s.frames)} kB/frame)",
-        f"usage in {v.decided} pictures a group; "
+        f"viewing region {s.region.words}",
+        f"views of {s.region.views}",
+        f"decided on {v.decided} pictures of each group; "
         + (measured if v.reference != "none" else "quality was not measured"),
     ]
 

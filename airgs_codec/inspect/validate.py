@@ -141,7 +141,7 @@ def _decode_state(package: Package, index: int, level: int, base: Canonical) -> 
     length = segment.stop - segment.start
     if files:
         with np.errstate(all="ignore"):
-            for frame in decode_segment(package, index, base, level, 0, length):
+            for frame in decode_segment(package, index, base, level, range(length)):
                 _expect_finite(frame, files[0])
         _expect_pictures(package, state_init_path(level), files[0], length)
 

@@ -6,7 +6,6 @@ another, as on the simulated link. What arrives is checked against the tables be
 
 from __future__ import annotations
 
-import hashlib
 import math
 import select
 import socket
@@ -19,7 +18,7 @@ from urllib.parse import quote, urlsplit
 from airgs_codec.errors import ConfigError, FormatError, TransportError
 from airgs_codec.package.parse import parse_manifest
 from airgs_codec.package.store import MAX_JSON_BYTES
-from airgs_codec.package.tables import JSON_NAME
+from airgs_codec.package.tables import JSON_NAME, digest
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import CHECK_S, GiveUp, Partial
 from airgs_codec.play.events import Arrival, Request
@@ -188,6 +187,6 @@ class HttpDownloader:
         entry = self._catalogue.manifest.files[path]
         if response.length != entry.bytes:
             return FormatError("size_mismatch", path, f"expected {entry.bytes} bytes, got {response.length}")
-        if hashlib.sha256(response.body).hexdigest() != entry.sha256:
+        if digest(response.body) != entry.sha256:
             return FormatError("hash_mismatch", path, "the SHA-256 differs from the one in airgs.json")
         return None

@@ -5,11 +5,10 @@ from dataclasses import replace
 import pytest
 
 from airgs_codec.cli.manifest import main as manifest_main
-from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.dense import DROP, HOLD, MEASURED, measure_dense, pruning_levels, saving_levels, split_at_cliff
+from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import open_package
-from airgs_codec.scene.orbits import orbit_views
 from tests.support.paths import FOX, VALID
 
 MOVING = str(VALID / "moving")
@@ -22,7 +21,7 @@ def moving():
 
 @pytest.fixture(scope="module")
 def cameras(moving):
-    return orbit_views(decode(moving, 0), 3, 48)
+    return draw_views(moving.manifest.region, 3, 5)
 
 
 def test_dense_levels_fall_and_bytes_are_those_of_the_package(moving, cameras):

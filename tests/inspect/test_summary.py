@@ -17,6 +17,7 @@ from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import LeftOut, pooled_quality
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
+from tests.support.regions import arc
 
 MANIFESTS = 700  # bytes of airgs.json and manifest.mpd, say
 
@@ -70,8 +71,28 @@ def test_a_rung_counts_everything_a_viewer_fetches():
     keys, state = 2 * (3000 + 1000 + 2 * 100), 2 * (2000 + 100)
     assert rungs["Q0", "L0"].bytes_per_frame * 20 == pytest.approx(keys + state + 3 * 50 + MANIFESTS)
     assert rungs["Q1", "L2"].bytes_per_frame * 20 == pytest.approx(3400 + 1200 + 3 * 50 + MANIFESTS)
-    assert rungs["Q1", "L2"].psnr == pytest.approx(32)
+    assert rungs["Q1", "L2"].psnr == pytest.approx(32) and rungs["Q1", "L2"].worst == 30
     assert len(rungs) == 6
+
+
+def test_the_viewing_region_is_told_in_figures_and_words():
+    region = replace_reach(arc(90, 3, 1.0), 1, 0.25)
+    s = summarise(dataclasses.replace(tiny_manifest(), region=region), MANIFESTS)
+    record = json.loads(json.dumps(s.to_json()))["region"]
+    assert (record["source"], record["places"], record["reach"]) == ("cameras", 3, [0.25, 1.0])
+    assert record["distance"] == pytest.approx([3, 3]) and (record["turn"], record["near"]) == (10, 0.01)
+    assert (record["width"], record["height"], record["fov_y"]) == (32, 24, 50)
+    text = format_summary(s)
+    assert "3 places with a reach of 0.25 to 1 units, 3 units from what is looked at" in text
+    assert "views of 32x24 pixels, 50° high" in text and "nobody knows" not in text
+    guess = dataclasses.replace(tiny_manifest(), region=dataclasses.replace(region, source="orbit"))
+    assert "nobody knows from where" in format_summary(summarise(guess, MANIFESTS))
+
+
+def replace_reach(region, index, reach):
+    places = list(region.places)
+    places[index] = dataclasses.replace(places[index], reach=reach)
+    return dataclasses.replace(region, places=places)
 
 
 def test_kinds_add_up_and_boxes_are_container():

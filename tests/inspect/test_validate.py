@@ -90,6 +90,20 @@ def test_every_key_quality_is_decoded(package, quality):
     assert [(f.reason, f.where) for f in validate(package)] == [("bad_picture", relative)]
 
 
+@pytest.mark.parametrize("quality", [0, 1])
+def test_the_positions_of_every_key_quality_are_read(package, quality):
+    relative = f"key/T1/Q{quality}/1.bin"
+    replace_file(package, relative, b"\0" * 20)
+    assert [(f.reason, f.where) for f in validate(package)] == [("bad_sidecar", relative)]
+
+
+@pytest.mark.parametrize("coarser", [0, 2, 3])
+def test_cells_that_the_files_do_not_have_are_refused(package, coarser):
+    assert open_package(package).manifest.qualities[1].coarser == 1
+    on_disk(package, set_value(("qualities", 1, "coarser"), coarser))
+    assert "bad_sidecar" in reasons(package)
+
+
 def test_more_pictures_than_promised_are_refused(package):
     replace_file(package, "key/T0/Q0/1.m4s", (package / "state/L0/1.m4s").read_bytes())
     replace_file(package, "key/T0/Q0/init.mp4", (package / "state/L0/init.mp4").read_bytes())
@@ -150,10 +164,10 @@ def test_one_broken_quality_does_not_hide_another_group(tmp_path):
 
 def test_depths_that_disagree_with_a_level_are_counted(package):
     opened = open_package(package)
-    group = opened.manifest.groups[0]
-    sidecar = unpack_key_sidecar(opened.read("key/T0/1.bin"), group.tiers[0].count, group.grid, "")
+    group, coarsest = opened.manifest.groups[0], opened.manifest.qualities[-1].coarser
+    sidecar = unpack_key_sidecar(opened.read("key/T0/1.bin"), group.tiers[0].count, group.grid, coarsest, "")
     lower = dataclasses.replace(sidecar, depths=np.minimum(sidecar.depths, 0))
-    replace_file(package, "key/T0/1.bin", pack_key_sidecar(lower, group.grid))
+    replace_file(package, "key/T0/1.bin", pack_key_sidecar(lower, group.grid, coarsest))
     assert reasons(package) == {"count_mismatch"}
 
 

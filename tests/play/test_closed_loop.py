@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from airgs_codec.decoder.decode import decode
 from airgs_codec.decoder.group_states import SHARES, kept_rows, load_states, score_rows
 from airgs_codec.errors import FormatError
+from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import open_package
 from airgs_codec.play import closed_loop
 from airgs_codec.play.closed_loop import (
@@ -23,7 +23,6 @@ from airgs_codec.play.closed_loop import (
     encode_change,
     run_closed_loop,
 )
-from airgs_codec.scene.orbits import orbit_views
 from tests.support.paths import VALID
 
 
@@ -34,7 +33,7 @@ def moving():
 
 @pytest.fixture(scope="module")
 def settings(moving):
-    cameras = orbit_views(decode(moving, 0), 3, 48)
+    cameras = draw_views(moving.manifest.region, 3, 5)
     return ClosedLoopSettings(cameras, cameras[:1])
 
 

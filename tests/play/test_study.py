@@ -9,9 +9,9 @@ import pytest
 
 from airgs_codec.cli.manifest import main as inspect_main
 from airgs_codec.cli.play import main
-from airgs_codec.decoder.decode import decode
 from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.figures import FIGURES
@@ -19,7 +19,6 @@ from airgs_codec.play.link import Link
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
 from airgs_codec.play.trace import Trace, open_trace
-from airgs_codec.scene.orbits import orbit_views
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 
@@ -33,7 +32,7 @@ def moving():
 
 @pytest.fixture(scope="module")
 def cameras(moving):
-    return orbit_views(decode(moving, 0), 3, 48)
+    return draw_views(moving.manifest.region, 3, 5)
 
 
 def constant(rate):

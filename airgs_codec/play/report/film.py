@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,23 +14,12 @@ from airgs_codec.media.image import label, to_bytes
 from airgs_codec.media.movie import write_movie
 from airgs_codec.package.store import Package
 from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.report.viewer import Viewer
 from airgs_codec.play.session import SessionLog
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.orbits import camera_path
 from airgs_codec.scene.sequence import GaussianSequence
-
-SECONDS_BETWEEN_CAMERAS = 4.0
-
-
-def viewer_path(cameras: Sequence[Camera], ticks: int, fps: float) -> list[Camera]:
-    """A camera a tick: back and forth through the given ones, SECONDS_BETWEEN_CAMERAS apart."""
-    per_leg = max(2, round(SECONDS_BETWEEN_CAMERAS * fps))
-    legs = -(-ticks // per_leg)
-    there_and_back = [*range(len(cameras)), *range(len(cameras) - 2, 0, -1)]
-    stops = [cameras[there_and_back[i % len(there_and_back)]] for i in range(legs + 1)]
-    return camera_path(stops, legs * per_leg + 1)[:ticks]
 
 
 def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians | None, int]]:
@@ -55,7 +44,7 @@ def _segment(package: Package, index: int, quality: int, level: int) -> list[Gau
     m = package.manifest
     segment = m.segments[index]
     base = decode_canonical(package, segment.group, quality, m.levels[level].tiers)
-    return list(decode_segment(package, index, base, level, 0, segment.stop - segment.start))
+    return list(decode_segment(package, index, base, level, range(segment.stop - segment.start)))
 
 
 def _best(package: Package, c: Catalogue, segment: int) -> tuple[list[Gaussians], str]:
@@ -68,48 +57,38 @@ def _best(package: Package, c: Catalogue, segment: int) -> tuple[list[Gaussians]
     return [], "no rung can be had"
 
 
-def first_shown(package: Package, log: SessionLog) -> Gaussians | None:
-    """The first frame that the viewer saw, None if there was none."""
-    for s in log.shown:
-        if s.rung is not None:
-            return _segment(package, s.segment, *log.catalogue.rungs[s.rung])[0]
-    return None
-
-
 def film(
     package: Package,
     log: SessionLog,
-    cameras: Sequence[Camera],
+    viewer: Viewer,
     path: Path,
     original: GaussianSequence | None = None,
     progress: Progress = silent,
 ) -> None:
-    """An H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting; beside it
-    the same moment of the original, or of the best rung where there is no `original`.
+    """An H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting, and by how
+    much he was outside of the region; beside it the same moment of the original, or of the best rung where there is no
+    `original`.
 
     Raises CodecError.
     """
-    ticks = log.screen_ticks
-    cameras = viewer_path(cameras, len(ticks), log.catalogue.fps)
-    write_movie(path, _pictures(package, log, ticks, cameras, original, progress), log.catalogue.manifest.fps)
+    write_movie(path, _pictures(package, log, viewer, original, progress), log.catalogue.manifest.fps)
 
 
 def _pictures(
     package: Package,
     log: SessionLog,
-    ticks: list[tuple[int, int]],
-    cameras: list[Camera],
+    viewer: Viewer,
     original: GaussianSequence | None,
     progress: Progress,
 ) -> Iterator[NDArray[np.uint8]]:
-    c = log.catalogue
+    c, ticks = log.catalogue, log.screen_ticks
     best: dict[int, tuple[list[Gaussians], str]] = {}
     beside: Gaussians | None
     seen = [0] * len(log.shown)
     at = log.shown[0].start_s
     for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
         progress("rendering the screen", tick, len(ticks))
-        s, frame, camera = log.shown[entry], ticks[tick][1], cameras[tick]
+        s, frame, camera = log.shown[entry], ticks[tick][1], viewer.cameras[tick]
         waits = seen[entry] == s.frames
         seen[entry] += not waits
         picture = (
@@ -119,8 +98,8 @@ def _pictures(
         )
         words = "lost" if s.rung is None else c.names[s.rung]
         picture = label(picture, words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
-        if waits:
-            picture = label(picture, "waiting for data", 1)
+        for line, text in enumerate(filter(None, ["waiting for data" * waits, viewer.caption(tick)]), 1):
+            picture = label(picture, text, line)
         picture = buffer_bar(picture, buffered_s(log, at), log.settings.buffer_s, waits)
         if original is not None:
             beside, name = original.read(c.manifest.segments[s.segment].start + frame), "original"

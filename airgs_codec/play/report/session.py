@@ -12,31 +12,59 @@ import numpy as np
 from airgs_codec._files import write_json
 from airgs_codec._report import new_figure, page, plain_log_ticks, save_figure
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.region_summary import RegionSummary
+from airgs_codec.package.tables import pooled_quality
 from airgs_codec.play.events import BatchKind
 from airgs_codec.play.figures import FIGURES, meanings
 from airgs_codec.play.metrics import SessionMetrics
 from airgs_codec.play.regret import session_bound
+from airgs_codec.play.report.region_map import plot_region
+from airgs_codec.play.report.viewer import Viewer
 from airgs_codec.play.session import SessionLog
 
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
 
 
-def write_report(log: SessionLog, directory: Path) -> Path:
-    """Write session.json, session.png and index.html into `directory`; gives the page. Raises ConfigError."""
+def write_report(log: SessionLog, directory: Path, viewer: Viewer | None = None) -> Path:
+    """Write session.json, session.png and index.html into `directory`, and region.png where the viewer's walk is known;
+    gives the page.
+
+    Raises ConfigError.
+    """
     try:
         directory.mkdir(parents=True, exist_ok=True)
         record = {
             "metrics": dataclasses.asdict(log.metrics),
+            **place_record(log, viewer),
+            "rungs": _rung_record(log),
             "meanings": meanings(FIGURES),
             "fetches": [dataclasses.asdict(f) for f in log.fetches],
             "shown": [dataclasses.asdict(s) for s in log.shown],
         }
         write_json(directory / "session.json", record)
         plot_session(log, directory / "session.png")
-        (directory / "index.html").write_text(_page(log, directory), encoding="utf-8")
+        if viewer is not None:
+            plot_region(viewer, directory / "region.png")
+        (directory / "index.html").write_text(_page(log, directory, viewer), encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{directory}: cannot write the report: {error}") from error
     return directory / "index.html"
+
+
+def place_record(log: SessionLog, viewer: Viewer | None) -> dict[str, Any]:
+    """The viewing region, and how the viewer kept to it (None: there was no walk), as plain values."""
+    region = dataclasses.asdict(RegionSummary.of(log.catalogue.manifest.region))
+    return {"region": region, "viewer": viewer.table() if viewer else None}
+
+
+def _rung_record(log: SessionLog) -> list[dict[str, Any]]:
+    """Every rung with the quality that the package claims for it, None where it was not measured."""
+    c = log.catalogue
+    qualities = [pooled_quality(c.manifest, level, quality) for quality, level in c.rungs]
+    return [
+        {"rung": name, "psnr": q.psnr if q else None, "worst": q.worst if q else None}
+        for name, q in zip(c.names, qualities, strict=True)
+    ]
 
 
 def plot_session(log: SessionLog, path: Path) -> None:
@@ -161,9 +189,15 @@ def _transfers(axis: Any, log: SessionLog) -> None:
     axis.legend(loc="upper left", fontsize=8)
 
 
-def format_metrics(log: SessionLog) -> str:
+def format_metrics(log: SessionLog, viewer: Viewer | None = None) -> str:
     """The figures as lines of text."""
-    return "\n".join(f"{name:<22}{value}" for name, value in _readable(log))
+    return "\n".join(f"{name:<22}{value}" for name, value in [*_readable(log), *_place_rows(log, viewer)])
+
+
+def _place_rows(log: SessionLog, viewer: Viewer | None) -> list[tuple[str, str]]:
+    region = RegionSummary.of(log.catalogue.manifest.region)
+    rows = [("viewing region", region.words), ("views", region.views)]
+    return rows + ([("viewer", viewer.words)] if viewer else [])
 
 
 def _readable(log: SessionLog) -> list[tuple[str, str]]:
@@ -210,12 +244,25 @@ def _trace_words(m: SessionMetrics) -> str:
     return ", ".join([f"{m.trace}, mean {m.trace_mean_bps / 1e6:.2f} Mbit/s", *notes])
 
 
-def _page(log: SessionLog, directory: Path) -> str:
-    rows = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(b)}</td></tr>" for a, b in _readable(log))
+def _page(log: SessionLog, directory: Path, viewer: Viewer | None) -> str:
+    named = [*_readable(log), *_place_rows(log, viewer)]
+    rows = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(b)}</td></tr>" for a, b in named)
     extra = (
         '<img src="screen.png" alt="the worst segment shown, beside the best rung">'
         if (directory / "screen.png").exists()
         else ""
     )
     picture = '<img src="session.png" alt="throughput, rungs, buffer, quality and arrivals over time">'
-    return page("airgs-play", f"<table>{rows}</table>{extra}{picture}")
+    place = '<img src="region.png" alt="the viewing region and the walk of the viewer from above">' if viewer else ""
+    return page("airgs-play", f"<table>{rows}</table>{_rung_table(log)}{extra}{picture}{place}")
+
+
+def _rung_table(log: SessionLog) -> str:
+    """What the package says of its rungs: the mean picture of its region, and the worst one."""
+    cells = [
+        (str(rung["rung"]), *("-" if rung[name] is None else f"{rung[name]:.2f} dB" for name in ("psnr", "worst")))
+        for rung in _rung_record(log)
+    ]
+    head = "<tr><th>rung, best first</th><th>PSNR</th><th>worst picture</th></tr>"
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in cells)
+    return f"<h2>What the package claims</h2><table>{head}{body}</table>"

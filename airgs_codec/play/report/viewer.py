@@ -1,0 +1,78 @@
+"""Where the viewer of a session stands at every display tick, and whether he keeps to the package's region."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from airgs_codec._sampling import evenly_spaced
+from airgs_codec.package.region import Departure, departures
+from airgs_codec.package.region_summary import ORBIT, departure_words
+from airgs_codec.package.tables import Region
+from airgs_codec.package.viewpath import walk_cameras, walk_region
+from airgs_codec.play.session import SessionLog
+from airgs_codec.render import Camera
+from airgs_codec.scene.camera import resized
+
+MOST_PIXELS = 640  # of the longer side of a picture of the screen
+MOST_STOPS = 64  # cameras that the walk comes by
+
+
+@dataclass(frozen=True, slots=True)
+class Viewer:
+    """A walk through a session."""
+
+    region: Region
+    cameras: list[Camera]  # one a display tick
+    departures: list[Departure]  # from the region, one a display tick
+    unreached: int = 0  # stops that the walk does not come by
+
+    @staticmethod
+    def of(log: SessionLog, cameras: Sequence[Camera] = ()) -> Viewer:
+        """The walk through the package's region, or by way of `cameras`, at most MOST_STOPS of them."""
+        region, ticks, fps = log.catalogue.manifest.region, len(log.screen_ticks), log.catalogue.fps
+        if cameras:
+            stops = [cameras[i] for i in evenly_spaced(len(cameras), MOST_STOPS)]
+            walk = walk_cameras(region, stops, ticks, fps)
+        else:
+            walk = walk_region(region, ticks, fps)
+        shown = [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in walk.cameras]
+        return Viewer(region, shown, departures(region, shown), walk.unreached)
+
+    @property
+    def outside(self) -> int:
+        """How many ticks the viewer is outside of the region."""
+        return sum(not d.inside for d in self.departures)
+
+    @property
+    def furthest(self) -> Departure:
+        """The most in world units and the most in degrees, perhaps of different ticks."""
+        return Departure(max(d.distance for d in self.departures), max(d.degrees for d in self.departures))
+
+    def caption(self, tick: int) -> str:
+        """What a film has to say about the place of its viewer; empty where all is well."""
+        if not self.departures[tick].inside:
+            return f"outside the region: {departure_words(self.departures[tick])}"
+        return "viewpoint unknown: an orbit is assumed" if self.region.source == ORBIT else ""
+
+    @property
+    def words(self) -> str:
+        """Where the viewer was, in a line."""
+        text = "inside the viewing region all the time"
+        if self.outside:
+            at_most = departure_words(self.furthest)
+            text = f"outside the viewing region for {self.outside} of {len(self.cameras)} ticks, by at most {at_most}"
+        if self.unreached:
+            text += f"; stops that are not on the walk, the way there leads through what is looked at: {self.unreached}"
+        return text
+
+    def table(self) -> dict[str, Any]:
+        """The same as plain values."""
+        return {
+            "ticks": len(self.cameras),
+            "ticks_outside": self.outside,
+            "furthest_units": self.furthest.distance,
+            "furthest_degrees": self.furthest.degrees,
+            "stops_unreached": self.unreached,
+        }

@@ -1,0 +1,127 @@
+"""A viewer's walk: by all places in their order, smooth, inside the region, never through what he looks at."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.package.region import departure, departures, draw_views, place_view
+from airgs_codec.package.tables import Place
+from airgs_codec.package.viewpath import SPEED, TURNING, walk_cameras, walk_region
+from tests.support.regions import arc, row
+from tests.support.regions import region as region_of
+
+FPS = 10.0
+
+
+def positions(walk):
+    return np.array([camera.position for camera in walk.cameras])
+
+
+def comes_by(walk, place):
+    return np.linalg.norm(positions(walk) - np.array(place.position), axis=1).min() < 0.1
+
+
+def outside(region, walk):
+    return [d for d in departures(region, walk.cameras) if not d.inside]
+
+
+@pytest.mark.parametrize("region", [arc(315, 8, 1.2), arc(180, 7, 0.8), row(6, 0.7)], ids=["ring", "arc", "row"])
+def test_a_walk_is_smooth_and_stays_inside(region):
+    walk = walk_region(region, 900, FPS)
+    assert not outside(region, walk) and walk.unreached == 0
+    assert all(comes_by(walk, place) for place in region.places)
+    line = positions(walk)
+    away = np.linalg.norm(np.subtract(region.places[0].position, region.places[0].focus))
+    steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    assert steps.max() <= 1.5 * SPEED * away / FPS + 1e-9  # a cubic is at most half as fast again as its mean
+    assert np.linalg.norm(np.diff(line, 2, axis=0), axis=1).max() < 0.6 * steps.max()  # no sudden stops or turns
+    axes = np.array([camera.world_to_camera[2, :3] for camera in walk.cameras])
+    turned = np.degrees(np.arccos(np.clip((axes[1:] * axes[:-1]).sum(axis=1), -1, 1)))
+    assert turned.max() <= 1.6 * TURNING / FPS
+
+
+def test_a_ring_is_walked_round_and_an_arc_to_and_fro():
+    """Nobody goes across what the rig looks at, whatever the order of its places."""
+    for region in (arc(315, 8, 1.2), arc(180, 9, 0.7), arc(270, 12, 0.0)):
+        shuffled = replace(
+            region, places=[region.places[i] for i in np.random.default_rng(1).permutation(len(region.places))]
+        )
+        for some in (region, shuffled):
+            assert np.linalg.norm(positions(walk_region(some, 900, FPS)), axis=1).min() > 2.6
+    round_trip = positions(walk_region(arc(315, 8, 1.2), 240, FPS))
+    assert np.ptp(np.unwrap(np.arctan2(round_trip[:, 2], round_trip[:, 0]))) > 2 * np.pi - 0.5
+    angles = np.arctan2(*positions(walk_region(arc(180, 9, 0.7), 900, FPS)).T[[2, 0]])
+    assert angles.min() > -0.2 and angles.max() < np.pi + 0.2
+
+
+def test_a_walk_bends_out_of_no_narrow_region():
+    """Round corners would leave balls that only touch: there the walk is straight."""
+    corners = [(0, 0), (2, 0), (2, 2), (4, 2), (4, 0)]
+    region = region_of(*[Place([x, y, 0], [x, y, 9], [0, 1, 0], 1.001) for x, y in corners])
+    walk = walk_region(region, 900, FPS)
+    assert not outside(region, walk) and all(comes_by(walk, place) for place in region.places)
+    assert outside(replace(region, places=[replace(p, reach=0.9) for p in region.places]), walk)
+
+
+def test_one_place_and_places_within_its_reach_are_a_circle():
+    for region in (row(1, 2.0), row(3, 2.0)):
+        walk = walk_region(region, 200, FPS)
+        middle = region.places[len(region.places) // 2]
+        away = np.linalg.norm(positions(walk) - middle.position, axis=1)
+        assert not outside(region, walk) and away.min() > 0.8 and away.max() < 1.2
+        assert np.ptp(positions(walk), axis=0).max() > 1.8
+
+
+def test_who_may_not_move_stands_still():
+    region = replace(row(1, 0.0), turn=0.0)
+    walk = walk_region(region, 5, FPS)
+    assert len(walk.cameras) == 5 and not outside(region, walk) and np.ptp(positions(walk), axis=0).max() == 0
+
+
+def test_opposite_places_have_no_way_between_them():
+    region = arc(180, 2, 0.5)
+    walk = walk_region(region, 300, FPS)
+    assert walk.unreached == 1 and not outside(region, walk)
+    assert np.linalg.norm(positions(walk), axis=1).min() > 2.5
+
+
+def test_gaps_are_crossed_only_where_there_is_no_other_way():
+    """A ring with one large gap is walked to and fro; islands are crossed over, and that is reported."""
+    ring = arc(280, 8, 0.95)  # neighbours are 2.0 apart, the ends 3.9
+    walk = walk_region(ring, 900, FPS)
+    assert max(d.distance for d in departures(ring, walk.cameras)) < 0.1
+    islands = row(4, 0.3)
+    found = outside(islands, walk_region(islands, 300, FPS))
+    assert found and max(d.distance for d in found) == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_walk_by_cameras_uses_places_on_its_way_and_says_what_it_leaves():
+    region = arc(180, 7, 0.9)
+    ends = [replace(place_view(region, region.places[i]), width=64, fx=99.0) for i in (0, 6)]
+    walk = walk_cameras(region, ends, 400, FPS)
+    assert not outside(region, walk) and np.linalg.norm(positions(walk), axis=1).min() > 2.6
+    assert all(comes_by(walk, place) for place in (region.places[0], region.places[3], region.places[6]))
+    assert {(c.width, c.fx) for c in walk.cameras} == {(64, 99.0)}
+    far = replace(region, places=region.places[:2])
+    assert len(outside(far, walk)) > 100
+
+
+@pytest.mark.parametrize("up", [[0, 0, 1], [1e-9, 0, 0], [1, 1, 1]], ids=str)
+def test_a_place_whose_up_is_no_direction_across_its_view_still_has_pictures(up):
+    for ahead in ([0, 0, 10], [10, 10, 10]):
+        region = region_of(Place([0, 0, 0], ahead, up, 1.0))
+        walk = walk_region(region, 20, FPS)
+        assert all(np.isfinite(camera.world_to_camera).all() for camera in walk.cameras) and not outside(region, walk)
+
+
+def test_departures_are_those_of_the_best_place():
+    """Of two places, the one that is nearer to its ball counts, then the one whose focus is nearer to the axis."""
+    region = row(2, 0.25)
+    camera = place_view(region, replace(region.places[0], position=[0.5, 0.0, -1.0], focus=[1.0, 0.0, 10.0]))
+    found = departure(region, camera)
+    assert found.distance == pytest.approx(np.hypot(0.5, 1) - 0.25) and found.degrees == 0
+    aside = place_view(region, replace(region.places[0], focus=[10.0, 0.0, 10.0]))
+    assert departure(region, aside).distance == 0 and departure(region, aside).degrees == pytest.approx(35)
+    assert departures(region, [camera, aside]) == [found, departure(region, aside)]
+    assert all(d.inside for d in departures(region, draw_views(region, 50, 3)))
