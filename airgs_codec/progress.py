@@ -1,7 +1,8 @@
-"""How long work says how far it is: one callback, everywhere."""
+"""How long work says how far it is, and how long it took."""
 
 from __future__ import annotations
 
+import time
 from typing import Protocol
 
 
@@ -14,3 +15,16 @@ class Progress(Protocol):
 
 def silent(stage: str, done: int, total: int) -> None:
     """The default: says nothing."""
+
+
+class Stopwatch:
+    """Seconds between laps."""
+
+    def __init__(self) -> None:
+        self._last = time.perf_counter()
+
+    def lap(self) -> float:
+        """Seconds since the last lap, or since the start."""
+        now = time.perf_counter()
+        seconds, self._last = now - self._last, now
+        return seconds

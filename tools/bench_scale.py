@@ -72,7 +72,7 @@ def decode(folder: Path) -> tuple[int, str]:
     base, size = decode_canonical(package, 0, 0), 0
     before = peak_bytes()
     for index, s in enumerate(package.manifest.segments):
-        for frame in decode_segment(package, index, base, 0, 0, s.stop - s.start):
+        for frame in decode_segment(package, index, base, 0, range(s.stop - s.start)):
             size = sum(getattr(frame, name).nbytes for name in frame.__slots__) * (s.stop - s.start)
     above = peak_bytes() - before
     return size, f"{above / 1e6:.1f} MB over the canonical space, {above / size:.2f} x one decoded segment; "

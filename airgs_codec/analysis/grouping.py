@@ -22,8 +22,16 @@ class Grouping:
 
 
 def middle_frame(start: int, stop: int) -> int:
-    """The frame of a group [start, stop) whose Gaussians are its canonical space: changes are coded against it."""
+    """The frame in the middle of a group [start, stop)."""
     return start + (stop - start) // 2
+
+
+def count_runs(sequence: GaussianSequence) -> list[tuple[int, int]]:
+    """Frames [start, stop) of each run between keyframes that the sequence names and changes of the number of rows."""
+    counts = [header.count for header in sequence.headers]
+    changes = [i for i in range(1, len(counts)) if counts[i] != counts[i - 1]]
+    starts = sorted({0, *changes, *(sequence.keyframes or ())})
+    return list(zip(starts, [*starts[1:], len(counts)], strict=True))
 
 
 def plan_groups(sequence: GaussianSequence, group_frames: int = DEFAULT_GROUP_FRAMES) -> Grouping:

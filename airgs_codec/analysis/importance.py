@@ -14,7 +14,6 @@ from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 
-PICTURES = 8  # rendered at each step of a search
 PRECISION = 0.01  # of the rows
 WIDEST_CHANGE = 255  # steps: larger values count as this one when entropy is estimated
 
@@ -57,23 +56,29 @@ class RowPruning:
         """`rank` is the (N,) `importance` of the rows."""
         self._seen = [(g, camera, render(g, camera).rgb) for g, camera in pictures]
         self._order = np.argsort(rank, kind="stable")
-        unused = int(np.count_nonzero(rank == 0))
-        self._errors = {unused if unused < len(rank) else 0: 0.0}  # rows left out -> pooled error
+        self._errors = {0: 0.0}  # rows left out -> pooled error
+        self._unused = min(int(np.count_nonzero(rank == 0)), len(rank) - 1)
 
     def within(self, allowed: float) -> KeptRows:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
 
-        Their number is found by bisection to PRECISION. Rows of importance 0 are always dropped, unless that is all.
+        Their number is found by bisection to PRECISION, beginning with the rows of importance 0.
         """
+        self.error_of(len(self._order) - self._unused)
         low = max(count for count, error in self._errors.items() if error <= allowed**2)
         high = min((count for count in self._errors if count > low), default=len(self._order))
-        while allowed > 0 and high - low > max(1, PRECISION * len(self._order)):
+        while high - low > max(1, PRECISION * len(self._order)):
             middle = (low + high) // 2
             if self._error(middle) <= allowed**2:
                 low = middle
             else:
                 high = middle
         return KeptRows(np.sort(self._order[low:]), self._errors[low])
+
+    def error_of(self, kept: int) -> float:
+        """Pooled error of pictures of only the `kept` most important rows."""
+        left_out = len(self._order) - kept
+        return self._errors[left_out] if left_out in self._errors else self._error(left_out)
 
     def _error(self, count: int) -> float:
         """Pooled error of pictures without the `count` least important rows."""

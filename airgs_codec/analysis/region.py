@@ -19,7 +19,7 @@ DISTANCE_SHARE = 0.1  # of the distance to the content: the other one
 MOST_SHARE = 0.25  # of that distance: no viewer walks further towards what he looks at
 CLEARANCE_SHARE = 0.5  # of the distance to the nearest content that is visible: no viewer walks into it
 NEAREST = 0.02  # share of what a picture shows that may lie nearer than the clearance
-TURN = 10.0  # degrees that a viewer may look off the focus
+TURN = 5.0  # degrees that a viewer may look off the focus
 LOOK_PIXELS = 128  # on the longer side, enough to see how far away the content is
 
 

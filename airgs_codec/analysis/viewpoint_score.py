@@ -11,12 +11,14 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from airgs_codec.errors import SceneError
 from airgs_codec.render import Camera, cpu
 from airgs_codec.render.inputs import BLACK, RasterInputs
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
+from airgs_codec.scene.rotations import to_matrices
+
+LARGEST = 30.0  # ln(world units) of a scale that counts: the squares of larger ones leave float32
 
 Floats = NDArray[np.float32]
 
@@ -118,7 +120,7 @@ class Sample:
 def row_areas(gaussians: Gaussians) -> NDArray[np.float64]:
     """(N,) product of a row's two larger scales and its opacity: how much it can cover, in square world units."""
     scales = np.sort(gaussians.log_scales.astype(np.float64), axis=1)
-    return np.exp(scales[:, 1] + scales[:, 2]) * gaussians.opacities()
+    return np.exp(np.minimum(scales[:, 1] + scales[:, 2], 2 * LARGEST)) * gaussians.opacities()
 
 
 def _chances(weights: NDArray[np.float64], rows: int) -> NDArray[np.float64]:
@@ -150,11 +152,12 @@ def flatness(gaussians: Gaussians) -> Floats:
 
 def row_axes(gaussians: Gaussians) -> NDArray[np.float64]:
     """(N, 3, 3) rotations of rows, whose quaternions are not 0: column c is the axis of scale c."""
-    return Rotation.from_quat(gaussians.quaternions.astype(np.float64), scalar_first=True).as_matrix()
+    return to_matrices(gaussians.quaternions)
 
 
 def _covariances(gaussians: Gaussians) -> Floats:
-    axes = row_axes(gaussians) * np.exp(gaussians.log_scales.astype(np.float64))[:, None, :]
+    scales = np.exp(np.minimum(gaussians.log_scales.astype(np.float64), LARGEST))
+    axes = row_axes(gaussians) * scales[:, None, :]
     c = axes @ axes.transpose(0, 2, 1)
     columns = (c[:, 0, 0], c[:, 1, 1], c[:, 2, 2], 2 * c[:, 0, 1], 2 * c[:, 0, 2], 2 * c[:, 1, 2])
     return np.stack(columns, axis=1).astype(np.float32)

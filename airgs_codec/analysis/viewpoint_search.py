@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from airgs_codec.analysis.viewpoint_score import Look, Sample
 from airgs_codec.scene.camera import Camera, look_at
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.rotations import from_rotation_vector, to_matrices
 
 Vector = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class Search:
 
     def _walk_about(self, parent: Pose) -> None:
         """Try what the parent sees from another side: rings of cameras are found by walking round."""
-        turn = Rotation.from_rotvec(self._rng.normal(0, WALK, 3)).as_matrix()
+        turn = to_matrices(from_rotation_vector(self._rng.normal(0, WALK, 3)))
         seen = parent.position + parent.look.distance * parent.direction
         self._try(seen + turn @ (parent.position - seen), turn @ parent.direction)
 

@@ -18,17 +18,21 @@ from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import (
     DEFAULT_LEVELS,
     DEFAULT_SETTINGS,
-    PAPER_LEVELS,
     QUALITY_FACTORS,
     UPDATE_RANKS,
     EncodeSettings,
     LevelSettings,
+    as_in_paper,
+    as_preview,
 )
 from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.contact_sheet import write_contact_sheet
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.media.h264 import PRESETS
 from airgs_codec.package.parse import read_region
+from airgs_codec.package.region import place_view
+from airgs_codec.package.tables import Region
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence, read_attribution
 from airgs_codec.scene.usage import MEASURES
 from airgs_codec.train.data.readers import is_multiview
@@ -65,6 +69,9 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         metavar="FILE",
         help=f"{about(EncodeSettings, 'region')}: JSON as `region` in airgs.json",
+    )
+    parser.add_argument(
+        "--contact-sheet", type=Path, metavar="FILE", help="write a PNG of the scene from every place of its region"
     )
     parser.add_argument("--attribution", metavar="TEXT", help="who made the scene (default: SCENE/ATTRIBUTION.txt)")
     parser.add_argument("--json", action="store_true", help="print a JSON report instead of a table")
@@ -122,7 +129,11 @@ def _add_ladder(parser: argparse.ArgumentParser) -> None:
         help="PRUNED:FACTOR,... for each level the percentage of the updates withheld, ascending, and a factor on the "
         "steps, instead of calibrated ones",
     )
-    levels.add_argument("--ladder", choices=("paper",), help="paper: ten levels, 0 to 90 %% pruned, equal steps")
+    levels.add_argument(
+        "--ladder",
+        choices=("paper",),
+        help="paper: eleven levels, 0 to 100 %% of the updates pruned by usage frequency alone, equal steps, one key",
+    )
     _add_setting(group, "--usage", "usage", choices=MEASURES)
     _add_setting(group, "--rank", "update_rank", choices=UPDATE_RANKS)
     group.add_argument("--keep-all", action="store_true", help=about(EncodeSettings, "keep_all"))
@@ -131,10 +142,23 @@ def _add_ladder(parser: argparse.ArgumentParser) -> None:
 def _add_coding(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("coding")
     _add_setting(group, "--segment", "segment_s", metavar="S")
-    _add_setting(group, "--group", "group_frames", metavar="FRAMES")
+    words = about(EncodeSettings, "group_frames")
+    group.add_argument("--group", dest="group_frames", type=_group, default=None, metavar="auto|FRAMES", help=words)
+    group.add_argument(
+        "--quick",
+        action="store_true",
+        help="for a first look: no trial encodes, fast H.264, groups of 30 frames, few pictures measured",
+    )
     _add_setting(group, "--measure-pictures", "measure_pictures", metavar="N")
     _add_setting(group, "--preset", "preset", choices=PRESETS)
     _add_setting(group, "--jobs", "jobs", metavar="N")
+
+
+def _group(text: str) -> int | None:
+    """Frames of a group; None stands for auto."""
+    if text != "auto" and not text.isdecimal():
+        raise argparse.ArgumentTypeError(f"expected auto or a number of frames, got {text!r}")
+    return None if text == "auto" else int(text)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -154,18 +178,20 @@ def parse_levels(text: str) -> tuple[LevelSettings, ...]:
 
 def _settings(args: argparse.Namespace) -> EncodeSettings:
     """Raises ConfigError for options that cannot work, SceneError or FormatError for a region that cannot be read."""
-    chosen = parse_levels(args.levels) if args.levels else PAPER_LEVELS if args.ladder else None
+    chosen = parse_levels(args.levels) if args.levels else None
     calibrate = "none" if args.steps == "default" else "steps" if chosen else "ladder"
     region = read_region(args.region) if args.region else None
     known = ("quality", "steps", "levels", "region")
     same = {name: getattr(args, name) for name in FIELDS if name in args and name not in known}
-    return EncodeSettings(
+    settings = EncodeSettings(
         quality=QUALITY_FACTORS[args.quality],
         calibrate=calibrate,
         levels=chosen or DEFAULT_LEVELS,
         region=region,
         **same,
     )
+    settings = as_in_paper(settings) if args.ladder else settings
+    return as_preview(settings) if args.quick else settings
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -184,9 +210,17 @@ def _run(args: argparse.Namespace) -> int:
         report = encode(sequence, target, settings, goal=goal, attribution=attribution, progress=bar)
     finally:
         bar.close()
+    if args.contact_sheet:
+        _draw_places(args.contact_sheet, sequence, report.manifest.region)
     cameras = {"cameras": str(sequence.cameras_path) if sequence.cameras_path else None}
     print(json.dumps(_as_json(report, target) | cameras) if args.json else _as_words(report, target))
     return 0
+
+
+def _draw_places(path: Path, sequence: GaussianSequence, region: Region) -> None:
+    """A picture of the middle frame from every place of the region."""
+    views = [place_view(region, place, f"place {i}") for i, place in enumerate(region.places)]
+    write_contact_sheet(path, sequence.read(len(sequence) // 2), views)
 
 
 def _cameras_line(sequence: GaussianSequence) -> str:

@@ -64,12 +64,16 @@ def dequantise_key(
     transform: NDArray[np.float64],
     grid: Grid,
     steps: KeySteps,
+    coarser: int = 0,
 ) -> Canonical:
-    """Decoded (7 + C, N) key channels and the sidecar of their rows -> the canonical space of the group."""
+    """Decoded (7 + C, N) key channels and the sidecar of their rows -> the canonical space of the group.
+
+    `coarser` is that of the key quality; the codes of the sidecar may be those of finer cells.
+    """
     colour = from_klt(channels[KEY.slice(COLOUR)].T, transform.astype(np.float32))
     scale = colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1]).astype(np.float32)
     return Canonical(
-        means=grid_means(sidecar.codes, sidecar.classes, grid),
+        means=grid_means(sidecar.codes, sidecar.classes, grid, coarser),
         motion_units=motion_units(sidecar.classes),
         quaternions=from_rotation_vector(np.ascontiguousarray(channels[KEY.slice("quaternions")].T)),
         log_scales=np.ascontiguousarray(channels[KEY.slice("log_scales")].T),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
+from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns
 from airgs_codec.errors import FormatError
 
 UNIT = 128  # codes that a base of 1 stands for
@@ -58,31 +58,41 @@ class Escapes:
         return bases.reshape(self.shape[1:])
 
 
-def pack(bases: NDArray[np.int32]) -> bytes:
-    """(T, P, N) bases -> the column file of their jumps: how many, gaps of flat indices, sizes in zigzag coding."""
+def columns(bases: NDArray[np.int32]) -> list[Column]:
+    """(T, P, N) bases -> the columns of their jumps: how many, gaps of flat indices, sizes in zigzag coding."""
     jumps = np.diff(bases, axis=0, prepend=np.zeros_like(bases[:1])).ravel()
     index = np.flatnonzero(jumps)
     values = jumps[index].astype(np.int64)
     zigzag = (values << 1) ^ (values >> 63)
-    return encode_columns([(np.array([len(index)]), 0), (np.diff(index, prepend=0), 0), (zigzag, 1)])
+    return [(np.array([len(index)]), 0), (np.diff(index, prepend=0), 0), (zigzag, 1)]
+
+
+def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:
+    """Inverse of `columns` for bases of `shape` (T, P, N).
+
+    Raises FormatError(bad_sidecar) when there are more jumps than samples, an index leaves the shape or a jump 31 bits.
+    """
+    area = int(np.prod(shape, dtype=np.int64))
+    count = int(reader.column(1, 0)[0])
+    if count > area:
+        raise FormatError("bad_sidecar", reader.where, f"expected at most {area} escapes, got {count}")
+    gaps = reader.column(count, 0)
+    zigzag = reader.column(count, 1)
+    if count and (int(gaps.max()) >= area or (gaps[1:] == 0).any() or int(gaps.sum()) >= area):
+        raise FormatError("bad_sidecar", reader.where, "escapes are not in ascending order inside the segment")
+    if count and int(zigzag.max()) >= 1 << 32:
+        raise FormatError("bad_sidecar", reader.where, "an escape jumps by more than 31 bits")
+    return Escapes(shape, np.cumsum(gaps), ((zigzag >> 1) ^ -(zigzag & 1)).astype(np.int32))
+
+
+def pack(bases: NDArray[np.int32]) -> bytes:
+    """(T, P, N) bases -> the column file of their jumps alone."""
+    return encode_columns(columns(bases))
 
 
 def unpack(data: bytes, shape: tuple[int, int, int], where: str) -> Escapes:
-    """Inverse of `pack` for bases of `shape` (T, P, N); `where` names the file.
-
-    Raises FormatError(bad_sidecar) when there are more jumps than samples, an index leaves the shape or a jump 31 bits,
-    or the data does not end with the last jump.
-    """
-    area = int(np.prod(shape, dtype=np.int64))
+    """Inverse of `pack` for bases of `shape` (T, P, N); `where` names the file. Raises FormatError(bad_sidecar)."""
     reader = ColumnReader(data, where)
-    count = int(reader.column(1, 0)[0])
-    if count > area:
-        raise FormatError("bad_sidecar", where, f"expected at most {area} escapes, got {count}")
-    gaps = reader.column(count, 0)
-    zigzag = reader.column(count, 1)
+    found = read_columns(reader, shape)
     reader.close()
-    if count and (int(gaps.max()) >= area or (gaps[1:] == 0).any() or int(gaps.sum()) >= area):
-        raise FormatError("bad_sidecar", where, "escapes are not in ascending order inside the segment")
-    if count and int(zigzag.max()) >= 1 << 32:
-        raise FormatError("bad_sidecar", where, "an escape jumps by more than 31 bits")
-    return Escapes(shape, np.cumsum(gaps), ((zigzag >> 1) ^ -(zigzag & 1)).astype(np.int32))
+    return found

@@ -10,22 +10,34 @@ from airgs_codec.errors import SceneError
 from airgs_codec.package.tables import Grid
 
 
-def cell_bits(classes: NDArray[np.int16], grid: Grid) -> NDArray[np.int64]:
-    """(N,) k of the rows with these motion classes: a cell is 2^k steps of the grid wide."""
-    return np.clip(classes.astype(np.int64) - grid.finest, 0, grid.bits)
+def cell_bits(classes: NDArray[np.int16], grid: Grid, coarser: int = 0) -> NDArray[np.int64]:
+    """(N,) b of the rows with these motion classes: a cell is 2^b steps of the grid wide.
+
+    `coarser` is that of a key quality, which multiplies the side of cells by 2^coarser.
+    """
+    return np.minimum(np.clip(classes.astype(np.int64) - grid.finest, 0, grid.bits) + coarser, grid.bits)
 
 
 def grid_codes(means: NDArray[np.floating], classes: NDArray[np.int16], grid: Grid) -> NDArray[np.uint64]:
-    """(N, 3) means -> (N,) Morton codes of their cells; `grid_means` is at most 2^k step / 2 off on each axis."""
+    """(N, 3) means -> (N,) Morton codes of their finest cells; `grid_means` is at most 2^b step / 2 off on an axis."""
     bits = cell_bits(classes, grid)[:, None]
     index = np.floor((means.astype(np.float64) - np.asarray(grid.origin)) / (grid.step or 1.0)).astype(np.int64)
     return morton_encode(index >> bits << bits)
 
 
-def grid_means(codes: NDArray[np.uint64], classes: NDArray[np.int16], grid: Grid) -> NDArray[np.float64]:
-    """(N,) Morton codes -> (N, 3) middles of their cells in world units."""
-    middle = np.exp2(cell_bits(classes, grid))[:, None] / 2
-    return np.asarray(grid.origin) + grid.step * (morton_decode(codes).astype(np.float64) + middle)
+def coarse_codes(codes: NDArray[np.uint64], classes: NDArray[np.int16], grid: Grid, coarser: int) -> NDArray[np.uint64]:
+    """(N,) Morton codes of the cells of a key quality that hold cells as fine or finer, given by (N,) codes."""
+    low = (3 * cell_bits(classes, grid, coarser)).astype(np.uint64)
+    return codes >> low << low
+
+
+def grid_means(
+    codes: NDArray[np.uint64], classes: NDArray[np.int16], grid: Grid, coarser: int = 0
+) -> NDArray[np.float64]:
+    """(N,) Morton codes of cells as fine or finer -> (N, 3) middles of the cells of a key quality in world units."""
+    middle = np.exp2(cell_bits(classes, grid, coarser))[:, None] / 2
+    corner = morton_decode(coarse_codes(codes, classes, grid, coarser)).astype(np.float64)
+    return np.asarray(grid.origin) + grid.step * (corner + middle)
 
 
 def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float) -> Grid:

@@ -187,7 +187,7 @@ class ColumnReader:
 
     def __init__(self, data: bytes, where: str) -> None:
         self._data = np.frombuffer(data, np.uint8)
-        self._where = where
+        self.where = where
         if len(data) < _FLUSH:
             raise FormatError("bad_sidecar", where, f"expected at least {_FLUSH} bytes, got {len(data)}")
         self._state = np.array([int.from_bytes(data[1:_FLUSH], "big"), 0xFFFFFFFF, _FLUSH, 0, 0, 0], np.int64)
@@ -200,14 +200,14 @@ class ColumnReader:
         self._state[_CONTEXT] = 0
         _decode(values, _models(order), self._state, self._data)
         if self._state[_AT] > len(self._data):
-            raise FormatError("bad_sidecar", self._where, f"expected {count} more numbers, got the end of the file")
+            raise FormatError("bad_sidecar", self.where, f"expected {count} more numbers, got the end of the file")
         return values
 
     def close(self) -> None:
         """Refuse data that is not used up exactly."""
         if self._state[_AT] != len(self._data) or self._state[_CODE]:
             read = int(self._state[_AT])
-            raise FormatError("bad_sidecar", self._where, f"expected the end at {read}, got {len(self._data)} bytes")
+            raise FormatError("bad_sidecar", self.where, f"expected the end at {read}, got {len(self._data)} bytes")
 
 
 @numba.njit(cache=True)

@@ -5,7 +5,7 @@ N rows of a group, n rows of a key tier or a level, P planes of an atlas, C colo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +15,8 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import read_codes
 from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key
 from airgs_codec.coding.quantize import from_codes
-from airgs_codec.coding.sidecar import KeySidecar, join_sidecars, unpack_key_sidecar
+from airgs_codec.coding.rangecoder import ColumnReader
+from airgs_codec.coding.sidecar import KeySidecar, join_sidecars, read_detail, unpack_key_sidecar
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.media.h264 import decode_pictures
 from airgs_codec.package.layout import COLOUR, KEY, STATE
@@ -71,7 +72,7 @@ def decode_frames(
             group = segment.group
             base = decode_canonical(package, group, q, m.levels[j].tiers if tiers is None else tiers)
         first, last = max(start, segment.start), min(stop, segment.stop)
-        shown = decode_segment(package, index, base, j, first - segment.start, last - segment.start)
+        shown = decode_segment(package, index, base, j, range(first - segment.start, last - segment.start))
         for number, gaussians in zip(range(first, last), shown, strict=True):
             yield Frame(number, gaussians)
 
@@ -93,24 +94,28 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
         unpack_matrix(g.colour_transform, m.colour_channels),
         g.grid,
         g.key_steps,
+        m.qualities[quality].coarser,
     )
 
 
 def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
-    """(KEY.width(C), n) codes of one key unit, and its sidecar. Raises FormatError."""
+    """(KEY.width(C), n) codes of one key unit, and its sidecar with the positions of that quality. FormatError."""
     m = package.manifest
     unit = m.groups[group].tiers[tier]
-    sidecar_path, media, escapes_path = m.key_files(group, tier, quality)
-    sidecar = unpack_key_sidecar(package.read(sidecar_path), unit.count, m.groups[group].grid, sidecar_path)
+    sidecar_path, media, detail_path = m.key_files(group, tier, quality)
+    grid, coarser, coarsest = m.groups[group].grid, m.qualities[quality].coarser, m.qualities[-1].coarser
+    shared = unpack_key_sidecar(package.read(sidecar_path), unit.count, grid, coarsest, sidecar_path)
     pictures = decode_pictures(package.read(key_init_path(tier, quality)), package.read(media), media)
     picture = next(pictures, None)
     if picture is None:
         raise FormatError("bad_picture", media, "expected one picture, got none")
     _expect_size(picture, m.key_pictures[tier][quality], media)
     atlas = unit.qualities[quality]
-    shape = (1, len(atlas.planes), atlas.rows)
-    bases = escapes.unpack(package.read(escapes_path), shape, escapes_path).bases(0)
-    return read_codes(picture, atlas, bases), sidecar
+    reader = ColumnReader(package.read(detail_path), detail_path)
+    sidecar = read_detail(reader, shared, grid, coarser, coarsest)
+    jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
+    reader.close()
+    return read_codes(picture, atlas, jumps.bases(0)), sidecar
 
 
 def decode_state(package: Package, index: int, level: int, first: int, last: int) -> Iterator[NDArray[np.int32]]:
@@ -137,19 +142,18 @@ def decode_state(package: Package, index: int, level: int, first: int, last: int
 
 
 def decode_segment(
-    package: Package, index: int, base: Canonical, level: int, first: int, last: int
+    package: Package, index: int, base: Canonical, level: int, places: Sequence[int]
 ) -> Iterator[Gaussians]:
-    """Frames [first, last) of a segment, counted from its start, over a decoded canonical space.
+    """Frames of a segment over a decoded canonical space; `places` ascend and count from the start of the segment.
 
-    Where `base` has fewer tiers than viewers of the level fetch, its rows are the first of the level, since rows are
-    ordered by tier. Raises FormatError.
+    H.264 is decoded up to the last of them. Where `base` has fewer tiers than viewers of the level fetch, its rows are
+    the first of the level, since rows are ordered by tier. Raises FormatError.
     """
     m = package.manifest
     files = m.state_files(index, level)
-    if not files:
+    if not (files and places):
         frame = base.to_gaussians()
-        for _ in range(first, last):
-            yield frame
+        yield from (frame for _ in places)
         return
     group = m.groups[m.segments[index].group]
     atlas = group.levels[level]
@@ -161,9 +165,10 @@ def decode_segment(
     steps = STATE.steps(group.state_steps, m.colour_channels) * m.levels[level].factor
     varies = [_varies(atlas, STATE.slice(name)) for name in ("quaternions", COLOUR)]
     applier = StateApplier.of(base, rows, group.state_steps, *varies)
-    for codes in decode_state(package, index, level, first, last):
-        channels = from_codes(codes[:, : len(rows)], steps, m.state_gain)
-        yield applier.apply(channels)
+    first, last = places[0], places[-1] + 1
+    for place, codes in enumerate(decode_state(package, index, level, first, last), first):
+        if place in places:
+            yield applier.apply(from_codes(codes[:, : len(rows)], steps, m.state_gain))
 
 
 def _varies(atlas: Atlas, channels: slice) -> bool:

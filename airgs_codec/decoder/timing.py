@@ -16,6 +16,6 @@ def measure_decoding(package: Package) -> float:
     for index, segment in enumerate(m.segments):
         if segment.group != group:
             group, base = segment.group, decode_canonical(package, segment.group, 0)
-        for _ in decode_segment(package, index, base, 0, 0, segment.stop - segment.start):
+        for _ in decode_segment(package, index, base, 0, range(segment.stop - segment.start)):
             pass
     return (time.perf_counter() - began) / m.frames

@@ -11,6 +11,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from airgs_codec.encoder.keys import CodedKeys, code_keys, decode_base, encode_keys
 from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.representation import Clock
@@ -42,8 +45,17 @@ class EncodeJob:
     attribution: str = ""
 
 
-def encode_sequence(job: EncodeJob, settings: EncodeSettings, folder: Path, progress: Progress = silent) -> Manifest:
-    """Write every segment and sidecar of a package into `folder`; gives its tables, without measured quality.
+@dataclass(frozen=True, slots=True, eq=False)
+class Encoded:
+    """What an encode wrote, and which rows it wrote."""
+
+    manifest: Manifest  # without measured quality
+    layouts: Sequence[GroupLayout]
+    depths: Sequence[NDArray[np.uint8]]  # of the rows of each group, in file order
+
+
+def encode_sequence(job: EncodeJob, settings: EncodeSettings, folder: Path, progress: Progress = silent) -> Encoded:
+    """Write every segment and sidecar of a package into `folder`.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails.
     """
@@ -74,7 +86,8 @@ def encode_sequence(job: EncodeJob, settings: EncodeSettings, folder: Path, prog
         len(job.sequence),
         job.sequence.sh_degree,
     )
-    return build_manifest(coded, write_files(folder, coded), about)
+    manifest = build_manifest(coded, write_files(folder, coded), about)
+    return Encoded(manifest, layouts, [group.depths for group in states])
 
 
 def _code_all_keys(
@@ -88,5 +101,5 @@ def _code_all_keys(
         kept = keep_rows(loaded.frames, survey, settings)
         layout = lay_out(loaded, survey, kept, settings, job.sequence.fps)
         layouts.append(layout)
-        keys.append(code_keys(layout, loaded.frames[survey.span.middle], settings))
+        keys.append(code_keys(layout, settings))
     return layouts, keys

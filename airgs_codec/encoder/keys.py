@@ -1,4 +1,4 @@
-"""Canonical frames -> key pictures and their escapes, and back to the canonical space that viewers have.
+"""Canonical frames -> key pictures with their detail, and back to the canonical space that viewers have.
 
 N rows of a group, n rows of a tier, P planes, C colour channels.
 """
@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import assemble, centre_codes, choose_layout, fit_atlas, read_codes
-from airgs_codec.coding.channels import Canonical
+from airgs_codec.coding.channels import Canonical, dequantise_key
+from airgs_codec.coding.grid import coarse_codes
 from airgs_codec.coding.quantize import from_codes, to_codes
+from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns
+from airgs_codec.coding.sidecar import KeySidecar, detail_columns, join_sidecars, read_detail
 from airgs_codec.encoder.error_bounds import ErrorModel
 from airgs_codec.encoder.leave_out import KeyOmissions
 from airgs_codec.encoder.plan import GroupLayout
@@ -32,16 +35,15 @@ from airgs_codec.media.h264 import KEY_QP, ClosedGop, decode_pictures, key_codec
 from airgs_codec.package.layout import KEY
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
 from airgs_codec.progress import Progress
-from airgs_codec.scene.gaussians import Gaussians
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedAtlas:
-    """A key tier of one group at one key quality: all that its picture and its escapes are made of."""
+    """A key tier of one group at one key quality: all that its files but the shared sidecar are made of."""
 
     atlas: Atlas  # without its largest errors; 0 rows: nothing is sent
     samples: NDArray[np.uint8]  # (P, n) luma
-    escapes: bytes
+    detail: bytes  # of positions, and escapes
     error: ErrorModel | None  # None: nothing is sent
 
 
@@ -50,24 +52,38 @@ class CodedKeys:
     """The keys of one group."""
 
     tiers: tuple[tuple[CodedAtlas, ...], ...]  # tier x key quality
+    coarser: tuple[int, ...]  # of each key quality: its cells of canonical means are 2^coarser times the finest
     left_out: tuple[LeftOut, ...]
 
 
-def code_keys(layout: GroupLayout, canonical: Gaussians, settings: EncodeSettings) -> CodedKeys:
-    """Quantise the canonical frame, which has all input rows, for every tier and key quality."""
-    values = layout.key_values(canonical)
+def code_keys(layout: GroupLayout, settings: EncodeSettings) -> CodedKeys:
+    """Quantise the key of a group for every tier and key quality."""
+    values = layout.key_values()
     steps = KEY.steps(layout.key_steps, layout.colours)
     omissions = KeyOmissions.of(layout, values)
     omitted, planes = omissions.planes(settings.scaled_price)
-    tiers = tuple(
-        tuple(_code_tier(values[None, :, layout.tier_rows(tier)], steps * f, omitted) for f in settings.key_factors)
-        for tier in range(len(settings.tiers))
-    )
-    return CodedKeys(tiers, tuple(note for note in (omissions.gaussians(), planes) if note))
+    coarser = settings.coarser
+
+    def code(rows: slice, quality: int) -> CodedAtlas:
+        sidecar = layout.sidecar(rows, _static(layout))
+        detail = detail_columns(sidecar, layout.grid, coarser[quality], coarser[-1])
+        return _code_tier(values[None, :, rows], steps * settings.key_factors[quality], omitted, detail)
+
+    qualities = range(len(settings.key_factors))
+    tiers = [layout.tier_rows(tier) for tier in range(len(settings.tiers))]
+    coded = tuple(tuple(code(rows, quality) for quality in qualities) for rows in tiers)
+    return CodedKeys(coded, coarser, tuple(note for note in (omissions.gaussians(), planes) if note))
 
 
-def _code_tier(values: NDArray[np.float64], steps: NDArray[np.float64], omitted: NDArray[np.bool_]) -> CodedAtlas:
-    """From (1, 7 + C, n) values, (7 + C,) steps, and the (7 + C,) channels that are left out."""
+def _static(layout: GroupLayout) -> NDArray[np.uint8]:
+    """(N,) depths before there are states."""
+    return np.full(len(layout.codes), STATIC, np.uint8)
+
+
+def _code_tier(
+    values: NDArray[np.float64], steps: NDArray[np.float64], omitted: NDArray[np.bool_], detail: list[Column]
+) -> CodedAtlas:
+    """From (1, 7 + C, n) values, (7 + C,) steps, (7 + C,) channels that are left out, and the detail of positions."""
     if not values.size:
         return CodedAtlas(Atlas(0, [0] * len(steps), [], 0, 0), np.empty((0, 0), np.uint8), b"", None)
     gain = qp_step(KEY_QP)
@@ -75,7 +91,7 @@ def _code_tier(values: NDArray[np.float64], steps: NDArray[np.float64], omitted:
     atlas = _with_picture(fit_atlas(codes, gain / 2, omitted))
     samples, bases = escapes.split(centre_codes(codes, atlas))
     error = ErrorModel.of(values, atlas, steps / gain)
-    return CodedAtlas(atlas, samples[0], escapes.pack(bases), error)
+    return CodedAtlas(atlas, samples[0], encode_columns([*detail, *escapes.columns(bases)]), error)
 
 
 def _with_picture(atlas: Atlas) -> Atlas:
@@ -128,19 +144,31 @@ def decode_base(
     `representations` are those of `encode_keys`, `numbers` the group's key unit in each tier.
     """
     steps = KEY.steps(layout.key_steps, layout.colours) * settings.key_factors[quality]
-    parts = []
+    channels, sidecars = [], []
     for tier, number in enumerate(numbers):
         stream, coded = representations[tier][quality].stream, keys.tiers[tier][quality]
         if stream is None or not number:
             continue
         where = f"key tier {tier} of frames {layout.span.start}-{layout.span.stop - 1}"
         picture = next(decode_pictures(stream.init, stream.media[number - 1], where))
-        codes = read_codes(picture, coded.atlas, _read_bases(coded, where))
-        parts.append(from_codes(codes, steps, qp_step(KEY_QP)))
-    return layout.canonical_space(np.concatenate(parts, axis=1), np.full(len(layout.codes), STATIC, np.uint8))
+        reader = ColumnReader(coded.detail, where)
+        sidecars.append(_read_positions(reader, layout, tier, keys.coarser[quality], keys.coarser[-1]))
+        jumps = escapes.read_columns(reader, (1, len(coded.atlas.planes), coded.atlas.rows))
+        codes = read_codes(picture, coded.atlas, jumps.bases(0))
+        channels.append(from_codes(codes, steps, qp_step(KEY_QP)))
+    return dequantise_key(
+        np.concatenate(channels, axis=1),
+        join_sidecars(sidecars),
+        layout.transform,
+        layout.grid,
+        layout.key_steps,
+        keys.coarser[quality],
+    )
 
 
-def _read_bases(coded: CodedAtlas, where: str) -> NDArray[np.int32]:
-    """(P, n) escape bases of a key picture, from the bytes that are sent."""
-    shape = (1, len(coded.atlas.planes), coded.atlas.rows)
-    return escapes.unpack(coded.escapes, shape, where).bases(0)
+def _read_positions(reader: ColumnReader, layout: GroupLayout, tier: int, coarser: int, coarsest: int) -> KeySidecar:
+    """The rows of a tier as a key quality has them, every one static, from the bytes that are sent."""
+    rows = layout.tier_rows(tier)
+    shared = layout.sidecar(rows, _static(layout))
+    codes = coarse_codes(shared.codes, shared.classes, layout.grid, coarsest)
+    return read_detail(reader, replace(shared, codes=codes), layout.grid, coarser, coarsest)

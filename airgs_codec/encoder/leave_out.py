@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.importance import PICTURES, estimate_cost, pooled_error, select_omissions
+from airgs_codec.analysis.importance import estimate_cost, pooled_error, select_omissions
 from airgs_codec.coding.channels import Canonical, StateApplier
 from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.survey import Survey
@@ -40,8 +40,8 @@ def omit_bands(sequence: GaussianSequence, survey: Survey, step: float, price: f
     """
     if not sequence.sh_degree or price == 0:
         return sequence.sh_degree, None
-    g = sequence.load([survey.span.canonical]).frames[0]
-    full = [(camera, render(g, camera).rgb) for _, camera in survey.some(PICTURES)]
+    g = sequence.load([survey.span.middle]).frames[0]
+    full = [(camera, render(g, camera).rgb) for _, camera in survey.checks]
     bands, cost, size = g.sh_degree, 0.0, 0.0
     while bands:
         fewer = g.with_degree(bands - 1)

@@ -13,7 +13,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.importance import PICTURES, KeptRows, RowPruning
+from airgs_codec.analysis.importance import KeptRows, RowPruning
 from airgs_codec.analysis.sensitivity import Sensitivity
 from airgs_codec.coding.channels import Canonical, dequantise_key, key_channels
 from airgs_codec.coding.colour import colour_transform
@@ -28,7 +28,7 @@ from airgs_codec.encoder.survey import GroupSpan, Survey, pair
 from airgs_codec.encoder.views import Pictures
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, Grid, KeySteps, StateSteps, unpack_matrix
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, mean_frame
 from airgs_codec.scene.repair import Repaired
 
 
@@ -43,8 +43,9 @@ class GroupLayout:
     notes: tuple[str, ...]  # repairs
     removal_error: float  # mean squared error of pictures without the rows left out
     rows: NDArray[np.intp]  # (N,) input rows
+    key: Gaussians  # N rows: the canonical frame, the mean of all frames, which the key codes
     tiers: NDArray[np.uint8]  # (N,) ascending
-    codes: NDArray[np.uint64]  # (N,) Morton codes of the grid, ascending within a tier
+    codes: NDArray[np.uint64]  # (N,) Morton codes of the finest cells, ascending within a tier
     classes: NDArray[np.int16]  # (N,) motion classes
     usage: RowUsage
     sensitivity: Sensitivity
@@ -72,20 +73,24 @@ class GroupLayout:
         steps = StateSteps(1.0, *(getattr(self.key_steps, name) for name in KEY_ATTRIBUTES))
         return channel_weights(self.classes, self.sensitivity, steps, self.transform)[STATE.slice("means").stop :]
 
-    def key_values(self, canonical: Gaussians) -> NDArray[np.float64]:
-        """(7 + C, N) key channels of the canonical frame, which has all input rows."""
-        return key_channels(canonical.take(self.rows), self.transform, self.key_steps)
+    def key_values(self) -> NDArray[np.float64]:
+        """(7 + C, N) key channels."""
+        return key_channels(self.key, self.transform, self.key_steps)
 
     def canonical_space(self, channels: NDArray[np.float32], depths: NDArray[np.uint8]) -> Canonical:
-        """The canonical space that (7 + C, N) decoded key channels and (N,) depths make."""
-        sidecar = KeySidecar(self.codes, self.classes, depths)
+        """The canonical space that (7 + C, N) decoded key channels and (N,) depths make, with the finest positions."""
+        sidecar = self.sidecar(slice(None), depths)
         return dequantise_key(channels, sidecar, self.transform, self.grid, self.key_steps)
+
+    def sidecar(self, rows: slice, depths: NDArray[np.uint8]) -> KeySidecar:
+        """Some rows with the finest positions, and of (N,) depths those of the rows."""
+        return KeySidecar(self.codes[rows], self.classes[rows], depths[rows])
 
 
 def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSettings, fps: Fraction) -> GroupLayout:
     """Order, tiers, steps and transforms of a group: `loaded` are its frames, of which `kept` rows are written."""
     steps = settings.steps.scaled(settings.quality)
-    canonical = loaded.frames[survey.span.middle].take(kept.rows)
+    canonical = mean_frame(loaded.frames).take(kept.rows)
     classes = classify_motion(survey.sensitivity.take(kept.rows), canonical)
     grid = fit_grid(canonical.means, classes, steps.grid)
     codes = grid_codes(canonical.means, classes, grid)
@@ -96,16 +101,17 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
     transform = colour_transform(canonical.take(order), steps.key)
     return GroupLayout(
         span=survey.span,
-        pictures=survey.some(PICTURES),
+        pictures=survey.checks,
         segments=split_segments(survey.span, settings.segment_s, fps),
         count=len(score),
         notes=tuple(loaded.notes),
         removal_error=kept.error,
         rows=rows,
+        key=canonical.take(order),
         tiers=tiers[order],
         codes=codes[order],
         classes=classes[order],
-        usage=RowUsage(score[rows], None if moved is None else moved[rows]),
+        usage=RowUsage(score[rows], survey.usage.measure("hits")[rows], None if moved is None else moved[rows]),
         sensitivity=survey.sensitivity.take(rows),
         grid=grid,
         key_steps=steps.key,
@@ -116,7 +122,7 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
 
 def prune_rows(frames: Sequence[Gaussians], survey: Survey) -> RowPruning:
     """Pruning of a group's rows by what some of its pictures show; `frames` are all of the group."""
-    return RowPruning(pair(frames, survey.some(PICTURES)), survey.importance)
+    return RowPruning(pair(frames, survey.checks), survey.importance)
 
 
 def keep_rows(

@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.grouping import Grouping, plan_groups
 from airgs_codec.encoder.calibration import cache
 from airgs_codec.encoder.calibration.calibrate import calibrate
-from airgs_codec.encoder.encoder import EncodeJob, encode_sequence
+from airgs_codec.encoder.encoder import EncodeJob
+from airgs_codec.encoder.group_length import compare_lengths
 from airgs_codec.encoder.leave_out import omit_bands
-from airgs_codec.encoder.quality import measure_quality
 from airgs_codec.encoder.rate_target import Goal
 from airgs_codec.encoder.search import search_quality
-from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
+from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.survey import Survey, survey_groups
+from airgs_codec.encoder.verify import Attempt, encode_verified
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.staging import staged, write_file
-from airgs_codec.package.store import Package
 from airgs_codec.package.tables import JSON_NAME, MPD_NAME, LeftOut, Manifest
-from airgs_codec.progress import Progress, silent
+from airgs_codec.progress import Progress, Stopwatch, silent
 from airgs_codec.scene.sequence import GaussianSequence, read_attribution
 
 
@@ -32,12 +31,12 @@ class EncodeReport:
 
     manifest: Manifest
     manifest_bytes: int  # airgs.json and manifest.mpd together
-    survey_s: float
+    survey_s: float  # views, lengths of groups and what pictures show
     calibrate_s: float
-    cached: bool  # the calibration was kept from before
     search_s: float  # for a goal
     encode_s: float
     measure_s: float
+    cached: bool  # the calibration was kept from before
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +45,7 @@ class _Calibrated:
 
     job: EncodeJob
     settings: EncodeSettings  # nothing is left to calibrate
+    expected: float | None  # mean squared error of pictures of the top rung; None: nothing was promised
     left_out: tuple[LeftOut, ...]  # SH bands
     cached: bool
 
@@ -68,35 +68,49 @@ def encode(
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails, and ConfigError for a
     margin below 0, a goal out of reach or a `path` with other files in it; then `path` is as it was.
     """
-    views = ViewPlan.of(sequence, margin=settings.margin, region=settings.region)
+    watch = Stopwatch()
+    views = ViewPlan.of(sequence, settings.decide_pictures, margin=settings.margin, region=settings.region)
     with staged(Path(path)) as stage:
-        watch = _Stopwatch()
-        grouping = plan_groups(sequence, settings.group_frames)
-        surveys = survey_groups(sequence, grouping.spans, views, progress)
+        groups = _plan_groups(sequence, views, settings)
+        surveys = survey_groups(sequence, groups.spans, views, progress)
         credit = read_attribution(sequence.folder) if attribution is None else attribution
-        job = EncodeJob(sequence, surveys, views, grouping.notes, credit)
         survey_s = watch.lap()
-        calibrated = _calibrate(job, settings, progress)
+        calibrated = _calibrate(EncodeJob(sequence, surveys, views, groups.notes, credit), settings, progress)
         calibrate_s = watch.lap()
-        settings = calibrated.settings
+        wanted, job, settings = settings, calibrated.job, calibrated.settings
         if goal:
-            factor = search_quality(calibrated.job, sequence, settings, goal, stage, progress)
-            settings = replace(settings, quality=factor)
+            settings = settings.at(search_quality(job, sequence, settings, goal, stage, progress))
         search_s = watch.lap()
-        manifest = encode_sequence(calibrated.job, settings, stage, progress)
-        manifest = replace(manifest, left_out=[*calibrated.left_out, *manifest.left_out])
-        encode_s = watch.lap()
-        if settings.measure_pictures:
-            package = Package(stage, manifest, 0)
-            manifest = measure_quality(package, sequence, views, settings.measure_pictures, progress)
+        expected = None if goal else calibrated.expected
+        given = wanted.levels != DEFAULT_LEVELS
+        attempt = encode_verified(Attempt(job, sequence, settings, expected, given), stage, progress)
+        left_out = [*calibrated.left_out, *attempt.manifest.left_out]
+        decisions = [*attempt.manifest.decisions, *attempt.stories]
+        manifest = replace(attempt.manifest, left_out=left_out, decisions=decisions)
         size = _write_manifests(stage, manifest)
-        return EncodeReport(manifest, size, survey_s, calibrate_s, calibrated.cached, search_s, encode_s, watch.lap())
+        seconds = (survey_s, calibrate_s, search_s, attempt.encode_s, attempt.measure_s)
+        return EncodeReport(manifest, size, *seconds, calibrated.cached)
+
+
+def _plan_groups(sequence: GaussianSequence, views: ViewPlan, settings: EncodeSettings) -> Grouping:
+    """Groups of the length that is asked for, or that costs least."""
+    if settings.group_frames is not None:
+        return plan_groups(sequence, settings.group_frames)
+    costs = compare_lengths(sequence, views, settings)
+    if not costs:
+        return plan_groups(sequence)
+    grouping = plan_groups(sequence, costs[0].frames)
+    ranked = ", ".join(f"{cost.frames}: {cost.score / costs[0].score - 1:+.0%}" for cost in costs[1:])
+    story = (
+        f"groups of {costs[0].frames} frames, the cheapest on a sample (others at equal quality, in bytes: {ranked})"
+    )
+    return replace(grouping, notes=[story, *grouping.notes])
 
 
 def _calibrate(job: EncodeJob, settings: EncodeSettings, progress: Progress) -> _Calibrated:
     """Settings for this scene, and the job without the SH bands that it does not need."""
     if settings.calibrate == "none":
-        return _Calibrated(job, settings, (), False)
+        return _Calibrated(job, settings, None, (), False)
     progress("calibration", 0, 1)
     subject = _longest(job.surveys)
     name = cache.digest(job.sequence, subject, job.views, settings)
@@ -104,15 +118,16 @@ def _calibrate(job: EncodeJob, settings: EncodeSettings, progress: Progress) -> 
     calibration = kept or calibrate(job.sequence, subject, settings)
     if kept is None:
         cache.keep(name, calibration)
+    expected = calibration.expected * settings.quality**2 if settings.calibrate == "ladder" else None
     settings = calibration.apply(settings)
     step = settings.steps.key.sh_rest * settings.quality
     bands, note = omit_bands(job.sequence, subject, step, settings.scaled_price)
     if note is None:
-        return _Calibrated(job, settings, (), kept is not None)
+        return _Calibrated(job, settings, expected, (), kept is not None)
     fewer = replace(job.sequence, max_sh_degree=bands)
     spans = [(survey.span.start, survey.span.stop) for survey in job.surveys]
     surveys = survey_groups(fewer, spans, job.views, progress)
-    return _Calibrated(replace(job, sequence=fewer, surveys=surveys), settings, (note,), kept is not None)
+    return _Calibrated(replace(job, sequence=fewer, surveys=surveys), settings, expected, (note,), kept is not None)
 
 
 def _longest(surveys: Sequence[Survey]) -> Survey:
@@ -127,16 +142,3 @@ def _write_manifests(folder: Path, manifest: Manifest) -> int:
     tables = write_file(folder, JSON_NAME, manifest.to_json().encode())
     mpd = write_file(folder, MPD_NAME, write_mpd(manifest))
     return tables.bytes + mpd.bytes
-
-
-class _Stopwatch:
-    """Seconds between laps."""
-
-    def __init__(self) -> None:
-        self._last = time.perf_counter()
-
-    def lap(self) -> float:
-        """Seconds since the last lap, or since the start."""
-        now = time.perf_counter()
-        seconds, self._last = now - self._last, now
-        return seconds

@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.views import Pictures, ViewPlan
 from airgs_codec.media.color import delta_e
-from airgs_codec.media.metrics import mse, psnr, ssim
+from airgs_codec.media.metrics import Reference, psnr
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Manifest, Quality, Segment, SegmentLevel
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import render
-from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-OFF_LADDER = 3  # one picture in so many measures key qualities that are not those of a level
+OFF_LADDER = 5  # one picture in so many measures key qualities that are not those of a level
 
 
 @dataclass(slots=True)
@@ -30,11 +29,11 @@ class QualitySums:
     similarity: float = 0.0
     difference: float = 0.0
 
-    def add(self, picture: NDArray[np.float32], reference: NDArray[np.float32]) -> None:
+    def add(self, picture: NDArray[np.float32], reference: Reference) -> None:
         """One (H, W, 3) picture beside the picture of the original."""
-        self.squared.append(mse(picture, reference))
-        self.similarity += ssim(picture, reference)
-        self.difference += delta_e(picture, reference)
+        self.squared.append(reference.mse(picture))
+        self.similarity += reference.ssim(picture)
+        self.difference += delta_e(picture, reference.picture)
 
     def quality(self) -> Quality:
         """Over all pictures added so far, at least one."""
@@ -66,11 +65,11 @@ def measure_quality(
     return replace(m, segments=segments)
 
 
-def _references(sequence: GaussianSequence, pictures: Pictures) -> list[NDArray[np.float32]]:
+def _references(sequence: GaussianSequence, pictures: Pictures) -> list[Reference]:
     """Pictures of the original."""
     numbers = sorted({number for number, _ in pictures})
     originals = dict(zip(numbers, sequence.load(numbers).frames, strict=True))
-    return [render(originals[number], camera).rgb for number, camera in pictures]
+    return [Reference.of(render(originals[number], camera).rgb) for number, camera in pictures]
 
 
 def _measure(
@@ -78,16 +77,18 @@ def _measure(
     index: int,
     rung: tuple[int, int],
     pictures: Pictures,
-    references: Sequence[NDArray[np.float32]],
+    references: Sequence[Reference],
 ) -> Quality:
     """Quality of one level at one key quality in a segment."""
     m, (level, quality) = package.manifest, rung
     every = 1 if quality == m.levels[level].quality else OFF_LADDER
     segment = m.segments[index]
     base = decode_canonical(package, segment.group, quality, m.levels[level].tiers)
-    shown: list[Gaussians] = list(decode_segment(package, index, base, level, 0, segment.stop - segment.start))
+    compared = list(zip(pictures, references, strict=True))[::every]
+    places = sorted({number - segment.start for (number, _), _ in compared})
+    shown = dict(zip(places, decode_segment(package, index, base, level, places), strict=True))
     sums = QualitySums()
-    for (number, camera), reference in list(zip(pictures, references, strict=True))[::every]:
+    for (number, camera), reference in compared:
         sums.add(render(shown[number - segment.start], camera).rgb, reference)
     return sums.quality()
 

@@ -13,13 +13,19 @@ from airgs_codec.coding.weights import withheld_error
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowUsage:
-    """How much views use the rows of a group, for ranking updates by usage x size of the change."""
+    """How much views use the rows of a group, for ranking updates by it."""
 
-    score: NDArray[np.float64]  # (N,) usage
-    moved: NDArray[np.float64] | None  # (N,) `Usage.moved`, where the trainer left it: it takes precedence
+    score: NDArray[np.float64]  # (N,) usage, by the measure that ranks rows for key tiers
+    hits: NDArray[np.float64]  # (N,) pixels where a row is blended: the paper's usage frequency
+    moved: NDArray[np.float64] | None  # (N,) `Usage.moved`, where the trainer left it: it takes precedence over changes
 
-    def rank(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(N,) score of updates; `changes` (T, 10 + C, N) are differences to the canonical frame, in steps."""
+    def rank(self, name: str, changes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) score of updates: "hits" alone as in the paper, or "usage" x size of the change.
+
+        `changes` (T, 10 + C, N) are differences to the canonical frame, in steps.
+        """
+        if name == "hits":
+            return self.hits
         if self.moved is not None:
             return self.moved
         return self.score * np.sqrt(np.einsum("tcn,tcn->n", changes, changes) / len(changes))
@@ -45,14 +51,15 @@ def rank_updates(
     states: NDArray[np.float64],
     changes: NDArray[np.float64],
     weights: NDArray[np.float64],
-    known: RowUsage | None = None,
+    usage: RowUsage | None = None,
+    rank: str = "error",
     keep_all: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """(N,) scores that rank updates for pruning, and (N,) whether any level carries a row.
 
     `states` (T, 10 + C, N) are differences to the canonical frame as decoded, `changes` to the original one, both in
     steps; `weights` (10 + C, N) are the squared error of pictures for a squared step. The score is the error expected
-    of withholding the updates of a row, or, where usage is `known`, its rank.
+    of withholding the updates of a row, or, where `rank` is another one than "error", that of its `usage`.
     """
-    score = withheld_error(changes, weights) if known is None else known.rank(changes)
+    score = withheld_error(changes, weights) if usage is None or rank == "error" else usage.rank(rank, changes)
     return score, find_moving(states, changes, weights, keep_all)

@@ -39,7 +39,7 @@ def search_quality(
     def trial(factor: float) -> float:
         progress(f"trial {next(numbers)}: quality factor {factor:.3g}", 0, 1)
         with tempfile.TemporaryDirectory(prefix=".trial", dir=folder) as name:
-            manifest = encode_sequence(job, replace(top, quality=factor), Path(name), progress)
+            manifest = encode_sequence(job, top.at(factor), Path(name), progress).manifest
             if goal.kind != PSNR:
                 return kilobytes_a_frame(manifest, settings)
             package = Package(Path(name), manifest, 0)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from airgs_codec._settings import computed_setting, documented, setting
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
@@ -11,7 +13,7 @@ from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.levels import DEFAULT_TIERS
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
-from airgs_codec.package.tables import MAX_CHOICES, Region
+from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, Region
 from airgs_codec.scene.usage import MEASURES
 
 
@@ -30,15 +32,18 @@ class LevelSettings:
         return f"{self.pruned * 100:g}:{self.factor:g}"
 
 
+Shares = tuple[tuple[float, float], ...]  # (factor on the steps, share of the updates to withhold), ascending
+
 DEFAULT_LEVELS = (
     LevelSettings(0.0, 1.0),
     LevelSettings(0.3, 1.5),
     LevelSettings(0.5, 2.0, quality=1),
     LevelSettings(0.6, 3.0, quality=1),
 )
-PAPER_LEVELS = tuple(LevelSettings(share / 10) for share in range(10))
+PAPER_LEVELS = tuple(LevelSettings(share / 10) for share in range(11))  # the last one holds the key
 QUALITY_FACTORS = {"low": 1.6, "medium": 1.0, "high": 0.6}
-UPDATE_RANKS = ("error", "usage")
+UPDATE_RANKS = ("error", "usage", "hits")
+CELL_GROWTH = 0.75  # cells of positions grow with this power of the key factor: ever fewer rows are updated
 CALIBRATIONS = ("ladder", "steps", "none")
 
 
@@ -62,11 +67,18 @@ class EncodeSettings:
         "tiers, descending, and the key quality, ascending",
     )
     tiers: tuple[float, ...] = setting(DEFAULT_TIERS, "share of the Gaussians in each key tier, summing to 1")
-    key_factors: tuple[float, ...] = setting((1.0, 3.0), "for each key quality a factor on the key steps")
+    shares: Shares = computed_setting(
+        tuple, "(factor on the steps, share of the updates to withhold), ascending; calibration finds them"
+    )
+    key_factors: tuple[float, ...] = setting(
+        (1.0, 3.0), "for each key quality a factor on the key steps; cells of positions grow with it"
+    )
     steps: StepSettings = computed_setting(StepSettings, "quantiser steps at quality 1; calibration starts there")
     segment_s: float = setting(1.0, "longest state segment, in seconds")
-    group_frames: int = setting(
-        DEFAULT_GROUP_FRAMES, "longest group of frames with a common canonical space, where no keyframes are given"
+    group_frames: int | None = setting(
+        None,
+        "longest group of frames with a common canonical space, where no keyframes are given; by default the length "
+        "that a sample of the scene says is cheapest",
     )
     margin: float | None = setting(
         None,
@@ -83,17 +95,18 @@ class EncodeSettings:
     )
     update_rank: str = setting(
         "error",
-        "what ranks updates for pruning: the error expected of withholding one (error), or usage x the size of the "
-        "change (usage)",
+        "what ranks updates for pruning: the error expected of withholding one (error), usage x the size of the "
+        "change (usage), or the number of pixels blended alone, as in the paper (hits)",
     )
     keep_all: bool = setting(False, "leave nothing out but what is constant")
+    decide_pictures: int = setting(24, "pictures of each group that decide what matters, at least")
     byte_price: float = setting(
         0.0,
         "squared error of pictures that must be worth a byte a frame at quality 1, or planes and segments are left "
         "out; 0: none are; calibration finds it",
     )
     measure_pictures: int = setting(
-        12, "pictures of each segment, of frames and views of their own, that measure every rung; 0: none"
+        10, "pictures of each segment, at least, of frames and views of their own, that measure every rung; 0: none"
     )
     preset: str = setting(DEFAULT_PRESET, "x264 preset")
     jobs: int = computed_setting(
@@ -108,7 +121,7 @@ class EncodeSettings:
         ladder = (self.levels, self.tiers)
         checks = [
             (1 <= len(self.levels) <= MAX_CHOICES, f"expected 1 to {MAX_CHOICES} levels"),
-            (all(0 <= s < 1 for s in shares), f"expected pruned shares in [0, 1), got {shares}"),
+            (all(0 <= s <= 1 for s in shares), f"expected pruned shares in [0, 1], got {shares}"),
             (shares == sorted(shares), f"expected ascending pruned shares, got {shares}"),
             (
                 tiers[:1] == [len(self.tiers)] and tiers == sorted(tiers, reverse=True) and tiers[-1] > 0,
@@ -118,9 +131,15 @@ class EncodeSettings:
                 qualities == sorted(qualities) and all(0 <= q < len(self.key_factors) for q in qualities),
                 f"expected ascending key qualities below {len(self.key_factors)}, got {qualities}",
             ),
-            (all(level.factor > 0 for level in self.levels) and self.quality > 0, "expected positive step factors"),
+            (
+                all(f > 0 for f in (self.quality, *self.key_factors, *(level.factor for level in self.levels))),
+                "expected positive step factors",
+            ),
             (self.segment_s > 0, f"expected a positive segment length, got {self.segment_s}"),
-            (self.group_frames >= 1, f"expected at least one frame a group, got {self.group_frames}"),
+            (
+                self.group_frames is None or self.group_frames >= 1,
+                f"expected at least one frame a group, got {self.group_frames}",
+            ),
             (
                 abs(sum(self.tiers) - 1) < 1e-9 and min(self.tiers) >= 0,
                 f"expected tiers that sum to 1, got {self.tiers}",
@@ -133,6 +152,7 @@ class EncodeSettings:
                 'levels and tiers would be replaced: expected calibrate "steps" or "none" with them',
             ),
             (self.margin is None or self.region is None, "expected a margin or a region, got both"),
+            (self.decide_pictures >= 1, f"expected 1 or more pictures to decide with, got {self.decide_pictures}"),
             (self.measure_pictures >= 0, f"expected 0 or more pictures to measure, got {self.measure_pictures}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
             (self.jobs >= 1, f"expected at least one job, got {self.jobs}"),
@@ -142,9 +162,26 @@ class EncodeSettings:
                 raise ConfigError(message)
 
     @property
+    def coarser(self) -> tuple[int, ...]:
+        """For each key quality the power of 2 by which its cells of canonical means are wider than the finest."""
+        powers = [round(CELL_GROWTH * math.log2(factor / self.key_factors[0])) for factor in self.key_factors]
+        return tuple(min(power, MAX_BITS) for power in itertools.accumulate(powers, max))
+
+    @property
     def scaled_price(self) -> float:
         """`byte_price` at this quality: error grows with the square of the steps. 0 where all is kept."""
         return 0.0 if self.keep_all else self.byte_price * self.quality**2
+
+    def at(self, quality: float) -> EncodeSettings:
+        """The settings at another quality; levels withhold what `shares` says for their steps."""
+        if not self.shares:
+            return replace(self, quality=quality)
+        levels = (replace(level, pruned=self._share(quality * level.factor)) for level in self.levels)
+        return replace(self, quality=quality, levels=tuple(levels))
+
+    def _share(self, factor: float) -> float:
+        """The share of updates to withhold at a factor on the steps: that of the nearest one, as a ratio."""
+        return min(self.shares, key=lambda entry: abs(math.log(entry[0] / factor)))[1]
 
     def tiers_of(self, level: LevelSettings) -> int:
         """Number of key tiers that viewers of a level fetch."""
@@ -163,6 +200,32 @@ class EncodeSettings:
             "key_qp": str(KEY_QP),
             "state_qp": str(STATE_QP),
         }
+
+
+def as_in_paper(settings: EncodeSettings) -> EncodeSettings:
+    """The paper's levels: updates ranked by usage frequency alone, 0 to 100 % of them pruned, equal steps, one key."""
+    return replace(
+        settings,
+        calibrate="none",
+        levels=PAPER_LEVELS,
+        tiers=(1.0,),
+        key_factors=(1.0,),
+        usage="hits",
+        update_rank="hits",
+        keep_all=True,
+    )
+
+
+def as_preview(settings: EncodeSettings) -> EncodeSettings:
+    """For a first look: no trial encodes, fast H.264, groups of DEFAULT_GROUP_FRAMES, few pictures measured."""
+    return replace(
+        settings,
+        calibrate="none",
+        preset="superfast",
+        group_frames=settings.group_frames or DEFAULT_GROUP_FRAMES,
+        decide_pictures=8,
+        measure_pictures=min(settings.measure_pictures, 2),
+    )
 
 
 DEFAULT_SETTINGS = EncodeSettings()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -93,7 +93,7 @@ def code_states(
     values = state_channels(shown, bases[0], layout.state_steps)
     steps = STATE.steps(layout.state_steps, layout.colours)
     states = values / steps[:, None]
-    changes = states - states[layout.span.middle]
+    changes = states - state_channels([layout.key], bases[0], layout.state_steps)[0] / steps[:, None]
     depths = _find_depths(layout, states, changes, settings)
     static = note_static(layout, states, depths)
     omissions = StateOmissions.of(layout, bases[0], values, depths)
@@ -115,8 +115,8 @@ def _find_depths(
     layout: GroupLayout, states: NDArray[np.float64], changes: NDArray[np.float64], settings: EncodeSettings
 ) -> NDArray[np.uint8]:
     """(N,) depths, from (T, 10 + C, N) differences to the decoded and to the original canonical frame, in steps."""
-    known = layout.usage if settings.update_rank == "usage" else None
-    score, moving = rank_updates(states, changes, layout.state_weights(), known, settings.keep_all)
+    weights, rank = layout.state_weights(), settings.update_rank
+    score, moving = rank_updates(states, changes, weights, layout.usage, rank, settings.keep_all)
     tiers = [settings.tiers_of(level) for level in settings.levels]
     return assign_depths(score, moving, [level.pruned for level in settings.levels], layout.tiers, tiers)
 
@@ -157,7 +157,7 @@ def _code_level(
     atlas = fit_atlas(codes, gain / 2, omitted)
     error = ErrorModel.of(values, atlas, steps / gain)
     if not atlas.planes or fetched == list(nothing):
-        return CodedLevel(atlas, error, None, nothing)
+        return CodedLevel(replace(atlas, planes=[], plane_width=0, columns=0), error, None, nothing)
     centred = centre_codes(codes, atlas)
     samples = np.zeros(centred.shape, np.uint8)
     coded: list[bytes | None] = []

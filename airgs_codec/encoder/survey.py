@@ -8,8 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.grouping import middle_frame
 from airgs_codec.analysis.importance import importance
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.encoder.views import Pictures, ViewPlan
@@ -34,14 +32,9 @@ class GroupSpan:
         return self.stop - self.start
 
     @property
-    def canonical(self) -> int:
-        """Number of the canonical frame in the sequence."""
-        return middle_frame(self.start, self.stop)
-
-    @property
     def middle(self) -> int:
-        """Place of the canonical frame among the frames of the group."""
-        return self.canonical - self.start
+        """Number of the frame in its middle."""
+        return self.start + (self.stop - self.start) // 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +42,7 @@ class Survey:
     """What views of all frames say about the rows of a group."""
 
     span: GroupSpan
-    pictures: Pictures  # that were looked at
+    checks: Pictures  # other ones, which show what leaving out would do
     usage: Usage
     sensitivity: Sensitivity
     importance: NDArray[np.float64]  # (N,) of `analysis.importance`
@@ -58,10 +51,6 @@ class Survey:
     def score(self, name: str) -> NDArray[np.float64]:
         """(N,) one of `usage.MEASURES`: what ranks rows for key tiers."""
         return self.importance if name == "importance" else self.usage.measure(name)
-
-    def some(self, most: int) -> Pictures:
-        """At most so many of the pictures, evenly spaced."""
-        return [self.pictures[i] for i in evenly_spaced(len(self.pictures), most)]
 
 
 def pair(frames: Sequence[Gaussians], pictures: Pictures) -> list[tuple[Gaussians, Camera]]:
@@ -72,14 +61,13 @@ def pair(frames: Sequence[Gaussians], pictures: Pictures) -> list[tuple[Gaussian
 def survey_group(sequence: GaussianSequence, span: GroupSpan, views: ViewPlan) -> Survey:
     """Survey one group over all of its frames; where the trainer's usage fits its rows, it takes precedence."""
     frames = sequence.load(range(span.start, span.stop)).frames
-    pictures = views.decide(span.frames)
-    by_frame = sorted(pictures, key=lambda picture: picture[0])  # pictures of one frame share work
-    usage, sensitivity = measure_views(pair(frames, by_frame))
+    pictures = sorted(views.decide(span.frames), key=lambda picture: picture[0])  # those of one frame share work
+    usage, sensitivity = measure_views(pair(frames, pictures))
     known = sequence.usage(span.start, span.stop)
     if known is not None and len(known.peak) == len(frames[0]):
         usage = known
     ranked = importance(frames, usage, sensitivity)
-    return Survey(span, pictures, usage, sensitivity, ranked, views.trusted)
+    return Survey(span, views.check(span.frames), usage, sensitivity, ranked, views.trusted)
 
 
 def survey_groups(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec import __version__
-from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
+from airgs_codec.coding.sidecar import pack_key_sidecar
 from airgs_codec.encoder.error_bounds import with_bounds
 from airgs_codec.encoder.keys import CodedKeys
 from airgs_codec.encoder.plan import GroupLayout
@@ -105,11 +105,10 @@ def _key_sidecars(coded: CodedSequence) -> Iterator[tuple[str, bytes]]:
         for t, number in enumerate(coded.key_numbers[g]):
             if not number:
                 continue
-            rows = layout.tier_rows(t)
-            sidecar = KeySidecar(layout.codes[rows], layout.classes[rows], coded.states[g].depths[rows])
-            yield tables.key_sidecar_path(t, number), pack_key_sidecar(sidecar, layout.grid)
+            sidecar = layout.sidecar(layout.tier_rows(t), coded.states[g].depths)
+            yield tables.key_sidecar_path(t, number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
             for q, atlas in enumerate(keys.tiers[t]):
-                yield tables.key_escapes_path(t, q, number), atlas.escapes
+                yield tables.key_detail_path(t, q, number), atlas.detail
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +119,7 @@ class Provenance:
     region: tables.Region
     views: tables.Views
     attribution: str
-    notes: Sequence[str]  # what grouping found
+    decisions: Sequence[str]  # about views and groups
     frames: int
     sh_degree: int
 
@@ -133,7 +132,8 @@ def build_manifest(coded: CodedSequence, files: dict[str, FileEntry], about: Pro
         version=tables.VERSION,
         generator=tables.Generator(__version__, library_versions(), settings.table()),
         attribution=about.attribution,
-        repairs=[*about.notes, *(note for layout in coded.layouts for note in layout.notes)],
+        repairs=[note for layout in coded.layouts for note in layout.notes],
+        decisions=list(about.decisions),
         frame_rate=[clock.fps.numerator, clock.fps.denominator],
         timescale=clock.timescale,
         frames=about.frames,
@@ -142,7 +142,10 @@ def build_manifest(coded: CodedSequence, files: dict[str, FileEntry], about: Pro
         state_gain=qp_step(STATE_QP),
         region=about.region,
         views=about.views,
-        qualities=[tables.KeyQuality(f"Q{i}", factor) for i, factor in enumerate(settings.key_factors)],
+        qualities=[
+            tables.KeyQuality(f"Q{q}", factor, coarser)
+            for q, (factor, coarser) in enumerate(zip(settings.key_factors, settings.coarser, strict=True))
+        ],
         levels=[
             tables.Level(f"L{j}", level.pruned, level.factor, settings.tiers_of(level), level.quality)
             for j, level in enumerate(settings.levels)
@@ -161,7 +164,6 @@ def _group_table(coded: CodedSequence, group: int) -> Group:
     return Group(
         start=layout.span.start,
         stop=layout.span.stop,
-        canonical=layout.span.canonical,
         count=len(layout.rows),
         static=int((states.depths == STATIC).sum()),
         unused=layout.count - len(layout.rows),

@@ -7,20 +7,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.analysis.region import region_around
-from airgs_codec.package.region import draw_views
+from airgs_codec.analysis.viewpoints import find_viewpoints
+from airgs_codec.package.region import DECIDING, MEASURING, draw_views
 from airgs_codec.package.tables import Region, Views
 from airgs_codec.render import Camera
 from airgs_codec.scene.camera import resized, training_views
-from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import GaussianSequence
 
-DECIDING, MEASURING = 0, 1  # seeds of the draws
-DECIDED = 24  # pictures of a group that decide
+CHECKED = 8  # further ones, which show what leaving out would do
 DECISION_PIXELS = 200_000  # of a picture that decides: larger ones are made smaller
+SMALL_PIXELS = 110_000  # of a picture, at most: of small ones twice as many decide and measure
+LOOKED_AT = 3  # frames, where no camera is given
 DRAWS = 240  # views that are drawn; groups and segments take them in turn
 
 Pictures = list[tuple[int, Camera]]  # (place of a frame in its group, or its number in the sequence; view)
@@ -34,44 +35,69 @@ class ViewPlan:
     trusted: bool  # what no view of the region shows may be left out
     deciding: Sequence[Camera]
     measuring: Sequence[Camera]
+    decided: int  # pictures of a group that decide: the first of `deciding`
+    small: bool  # pictures are small, so that twice as many decide and measure
     notes: tuple[str, ...] = ()  # how the region was found, for people
 
     @staticmethod
-    def of(sequence: GaussianSequence, *, margin: float | None = None, region: Region | None = None) -> ViewPlan:
-        """The region that is given, else the one about the scene's cameras, else about places that were found."""
+    def of(
+        sequence: GaussianSequence, pictures: int, *, margin: float | None = None, region: Region | None = None
+    ) -> ViewPlan:
+        """The region that is given, else the one about the scene's cameras, else about places that were found.
+
+        `pictures` of each group decide, at least.
+        """
         middle = sequence.load([len(sequence) // 2]).frames[0]
         if region is not None:
-            return ViewPlan._drawn(region, True)
+            return _draw(region, pictures)
         if sequence.cameras:
             held_out = [c for c in sequence.cameras if c.held_out]
-            around = region_around(training_views(sequence.cameras), middle, margin=margin)
-            return ViewPlan._drawn(around, True, held_out)
-        cameras = orbit_views(middle)
-        return ViewPlan._drawn(region_around(cameras, middle, margin=margin, source="orbit"), False)
-
-    @staticmethod
-    def _drawn(region: Region, trusted: bool, held_out: Sequence[Camera] = ()) -> ViewPlan:
-        """Draws from a region; where it has no extent, every draw is a place, and held-out cameras measure instead."""
-        deciding = draw_views(region, DRAWS, DECIDING)
-        point = all(place.reach == 0 for place in region.places) and region.turn == 0
-        measuring = list(held_out) if point and held_out else draw_views(region, DRAWS, MEASURING)
-        share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
-        return ViewPlan(region, trusted, [resized(camera, share) for camera in deciding], measuring)
+            return _draw(region_around(training_views(sequence.cameras), middle, margin=margin), pictures, held_out)
+        found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), LOOKED_AT)])
+        source = "found" if found.confident else "orbit"
+        around = region_around(found.cameras, middle, margin=margin, source=source)
+        return replace(_draw(around, pictures), trusted=found.confident, notes=(found.story,))
 
     def decide(self, frames: int) -> Pictures:
-        """Pictures of a group of so many frames: all frames or evenly many of them, each from views of its own."""
-        picked = evenly_spaced(frames, DECIDED)
-        rounds = -(-DECIDED // len(picked))
-        return list(zip(picked * rounds, itertools.cycle(self.deciding), strict=False))[: max(DECIDED, len(picked))]
+        """Pictures of a group of so many frames: all frames or evenly many of them, each from a view of its own."""
+        return _spread(frames, self.deciding[: self.decided])
 
-    def measure(self, index: int, start: int, stop: int, count: int) -> Pictures:
-        """`count` pictures of segment number `index`, the frames [start, stop): (number of the frame, view)."""
+    def check(self, frames: int) -> Pictures:
+        """Pictures of a group from other views, which show what leaving out would do.
+
+        The views that rank rows make the errors of leaving out the lowest ones look smaller than they are.
+        """
+        return _spread(frames, self.deciding[self.decided : self.decided + CHECKED])
+
+    def measure(self, index: int, start: int, stop: int, least: int) -> Pictures:
+        """Pictures of segment number `index`, the frames [start, stop): (number of the frame, view)."""
+        count = self.measured(least)
         numbers = middle_frames(start, stop, count)
         rounds = -(-count // len(numbers))
         first = index * count % len(self.measuring)
         views = itertools.islice(itertools.cycle(self.measuring), first, first + count)
         return list(zip(sorted((numbers * rounds)[:count]), views, strict=True))
 
+    def measured(self, least: int) -> int:
+        """How many pictures measure a segment, where `least` do of large pictures."""
+        return 2 * least if self.small else least
+
     def table(self, measured: int) -> Views:
-        """The record in airgs.json; `measured` pictures of each segment, 0 for none."""
-        return Views(DECIDED, measured, "original" if measured else "none")
+        """The record in airgs.json; `measured` pictures of each segment at least, 0 for none."""
+        return Views(self.decided + CHECKED, self.measured(measured), "original" if measured else "none")
+
+
+def _draw(region: Region, pictures: int, held_out: Sequence[Camera] = ()) -> ViewPlan:
+    """Draws from a region; where it has no extent, every draw is a place, and held-out cameras measure instead."""
+    point = all(place.reach == 0 for place in region.places) and region.turn == 0
+    share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
+    deciding = [resized(camera, share) for camera in draw_views(region, DRAWS, DECIDING)]
+    measuring = list(held_out) if point and held_out else draw_views(region, DRAWS, MEASURING)
+    small = region.width * region.height <= SMALL_PIXELS
+    return ViewPlan(region, True, deciding, measuring, 2 * pictures if small else pictures, small)
+
+
+def _spread(frames: int, cameras: Sequence[Camera]) -> Pictures:
+    """Each camera with a frame, the frames evenly spaced and taking turns."""
+    picked = evenly_spaced(frames, len(cameras))
+    return list(zip(itertools.cycle(picked), cameras, strict=False))

@@ -1,14 +1,16 @@
 """manifest.mpd: a valid DASH MPD over the package's files, one Period. Advisory; airgs.json is normative.
 
 One AdaptationSet for the state (its Representations are the levels) and one for each key tier (the key qualities).
-The shape was chosen by what ffmpeg and dash.js read: SegmentTemplate with $Number$ and an explicit SegmentTimeline in
-each Representation, SupplementalProperty only, relative addresses. `mpd_check` reads an MPD back and refuses others.
+The shape was chosen by what ffmpeg and dash.js read: SegmentTemplate with $Number$ and an explicit SegmentTimeline,
+SupplementalProperty only, relative addresses. What all Representations of an AdaptationSet have in common stands there
+once: attributes, and the SegmentTemplate if their timelines are equal. Otherwise each has its own, and the set has none
+(video.js would play the files of both). `mpd_check` reads an MPD back and refuses others.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from airgs_codec.package.tables import (
@@ -26,10 +28,13 @@ DASH = "urn:mpeg:dash:schema:mpd:2011"
 AIRGS = "urn:airgs:mpd:1"
 MIN_BUFFER_S = 1.0
 NUMBER = "$Number$"  # stands for the number of a file in a SegmentTemplate
+ID = "$RepresentationID$"  # stands there for the id, which is the folder of the files below that of all of its kind
+INHERITED = ("codecs", "width", "height", "sar", "frameRate")  # a Representation without one has that of its set
+Timeline = tuple[tuple[int, int], ...]  # start and duration of each file in ticks, number 1 first
 CONTENT = {  # the elements that this format uses, and their children in the order of ISO/IEC 23009-1's schema
     "MPD": ("Period",),
     "Period": ("AdaptationSet", "SupplementalProperty"),
-    "AdaptationSet": ("SupplementalProperty", "Representation"),
+    "AdaptationSet": ("SupplementalProperty", "SegmentTemplate", "Representation"),
     "SupplementalProperty": (),
     "Representation": ("SegmentTemplate",),
     "SegmentTemplate": ("SegmentTimeline",),
@@ -48,7 +53,7 @@ class Representation:
     height: int
     init: str
     media: str  # template with $Number$
-    timeline: tuple[tuple[int, int], ...]  # start and duration in ticks, number 1 first
+    timeline: Timeline
     advice: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)  # further attributes
 
 
@@ -93,11 +98,11 @@ def _key(m: Manifest, tier: int, quality: int, picture: Picture) -> Representati
     advice = {f"{{{AIRGS}}}factor": f"{m.qualities[quality].factor:g}"}
     timeline = _timeline(m, (g for g in m.groups if g.tiers[tier].number))
     init, media = key_init_path(tier, quality), key_media_path(tier, quality, NUMBER)
-    name = f"T{tier}Q{quality}"
+    name = f"T{tier}/Q{quality}"
     return Representation(name, picture.codecs, picture.width, picture.height, init, media, timeline, advice)
 
 
-def _timeline(m: Manifest, spans: Iterable[Group | Segment]) -> tuple[tuple[int, int], ...]:
+def _timeline(m: Manifest, spans: Iterable[Group | Segment]) -> Timeline:
     ticks = m.frame_ticks
     return tuple((span.start * ticks, (span.stop - span.start) * ticks) for span in spans)
 
@@ -119,11 +124,14 @@ def write_mpd(m: Manifest) -> bytes:
     for number, adaptation_set in enumerate(adaptation_sets(m), 1):
         _write_set(period, m, number, adaptation_set)
     _element(period, "SupplementalProperty", schemeIdUri="urn:airgs:scene:1", value="airgs.json")
-    ET.indent(root, " ")
+    ET.indent(root, "")  # a line for each element
     return b'<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
 
 
 def _write_set(period: ET.Element, m: Manifest, number: int, adaptation_set: AdaptationSet) -> None:
+    listed = adaptation_set.representations
+    attributes = [_attributes(m, r, ranking) for ranking, r in enumerate(listed, 1)]
+    common = _common(attributes)
     element = _element(
         period,
         "AdaptationSet",
@@ -133,36 +141,62 @@ def _write_set(period: ET.Element, m: Manifest, number: int, adaptation_set: Ada
         mimeType="video/mp4",
         segmentAlignment="true",
         startWithSAP="1",
+        **common,
     )
     _element(element, "SupplementalProperty", schemeIdUri="urn:airgs:plane:1", value=adaptation_set.role)
-    for ranking, representation in enumerate(adaptation_set.representations, 1):
-        _write_representation(element, m, representation, ranking)
+    one_timeline = len({r.timeline for r in listed}) == 1
+    if one_timeline:
+        _write_template(element, m, listed[0])
+    for r, own in zip(listed, attributes, strict=True):
+        row = _element(element, "Representation", **{k: v for k, v in own.items() if k not in common})
+        if not one_timeline:
+            _write_template(row, m, r)
 
 
-def _write_representation(parent: ET.Element, m: Manifest, r: Representation, ranking: int) -> None:
-    element = _element(
-        parent,
-        "Representation",
-        id=r.id,
-        codecs=r.codecs,
-        bandwidth=str(_bandwidth(m, r)),
-        width=str(r.width),
-        height=str(r.height),
-        sar="1:1",
-        qualityRanking=str(ranking),
+def _attributes(m: Manifest, r: Representation, ranking: int) -> dict[str, str]:
+    return {
+        "id": r.id,
+        "codecs": r.codecs,
+        "bandwidth": str(_bandwidth(m, r)),
+        "width": str(r.width),
+        "height": str(r.height),
+        "sar": "1:1",
+        "qualityRanking": str(ranking),
         **r.advice,
-    )
+    }
+
+
+def _common(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
+    """What all Representations of a set say alike and may leave to it."""
+    first = rows[0]
+    return {k: first[k] for k in INHERITED if k in first and all(row.get(k) == first[k] for row in rows)}
+
+
+def _write_template(parent: ET.Element, m: Manifest, r: Representation) -> None:
     template = _element(
-        element,
+        parent,
         "SegmentTemplate",
         timescale=str(m.timescale),
         startNumber="1",
-        initialization=r.init,
-        media=r.media,
+        initialization=r.init.replace(r.id, ID),
+        media=r.media.replace(r.id, ID),
     )
     timeline = _element(template, "SegmentTimeline")
-    for start, duration in r.timeline:
-        _element(timeline, "S", t=str(start), d=str(duration))
+    for attributes in _runs(r.timeline):
+        _element(timeline, "S", **attributes)
+
+
+def _runs(timeline: Timeline) -> list[dict[str, str]]:
+    """Attributes of an S for each run of equal durations; t where it begins the timeline or follows a gap."""
+    runs: list[dict[str, int]] = []
+    end = None
+    for start, duration in timeline:
+        if start == end and runs[-1]["d"] == duration:
+            runs[-1]["r"] = runs[-1].get("r", 0) + 1
+        else:
+            runs.append({"d": duration} if start == end else {"t": start, "d": duration})
+        end = start + duration
+    return [{name: str(value) for name, value in run.items()} for run in runs]
 
 
 def _element(parent: ET.Element | None, tag: str, **attributes: str) -> ET.Element:

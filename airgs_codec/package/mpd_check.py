@@ -6,7 +6,7 @@ import re
 import xml.etree.ElementTree as ET
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.mpd import CONTENT, DASH, Representation, adaptation_sets
+from airgs_codec.package.mpd import CONTENT, DASH, ID, Representation, Timeline, adaptation_sets
 from airgs_codec.package.tables import MPD_NAME, Manifest
 
 _XLINK = "{http://www.w3.org/1999/xlink}"
@@ -14,7 +14,7 @@ _LEAD_AWAY = ("BaseURL", "Location", "PatchLocation")  # elements that change wh
 _ATTRIBUTES = {  # of the elements that say which file plays when; the others' are advisory
     "SegmentTemplate": {"timescale", "startNumber", "initialization", "media"},
     "SegmentTimeline": set[str](),
-    "S": {"t", "d"},
+    "S": {"t", "d", "r"},
 }
 
 
@@ -26,24 +26,29 @@ def check_mpd(data: bytes, m: Manifest) -> None:
     root = _parse(data)
     _check_shape(root)
     _check_duration(root, m)
-    sets = root.findall(f"./{{{DASH}}}Period/{{{DASH}}}AdaptationSet")
-    found = [[_read(element, m) for element in row.findall(f"{{{DASH}}}Representation")] for row in sets]
-    _compare(found, [list(s.representations) for s in adaptation_sets(m)])
+    found = [(row, row.findall(f"{{{DASH}}}Representation")) for row in root.iter(f"{{{DASH}}}AdaptationSet")]
+    expected = [s.representations for s in adaptation_sets(m)]
+    _check_ids([[_id(r) for r in rows] for _, rows in found], [[r.id for r in rows] for rows in expected])
+    wanted = {r.id: r for rows in expected for r in rows}
+    for row, rows in found:
+        for element in rows:
+            _compare(_read(row, element, m, wanted[_id(element)]), wanted[_id(element)])
 
 
-def _compare(found: list[list[Representation]], expected: list[list[Representation]]) -> None:
+def _check_ids(found: list[list[str]], expected: list[list[str]]) -> None:
     """The same Representations in the same AdaptationSets; the order of either is free."""
-    got, wanted = ({r.id: r for row in rows for r in row} for rows in (found, expected))
-    if len(got) != sum(len(row) for row in found):
+    got, wanted = ([name for row in rows for name in row] for rows in (found, expected))
+    if len(set(got)) != len(got):
         raise FormatError("bad_mpd", MPD_NAME, "expected a different id for each Representation")
-    for name in sorted(got.keys() ^ wanted.keys()):
+    for name in sorted(set(got) ^ set(wanted)):
         raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", "is not in both the MPD and airgs.json")
-    for name, representation in wanted.items():
-        if got[name] != representation:
-            raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", f"expected {representation}, got {got[name]}")
-    got_sets, wanted_sets = ({frozenset(r.id for r in row) for row in rows if row} for rows in (found, expected))
-    if got_sets != wanted_sets:
+    if {frozenset(row) for row in found if row} != {frozenset(row) for row in expected}:
         raise FormatError("mpd_mismatch", MPD_NAME, "expected an AdaptationSet for the state and one for each key tier")
+
+
+def _compare(got: Representation, wanted: Representation) -> None:
+    if got != wanted:
+        raise FormatError("mpd_mismatch", f"{MPD_NAME} {wanted.id}", f"expected {wanted}, got {got}")
 
 
 def _parse(data: bytes) -> ET.Element:
@@ -80,11 +85,18 @@ def _check_shape(root: ET.Element) -> None:
 
 def _check_attributes(element: ET.Element) -> None:
     name = _local(element)
-    for attribute in element.attrib:
+    for attribute, value in element.attrib.items():
         if attribute.startswith(_XLINK):
             raise FormatError("foreign_url", f"{MPD_NAME} {name}", "expected no xlink")
         if attribute not in _ATTRIBUTES.get(name, {attribute}):
             raise FormatError("bad_mpd", f"{MPD_NAME} {name}", f"unknown attribute {attribute!r}")
+        if name == "SegmentTemplate":
+            _check_address(value)
+
+
+def _check_address(text: str) -> None:
+    if ":" in text or text.startswith("/") or ".." in text.split("/"):
+        raise FormatError("foreign_url", MPD_NAME, f"expected a relative address inside the package, got {text!r}")
 
 
 def _check_child(parent: str, child: ET.Element) -> None:
@@ -110,25 +122,49 @@ def _check_duration(root: ET.Element, m: Manifest) -> None:
         raise FormatError("mpd_mismatch", MPD_NAME, f"expected a static presentation of {seconds:.6f} s, got {text}")
 
 
-def _read(element: ET.Element, m: Manifest) -> Representation:
-    where = f"{MPD_NAME} {element.get('id')}"
-    templates = element.findall(f"{{{DASH}}}SegmentTemplate")
-    if len(templates) != 1:
-        raise FormatError("bad_mpd", where, f"expected one SegmentTemplate, got {len(templates)}")
-    template = templates[0]
-    init, media = (_relative(template.get(name, ""), where) for name in ("initialization", "media"))
-    try:
-        scale = int(template.get("timescale", ""))
-        timeline = tuple((int(s.attrib["t"]), int(s.attrib["d"])) for s in template.iter(f"{{{DASH}}}S"))
-        width, height = int(element.get("width", "")), int(element.get("height", ""))
-    except (ValueError, KeyError) as error:
-        raise FormatError("bad_mpd", where, f"expected whole numbers: {error}") from error
+def _id(representation: ET.Element) -> str:
+    return representation.get("id", "")
+
+
+def _read(row: ET.Element, element: ET.Element, m: Manifest, wanted: Representation) -> Representation:
+    """A Representation with what it has from its AdaptationSet `row`. No more files are read than are wanted."""
+    where = f"{MPD_NAME} {wanted.id}"
+    template, said = _template(row, element, where), row.attrib | element.attrib
+    init, media = (template.get(name, "").replace(ID, wanted.id) for name in ("initialization", "media"))
+    timeline = _timeline(template, len(wanted.timeline), where)
+    scale, width, height = (
+        _whole(a, where) for a in (template.get("timescale"), said.get("width"), said.get("height"))
+    )
     if scale != m.timescale or template.get("startNumber") != "1":
         raise FormatError("mpd_mismatch", where, f"expected timescale {m.timescale} and startNumber 1")
-    return Representation(element.get("id", ""), element.get("codecs", ""), width, height, init, media, timeline)
+    return Representation(wanted.id, said.get("codecs", ""), width, height, init, media, timeline)
 
 
-def _relative(address: str, where: str) -> str:
-    if ":" in address or address.startswith("/") or ".." in address.split("/"):
-        raise FormatError("foreign_url", where, f"expected a relative address inside the package, got {address!r}")
-    return address
+def _template(row: ET.Element, element: ET.Element, where: str) -> ET.Element:
+    """The SegmentTemplate of a Representation or of its AdaptationSet: players disagree on what two would mean."""
+    found = [template for parent in (row, element) for template in parent.findall(f"{{{DASH}}}SegmentTemplate")]
+    if len(found) != 1:
+        raise FormatError("bad_mpd", where, f"expected one SegmentTemplate, got {len(found)}")
+    template = found[0]
+    if len(template) != 1:
+        raise FormatError("bad_mpd", where, f"expected one SegmentTimeline, got {len(template)}")
+    return template
+
+
+def _timeline(template: ET.Element, count: int, where: str) -> Timeline:
+    """Start and duration of at most `count` files."""
+    out: list[tuple[int, int]] = []
+    end = 0
+    for s in template.iter(f"{{{DASH}}}S"):
+        start, duration, repeats = (_whole(a, where) for a in (s.get("t", str(end)), s.get("d"), s.get("r", "0")))
+        if len(out) + 1 + repeats > count:
+            raise FormatError("mpd_mismatch", where, f"expected {count} files in the timeline, got more")
+        out += [(start + i * duration, duration) for i in range(1 + repeats)]
+        end = start + (1 + repeats) * duration
+    return tuple(out)
+
+
+def _whole(text: str | None, where: str) -> int:
+    if not re.fullmatch(r"\d{1,18}", text or "", re.ASCII):
+        raise FormatError("bad_mpd", where, f"expected a whole number of at most 18 digits, got {text!r}")
+    return int(text or "")

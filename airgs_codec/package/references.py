@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from airgs_codec.errors import FormatError
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.tables import (
     BLOCK,
     JSON_NAME,
+    MAX_BITS,
     MAX_SIDE,
     Atlas,
     Group,
@@ -46,7 +49,7 @@ def check_region(region: Region, where: str) -> None:
     """Raise FormatError (bad_value) unless every place has a direction to look in and one that is up."""
     for p, place in enumerate(region.places):
         for name, other in (("focus", place.position), ("up", [0.0, 0.0, 0.0])):
-            if (got := getattr(place, name)) == other:
+            if np.linalg.norm(np.subtract(got := getattr(place, name), other)) == 0:
                 raise FormatError("bad_value", f"{where}.places[{p}].{name}", f"expected other than {other}, got {got}")
 
 
@@ -75,6 +78,8 @@ def _check_shapes(m: Manifest) -> None:
 
 
 def _bounds(m: Manifest) -> Iterator[Bound]:
+    for q, quality in enumerate(m.qualities):
+        yield f"qualities[{q}].coarser", quality.coarser, m.qualities[q - 1].coarser if q else 0, MAX_BITS if q else 0
     finest = 0
     most = m.tier_count  # every tier is some level's: the first level has all of them
     for j, level in enumerate(m.levels):
@@ -122,7 +127,7 @@ def _check_clock(m: Manifest) -> None:
 
 
 def _check_cover(m: Manifest) -> None:
-    """Groups and segments each cover the frames without gap or overlap; a canonical frame is one of its group."""
+    """Groups and segments each cover the frames without gap or overlap."""
     spans: dict[str, Sequence[Group | Segment]] = {"groups": m.groups, "segments": m.segments}
     for name, parts in spans.items():
         stop = 0
@@ -132,9 +137,6 @@ def _check_cover(m: Manifest) -> None:
             stop = span.stop
         if stop != m.frames:
             raise _bad(name, f"cover {stop} of {m.frames} frames")
-    for i, group in enumerate(m.groups):
-        if not group.start <= group.canonical < group.stop:
-            raise _bad(f"groups[{i}].canonical", f"{group.canonical} is outside")
 
 
 def _check_segment(m: Manifest, index: int, segment: Segment) -> None:

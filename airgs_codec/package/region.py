@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.package.tables import Place, Region
-from airgs_codec.scene.camera import Camera, look_at
+from airgs_codec.scene.camera import Camera, look_at, measured_views, training_views
 
+DECIDING, MEASURING, CHECKING = 0, 1, 2  # seeds of draws: for an encoder, for its tables, for whoever checks them
+TRAINING_DRAWS, CHECKING_DRAWS = 8, 4
 Vector = NDArray[np.float64]
 
 
@@ -55,6 +57,13 @@ def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> 
     return view_from(region, position, target, np.array(place.up), name)
 
 
+def checking_views(region: Region, cameras: Sequence[Camera]) -> tuple[list[Camera], list[Camera]]:
+    """Views to rank rows by and other views to measure with: of `cameras` if there are any, else drawn."""
+    if cameras:
+        return training_views(cameras), measured_views(cameras)
+    return draw_views(region, TRAINING_DRAWS, DECIDING), draw_views(region, CHECKING_DRAWS, CHECKING)
+
+
 @dataclass(frozen=True, slots=True)
 class Departure:
     """How far a viewer is outside of a region; both are 0 inside."""
@@ -70,21 +79,26 @@ class Departure:
 
 def departure(region: Region, camera: Camera) -> Departure:
     """How far the viewer is outside, from the place for which it is least: distance first, then direction."""
-    position, forward = camera.position, camera.world_to_camera[2, :3]
-    return min(
-        (_departure(region, place, position, forward) for place in region.places),
-        key=lambda d: (d.distance, d.degrees),
-    )
+    return departures(region, [camera])[0]
 
 
-def _departure(region: Region, place: Place, position: Vector, forward: Vector) -> Departure:
-    slack = 1e-9 * (1 + float(np.abs(position).max()))  # a camera's position comes from its matrix, which rounds
-    away = float(np.linalg.norm(position - np.array(place.position))) - place.reach
-    ahead = np.array(place.focus) - position
-    length = float(np.linalg.norm(ahead))
-    cosine = float(ahead @ forward) / length if length > 0 else 1.0  # at the focus every direction is towards it
-    degrees = float(np.degrees(np.arccos(np.clip(cosine, -1, 1)))) - region.turn
-    return Departure(away if away > slack else 0.0, degrees if degrees > 1e-4 else 0.0)
+def departures(region: Region, cameras: Sequence[Camera]) -> list[Departure]:
+    """The same for each of C cameras."""
+    positions = np.array([camera.position for camera in cameras]).reshape(-1, 1, 3)
+    forward = np.array([camera.world_to_camera[2, :3] for camera in cameras]).reshape(-1, 1, 3)
+    centres, foci = (np.array([getattr(place, name) for place in region.places]) for name in ("position", "focus"))
+    slack = 1e-9 * (1 + np.abs(positions).max(axis=2))  # a camera's position comes from its matrix, which rounds
+    away = np.linalg.norm(positions - centres, axis=2) - [place.reach for place in region.places]
+    ahead = foci - positions
+    length = np.linalg.norm(ahead, axis=2)
+    cosine = (ahead * forward).sum(axis=2) / np.maximum(length, np.finfo(float).tiny)
+    cosine[length == 0] = 1.0  # at the focus every direction is towards it
+    degrees = np.degrees(np.arccos(np.clip(cosine, -1, 1))) - region.turn
+    distance = np.where(away > slack, away, 0.0)  # (C, P)
+    least = distance.min(axis=1)
+    degrees[degrees <= 1e-4] = 0.0
+    degrees[distance > least[:, None]] = np.inf
+    return [Departure(float(d), float(a)) for d, a in zip(least, degrees.min(axis=1), strict=True)]
 
 
 def distances(places: Sequence[Place]) -> Vector:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import glob
-import hashlib
 import os
 import shutil
 import tempfile
@@ -14,7 +13,7 @@ from pathlib import Path
 
 from airgs_codec._files import write_bytes
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.tables import MPD_NAME, FileEntry
+from airgs_codec.package.tables import MPD_NAME, FileEntry, digest
 
 
 def write_file(folder: Path, relative: str, data: bytes) -> FileEntry:
@@ -22,7 +21,7 @@ def write_file(folder: Path, relative: str, data: bytes) -> FileEntry:
     path = folder / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, data)
-    return FileEntry(len(data), hashlib.sha256(data).hexdigest())
+    return FileEntry(len(data), digest(data))
 
 
 @contextmanager

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.parse import parse_manifest
-from airgs_codec.package.tables import JSON_NAME, MPD_NAME, Manifest
+from airgs_codec.package.tables import JSON_NAME, MPD_NAME, Manifest, digest
 
 MAX_JSON_BYTES = 1 << 28
 
@@ -30,7 +29,7 @@ class Package:
         if entry is None:
             raise FormatError("missing_entry", relative, f"no entry in {JSON_NAME}")
         data = self._load(relative, entry.bytes)
-        if hashlib.sha256(data).hexdigest() != entry.sha256:
+        if digest(data) != entry.sha256:
             raise FormatError("hash_mismatch", relative, "the SHA-256 differs from the one in airgs.json")
         return data
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import hashlib
 import json
 from dataclasses import dataclass
 from enum import StrEnum
@@ -34,6 +35,7 @@ MAX_SIDE = 16384  # samples, either side of a picture
 MAX_FILE_BYTES = 1 << 31
 MAX_CHOICES = 64  # tiers, qualities, levels
 MAX_PLACES = 64
+MAX_BITS = 21  # of a grid index
 MAX_CENTRE = 1 << 30  # so that a centre, a luma level and the base of an escape add up within int32
 MAX_PSNR = 1000.0  # dB; nothing measured comes near, and ten to the power of a tenth of it is still a float
 MAX_DELTA_E = 1000.0  # CIEDE2000; the largest of two sRGB colours is about 120
@@ -50,6 +52,7 @@ Path = Annotated[
         "unsafe_path",
     ),
 ]
+Digest = Annotated[str, Pattern("[A-Za-z0-9_-]{42}[AEIMQUYcgkosw048]", "SHA-256 as 43 characters of base64url")]
 Count = Annotated[int, Range(0, MAX_COUNT)]
 FrameNumber = Annotated[int, Range(0, MAX_FRAMES)]
 FileNumber = Annotated[int, Range(0, MAX_FRAMES)]
@@ -108,10 +111,11 @@ class Views:
 
 @dataclass(frozen=True, slots=True)
 class KeyQuality:
-    """A quality of the key: steps multiplied by `factor`."""
+    """A quality of the key: steps multiplied by `factor`, the sides of the cells of canonical means by 2^coarser."""
 
     id: str
     factor: Factor
+    coarser: Annotated[int, Range(0, MAX_BITS)]  # ascending; 0 for the first
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,12 +143,13 @@ class Grid:
     """Nested cubic cells of canonical means: a row of motion class c lies in the middle of a cell of step 2^k.
 
     k = c - finest, from 0 to `bits`; a cell begins at origin + step * index, index 0 .. 2^bits - 1 with k low bits 0.
+    In a key quality k grows by its `coarser`, but not past `bits`.
     """
 
     origin: Annotated[list[float], Length(3, 3)]  # world units
     step: Annotated[float, Range(0, 1e30)]  # world units
-    bits: Annotated[int, Range(1, 21)]
-    finest: Annotated[int, Range(-128, 127 + 21)]  # motion class whose cells are one step wide
+    bits: Annotated[int, Range(1, MAX_BITS)]
+    finest: Annotated[int, Range(-128, 127 + MAX_BITS)]  # motion class whose cells are one step wide
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,11 +210,10 @@ class GroupTier:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Frames [start, stop) that share the canonical space of frame `canonical`."""
+    """Frames [start, stop) that share a canonical space."""
 
     start: FrameNumber
     stop: FrameNumber
-    canonical: FrameNumber
     count: Annotated[int, Range(1, MAX_COUNT)]  # rows written, over all tiers
     static: Count  # rows of `count` that no level carries
     unused: Count  # Gaussians no view uses: not written
@@ -248,7 +252,7 @@ class FileEntry:
     """Length and digest of a file of the package."""
 
     bytes: FileBytes
-    sha256: Annotated[str, Pattern("[0-9a-f]{64}", "64 hex digits of SHA-256")]
+    sha256: Digest
 
 
 @dataclass(frozen=True, slots=True)
@@ -270,6 +274,7 @@ class Manifest:
     generator: Generator
     attribution: str
     repairs: list[str]  # what was repaired in the input before coding
+    decisions: list[str]  # what the encoder chose for this scene and why, for people
     frame_rate: Annotated[list[Ticks], Length(2, 2)]  # numerator, denominator: frames a second
     timescale: Ticks  # a second in the MP4 files and the MPD
     frames: Annotated[int, Range(1, MAX_FRAMES)]
@@ -316,12 +321,12 @@ class Manifest:
         return _index_of("key quality", choice, [quality.id for quality in self.qualities])
 
     def key_files(self, group: int, tier: int, quality: int) -> list[str]:
-        """Sidecar, picture and escapes of one key unit; empty when the tier has no rows in that group."""
+        """Sidecar, picture and detail of one key unit; empty when the tier has no rows in that group."""
         number = self.groups[group].tiers[tier].number
         paths = (
             key_sidecar_path(tier, number),
             key_media_path(tier, quality, number),
-            key_escapes_path(tier, quality, number),
+            key_detail_path(tier, quality, number),
         )
         return list(paths) if number else []
 
@@ -404,8 +409,8 @@ def key_sidecar_path(tier: int, number: int) -> str:
     return f"key/T{tier}/{number}.bin"
 
 
-def key_escapes_path(tier: int, quality: int, number: int) -> str:
-    """Escapes of the picture of a key unit."""
+def key_detail_path(tier: int, quality: int, number: int) -> str:
+    """What a key unit adds in one quality beside its picture: the detail of positions, and escapes."""
     return f"key/T{tier}/Q{quality}/{number}.bin"
 
 
@@ -422,6 +427,11 @@ def state_media_path(level: int, number: int | str) -> str:
 def state_sidecar_path(level: int, number: int) -> str:
     """Escapes of a state segment."""
     return f"state/L{level}/{number}.bin"
+
+
+def digest(data: bytes | bytearray) -> Digest:
+    """SHA-256 of a file as 43 characters of base64url (RFC 4648, section 5) without the padding."""
+    return base64.urlsafe_b64encode(hashlib.sha256(data).digest()).decode("ascii").rstrip("=")
 
 
 def pack_matrix(matrix: NDArray[np.float64]) -> str:

@@ -60,7 +60,7 @@ def look_at(
     forward = (target - position) / np.linalg.norm(target - position)
     right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-6:  # looking along `up`, right would be 0 / 0: any right vector will do
-        right = np.cross(forward, np.roll(up, 1))
+        right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
     matrix = np.eye(4)

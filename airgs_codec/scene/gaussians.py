@@ -5,12 +5,15 @@ N Gaussians, K = (degree + 1)^2 - 1 SH coefficients past DC.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), real SH band 0
+LEAST_SHARE = 1e-9
+ALPHA_LIMIT = 2.0**-20  # of a mean alpha, whose logit would be infinite at 0 and 1
 SH_REST = (0, 3, 8, 15)  # SH coefficients past DC for degree 0..3
 
 
@@ -48,6 +51,39 @@ class Gaussians:
     def opacities(self) -> NDArray[np.float32]:
         """(N,) opacity alpha in [0, 1], the sigmoid of the logits."""
         return sigmoid(self.opacity_logits)
+
+
+def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:
+    """The mean of frames of the same rows, each weighed by its alpha, so that what nobody sees does not count.
+
+    Alpha itself is averaged plainly; the shorter of both ways between two rotations is taken.
+    """
+    alphas = np.stack([g.opacities().astype(np.float64) for g in frames])
+    share = alphas + LEAST_SHARE  # of rows that are never seen every frame counts alike, where 0 / 0 would be no number
+    share /= share.sum(axis=0)
+    middle = frames[len(frames) // 2].quaternions
+    turns = [np.where(np.einsum("ni,ni->n", g.quaternions, middle) < 0, -1.0, 1.0)[:, None] for g in frames]
+
+    def mean(columns: Sequence[NDArray]) -> NDArray[np.float32]:
+        total = sum(c * w.reshape(-1, *[1] * (c.ndim - 1)) for c, w in zip(columns, share, strict=True))
+        return np.asarray(total, np.float32)
+
+    quaternions = mean([g.quaternions * turn for g, turn in zip(frames, turns, strict=True)])
+    alpha = np.clip(alphas.mean(axis=0), ALPHA_LIMIT, 1 - ALPHA_LIMIT)
+    return Gaussians(
+        mean([g.means for g in frames]),
+        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
+        mean([g.log_scales for g in frames]),
+        np.log(alpha / (1 - alpha)).astype(np.float32),
+        mean([g.sh_dc for g in frames]),
+        mean([g.sh_rest for g in frames]),
+    )
+
+
+def mix_rows(a: Gaussians, b: Gaussians, choose: NDArray[np.bool_]) -> Gaussians:
+    """Rows of `a` where `choose` (N,) says so, else those of `b`."""
+    columns = [(getattr(a, f.name), getattr(b, f.name)) for f in fields(Gaussians)]
+    return Gaussians(*(np.where(choose.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in columns))
 
 
 def sigmoid(x: NDArray[np.floating]) -> NDArray:

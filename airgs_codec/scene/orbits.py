@@ -1,13 +1,9 @@
-"""Cameras all around a scene that comes without any, and paths through cameras."""
+"""Cameras all around a scene that comes without any."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 from airgs_codec.scene.camera import Camera, look_at
 from airgs_codec.scene.gaussians import Gaussians
@@ -79,24 +75,3 @@ def _quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: 
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, share * total[-1])])
-
-
-def camera_path(cameras: Sequence[Camera], count: int) -> list[Camera]:
-    """`count` cameras from the first to the last of `cameras`: positions linear, rotations by slerp.
-
-    Size and focal length are the first camera's. A path through one camera stays there.
-    """
-    if len(cameras) == 1:
-        return [cameras[0]] * count
-    keys = np.arange(len(cameras))
-    rotations = Slerp(keys, Rotation.from_matrix(np.stack([c.world_to_camera[:3, :3] for c in cameras])))
-    positions = np.stack([c.position for c in cameras])
-    path: list[Camera] = []
-    for time in np.linspace(0, len(cameras) - 1, count):
-        before = min(int(time), len(cameras) - 2)
-        share = time - before
-        matrix = np.eye(4)
-        matrix[:3, :3] = rotations(time).as_matrix()
-        matrix[:3, 3] = -matrix[:3, :3] @ ((1 - share) * positions[before] + share * positions[before + 1])
-        path.append(replace(cameras[0], name=f"path{len(path):04d}", world_to_camera=matrix))
-    return path

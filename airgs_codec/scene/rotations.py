@@ -44,3 +44,16 @@ def multiply(a: Floats, b: Floats) -> Floats:
 def conjugate(q: Floats) -> Floats:
     """(..., 4) unit quaternions -> their inverses."""
     return q * np.array([1, -1, -1, -1], q.dtype)
+
+
+def to_matrices(quaternions: Floats) -> NDArray[np.float64]:
+    """(..., 4) quaternions of any length but 0 -> (..., 3, 3) rotations: column c is what axis c becomes."""
+    q = np.asarray(quaternions, np.float64)
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    w, x, y, z = (q[..., i] for i in range(4))
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)

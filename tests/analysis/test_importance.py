@@ -42,6 +42,21 @@ def test_removed_rows_cost_what_was_allowed(scene):
     assert float(np.mean(pictures)) < 3 * allowed**2  # of views that were not looked at
 
 
+def test_rows_that_no_ranking_picture_showed_stay_if_others_show_them(scene):
+    """Rows of importance 0 go first, but not past what pictures that did not rank allow."""
+    cameras, frames = scene
+    views = [(frames[0], camera) for camera in cameras[:3]]
+    shown = np.flatnonzero(measure_usage([frames[0]], cameras[:3]).total > 0)
+    rank = np.ones(len(frames[0]))
+    rank[shown[::3]] = 0  # as if those that ranked had missed them
+    kept = RowPruning(views, rank).within(0.001)
+    assert kept.error <= 0.001**2 and np.intersect1d(kept.rows, shown[::3]).size
+    assert RowPruning(views, rank).error_of(len(rank)) == 0
+    rank[:] = 1
+    rank[np.setdiff1d(np.arange(len(rank)), shown)] = 0
+    assert RowPruning(views, rank).within(0.0).rows.tolist() == shown.tolist()
+
+
 def test_the_worst_pictures_weigh_more_in_a_pooled_error():
     assert pooled_error([2.0, 2.0, 2.0]) == pytest.approx(2.0)
     assert pooled_error([0.0, 0.0, 0.0, 4.0]) == pytest.approx(2.0)  # their mean is 1, the worst 4

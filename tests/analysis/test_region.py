@@ -61,7 +61,7 @@ def test_places_stand_at_the_cameras_and_look_at_the_content():
 )
 def test_the_default_margin(half, margin):
     found = region_around(row(-half, half), wall(4.0, side=6.0))
-    assert reaches(found) == pytest.approx([margin] * 2, rel=0.03) and found.turn == 10
+    assert reaches(found) == pytest.approx([margin] * 2, rel=0.03) and found.turn == 5
 
 
 def test_nobody_walks_into_what_he_sees():

@@ -7,7 +7,9 @@ import pytest
 from airgs_codec.cli import play as play_command
 from airgs_codec.cli.play import main
 from airgs_codec.play.settings import SessionSettings
+from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX, VALID
+from tests.support.views import ring
 
 PACKAGE = VALID / "two-groups-sh1"
 TRACE = FOX / "trace.csv"
@@ -41,11 +43,19 @@ def test_report_and_film(capsys, tmp_path):
         "--video",
         film,
         "--views",
-        FOX / "transforms.json",
+        write_cameras(tmp_path / "views.json", ring(3)),
     )
-    assert status == 0 and "start-up" in out
+    assert status == 0 and "start-up" in out and "outside the viewing region for 5 of 5 ticks" in out
     assert (report / "index.html").exists() and (report / "screen.png").exists()
     assert film.read_bytes()[4:8] == b"ftyp"
+
+
+def test_without_cameras_the_viewer_walks_through_the_region(capsys, tmp_path):
+    film = tmp_path / "out.mp4"
+    status, out, _ = play(capsys, "--policy", "fixed:0", "--loops", 1, "--video", film, "--json")
+    result = json.loads(out)
+    assert status == 0 and film.exists()
+    assert result["viewer"]["ticks_outside"] == 0 and result["region"]["source"] == "orbit"
 
 
 def test_help_and_defaults_are_those_of_the_settings(monkeypatch):

@@ -1,11 +1,11 @@
-"""Canonical means are within half a cell of where they were."""
+"""Canonical means are within half a cell of where they were, in every key quality; cells are nested."""
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from airgs_codec.coding.grid import cell_bits, fit_grid, grid_codes, grid_means
+from airgs_codec.coding.grid import cell_bits, coarse_codes, fit_grid, grid_codes, grid_means
 from airgs_codec.package.tables import Grid
 
 
@@ -13,12 +13,13 @@ from airgs_codec.package.tables import Grid
     npst.arrays(np.float32, st.tuples(st.just(20), st.just(3)), elements=st.floats(-1e6, 1e6, width=32)),
     npst.arrays(np.int16, 20, elements=st.integers(-128, 127)),
     st.floats(1e-6, 1e6),
+    st.integers(0, 21),
 )
-def test_means_are_within_half_a_cell_of_their_class(means, classes, cell):
+def test_means_are_within_half_a_cell_of_their_class(means, classes, cell, coarser):
     grid = fit_grid(means, classes, cell)
     assert grid.bits <= 21 and grid.step == cell * 2.0**grid.finest
-    side = grid.step * 2.0 ** cell_bits(classes, grid)
-    error = np.abs(grid_means(grid_codes(means, classes, grid), classes, grid) - means).max(axis=1)
+    side = grid.step * 2.0 ** cell_bits(classes, grid, coarser)
+    error = np.abs(grid_means(grid_codes(means, classes, grid), classes, grid, coarser) - means).max(axis=1)
     assert (error <= side / 2 * (1 + 1e-9) + np.spacing(np.abs(means).max())).all()
 
 
@@ -28,5 +29,25 @@ def test_cells_of_a_class_are_two_to_the_class_wide():
     grid = fit_grid(means, classes, 0.5)
     assert grid == Grid([0.0, 0.0, 0.0], 0.25, 6, -1)
     np.testing.assert_array_equal(cell_bits(classes, grid), [0, 3, 2])
-    middles = grid_means(grid_codes(means, classes, grid), classes, grid)
-    np.testing.assert_array_equal(middles, [[0.125] * 3, [11] * 3, [3.5, 7.5, 9.5]])
+    codes = grid_codes(means, classes, grid)
+    np.testing.assert_array_equal(grid_means(codes, classes, grid), [[0.125] * 3, [11] * 3, [3.5, 7.5, 9.5]])
+    np.testing.assert_array_equal(grid_means(codes, classes, grid, 1), [[0.25] * 3, [10] * 3, [3, 7, 9]])
+    np.testing.assert_array_equal(grid_means(codes, classes, grid, 9), [[8] * 3] * 3)  # 6 bits are one cell
+
+
+@given(
+    npst.arrays(np.uint64, 20, elements=st.integers(0, 2**63 - 1)),
+    npst.arrays(np.int16, 20, elements=st.integers(-3, 30)),
+    st.integers(0, 21),
+    st.integers(0, 21),
+)
+def test_the_cells_of_a_quality_lie_in_those_of_coarser_ones(codes, classes, a, b):
+    grid = Grid([0.0, 0.0, 0.0], 1.0, 21, 0)
+    fine, coarse = min(a, b), max(a, b)
+    inner = coarse_codes(codes, classes, grid, fine)
+    np.testing.assert_array_equal(
+        coarse_codes(inner, classes, grid, coarse), coarse_codes(codes, classes, grid, coarse)
+    )
+    apart = np.abs(grid_means(inner, classes, grid, fine) - grid_means(inner, classes, grid, coarse)).max(axis=1)
+    sides = [2.0 ** cell_bits(classes, grid, r) for r in (fine, coarse)]
+    assert (apart <= (sides[1] - sides[0]) / 2).all()

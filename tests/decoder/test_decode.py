@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode, decode_frames
+from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_segment
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.store import open_package
 from tests.support.paths import VALID
@@ -23,6 +23,15 @@ def test_a_frame_is_that_of_the_sequence_however_its_rung_is_named(package, leve
     frames = [f.gaussians for f in decode_frames(package, 0, 4, level=1, key_quality=1)]
     assert same(decode(package, 2, level=level, key_quality="Q1"), frames[2])
     assert not same(decode(package, 2), frames[2])
+
+
+@pytest.mark.parametrize("places", [[], [0], [3], [1, 3], [0, 2, 3], range(1, 3)])
+@pytest.mark.parametrize("level", [0, 1])
+def test_some_frames_of_a_segment_are_those_of_the_whole(package, level, places):
+    base = decode_canonical(package, 0, 0)
+    whole = list(decode_segment(package, 0, base, level, range(4)))
+    some = list(decode_segment(package, 0, base, level, places))
+    assert len(some) == len(places) and all(same(whole[i], g) for i, g in zip(places, some, strict=True))
 
 
 @pytest.mark.parametrize(

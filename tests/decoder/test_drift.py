@@ -35,7 +35,7 @@ def package(tmp_path_factory):
     scene = write_sequence(folder / "scene", [there[turn[i % len(turn)]] for i in range(1000)])
     levels = (LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1))
     settings = EncodeSettings(
-        calibrate="none", measure_pictures=0, preset="ultrafast", keep_all=True, levels=levels, jobs=2
+        calibrate="none", measure_pictures=0, group_frames=30, preset="ultrafast", keep_all=True, levels=levels, jobs=2
     )
     encode(open_sequence(scene), folder / "out", settings)
     return open_package(folder / "out"), open_sequence(scene)
@@ -44,7 +44,9 @@ def package(tmp_path_factory):
 def fresh(package, segment, quality, level):
     m = package.manifest
     base = decode_canonical(package, m.segments[segment].group, quality, m.levels[level].tiers)
-    return list(decode_segment(package, segment, base, level, 0, m.segments[segment].stop - m.segments[segment].start))
+    return list(
+        decode_segment(package, segment, base, level, range(m.segments[segment].stop - m.segments[segment].start))
+    )
 
 
 def same(a, b):
@@ -87,7 +89,7 @@ class Viewer:
             return None
         base = decode_canonical(self.package, segment.group, quality, have)
         try:
-            return list(decode_segment(self.package, index, base, level, 0, segment.stop - segment.start))
+            return list(decode_segment(self.package, index, base, level, range(segment.stop - segment.start)))
         except FormatError as error:
             assert error.reason == "missing_file"
             return None

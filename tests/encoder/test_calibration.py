@@ -27,7 +27,7 @@ FAST = EncodeSettings(preset="veryfast", jobs=2)
 @pytest.fixture(scope="module")
 def fox():
     sequence = open_sequence(FOX)
-    views = ViewPlan.of(sequence)
+    views = ViewPlan.of(sequence, 24)
     span = GroupSpan(0, *plan_groups(sequence).spans[0])
     return sequence, survey_group(sequence, span, views), views
 
@@ -56,7 +56,7 @@ def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_pat
 
     def digest():
         sequence = open_sequence(folder)
-        views = ViewPlan.of(sequence)
+        views = ViewPlan.of(sequence, 24)
         return cache.digest(sequence, survey_group(sequence, GroupSpan(0, 0, 6), views), views, FAST)
 
     digests = [digest()]
@@ -106,14 +106,17 @@ def test_ladders_descend(calibration):
     assert len(factors) == levels[-1].quality + 1  # every key quality has its levels
     assert sum(calibration.tiers) == pytest.approx(1)
     settings = calibration.apply(FAST)
-    assert (settings.levels, settings.steps) == (calibration.levels, calibration.steps)
+    assert [replace(level, pruned=0.0) for level in settings.levels] == list(calibration.levels)
+    assert settings.steps == calibration.steps
+    shares = [level.pruned for level in settings.levels]
+    assert shares == sorted(shares) and [level.pruned for level in settings.at(0.1).levels] <= shares
     alone = calibration.apply(replace(FAST, calibrate="steps"))
     assert (alone.steps, alone.levels, alone.key_factors) == (calibration.steps, FAST.levels, FAST.key_factors)
 
 
 def test_a_scene_that_stands_still_has_one_level(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300)]))
-    survey = survey_group(sequence, GroupSpan(0, 0, 1), ViewPlan.of(sequence))
+    survey = survey_group(sequence, GroupSpan(0, 0, 1), ViewPlan.of(sequence, 24))
     found = calibrate(sequence, survey, FAST)
     assert found.levels == (LevelSettings(0.0),) and found.tiers == found.key_factors == (1.0,)
     assert found.steps.state == StepSettings().state

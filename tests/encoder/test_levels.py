@@ -61,8 +61,8 @@ def test_levels_of_one_tier_do_with_the_first_tier(tmp_path):
     assert len(next(decode_frames(package, 0, 1, level=3)).gaussians) == core
     both = decode_canonical(package, 0, 0)
     assert (both.depths[core:][both.depths[core:] != STATIC] < 2).all()
-    alone = list(decode_segment(package, 0, decode_canonical(package, 0, 0, 1), 3, 0, 4))
-    beside = list(decode_segment(package, 0, both, 3, 0, 4))  # a viewer that has the second tier as well
+    alone = list(decode_segment(package, 0, decode_canonical(package, 0, 0, 1), 3, range(4)))
+    beside = list(decode_segment(package, 0, both, 3, range(4)))  # a viewer that has the second tier as well
     for a, b in zip(alone, beside, strict=True):
         np.testing.assert_array_equal(a.means, b.means[:core])
         np.testing.assert_array_equal(a.opacity_logits, b.opacity_logits[:core])

@@ -8,7 +8,7 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.quality import OFF_LADDER, QualitySums, measure_quality
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.views import ViewPlan
-from airgs_codec.media.metrics import psnr
+from airgs_codec.media.metrics import Reference, psnr
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import moving_frames, write_sequence
@@ -29,7 +29,7 @@ def small(tmp_path_factory):
 def test_the_worst_picture_is_that_with_the_largest_error():
     reference, sums = np.full((24, 24, 3), 0.5, np.float32), QualitySums()
     for error in (0.01, 0.1, 0.02):
-        sums.add(reference + np.float32(error), reference)
+        sums.add(reference + np.float32(error), Reference.of(reference))
     found = sums.quality()
     assert found.worst == pytest.approx(20, abs=1e-3)
     assert found.psnr == pytest.approx(psnr((0.0001 + 0.01 + 0.0004) / 3), abs=1e-3)
@@ -53,8 +53,9 @@ def test_rungs_of_the_ladder_are_measured_with_all_pictures_and_others_with_fewe
             sums.append(self)
 
     monkeypatch.setattr(quality, "QualitySums", Kept)
-    m = measure_quality(package, sequence, ViewPlan.of(sequence), 12)
-    few = 12 // OFF_LADDER
+    m = measure_quality(package, sequence, ViewPlan.of(sequence, 24), 12)
+    many = 24  # the pictures are small
+    few = -(-many // OFF_LADDER)
     counts = [len(of_rung.squared) for of_rung in sums]
-    assert counts == [12, few, few, 12] * len(m.segments)  # L0 with Q0 and Q1, L1 with Q0 and Q1
+    assert counts == [many, few, few, many] * len(m.segments)  # L0 with Q0 and Q1, L1 with Q0 and Q1
     assert all(len(level.psnr) == len(level.worst) == 2 for s in m.segments for level in s.levels)

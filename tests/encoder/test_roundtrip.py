@@ -39,7 +39,7 @@ def encoded(tmp_path, frames, settings=FAST):
 
 def laid_out(sequence, index, group) -> GroupLayout:
     """The layout of a group of a package that was encoded with FAST."""
-    survey = survey_group(sequence, GroupSpan(index, group.start, group.stop), ViewPlan.of(sequence))
+    survey = survey_group(sequence, GroupSpan(index, group.start, group.stop), ViewPlan.of(sequence, 24))
     loaded = sequence.load(range(group.start, group.stop))
     return lay_out(loaded, survey, keep_rows(loaded.frames, survey, FAST), FAST, sequence.fps)
 
@@ -81,9 +81,8 @@ def test_quality_falls_and_bytes_fall_down_the_levels(fox):
     for s, segment in enumerate(m.segments):
         sizes = [m.bytes_of(m.state_files(s, j)) for j in range(len(m.levels))]
         assert sizes == sorted(sizes, reverse=True)
-        for pairs in ([0] * len(m.levels), [level.quality for level in m.levels]):  # with one key, and down the ladder
-            shown = [level.psnr[quality] for level, quality in zip(segment.levels, pairs, strict=True)]
-            assert shown == sorted(shown, reverse=True)
+        shown = [got.psnr[level.quality] for got, level in zip(segment.levels, m.levels, strict=True)]
+        assert shown == sorted(shown, reverse=True)
 
 
 def test_the_whole_package_is_little_more_than_twice_its_top_rung(fox):
@@ -134,7 +133,7 @@ def test_key_codes_are_within_the_codecs_error_of_the_source(fox):
     sequence = open_sequence(FOX)
     group = m.groups[0]
     layout = laid_out(sequence, 0, group)
-    values = layout.key_values(sequence.load([group.canonical]).frames[0])
+    values = layout.key_values()
     steps = KEY.steps(group.key_steps, m.colour_channels)
     for q, quality in enumerate(m.qualities):
         codes = np.concatenate([decode_key(fox, 0, t, q)[0] for t in range(2)], axis=1)
@@ -146,11 +145,33 @@ def test_canonical_means_are_within_half_a_cell(fox):
     sequence = open_sequence(FOX)
     for g, group in enumerate(fox.manifest.groups):
         layout = laid_out(sequence, g, group)
-        source = sequence.load([group.canonical]).frames[0].take(layout.rows)
-        error = np.abs(decode_canonical(fox, g, 0).means - source.means).max(axis=1)
-        side = group.grid.step * 2.0 ** cell_bits(layout.classes, group.grid)
-        assert (error <= side / 2 * (1 + 1e-6)).all()
-        assert len(np.unique(side)) > 2
+        for q, quality in enumerate(fox.manifest.qualities):
+            error = np.abs(decode_canonical(fox, g, q).means - layout.key.means).max(axis=1)
+            side = group.grid.step * 2.0 ** cell_bits(layout.classes, group.grid, quality.coarser)
+            assert (error <= side / 2 * (1 + 1e-6)).all()
+            assert len(np.unique(side)) > 2
+
+
+@pytest.mark.parametrize(
+    ("factors", "coarser"),
+    [
+        ((1.0,), (0,)),
+        ((1.0, 1.4, 1.8, 3.7, 11.0), (0, 0, 1, 1, 3)),
+        ((4.0, 1.0, 8.0), (0, 0, 1)),
+        ((1e-6, 1e6), (0, 21)),
+    ],
+)
+def test_cells_of_positions_grow_with_the_steps_of_a_key_quality(factors, coarser):
+    assert replace(FAST, levels=(LevelSettings(0.0),), key_factors=factors).coarser == coarser
+
+
+def test_a_coarser_key_quality_has_fewer_bytes_of_positions(fox):
+    m = fox.manifest
+    assert [quality.coarser for quality in m.qualities] == [0, 1]
+    for g, group in enumerate(m.groups):
+        for t, tier in enumerate(group.tiers):
+            fine, coarse = (m.files[m.key_files(g, t, q)[2]].bytes for q in (0, 1))
+            assert fine - coarse > 3 * tier.count / 8  # a bit for each axis, and escapes
 
 
 def test_fine_steps_come_back_finely(tmp_path):
@@ -186,10 +207,10 @@ def test_a_still_scene_has_no_state_at_all(tmp_path):
 
 def test_a_segment_in_which_nothing_moves_has_no_files(tmp_path):
     still = moving_frames(60, 1)[0]
-    moved = moving_frames(60, 12)[11]
-    frames = [still] * 8 + [moved] * 4  # canonical: frame 6, in the still part
+    there, back = (replace(still, means=still.means + np.float32(shift)) for shift in (0.1, -0.1))
+    frames = [still] * 4 + [there] * 4 + [back] * 4  # their mean is the first part
     package = encoded(tmp_path, frames, replace(FAST, segment_s=4 / 30, levels=(LevelSettings(0.0),)))
-    assert [s.levels[0].number for s in package.manifest.segments] == [0, 0, 1]
+    assert [s.levels[0].number for s in package.manifest.segments] == [0, 1, 2]
     assert not np.array_equal(decode(package, 11).means, decode(package, 0).means)
 
 

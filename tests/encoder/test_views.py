@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.views import DECIDED, DECISION_PIXELS, ViewPlan
+from airgs_codec.encoder.views import CHECKED, DECISION_PIXELS, ViewPlan
 from airgs_codec.package.region import departure
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
@@ -16,7 +16,7 @@ from tests.support.scenes import moving_frames, write_sequence
 @pytest.fixture(scope="module")
 def fox():
     sequence = open_sequence(FOX)
-    return sequence, ViewPlan.of(sequence)
+    return sequence, ViewPlan.of(sequence, 24)
 
 
 def places(views):
@@ -31,53 +31,66 @@ def test_no_view_that_decides_measures(fox):
         assert departure(plan.region, view).inside
     assert max(view.width * view.height for view in plan.deciding) <= 1.01 * DECISION_PIXELS
     assert {(v.width, v.height) for v in plan.measuring} == {(plan.region.width, plan.region.height)}
-    for a, b in zip(plan.measuring, ViewPlan.of(sequence).measuring, strict=True):
+    for a, b in zip(plan.measuring, ViewPlan.of(sequence, 24).measuring, strict=True):
         assert np.array_equal(a.world_to_camera, b.world_to_camera)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 5, 10, 23, 24])
 def test_all_frames_of_a_group_decide(fox, frames):
     pictures = fox[1].decide(frames)
-    assert len(pictures) == DECIDED and {frame for frame, _ in pictures} == set(range(frames))
-    assert len(places(view for _, view in pictures)) == DECIDED
+    assert len(pictures) == fox[1].decided and {frame for frame, _ in pictures} == set(range(frames))
+    assert len(places(view for _, view in pictures)) == fox[1].decided
 
 
 def test_a_long_group_is_looked_at_from_end_to_end(fox):
     frames = [frame for frame, _ in fox[1].decide(240)]
-    assert len(set(frames)) == DECIDED and (frames[0], frames[-1]) == (0, 239)
+    assert len(set(frames)) == fox[1].decided and (min(frames), max(frames)) == (0, 239)
+
+
+def test_leaving_out_is_checked_in_views_that_did_not_rank(fox):
+    ranking, checking = fox[1].decide(24), fox[1].check(24)
+    assert len(checking) == CHECKED and len({frame for frame, _ in checking}) == CHECKED
+    assert not places(view for _, view in ranking) & places(view for _, view in checking)
+
+
+def test_of_small_pictures_twice_as_many_decide_and_measure(fox):
+    given = [replace(region(place(0.0)), width=width, height=300) for width in (300, 400)]
+    small, large = (ViewPlan.of(fox[0], 10, region=one) for one in given)
+    assert (small.small, small.decided, small.measured(5)) == (True, 20, 10)
+    assert (large.small, large.decided, large.measured(5)) == (False, 10, 5)
 
 
 @pytest.mark.parametrize("length", [1, 3, 5, 7, 12])
 def test_all_frames_of_a_segment_are_measured(fox, length):
-    pictures = fox[1].measure(2, 100, 100 + length, 12)
+    pictures = fox[1].measure(2, 100, 100 + length, 6)
     assert len(pictures) == 12 and {frame for frame, _ in pictures} == set(range(100, 100 + length))
     assert [frame for frame, _ in pictures] == sorted(frame for frame, _ in pictures)
 
 
 def test_segments_are_measured_from_views_of_their_own(fox):
-    looks = [places(view for _, view in fox[1].measure(index, 0, 24, 12)) for index in range(5)]
+    looks = [places(view for _, view in fox[1].measure(index, 0, 24, 6)) for index in range(5)]
     assert all(len(look) == 12 for look in looks) and len(set.union(*looks)) == 60
 
 
 def test_without_a_margin_the_held_out_cameras_measure(fox):
     sequence, _ = fox
-    plan = ViewPlan.of(sequence, margin=0.0)
+    plan = ViewPlan.of(sequence, 24, margin=0.0)
     held_out = [c for c in sequence.cameras if c.held_out]
     assert list(plan.measuring) == held_out and not places(plan.deciding) & places(held_out)
     training = replace(sequence, cameras=[c for c in sequence.cameras if not c.held_out])
-    alone = ViewPlan.of(training, margin=0.0)
+    alone = ViewPlan.of(training, 24, margin=0.0)
     assert len(places(alone.measuring)) == len(alone.region.places)  # no others: the places themselves
 
 
 def test_a_region_that_is_given_is_taken(fox):
     given = region(place(0.0), source="file")
-    plan = ViewPlan.of(fox[0], region=given)
+    plan = ViewPlan.of(fox[0], 24, region=given)
     assert plan.region == given and plan.trusted
     assert all(departure(given, view).inside for view in plan.measuring)
 
 
 def test_a_scene_without_cameras_is_not_trusted(tmp_path):
-    plan = ViewPlan.of(open_sequence(write_sequence(tmp_path, moving_frames(60, 3))))
+    plan = ViewPlan.of(open_sequence(write_sequence(tmp_path, moving_frames(60, 3))), 24)
     assert plan.region.source == "orbit" and not plan.trusted
     assert plan.table(12).reference == "original" and plan.table(0).reference == "none"
-    assert (plan.table(0).decided, plan.table(12).measured) == (DECIDED, 12)
+    assert (plan.table(0).decided, plan.table(12).measured) == (plan.decided + CHECKED, plan.measured(12))

@@ -101,7 +101,7 @@ def _state_codes(package: Package) -> Iterator[NDArray[np.generic]]:
         for level in range(len(m.levels)):
             if m.state_files(index, level):
                 yield from decode_state(package, index, level, 0, frames)
-            for _ in decode_segment(package, index, base, level, 0, frames):
+            for _ in decode_segment(package, index, base, level, range(frames)):
                 pass
 
 

@@ -64,10 +64,11 @@ PACKAGES = {
 
 def without_moving_rows(files: Files) -> Files:
     """Say in a sidecar that its rows are static, while the tables count them."""
-    group = parse_manifest(files[JSON_NAME]).groups[0]
-    sidecar = unpack_key_sidecar(files[KEY_SIDECAR], group.tiers[0].count, group.grid, KEY_SIDECAR)
+    m = parse_manifest(files[JSON_NAME])
+    group, coarsest = m.groups[0], m.qualities[-1].coarser
+    sidecar = unpack_key_sidecar(files[KEY_SIDECAR], group.tiers[0].count, group.grid, coarsest, KEY_SIDECAR)
     still = replace(sidecar, depths=np.full_like(sidecar.depths, 255))
-    return files | {KEY_SIDECAR: pack_key_sidecar(still, group.grid)}
+    return files | {KEY_SIDECAR: pack_key_sidecar(still, group.grid, coarsest)}
 
 
 def flip(data: bytes) -> bytes:

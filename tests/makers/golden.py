@@ -41,7 +41,7 @@ def digests(package: Package) -> dict[str, str]:
             for q in range(len(m.qualities) if tier.number else 0):
                 codes, sidecar = decode_key(package, g, t, q)
                 out[f"group {g} T{t} Q{q}"] = digest(codes)
-                out[f"group {g} T{t} means"] = sha256(sidecar.codes.astype("<u8").tobytes()).hexdigest()
+                out[f"group {g} T{t} Q{q} means"] = sha256(sidecar.codes.astype("<u8").tobytes()).hexdigest()
                 out[f"group {g} T{t} depths"] = sha256(sidecar.depths.tobytes()).hexdigest()
     for s, segment in enumerate(m.segments):
         for j, level in enumerate(segment.levels):

@@ -100,6 +100,8 @@ def set_in(place, value):
         (("levels", 0, "quality"), 2),  # there are Q0 and Q1
         (("region", "places", 0, "up"), [0, 0.0, -0.0]),
         (("groups", 0, "tiers", 0, "qualities", 0, "centres", 0), 2**31 - 1),
+        (("qualities", 0, "coarser"), 1),
+        (("qualities", 1, "coarser"), 22),
         (("segments", 0, "levels", 0, "frame_bytes"), [-1, 5]),
     ],
 )
@@ -125,7 +127,7 @@ def test_claims_that_cannot_be_true_are_refused(place, value):
         (
             ("files", "key/T0/1.bin", "sha256"),
             "12",
-            "airgs.json.files['key/T0/1.bin'].sha256: expected 64 hex digits of SHA-256, got '12'",
+            "airgs.json.files['key/T0/1.bin'].sha256: expected SHA-256 as 43 characters of base64url, got '12'",
         ),
     ],
 )
@@ -150,9 +152,9 @@ def ids(m):
 def test_the_mpd_has_a_representation_for_everything_that_has_files():
     m = open_package(CORPUS / "valid" / "moving").manifest
     assert [s.role for s in adaptation_sets(m)] == ["state", "key;tier=0", "key;tier=1"]
-    assert ids(m) == [["L0", "L1"], ["T0Q0", "T0Q1"], ["T1Q0", "T1Q1"]]
+    assert ids(m) == [["L0", "L1"], ["T0/Q0", "T0/Q1"], ["T1/Q0", "T1/Q1"]]
     still = open_package(CORPUS / "valid" / "one-gaussian").manifest
-    assert ids(still) == [["T0Q0"]]
+    assert ids(still) == [["T0/Q0"]]
 
 
 def test_bandwidth_covers_the_first_segment_within_the_minimum_buffer():

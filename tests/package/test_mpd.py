@@ -1,12 +1,14 @@
 """The MPD: bandwidth by its definition, gaps, and refusal of everything that would lead a player elsewhere."""
 
+import copy
 import dataclasses
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 
 import pytest
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.mpd import CONTENT, DASH, MIN_BUFFER_S, adaptation_sets, write_mpd
+from airgs_codec.package.mpd import CONTENT, DASH, INHERITED, MIN_BUFFER_S, adaptation_sets, write_mpd
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.tables import MPD_NAME, Manifest
 from tests.support.manifests import tiny_manifest
@@ -15,13 +17,24 @@ from tests.support.mutations import apply, edit_text
 NS = f"{{{DASH}}}"
 
 
-def with_a_gap() -> Manifest:
-    """Three groups; nothing moves in the middle one, so its state has no files."""
+def with_a_gap(levels: Sequence[int] = (0, 1, 2)) -> Manifest:
+    """Three groups; in these levels nothing moves in the middle one, so that it has no files of them."""
     m = tiny_manifest(groups=(10, 5, 10))
-    quiet = [dataclasses.replace(v, number=0, frame_bytes=[]) for v in m.segments[1].levels]
-    last = [dataclasses.replace(v, number=2) for v in m.segments[2].levels]
-    segments = [m.segments[0], *(dataclasses.replace(m.segments[i], levels=v) for i, v in ((1, quiet), (2, last)))]
+    segments = list(m.segments)
+    for segment, number, sizes in ((1, 0, []), (2, 2, m.segments[2].levels[0].frame_bytes)):
+        for level in levels:
+            entry = dataclasses.replace(segments[segment].levels[level], number=number, frame_bytes=sizes)
+            segments[segment].levels[level] = entry
     return dataclasses.replace(m, segments=segments)
+
+
+MANIFESTS = {
+    "equal groups": tiny_manifest(),
+    "unequal groups": tiny_manifest(groups=(10, 10, 3, 20, 20, 7)),
+    "a level without files": tiny_manifest(state_bytes=(2000, 0)),
+    "a gap": with_a_gap(),
+    "a gap in one level": with_a_gap(levels=[2]),
+}
 
 
 def representations(m):
@@ -35,8 +48,72 @@ def reason_of(data: bytes, m: Manifest) -> str:
     return refused.value.reason
 
 
-@pytest.mark.parametrize("m", [tiny_manifest(), tiny_manifest(state_bytes=(2000, 0)), with_a_gap()])
+@pytest.mark.parametrize("m", MANIFESTS.values(), ids=MANIFESTS)
 def test_what_is_written_is_accepted(m):
+    check_mpd(write_mpd(m), m)
+
+
+def spelt_out(data: bytes) -> bytes:
+    """The same MPD with nothing inherited and every file in an S of its own."""
+    root = ET.fromstring(data)
+    for row in root.iter(f"{NS}AdaptationSet"):
+        shared = row.findall(f"{NS}SegmentTemplate")
+        for element in row.iter(f"{NS}Representation"):
+            element.attrib |= {name: row.attrib[name] for name in INHERITED if name in row.attrib}
+            element.extend(copy.deepcopy(shared))
+        for template in shared:
+            row.remove(template)
+        for name in INHERITED:
+            row.attrib.pop(name, None)
+    for timeline in root.iter(f"{NS}SegmentTimeline"):
+        files, end = [], 0
+        for s in timeline:
+            end = int(s.get("t", end))
+            for _ in range(1 + int(s.get("r", "0"))):
+                files.append(ET.Element(f"{NS}S", t=str(end), d=s.attrib["d"]))
+                end += int(s.attrib["d"])
+        timeline[:] = files
+    return ET.tostring(root)
+
+
+@pytest.mark.parametrize("m", MANIFESTS.values(), ids=MANIFESTS)
+def test_what_is_inherited_may_also_be_spelt_out(m):
+    check_mpd(spelt_out(write_mpd(m)), m)
+
+
+ALL, QUIET = (
+    [{"t": "0", "d": "1000"}, {"d": "500"}, {"d": "1000"}],
+    [{"t": "0", "d": "1000"}, {"t": "1500", "d": "1000"}],
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "shared", "own"),
+    [
+        ("equal groups", [[{"t": "0", "d": "1000", "r": "1"}]], []),
+        (
+            "unequal groups",
+            [[{"t": "0", "d": "1000", "r": "1"}, {"d": "300"}, {"d": "2000", "r": "1"}, {"d": "700"}]],
+            [],
+        ),
+        ("a gap", [QUIET], []),
+        ("a gap in one level", [], [ALL, ALL, QUIET]),
+    ],
+)
+def test_equal_timelines_stand_once_in_the_set_and_others_in_each_representation(name, shared, own):
+    state = ET.fromstring(write_mpd(MANIFESTS[name])).find(f"{NS}Period/{NS}AdaptationSet")
+    timeline = f"{NS}SegmentTemplate/{NS}SegmentTimeline"
+    assert [[s.attrib for s in t] for t in state.findall(timeline)] == shared
+    assert [[s.attrib for s in t] for t in state.findall(f"{NS}Representation/{timeline}")] == own
+
+
+def test_attributes_that_differ_stay_with_their_representations():
+    m = tiny_manifest()
+    small = dataclasses.replace(m.state_pictures[0], height=32)
+    m = dataclasses.replace(m, state_pictures=[*m.state_pictures[:-1], small])
+    state = ET.fromstring(write_mpd(m)).find(f"{NS}Period/{NS}AdaptationSet")
+    assert [r.get("height") for r in state.findall(f"{NS}Representation")] == ["64", "64", "32"]
+    assert (state.get("width"), state.get("height")) == ("64", None)
     check_mpd(write_mpd(m), m)
 
 
@@ -56,13 +133,13 @@ ORDER = {  # ISO/IEC 23009-1, DASH-MPD.xsd: the children of what we write, in th
 }
 
 
-@pytest.mark.parametrize("m", [tiny_manifest(), with_a_gap()])
+@pytest.mark.parametrize("m", MANIFESTS.values(), ids=MANIFESTS)
 def test_elements_stand_in_the_order_of_the_standard(m):
     for parent in ET.fromstring(write_mpd(m)).iter():
         name = parent.tag.removeprefix(NS)
         children = [child.tag.removeprefix(NS) for child in parent]
         assert children == sorted(children, key=ORDER.get(name, "").split().index), name
-        assert list(dict.fromkeys(children)) == list(CONTENT[name])
+        assert set(children) <= set(CONTENT[name])
 
 
 def test_a_segment_without_files_is_a_gap_in_the_timeline():
@@ -74,7 +151,7 @@ def test_a_segment_without_files_is_a_gap_in_the_timeline():
 
 def test_a_level_without_files_is_not_listed():
     assert [r.id for r in representations(tiny_manifest(state_bytes=(2000, 0)))[0]] == ["L0"]
-    assert [row[0].id for row in representations(tiny_manifest(state_bytes=(0, 0)))] == ["T0Q0", "T1Q0"]
+    assert [row[0].id for row in representations(tiny_manifest(state_bytes=(0, 0)))] == ["T0/Q0", "T1/Q0"]
 
 
 @pytest.mark.parametrize("m", [tiny_manifest(groups=(10, 3, 20, 7)), with_a_gap()])
@@ -99,9 +176,9 @@ def test_what_players_need_is_there():
     sets = root.findall(f"{NS}Period/{NS}AdaptationSet")
     assert [s.get("selectionPriority") for s in sets] == ["10", "1", "1"]
     listed = list(root.iter(f"{NS}Representation"))
-    assert [r.get("frameRate") for r in listed[:3]] == ["30000/1001"] * 3
+    assert [s.get("frameRate") for s in sets] == ["30000/1001", None, None]
     assert len({r.get("id") for r in listed}) == len(listed) == 7
-    assert {r.get("sar") for r in listed} == {"1:1"}
+    assert {s.get("sar") for s in sets} == {"1:1"}
     assert not list(root.iter(f"{NS}EssentialProperty"))  # a player that does not know it would skip the set
 
 
@@ -119,15 +196,20 @@ EDITS = {
     ),
     "parent folder": ('media="state/', 'media="../state/', "foreign_url"),
     "absolute path": ('initialization="', 'initialization="/', "foreign_url"),
-    "another file": ('media="state/L0/', 'media="state/L1/', "mpd_mismatch"),
+    "another file": ('media="state/$RepresentationID$/', 'media="state/L1/', "mpd_mismatch"),
     "segment list": ("<SegmentTemplate", "<SegmentList/><SegmentTemplate", "bad_mpd"),
-    "template of the set": ("<Representation", ELSEWHERE + "<Representation", "bad_mpd"),
-    "second template": ("</SegmentTemplate>", "</SegmentTemplate>" + ELSEWHERE, "bad_mpd"),
+    "template elsewhere": ("</SegmentTemplate>", "</SegmentTemplate>" + ELSEWHERE, "foreign_url"),
+    "second template": ("</SegmentTemplate>", "</SegmentTemplate><SegmentTemplate/>", "bad_mpd"),
     "offset": ('startNumber="1"', 'startNumber="1" presentationTimeOffset="9"', "bad_mpd"),
-    "repeat": ('<S t="0"', '<S r="3" t="0"', "bad_mpd"),
+    "second timeline": ("</SegmentTimeline>", "</SegmentTimeline><SegmentTimeline/>", "bad_mpd"),
+    "more files": (' r="1"', ' r="2"', "mpd_mismatch"),
+    "fewer files": (' r="1"', "", "mpd_mismatch"),
+    "files without end": (' r="1"', ' r="-1"', "bad_mpd"),
+    "files without number": (' r="1"', ' r="999999999999999"', "mpd_mismatch"),
     "element without a namespace": ("<Period", '<x xmlns=""/><Period', "bad_mpd"),
     "foreign element": ("<Period", '<x xmlns="urn:x"/><Period', "bad_mpd"),
     "no number": ('width="64"', 'width="wide"', "bad_mpd"),
+    "another width of its own": ('<Representation id="L1"', '<Representation width="32" id="L1"', "mpd_mismatch"),
     "same id twice": ('id="L1"', 'id="L0"', "bad_mpd"),
     "unknown id": ('id="L1"', 'id="L9"', "mpd_mismatch"),
     "codecs": ("avc1.64000A", "avc1.640033", "mpd_mismatch"),
@@ -135,7 +217,7 @@ EDITS = {
     "duration": ('mediaPresentationDuration="PT', 'mediaPresentationDuration="PT9', "mpd_mismatch"),
     "odd duration": ('mediaPresentationDuration="PT', 'mediaPresentationDuration="P1DT', "bad_mpd"),
     "live": ('type="static"', 'type="dynamic"', "mpd_mismatch"),
-    "one set": ('</AdaptationSet>\n  <AdaptationSet id="2"', '</AdaptationSet>\n  <AdaptationSet id="9"', None),
+    "one set": ('<AdaptationSet id="2"', '<AdaptationSet id="9"', None),
 }
 
 
@@ -155,6 +237,22 @@ def test_a_doctype_cannot_hide_in_another_encoding(encoding):
     m = tiny_manifest()
     text = write_mpd(m).decode().replace("<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD')
     assert reason_of(text.replace("utf-8", encoding).encode(encoding), m) in ("bad_mpd", "doctype")
+
+
+def test_a_template_in_the_set_and_one_in_its_representation_are_refused():
+    m = tiny_manifest()
+    root = ET.fromstring(write_mpd(m))
+    state = root.find(f"{NS}Period/{NS}AdaptationSet")
+    state.find(f"{NS}Representation").append(copy.deepcopy(state.find(f"{NS}SegmentTemplate")))
+    assert reason_of(ET.tostring(root), m) == "bad_mpd"
+
+
+def test_without_a_template_nothing_plays():
+    m = tiny_manifest()
+    root = ET.fromstring(write_mpd(m))
+    state = root.find(f"{NS}Period/{NS}AdaptationSet")
+    state.remove(state.find(f"{NS}SegmentTemplate"))
+    assert reason_of(ET.tostring(root), m) == "bad_mpd"
 
 
 def test_a_level_in_the_set_of_a_key_tier_is_refused():

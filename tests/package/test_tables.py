@@ -11,7 +11,7 @@ def test_kinds_of_files_are_those_of_their_paths():
     assert file_kind(tables.state_media_path(2, 3)) is FileKind.STATE
     for path in (
         tables.key_sidecar_path(0, 3),
-        tables.key_escapes_path(0, 1, 3),
+        tables.key_detail_path(0, 1, 3),
         tables.state_sidecar_path(2, 3),
     ):
         assert file_kind(path) is FileKind.SIDECARS

@@ -4,8 +4,15 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
+from scipy.spatial.transform import Rotation
 
-from airgs_codec.scene.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector
+from airgs_codec.scene.rotations import (
+    conjugate,
+    from_rotation_vector,
+    multiply,
+    to_matrices,
+    to_rotation_vector,
+)
 
 unit = npst.arrays(np.float64, (20, 4), elements=st.floats(-1, 1)).filter(
     lambda q: np.linalg.norm(q, axis=1).min() > 1e-3
@@ -26,3 +33,8 @@ def test_rotation_vectors_at_the_extremes():
     q = np.array([[1, 0, 0, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [1, 1e-12, 0, 0]])
     v = to_rotation_vector(q)
     np.testing.assert_allclose(v, [[0, 0, 0], [0, 0, 0], [np.pi, 0, 0], [2e-12, 0, 0]], atol=1e-15)
+
+
+def test_matrices_are_those_of_scipy():
+    q = np.random.default_rng(0).normal(size=(20, 4))
+    np.testing.assert_allclose(to_matrices(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), atol=1e-12)

@@ -245,6 +245,6 @@ def measure_case(case: Case, folder: Path) -> Outcome:
         worst.bound,
         sum(e.rows for e in measured) // len(measured) if measured else 0,
         size,
-        "; ".join(m.repairs),
+        "; ".join([*m.repairs, *m.decisions]),
         finite,
     )

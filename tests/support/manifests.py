@@ -14,7 +14,7 @@ def missing(*paths: str) -> dict[str, FormatError]:
     return {path: FormatError("missing_file", path, "expected a file, got nothing") for path in paths}
 
 
-HASH = "0" * 64
+HASH = mf.digest(b"")
 
 
 def tiny_manifest(
@@ -42,7 +42,7 @@ def tiny_manifest(
         for q in range(qualities):
             files[mf.key_init_path(t, q)] = init_bytes
             files |= {mf.key_media_path(t, q, g + 1): key_bytes[t][q] for g in range(len(groups))}
-            files |= {mf.key_escapes_path(t, q, g + 1): 10 for g in range(len(groups))}
+            files |= {mf.key_detail_path(t, q, g + 1): 10 for g in range(len(groups))}
         files |= {mf.key_sidecar_path(t, g + 1): sidecar_bytes - 10 for g in range(len(groups))}
     for j, size in enumerate(state_bytes):
         if size:
@@ -54,6 +54,7 @@ def tiny_manifest(
         generator=mf.Generator("test", {}, {}),
         attribution="",
         repairs=[],
+        decisions=[],
         frame_rate=list(fps),
         timescale=fps[0] * 100,
         frames=sum(groups),
@@ -62,7 +63,7 @@ def tiny_manifest(
         state_gain=6.0,
         region=region(),
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
-        qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q) for q in range(qualities)],
+        qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
         key_pictures=[[picture] * qualities for _ in range(tiers)],
         state_pictures=[picture] * levels,
@@ -70,7 +71,6 @@ def tiny_manifest(
             mf.Group(
                 start=start,
                 stop=stop,
-                canonical=start,
                 count=10 * tiers,
                 static=0,
                 unused=0,

@@ -20,6 +20,18 @@ def matrix_of(camera: Camera) -> list[list[float]]:
     return (np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV).tolist()
 
 
+def write_cameras(path: Path, cameras: list[Camera]) -> Path:
+    """A transforms.json without pictures; the lens is the first camera's."""
+    entries = [{"camera": c.name, "split": c.split, "transform_matrix": matrix_of(c)} for c in cameras]
+    _write_transforms(path, cameras[0], entries)
+    return path
+
+
+def _write_transforms(path: Path, c: Camera, entries: list[dict[str, Any]]) -> None:
+    shared = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "fps": 12}
+    path.write_text(json.dumps({**shared, "frames": entries}))
+
+
 def write_views(folder: Path, frames: list[Gaussians], cameras: list[Camera], points: np.ndarray | None) -> Path:
     """A dynamic transforms.json with PNG pictures."""
     entries = []
@@ -30,9 +42,7 @@ def write_views(folder: Path, frames: list[Gaussians], cameras: list[Camera], po
             write_png(path, to_bytes(render(g, c).rgb))
             entry = {"file_path": str(path.relative_to(folder)), "camera": c.name, "split": c.split, "time_index": t}
             entries.append({**entry, "transform_matrix": matrix_of(c)})
-    c = cameras[0]
-    shared = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "fps": 12}
-    (folder / "transforms.json").write_text(json.dumps({**shared, "frames": entries}))
+    _write_transforms(folder / "transforms.json", cameras[0], entries)
     if points is not None:
         np.save(folder / "points3d.npy", points.astype(np.float32))
     return folder

@@ -7,14 +7,13 @@ airgs.json agree with the files, so that what lies behind the digests is reached
 
 from __future__ import annotations
 
-import hashlib
 import json
 import random
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from airgs_codec.package.tables import JSON_NAME, MPD_NAME
+from airgs_codec.package.tables import JSON_NAME, MPD_NAME, digest
 
 Files = dict[str, bytes]
 Mutation = Callable[[Files], Files]
@@ -130,7 +129,7 @@ def honest(files: Files) -> Files:
         return files
     for name, entry in tables["files"].items():
         if name in files and isinstance(entry, dict):
-            entry |= {"bytes": len(files[name]), "sha256": hashlib.sha256(files[name]).hexdigest()}
+            entry |= {"bytes": len(files[name]), "sha256": digest(files[name])}
     return files | {JSON_NAME: _compact(tables)}
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from airgs_codec.package.tables import Place, Region
 
 
@@ -13,3 +15,16 @@ def place(x: float, *, reach: float = 0.5) -> Place:
 def region(*places: Place, turn: float = 10.0, source: str = "cameras") -> Region:
     """Pictures of 32 x 24 pixels, 50 degrees high, from these places; from the one in the middle if none are given."""
     return Region(source, 32, 24, 50.0, 0.01, turn, list(places) or [place(0.0)])
+
+
+def arc(degrees: float, count: int, reach: float, radius: float = 3.0) -> Region:
+    """Places on a part of a circle about the origin, which they look at."""
+    turns = np.radians(np.linspace(0, degrees, count))
+    return region(
+        *[Place([radius * np.cos(t), 0.0, radius * np.sin(t)], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], reach) for t in turns]
+    )
+
+
+def row(count: int, reach: float) -> Region:
+    """Places one unit apart that look the same way, at something ten units away."""
+    return region(*[Place([float(i), 0.0, 0.0], [float(i), 0.0, 10.0], [0.0, 1.0, 0.0], reach) for i in range(count)])

@@ -41,7 +41,7 @@ def test_it_measures_what_the_comparison_does(demo_package):
     cameras = draw_views(package.manifest.region, 2, seed=3)
     found = measure(package, sequence, cameras, most=4)
     frames = range(0, 10, 3)
-    compared = compare_streams(rung_streams(package, frames), sequence, frames, cameras)
+    compared = compare_streams(rung_streams(package, frames), sequence, frames, cameras)["train"]
     assert {name: m.mean for name, m in found.items()} == {n: round(q.psnr, 3) for n, q in compared.items()}
     assert all(m.worst_picture <= m.worst_view <= m.mean for m in found.values())
 

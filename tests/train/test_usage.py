@@ -30,7 +30,7 @@ def test_usage_is_of_all_frames_and_the_encoder_takes_it(run):
     np.testing.assert_allclose(saved.total, measured.total)
     np.testing.assert_array_equal(saved.hits, measured.hits)
     assert saved.moved.min() >= 0 and saved.moved.max() > 0
-    survey = survey_group(sequence, GroupSpan(0, start, stop), ViewPlan.of(sequence))
+    survey = survey_group(sequence, GroupSpan(0, start, stop), ViewPlan.of(sequence, 24))
     assert survey.usage.total.tolist() == saved.total.tolist()
     assert sequence.usage(0, 2) is None  # another group: measured anew
 

@@ -65,9 +65,9 @@ def load(name: str) -> Calibration | None:
         key, state = KeySteps(**steps.pop("key")), StateSteps(**steps.pop("state"))
         levels = tuple(LevelSettings(**level) for level in data.pop("levels"))
         tiers, factors = tuple(data.pop("tiers")), tuple(data.pop("key_factors"))
-        return Calibration(
-            steps=StepSettings(key=key, state=state, **steps), levels=levels, tiers=tiers, key_factors=factors, **data
-        )
+        shares = tuple((float(factor), float(share)) for factor, share in data.pop("shares"))
+        whole = StepSettings(key=key, state=state, **steps)
+        return Calibration(steps=whole, levels=levels, tiers=tiers, key_factors=factors, shares=shares, **data)
     except (OSError, ValueError, TypeError, KeyError, AttributeError):
         return None
 

@@ -5,14 +5,21 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from airgs_codec.coding.steps import StepSettings
-from airgs_codec.encoder.calibration.ladder import choose_levels, choose_tiers, key_factors
-from airgs_codec.encoder.calibration.solve import solve_steps
+from airgs_codec.encoder.calibration.ladder import (
+    FACTORS,
+    Withholding,
+    choose_shares,
+    choose_tiers,
+    key_factors,
+    make_levels,
+)
+from airgs_codec.encoder.calibration.solve import guess_price, solve_steps
 from airgs_codec.encoder.calibration.subject import Subject
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, Shares
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.scene.sequence import GaussianSequence
 
-REVISION = 2  # of this method, for the cache
+REVISION = 5  # of this method, for the cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,22 +30,36 @@ class Calibration:
     levels: tuple[LevelSettings, ...]
     tiers: tuple[float, ...]
     key_factors: tuple[float, ...]
+    shares: Shares
     byte_price: float
+    expected: float  # mean squared error of pictures of the top rung
 
     def apply(self, settings: EncodeSettings) -> EncodeSettings:
         """Settings of an encode: what `settings.calibrate` asks for is replaced, and nothing is left to calibrate."""
         chosen = replace(settings, calibrate="none", steps=self.steps, byte_price=self.byte_price)
         if settings.calibrate != "ladder":
             return chosen
-        return replace(chosen, levels=self.levels, tiers=self.tiers, key_factors=self.key_factors)
+        ladder = replace(chosen, levels=self.levels, tiers=self.tiers, key_factors=self.key_factors, shares=self.shares)
+        return ladder.at(settings.quality)
 
 
 def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Calibration:
-    """Calibrate on the group of `survey`, starting at `settings.steps`, at quality 1."""
+    """Calibrate on the group of `survey`, starting at `settings.steps`, at quality 1.
+
+    Which updates the top level withholds decides what states cost, so that it is guessed before steps are solved for.
+    """
     subject = Subject.of(sequence, survey, replace(settings, quality=1.0))
-    sample = subject.sample(float(sequence.fps))
-    steps, price = solve_steps(sample, subject)
-    levels = choose_levels(sample, subject, steps, price)
-    if len(levels) == 1:
-        return Calibration(steps, levels, (1.0,), (1.0,), price)
-    return Calibration(steps, levels, choose_tiers(subject, steps), key_factors(), price)
+    sample, withholding = subject.sample(float(sequence.fps)), Withholding.of(subject)
+    top = sample
+    if settings.calibrate == "ladder":
+        guess = guess_price(sample, subject)
+        shares, _ = choose_shares(sample, withholding, settings.steps, guess, (1.0,))
+        top = replace(sample, moving=withholding.kept(sample, shares[0][1])) if shares else sample
+    steps, price = solve_steps(top, subject)
+    shares, expected = choose_shares(sample, withholding, steps, price, FACTORS)
+    if subject.layout.removal_error > 0:
+        expected += subject.pruning.within(steps.rows).error
+    if not shares:
+        return Calibration(steps, (LevelSettings(0.0),), (1.0,), (1.0,), (), price, expected)
+    tiers = choose_tiers(top, subject, steps, price)
+    return Calibration(steps, make_levels(len(tiers)), tiers, key_factors(), shares, price, expected)

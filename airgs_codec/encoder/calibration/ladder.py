@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import pooled_error
 from airgs_codec.coding.channels import key_channels, state_channels
 from airgs_codec.coding.steps import StepSettings
@@ -16,91 +16,119 @@ from airgs_codec.encoder.calibration.sample import CalibrationSample
 from airgs_codec.encoder.calibration.subject import Subject
 from airgs_codec.encoder.levels import assign_depths
 from airgs_codec.encoder.rank import rank_updates
-from airgs_codec.encoder.settings import LevelSettings
+from airgs_codec.encoder.settings import LevelSettings, Shares
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.layout import STATE
 from airgs_codec.render import render
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, mix_rows
 
 # Of each level: the factor on every step, its key quality, its key tiers. A rung costs what a package with only that
 # rung would: all steps grow alike, and with their square the price of a byte.
-LEVELS = ((1.0, 0, 2), (1.5, 1, 2), (2.1, 1, 2), (3.1, 2, 1), (4.5, 2, 1))
+LEVELS = ((1.0, 0, 3), (1.6, 1, 3), (2.3, 1, 2), (3.4, 2, 2), (4.8, 2, 1))
+FACTORS = (0.1, 0.2, 0.35, 0.6, 1.0, 1.6, 2.4, 3.5, 5.0, 8.0)  # on the steps, for which a share is chosen
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withholds, tried
-RANKED_FRAMES = 6  # frames of a group that tell which updates matter
+CORES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.42, 0.35, 0.28)  # of the rows, in the first key tiers together, tried
 
 
-def choose_tiers(subject: Subject, steps: StepSettings) -> tuple[float, ...]:
-    """Share of the rows in each key tier: the first has what its levels need, by the error that they may make."""
+def choose_tiers(sample: CalibrationSample, subject: Subject, steps: StepSettings, price: float) -> tuple[float, ...]:
+    """Share of the rows in each key tier, from the price of a byte at the top level.
+
+    The first tiers have the rows whose keys are worth their bytes at the levels that fetch no others; what pictures
+    miss without the others is rendered for some of CORES.
+    """
+    most = max(tiers for _, _, tiers in LEVELS)
     if subject.layout.removal_error == 0:
-        return subject.settings.tiers
-    core = min(factor for factor, _, tiers in LEVELS if tiers == 1)
-    rows, fewer = (len(subject.pruning.within(steps.rows * factor).rows) for factor in (1.0, core))
-    return fewer / rows, 1 - fewer / rows
+        return (1.0,)
+    rows = len(subject.pruning.within(steps.rows).rows)
+    bounds = [0.0]
+    for count in range(1, most):
+        factor = float(np.exp(np.mean([np.log(f) for f, _, tiers in LEVELS if tiers == count])))
+        size = factor**2 * price * sample.code_key(steps, factor)[0]
+        shares = [share for share in CORES if share > bounds[-1]]
+        bounds.append(min(shares, key=lambda s: subject.pruning.error_of(round(s * rows)) + size * s, default=1.0))
+    return tuple(stop - start for start, stop in itertools.pairwise([*bounds, 1.0]))
+
+
+def make_levels(tiers: int) -> tuple[LevelSettings, ...]:
+    """The levels of LEVELS, which withhold nothing yet, where there are `tiers` key tiers."""
+    return tuple(LevelSettings(0.0, factor, min(count, tiers), quality) for factor, quality, count in LEVELS)
 
 
 def key_factors() -> tuple[float, ...]:
-    """Factors on the key steps: of each key quality the geometric mean of its levels' factors."""
+    """Factors on the key steps: of each key quality the geometric mean of its levels' factors, to four digits."""
     qualities = sorted({quality for _, quality, _ in LEVELS})
-    return tuple(float(np.exp(np.mean([np.log(f) for f, q, _ in LEVELS if q == quality]))) for quality in qualities)
+    means = [np.exp(np.mean([np.log(f) for f, q, _ in LEVELS if q == quality])) for quality in qualities]
+    return tuple(float(f"{mean:.4g}") for mean in means)
 
 
-def choose_levels(
-    sample: CalibrationSample, subject: Subject, steps: StepSettings, price: float
-) -> tuple[LevelSettings, ...]:
-    """The levels of LEVELS, each with the cheapest share of the updates to withhold; one alone if nothing moves."""
-    only = (LevelSettings(0.0),)
-    if not sample.moving.any():
-        return only
+@dataclass(frozen=True, slots=True, eq=False)
+class Withholding:
+    """What withholding updates would do to the pictures of a group."""
+
+    score: NDArray[np.float64]  # (N,) of updates, the least one is withheld first
+    errors: tuple[float, ...]  # rendered, of withholding each of SHARES of the updates
+
+    @staticmethod
+    def of(subject: Subject) -> Withholding:
+        """Rank the updates of all rows and render without the lowest ones."""
+        canonical, rows, pictures = subject.canonical(), subject.layout.rows, subject.layout.pictures
+        frames = [subject.frames[t].take(rows) for t, _ in pictures]
+        score, moving = _rank(subject, [canonical, *frames])
+        depths = assign_depths(score, moving, SHARES)
+        shown = [(frame, camera) for frame, (_, camera) in zip(frames, pictures, strict=True)]
+        full = [render(frame, camera).rgb for frame, camera in shown]
+        errors = []
+        for i in range(len(SHARES)):
+            updated = (moving & (depths >= i)) | ~moving
+            held = [render(mix_rows(frame, canonical, updated), camera).rgb for frame, camera in shown]
+            errors.append(pooled_error([mse(a, b) for a, b in zip(held, full, strict=True)]))
+        return Withholding(score, tuple(errors))
+
+    def kept(self, sample: CalibrationSample, share: float) -> NDArray[np.bool_]:
+        """(n,) moving rows of a sample whose updates are not among the `share` withheld."""
+        kept: NDArray[np.bool_] = sample.moving & (assign_depths(self.score[sample.index], sample.moving, [share]) == 0)
+        return kept
+
+
+def choose_shares(
+    sample: CalibrationSample, withholding: Withholding, steps: StepSettings, price: float, factors: Sequence[float]
+) -> tuple[Shares, float]:
+    """The cheapest share of the updates to withhold at each of `factors` on `steps`; empty if nothing moves.
+
+    `price` is that of a byte a frame at factor 1, in squared error. Also gives the mean squared error that factor 1
+    is expected to make, but for rows that are left out.
+    """
     states = sample.states(sample.code_key(steps, 1.0)[1], steps)
-    coded = [sample.code_states(states, factor) for factor, _, _ in LEVELS]
-    if coded[0][0] == 0:  # no channel has a plane
-        return only
-    score, withheld = _withhold_updates(subject, steps)
-    depths = assign_depths(score[sample.index], sample.moving, SHARES)
-    kept = [sample.moving & (depths >= i) for i in range(len(SHARES))]
-    parts = [replace(sample, moving=rows).code_states(states, 1.0)[0] / coded[0][0] for rows in kept]
     still = sample.error(states[0][None], steps)
-    levels: list[LevelSettings] = []
-    for (factor, quality, tiers), (size, error) in zip(LEVELS, coded, strict=True):
-        shown = [np.where(rows, sample.error(error, steps), still * factor**2).sum() for rows in kept]
-        costs = [w + e + factor**2 * price * part * size for w, e, part in zip(withheld, shown, parts, strict=True)]
-        share = max(SHARES[int(np.argmin(costs))], levels[-1].pruned if levels else 0.0)
-        levels.append(LevelSettings(share, factor, tiers, quality))
-    return tuple(levels)
+    if not sample.moving.any():
+        return (), float(still.sum())
+    coded = {factor: sample.code_states(states, factor) for factor in {1.0, *factors}}
+    whole, error = coded[1.0]
+    if whole == 0:  # no channel has a plane
+        return (), float(sample.error(error, steps).sum())
+    kept = [withholding.kept(sample, share) for share in SHARES]
+    parts = [replace(sample, moving=rows).code_states(states, 1.0)[0] / whole for rows in kept]
+    shares: dict[float, float] = {}
+    expected, least = 0.0, 0.0
+    for factor in sorted(coded):
+        size, error = coded[factor]
+        shown = [float(np.where(rows, sample.error(error, steps), still * factor**2).sum()) for rows in kept]
+        errors = [held + e for held, e in zip(withholding.errors, shown, strict=True)]
+        costs = [e + factor**2 * price * part * size for e, part in zip(errors, parts, strict=True)]
+        best = int(np.argmin(costs))
+        expected = errors[best] if factor == 1 else expected
+        least = max(least, SHARES[best])
+        shares[factor] = least
+    return tuple((factor, shares[factor]) for factor in sorted(factors)), expected
 
 
-def _withhold_updates(subject: Subject, steps: StepSettings) -> tuple[NDArray[np.float64], list[float]]:
-    """(N,) score of the group's rows, and the rendered error of withholding each of SHARES of the updates."""
-    canonical = subject.canonical()
-    ranked = [subject.frames[i].take(subject.layout.rows) for i in evenly_spaced(len(subject.frames), RANKED_FRAMES)]
-    score, moving = _rank(subject, steps, [canonical, *ranked])
-    depths = assign_depths(score, moving, SHARES)
-    pictures = [(subject.frames[t].take(subject.layout.rows), camera) for t, camera in subject.layout.pictures]
-    full = [render(frame, camera).rgb for frame, camera in pictures]
-    errors = []
-    for i in range(len(SHARES)):
-        updated = (moving & (depths >= i)) | ~moving
-        held = [render(_mix(frame, canonical, updated), camera).rgb for frame, camera in pictures]
-        errors.append(pooled_error([mse(a, b) for a, b in zip(held, full, strict=True)]))
-    return score, errors
-
-
-def _rank(
-    subject: Subject, steps: StepSettings, frames: Sequence[Gaussians]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """`rank_updates` of all N rows at `steps`; `frames` are the canonical one and those that are ranked."""
+def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """`rank_updates` of all N rows; `frames` are the canonical one and those that are ranked."""
     layout, settings = subject.layout, subject.settings
-    layout = replace(layout, key_steps=steps.key, state_steps=steps.state)
-    channels = key_channels(frames[0], layout.transform, steps.key).astype(np.float32)
+    channels = key_channels(frames[0], layout.transform, layout.key_steps).astype(np.float32)
     base = layout.canonical_space(channels, np.zeros(len(layout.codes), np.uint8))
-    states = state_channels(frames, base, steps.state)
-    states /= STATE.steps(steps.state, layout.colours)[:, None]
+    states = state_channels(frames, base, layout.state_steps)
+    states /= STATE.steps(layout.state_steps, layout.colours)[:, None]
     changes = states - states[0]
-    known = layout.usage if settings.update_rank == "usage" else None
-    return rank_updates(states[1:], changes[1:], layout.state_weights(), known, settings.keep_all)
-
-
-def _mix(frame: Gaussians, canonical: Gaussians, updated: NDArray[np.bool_]) -> Gaussians:
-    """`frame` where updated, else `canonical`."""
-    columns = [(getattr(frame, f.name), getattr(canonical, f.name)) for f in fields(Gaussians)]
-    return Gaussians(*(np.where(updated.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in columns))
+    weights, rank = layout.state_weights(), settings.update_rank
+    return rank_updates(states[1:], changes[1:], weights, layout.usage, rank, settings.keep_all)

@@ -16,6 +16,7 @@ from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.coding.weights import channel_weights, withheld_error
+from airgs_codec.encoder.levels import assign_depths
 from airgs_codec.media.h264 import key_codec, state_codec
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import KeySteps, unpack_matrix
@@ -114,6 +115,22 @@ class CalibrationSample:
         """(1 + T, 10 + C, n) differences of the canonical frame and the others to a canonical space, in steps."""
         values = state_channels([self.key, *self.frames], base, steps.state)
         return values / STATE.steps(steps.state, base.colours.shape[1])[:, None]
+
+    def cost_without(
+        self,
+        states: NDArray[np.float64],
+        steps: StepSettings,
+        scores: NDArray[np.float64],
+        moving: NDArray[np.bool_],
+        share: float,
+    ) -> tuple[float, float]:
+        """Bytes a frame and error of pictures when a share of the updates, those of the least `scores`, is withheld.
+
+        `states` are those of `self.states`.
+        """
+        kept = assign_depths(scores, moving, [share]) == 0
+        size, coded = replace(self, moving=kept).code_states(states, 1.0)
+        return size, float(self.error(np.where(kept, coded, states[1:]), steps).sum())
 
     def code_states(
         self, states: NDArray[np.float64], factor: float, part: slice = slice(None)

@@ -17,6 +17,7 @@ from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.calibration.sample import CalibrationSample, Cost
 from airgs_codec.encoder.calibration.subject import Subject
 
+SLOPE = 0.5  # of the bytes: what steps e times as large save, of fox and spinach
 TRIAL = 1.5  # factor between the two steps at which bytes and error are measured
 PRIOR = 0.02  # share of all bytes and error that every step has at least: a step without effect hardly moves
 
@@ -68,6 +69,15 @@ def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettin
         factor = ((m / rate + PRIOR) / (b / error + PRIOR)) ** 0.5
         steps = with_step(steps, name, float(f"{get_step(steps, name) * factor:.4g}"))
     return steps, 2 * error / rate
+
+
+def guess_price(sample: CalibrationSample, subject: Subject) -> float:
+    """The price of a byte at the steps of `subject.settings`, from one trial encode.
+
+    Error grows with the square of the steps, bytes fall with their logarithm at about SLOPE of what they are.
+    """
+    cost = sample.cost(subject.settings.steps)
+    return 2 * (cost.key_error + cost.state_error + subject.layout.removal_error) / (SLOPE * cost.bytes)
 
 
 def _measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slope]:

@@ -46,16 +46,16 @@ class Subject:
 
     def canonical(self) -> Gaussians:
         """The canonical frame, N rows in file order."""
-        return self.frames[self.layout.span.middle].take(self.layout.rows)
+        return self.layout.key
 
     def sample(self, fps: float) -> CalibrationSample:
         """Blocks spread over all rows, and the frames of the first segment: enough to see P and B pictures settle."""
         layout, settings = self.layout, self.settings
         segment = min(len(self.frames), MOST_FRAMES, max(1, int(settings.segment_s * fps)))
-        index = _block_rows(len(layout.rows), max(FEWEST_BLOCKS, SAMPLE_BLOCKS // segment))
+        index = block_rows(len(layout.rows), max(FEWEST_BLOCKS, SAMPLE_BLOCKS // segment))
         sample = CalibrationSample(
             index=index,
-            key=self.frames[layout.span.middle].take(layout.rows[index]),
+            key=layout.key.take(index),
             frames=[frame.take(layout.rows[index]) for frame in self.frames[:segment]],
             classes=layout.classes[index],
             sensitivity=layout.sensitivity.take(index),
@@ -70,7 +70,7 @@ class Subject:
         return replace(sample, moving=moving)
 
 
-def _block_rows(rows: int, most: int) -> NDArray[np.intp]:
+def block_rows(rows: int, most: int) -> NDArray[np.intp]:
     """(n,) rows of at most `most` evenly spaced blocks of BLOCK_ROWS."""
     blocks = np.array(evenly_spaced(-(-rows // BLOCK_ROWS), most))
     index = (blocks[:, None] * BLOCK_ROWS + np.arange(BLOCK_ROWS)).ravel()

@@ -1,0 +1,199 @@
+"""Encodes, measures, and believes what it measured: what fell short of its promise is taken back and encoded again.
+
+N rows of a group.
+"""
+
+from __future__ import annotations
+
+import itertools
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec._sampling import evenly_spaced
+from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence
+from airgs_codec.encoder.quality import measure_quality
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.region import draw_views
+from airgs_codec.package.store import Package
+from airgs_codec.package.tables import STATIC, Manifest, pooled_quality
+from airgs_codec.progress import Progress, Stopwatch, silent
+from airgs_codec.render import render
+from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows
+from airgs_codec.scene.sequence import GaussianSequence
+
+ATTEMPTS = 4  # encodes at most
+SHORTFALL_DB = 0.5  # of the top rung, that is not taken
+CHECKING = 2  # seed of the views that tell what failed: neither those that decided nor those that measure
+CHECKED = 8  # pictures that tell what failed
+BLAME = 0.2  # share of the error from which a part of it is to blame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Attempt:
+    """What is to be encoded, and what is expected of it."""
+
+    job: EncodeJob
+    original: GaussianSequence  # with all SH bands
+    settings: EncodeSettings  # nothing is left to calibrate
+    expected: float | None  # mean squared error of pictures of the top rung; None: any is taken
+    given: bool = False  # levels were asked for by hand: they stay as they are
+
+
+@dataclass(frozen=True, slots=True)
+class Repair:
+    """Other settings, and why."""
+
+    settings: EncodeSettings
+    story: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verified:
+    """A package whose rungs each beat the cheaper ones, and how it got there."""
+
+    manifest: Manifest
+    stories: tuple[str, ...]  # one line a repair
+    encode_s: float
+    measure_s: float
+
+
+def encode_verified(attempt: Attempt, folder: Path, progress: Progress = silent) -> Verified:
+    """Encode into the empty `folder` and measure, again with other settings while a rung must be repaired.
+
+    Rungs that a cheaper one beats are dropped; what a top rung leaves out or withholds is taken back where it made
+    more error than expected, and steps are made finer where nothing else explains a shortfall.
+    """
+    stories: list[str] = []
+    watch, encode_s, measure_s = Stopwatch(), 0.0, 0.0
+    for number in itertools.count(1):
+        encoded = encode_sequence(attempt.job, attempt.settings, folder, progress)
+        encode_s += watch.lap()
+        manifest = encoded.manifest
+        if not attempt.settings.measure_pictures:
+            return Verified(manifest, (), encode_s, 0.0)
+        package, count = Package(folder, manifest, 0), attempt.settings.measure_pictures
+        manifest = measure_quality(package, attempt.original, attempt.job.views, count, progress)
+        repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
+        measure_s += watch.lap()
+        if repair is None:
+            ends = f"; top rung now {_rung_psnr(manifest, 0):.2f} dB" if stories else ""
+            return Verified(manifest, (*stories[:-1], *(s + ends for s in stories[-1:])), encode_s, measure_s)
+        stories.append(repair.story)
+        attempt = replace(attempt, settings=repair.settings)
+        _empty(folder)
+    raise AssertionError("unreachable")
+
+
+def find_repair(attempt: Attempt, encoded: Encoded, measured: Manifest) -> Repair | None:
+    """What must change in a package whose quality was measured; None where every rung is as it should be."""
+    if attempt.given:
+        return None
+    quality = [_rung_psnr(measured, j) for j in range(len(measured.levels))]
+    sizes = [measured.bytes_of(measured.rung_files(level.quality, j)) for j, level in enumerate(measured.levels)]
+    better = _find_better(quality, sizes)
+    lower = [j for j in better if j > 0]
+    if lower:
+        stories = [
+            f"L{j} dropped: L{better[j]} takes no more bytes and has {quality[better[j]]:.2f} dB "
+            f"against {quality[j]:.2f} dB"
+            for j in lower
+        ]
+        return Repair(_without(attempt.settings, lower), "; ".join(stories))
+    beaten = 0 in better and quality[better[0]] > quality[0]
+    promised = psnr(attempt.expected) if attempt.expected else (quality[better[0]] if beaten else 0.0)
+    if quality[0] >= promised - SHORTFALL_DB and not beaten:
+        return None
+    return _take_back(attempt, encoded, quality[0], max(promised, quality[0] + SHORTFALL_DB))
+
+
+def _find_better(quality: Sequence[float], sizes: Sequence[int]) -> dict[int, int]:
+    """For each level that is beaten, the best of those that show no less for no more bytes; the first of equal ones."""
+    found: dict[int, int] = {}
+    for j, (shown, size) in enumerate(zip(quality, sizes, strict=True)):
+        others = [k for k in range(len(sizes)) if sizes[k] <= size and (quality[k], -sizes[k], -k) > (shown, -size, -j)]
+        if others:
+            found[j] = max(others, key=lambda k: quality[k])
+    return found
+
+
+def _rung_psnr(m: Manifest, level: int) -> float:
+    pooled = pooled_quality(m, level, m.levels[level].quality)
+    assert pooled is not None
+    return pooled.psnr
+
+
+def _without(settings: EncodeSettings, beaten: Sequence[int]) -> EncodeSettings:
+    """The settings without these levels, and without the key qualities that no other level has."""
+    levels = [v for j, v in enumerate(settings.levels) if j not in beaten]
+    used = sorted({v.quality for v in levels})
+    levels = [replace(v, quality=used.index(v.quality)) for v in levels]
+    return replace(settings, levels=tuple(levels), key_factors=tuple(settings.key_factors[q] for q in used))
+
+
+def _take_back(attempt: Attempt, encoded: Encoded, measured: float, promised: float) -> Repair:
+    """Less left out, fewer updates withheld, or finer steps, whichever is to blame for a shortfall of the top rung."""
+    settings = attempt.settings
+    total, wanted = 10 ** (-measured / 10), 10 ** (-promised / 10)
+    story = f"top rung {measured:.2f} dB where {promised:.2f} dB were expected"
+    rows, held = _part_errors(attempt, encoded)
+    if rows > BLAME * total and rows >= held:
+        steps = replace(settings.steps, rows=settings.steps.rows * (wanted / total) ** 0.5 / 2)
+        return Repair(
+            replace(settings, steps=steps), f"{story}: Gaussians left out cost {psnr(rows):.1f} dB, fewer are"
+        )
+    if held > BLAME * total:
+        top = replace(
+            settings.levels[0], pruned=settings.levels[0].pruned / 2 if settings.levels[0].pruned > 0.1 else 0.0
+        )
+        keep_all = settings.levels[0].pruned == 0  # nothing was withheld: rows held to be static are to blame
+        fixed = replace(settings, levels=(top, *settings.levels[1:]), keep_all=settings.keep_all or keep_all)
+        return Repair(fixed, f"{story}: updates withheld cost {psnr(held):.1f} dB, fewer are")
+    finer = settings.quality * (wanted / total) ** 0.5
+    return Repair(settings.at(finer), f"{story}: steps {settings.quality / finer:.2f} times finer")
+
+
+def _part_errors(attempt: Attempt, encoded: Encoded) -> tuple[float, float]:
+    """Mean squared error of pictures without the rows left out, and with updates of the top level withheld."""
+    errors: list[tuple[float, float]] = []
+    views = iter(draw_views(attempt.job.views.region, CHECKED, CHECKING))
+    picked = evenly_spaced(len(encoded.layouts), CHECKED)
+    for i in picked:
+        layout, depths = encoded.layouts[i], encoded.depths[i]
+        frames = attempt.job.sequence.load(range(layout.span.start, layout.span.stop)).frames
+        for place, camera in zip(evenly_spaced(len(frames), max(1, CHECKED // len(picked))), views, strict=False):
+            whole = render(frames[place], camera).rgb
+            canonical = mean_frame(frames)
+            errors.append(
+                (
+                    mse(render(_only(frames[place], layout.rows), camera).rgb, whole),
+                    mse(render(_held(frames[place], canonical, layout.rows[depths == STATIC]), camera).rgb, whole),
+                )
+            )
+    rows, held = np.mean(errors, axis=0)
+    return float(rows), float(held)
+
+
+def _only(g: Gaussians, rows: NDArray[np.intp]) -> Gaussians:
+    return g.take(np.sort(rows))
+
+
+def _held(g: Gaussians, canonical: Gaussians, rows: NDArray[np.intp]) -> Gaussians:
+    """A frame whose rows `rows` show the canonical frame."""
+    kept = np.ones(len(g), bool)
+    kept[rows] = False
+    return mix_rows(g, canonical, kept)
+
+
+def _empty(folder: Path) -> None:
+    """Remove what a former attempt wrote."""
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()

@@ -1,0 +1,147 @@
+"""What was measured is believed: beaten rungs go, shortfalls of the top rung are taken back, hand-made levels stay."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.encoder import verify
+from airgs_codec.encoder.encoder import EncodeJob, encode_sequence
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.survey import survey_groups
+from airgs_codec.encoder.verify import Attempt, encode_verified, find_repair
+from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.inspect.validate import validate
+from airgs_codec.package.tables import pooled_quality
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.regions import place, region
+from tests.support.scenes import moving_frames, write_sequence
+
+LEVELS = (LevelSettings(0.0), LevelSettings(0.3, 2.0, quality=1), LevelSettings(0.5, 4.0, quality=2))
+SETTINGS = EncodeSettings(
+    calibrate="none",
+    levels=LEVELS,
+    tiers=(1.0,),
+    key_factors=(1.0, 2.0, 4.0),
+    measure_pictures=3,
+    decide_pictures=6,
+    preset="ultrafast",
+    jobs=1,
+    region=replace(region(place(0.0)), width=96, height=72),
+)
+
+
+@pytest.fixture(scope="module")
+def attempt(tmp_path_factory):
+    """A scene in which half of the rows move, as it is to be encoded; nothing is expected."""
+    sequence = open_sequence(write_sequence(tmp_path_factory.mktemp("verify") / "scene", moving_frames(200, 4)))
+    views = ViewPlan.of(sequence, SETTINGS.decide_pictures, region=SETTINGS.region)
+    surveys = survey_groups(sequence, [(0, 4)], views, lambda *_: None)
+    return Attempt(EncodeJob(sequence, surveys, views), sequence, SETTINGS, None)
+
+
+@pytest.fixture(scope="module")
+def encoded(attempt, tmp_path_factory):
+    return encode_sequence(attempt.job, SETTINGS, tmp_path_factory.mktemp("package"))
+
+
+def measured(encoded, quality):
+    """The manifest, as if the rungs of each level had been measured to have these PSNRs."""
+    m = encoded.manifest
+    segments = []
+    for segment in m.segments:
+        figures = [
+            replace(v, psnr=[q] * 3, worst=[q] * 3, ssim=[0.9] * 3, delta_e=[1.0] * 3)
+            for v, q in zip(segment.levels, quality, strict=True)
+        ]
+        segments.append(replace(segment, levels=figures))
+    return replace(m, segments=segments)
+
+
+def test_rungs_that_each_show_more_for_more_bytes_stay(attempt, encoded):
+    assert find_repair(attempt, encoded, measured(encoded, [44.0, 40.0, 36.0])) is None
+
+
+@pytest.mark.parametrize(
+    ("quality", "left", "word"),
+    [
+        ([44.0, 36.0, 36.0], [LEVELS[0], replace(LEVELS[2], quality=1)], "L1 dropped: L2 takes no more bytes"),
+        ([44.0, 35.0, 36.0], [LEVELS[0], replace(LEVELS[2], quality=1)], "36.00 dB against 35.00 dB"),
+    ],
+)
+def test_a_rung_that_a_cheaper_one_beats_is_dropped_with_its_key_quality(attempt, encoded, quality, left, word):
+    repair = find_repair(attempt, encoded, measured(encoded, quality))
+    assert repair.settings.levels == tuple(left) and repair.settings.key_factors == (1.0, 4.0)
+    assert word in repair.story
+
+
+def test_levels_that_were_asked_for_stay(attempt, encoded):
+    assert find_repair(replace(attempt, given=True), encoded, measured(encoded, [30.0, 36.0, 36.0])) is None
+
+
+def test_a_top_rung_within_half_a_decibel_of_its_promise_is_taken(attempt, encoded):
+    promised = replace(attempt, expected=10**-4.44)
+    assert find_repair(promised, encoded, measured(encoded, [44.0, 40.0, 36.0])) is None
+
+
+def blamed(attempt, encoded, monkeypatch, rows, held, expected=1e-4):
+    """The repair of a top rung of 37 dB where 40 were promised, of which these errors are known."""
+    monkeypatch.setattr(verify, "_part_errors", lambda *_: (rows, held))
+    return find_repair(replace(attempt, expected=expected), encoded, measured(encoded, [37.0, 36.0, 35.0]))
+
+
+def test_steps_get_finer_where_nothing_else_is_to_blame(attempt, encoded, monkeypatch):
+    repair = blamed(attempt, encoded, monkeypatch, 0.0, 0.0)
+    finer = repair.settings.quality
+    assert finer == pytest.approx(10**-0.15)  # 3 dB: error grows with the square of the steps
+    assert repair.settings == replace(SETTINGS, quality=finer)
+    assert "37.00 dB where 40.00 dB were expected: steps 1.41 times finer" in repair.story
+
+
+def test_fewer_rows_are_left_out_where_they_are_to_blame(attempt, encoded, monkeypatch):
+    repair = blamed(attempt, encoded, monkeypatch, 1e-4, 5e-5)
+    assert repair.settings.steps.rows < SETTINGS.steps.rows / 2
+    assert repair.settings == replace(SETTINGS, steps=replace(SETTINGS.steps, rows=repair.settings.steps.rows))
+    assert "Gaussians left out cost 40.0 dB" in repair.story
+
+
+def test_fewer_updates_are_withheld_where_they_are_to_blame(attempt, encoded, monkeypatch):
+    repair = blamed(attempt, encoded, monkeypatch, 5e-5, 1e-4)
+    assert repair.settings == replace(SETTINGS, keep_all=True)  # none were withheld: rows held to be static it was
+    half = replace(attempt, settings=replace(SETTINGS, levels=tuple(replace(v, pruned=0.5) for v in LEVELS)))
+    repair = blamed(half, encoded, monkeypatch, 5e-5, 1e-4)
+    assert repair.settings.levels[0].pruned == 0.25 and not repair.settings.keep_all
+
+
+def test_parts_of_the_error_are_rendered_in_views_of_their_own(attempt, encoded):
+    layout, depths = encoded.layouts[0], encoded.depths[0]
+    whole = replace(encoded, layouts=[layout], depths=[np.zeros_like(depths)])
+    assert verify._part_errors(attempt, whole)[1] == 0  # every row has updates
+    still = replace(encoded, layouts=[layout], depths=[np.full_like(depths, 255)])
+    assert verify._part_errors(attempt, still)[1] > 1e-4
+    fewer = replace(layout, rows=layout.rows[:-50])
+    assert verify._part_errors(attempt, replace(encoded, layouts=[fewer], depths=[depths[:-50]]))[0] > 1e-5
+
+
+def test_a_false_promise_makes_steps_finer_until_it_is_kept(attempt, tmp_path):
+    first = encode_verified(attempt, tmp_path)
+    reached = pooled_quality(first.manifest, 0, 0).psnr
+    assert first.stories == ()
+    verify._empty(tmp_path)
+    second = encode_verified(replace(attempt, expected=10 ** (-(reached + 3) / 10)), tmp_path)
+    quality = pooled_quality(second.manifest, 0, 0).psnr
+    assert quality > reached + 3 - verify.SHORTFALL_DB
+    assert 1 <= len(second.stories) < verify.ATTEMPTS and f"{reached:.2f} dB where" in second.stories[0]
+    assert second.stories[-1].endswith(f"top rung now {quality:.2f} dB")
+    assert set(second.manifest.files) == {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+
+
+def test_a_package_that_was_repaired_says_so_and_is_whole(attempt, tmp_path, monkeypatch):
+    """The default levels of a scene, whose third one is told to show as little as the fourth."""
+    honest = verify._rung_psnr
+    monkeypatch.setattr(verify, "_rung_psnr", lambda m, j: honest(m, j) if len(m.levels) < 4 or j != 2 else 1.0)
+    settings = replace(SETTINGS, levels=EncodeSettings().levels, tiers=EncodeSettings().tiers, key_factors=(1.0, 3.0))
+    m = encode(attempt.original, tmp_path / "out", settings).manifest
+    assert len(m.levels) == 3 and [v.pruned for v in m.levels] == [0.0, 0.3, 0.6]
+    assert any(line.startswith("L2 dropped: L") for line in m.decisions) and validate(tmp_path / "out") == []
