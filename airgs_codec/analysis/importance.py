@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, Sensitivity
 from airgs_codec.media.metrics import mse
-from airgs_codec.render import Camera, render
+from airgs_codec.render import Camera, cpu
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 
@@ -54,7 +54,8 @@ class RowPruning:
 
     def __init__(self, pictures: Sequence[tuple[Gaussians, Camera]], rank: NDArray[np.float64]) -> None:
         """`rank` is the (N,) `importance` of the rows."""
-        self._seen = [(g, camera, render(g, camera).rgb) for g, camera in pictures]
+        self._seen = [cpu.project(cpu.activate(g), camera).tiles for g, camera in pictures]
+        self._full = [cpu.draw(tiles).rgb for tiles in self._seen]
         self._order = np.argsort(rank, kind="stable")
         self._errors = {0: 0.0}  # rows left out -> pooled error
         self._unused = min(int(np.count_nonzero(rank == 0)), len(rank) - 1)
@@ -82,8 +83,10 @@ class RowPruning:
 
     def _error(self, count: int) -> float:
         """Pooled error of pictures without the `count` least important rows."""
-        kept = np.sort(self._order[count:])
-        errors = [mse(render(g.take(kept), camera).rgb, full) for g, camera, full in self._seen]
+        kept = np.ones(len(self._order), bool)
+        kept[self._order[:count]] = False
+        shown = (cpu.draw(tiles.keep(kept)).rgb for tiles in self._seen)
+        errors = [mse(picture, full) for picture, full in zip(shown, self._full, strict=True)]
         return self._errors.setdefault(count, pooled_error(errors))
 
 

@@ -6,7 +6,7 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numba
@@ -47,25 +47,36 @@ class Contribution:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Projected:
-    """Gaussians as a camera sees them, sorted by depth and assigned to tiles."""
+class Tiles:
+    """Gaussians as a camera sees them, tile by tile: all that a picture is drawn from."""
 
+    size: tuple[int, int]  # width and height of the picture, pixels
+    shape: tuple[int, int]  # tiles across and down
     flat: Floats  # (N, 12) projected Gaussians, see `cpu_kernels`
+    start: Longs  # (tiles + 1,) first pair of each tile
+    ids: Ints  # (M,) Gaussian of each pair, tile by tile, front to back inside a tile
+
+    def keep(self, rows: NDArray[np.bool_]) -> Tiles:
+        """The same without Gaussians that are False in a mask (N,); cheaper than projecting those that are left."""
+        kept = rows[self.ids]
+        before = np.concatenate([[0], np.cumsum(kept)])
+        return replace(self, start=before[self.start], ids=self.ids[kept])
+
+    def arguments(self) -> tuple[Floats, Longs, Ints, Ints, int, int]:
+        """The first arguments of every kernel that walks through the tiles."""
+        return self.flat, self.start, self.ids, _balanced(np.diff(self.start)), *self.shape
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Projected:
+    """Gaussians as a camera sees them, and where the pairs of each one are."""
+
+    tiles: Tiles
     order: Ints  # (V,) front to back
     first_pair: Longs  # (V + 1,) first place in `slots` of each visible Gaussian
-    tile_start: Longs  # (tiles + 1,) first pair of each tile
-    ids: Ints  # (M,) Gaussian of each pair, tile by tile
-    slots: Ints  # (M,) place in `ids` of each pair, Gaussian by Gaussian
-    tile_order: Ints  # (tiles,) in which they are blended
-    tiles: tuple[int, int]  # across, down
+    slots: Ints  # (M,) place in `tiles.ids` of each pair, Gaussian by Gaussian
 
-    @property
-    def tiled(self) -> tuple[Floats, Longs, Ints, Ints, int, int]:
-        """The first arguments of every kernel that walks through the tiles."""
-        return self.flat, self.tile_start, self.ids, self.tile_order, *self.tiles
-
-    @property
-    def summed(self) -> tuple[Ints, Longs, Ints]:
+    def arguments(self) -> tuple[Ints, Longs, Ints]:
         """The first arguments of every kernel that sums the pairs of a Gaussian."""
         return self.order, self.first_pair, self.slots
 
@@ -110,9 +121,9 @@ def render_views(gaussians: Gaussians, cameras: Iterable[Camera], background: Ba
 def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:
     """How much each Gaussian contributes to what `camera` sees."""
     p = project(activate(gaussians), camera)
-    pairs = np.empty((len(p.ids), 3), np.float32)
+    pairs = np.empty((len(p.slots), 3), np.float32)
     with _LOCK:
-        kernels.blend_statistics(*p.tiled, camera.width, camera.height, pairs)
+        kernels.blend_statistics(*p.tiles.arguments(), *p.tiles.size, pairs)
     return _contribution(p, pairs, 0)
 
 
@@ -123,27 +134,39 @@ def project(inputs: RasterInputs[Floats], camera: Camera) -> Projected:
     flat = np.zeros((n, 12), np.float32)
     key = np.empty(n, np.uint64)
     touched = np.empty(n, np.int32)
-    shape = (camera.width, camera.height)
+    size = (camera.width, camera.height)
     geometry = (*inputs, inputs.sh_degree, *view_arguments(camera))
-    tiles = (-(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE))
+    shape = (-(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE))
     with _LOCK:
-        kernels.project(*geometry, *shape, camera.near, FAR, DILATION, flat, key, touched)
+        kernels.project(*geometry, *size, camera.near, FAR, DILATION, flat, key, touched)
         visible = np.sort(key[touched > 0])  # depth, then row: the same order every time
         order = (visible & np.uint64(0xFFFFFFFF)).astype(np.int32)
         first_pair = np.concatenate([[0], np.cumsum(touched[order], dtype=np.int64)])
-        tile_start, ids, slots = kernels.bin_tiles(flat, order, first_pair, *tiles)
-    return Projected(flat, order, first_pair, tile_start, ids, slots, _balanced(np.diff(tile_start)), tiles)
+        start, ids, slots = kernels.bin_tiles(flat, order, first_pair, *shape)
+    return Projected(Tiles(size, shape, flat, start, ids), order, first_pair, slots)
+
+
+def draw(tiles: Tiles, background: Background = BLACK) -> Render:
+    """The picture of projected Gaussians before a background."""
+    return _draw(tiles, background)[0]
+
+
+def _draw(tiles: Tiles, background: Background) -> tuple[Render, Ints]:
+    """The picture, and (tiles,) how many pairs of each tile were visited."""
+    width, height = tiles.size
+    picture = Render(np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32))
+    visited = np.empty(len(tiles.start) - 1, np.int32)
+    colour = np.asarray(background, np.float32)
+    with _LOCK:
+        kernels.blend(*tiles.arguments(), colour, picture.rgb, picture.transmittance, visited)
+    return picture, visited
 
 
 def blend(inputs: RasterInputs[Floats], camera: Camera, background: Background) -> Blended:
     """Project the Gaussians and blend them front to back."""
     p = project(inputs, camera)
-    rgb = np.empty((camera.height, camera.width, 3), np.float32)
-    transmittance = np.empty((camera.height, camera.width), np.float32)
-    visited = np.empty(len(p.tile_order), np.int32)
-    with _LOCK:
-        kernels.blend(*p.tiled, np.asarray(background, np.float32), rgb, transmittance, visited)
-    return Blended(Render(rgb, transmittance), p, visited)
+    picture, visited = _draw(p.tiles, background)
+    return Blended(picture, p, visited)
 
 
 def gradients(
@@ -168,10 +191,10 @@ def contribution_and_gradients(
 def _pair_gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floats, statistics: bool | None) -> Floats:
     """(M, 12) of `kernels.blend_gradient`; `statistics` is True or None, for which different kernels are compiled."""
     p, picture = blended.projected, blended.picture
-    pairs = np.empty((len(p.ids), 12), np.float32)
+    pairs = np.empty((len(p.slots), 12), np.float32)
     given = (picture.rgb, picture.transmittance, blended.visited, grad_rgb, grad_transmittance)
     with _LOCK:
-        kernels.blend_gradient(*p.tiled, *given, statistics, pairs)
+        kernels.blend_gradient(*p.tiles.arguments(), *given, statistics, pairs)
     return pairs
 
 
@@ -183,16 +206,16 @@ def _sum_gradients(
     out = RasterInputs(*(np.zeros_like(column) for column in inputs))
     geometry = (*inputs, inputs.sh_degree, *view_arguments(camera), camera.width, camera.height)
     with _LOCK:
-        kernels.sum_pairs(*p.summed, pairs, sums)
-        kernels.project_gradient(*geometry, DILATION, p.flat, p.order, sums, *out)
+        kernels.sum_pairs(*p.arguments(), pairs, sums)
+        kernels.project_gradient(*geometry, DILATION, p.tiles.flat, p.order, sums, *out)
     return out, sums
 
 
 def _contribution(p: Projected, pairs: Floats, column: int) -> Contribution:
     """From three columns of the pairs, `column` the first: total, peak, hits."""
-    sums = np.zeros((len(p.flat), 3))
+    sums = np.zeros((len(p.tiles.flat), 3))
     with _LOCK:
-        kernels.sum_statistics(*p.summed, pairs, column, sums)
+        kernels.sum_statistics(*p.arguments(), pairs, column, sums)
     return Contribution(sums[:, 0], sums[:, 1], sums[:, 2].astype(np.int64))
 
 

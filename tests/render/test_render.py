@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from airgs_codec.render import Camera, measure_contribution, read_cameras, render, render_views
-from airgs_codec.render.cpu import activate, blend, contribution_and_gradients, gradients
+from airgs_codec.render.cpu import activate, blend, contribution_and_gradients, draw, gradients, project
 from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.inputs import BLACK, RasterInputs
 from airgs_codec.render.reference import blending_weights, render_reference
@@ -196,6 +196,16 @@ def test_views_drawn_together_are_those_drawn_alone():
         alone = render(g, view, (0.1, 0.2, 0.3))
         np.testing.assert_array_equal(picture.rgb, alone.rgb)
         np.testing.assert_array_equal(picture.transmittance, alone.transmittance)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_rows_taken_out_of_a_projection_are_rows_that_were_never_there(share):
+    g = random_gaussians(300, 1)
+    kept = np.random.default_rng(0).random(300) < share
+    picture = draw(project(activate(g), camera()).tiles.keep(kept), (0.1, 0.2, 0.3))
+    alone = render(g.take(kept), camera(), (0.1, 0.2, 0.3))
+    np.testing.assert_array_equal(picture.rgb, alone.rgb)
+    np.testing.assert_array_equal(picture.transmittance, alone.transmittance)
 
 
 def test_two_runs_give_the_same_bits():
