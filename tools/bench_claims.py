@@ -176,10 +176,14 @@ def bench_package(
 
 def bench_scene(
     bench: Bench, sequence: GaussianSequence, targets: Sequence[str], factors: Sequence[float]
-) -> Iterator[Row]:
-    """All rungs at all targets; a target that the encoder refuses is a line on stderr."""
+) -> Iterator[list[Row]]:
+    """All rungs, package by package; a target that the encoder refuses is a line on stderr."""
     alone = replace(bench.settings, calibrate="steps", levels=DEFAULT_LEVELS[:1], tiers=(1.0,))
-    curve = [bench_package(bench, sequence, f"x{f:g}", replace(alone, quality=f))[0] for f in factors]
+    curve: list[Row] = []
+    for factor in factors:
+        rows = bench_package(bench, sequence, f"x{factor:g}", replace(alone, quality=factor))
+        curve.append(rows[0])
+        yield rows[:1]
     for target in targets:
         goal = None if target == DEFAULT else Goal(PSNR, float(target))
         try:
@@ -187,8 +191,7 @@ def bench_scene(
         except AirgsError as error:
             print(f"{sequence.folder.name} {target}: {error}", file=sys.stderr, flush=True)
             continue
-        yield from (with_single(row, curve) for row in rows)
-    yield from curve
+        yield [with_single(row, curve) for row in rows]
 
 
 def with_single(row: Row, curve: Sequence[Row]) -> Row:
@@ -295,14 +298,16 @@ def run(args: argparse.Namespace, folder: Path) -> int:
     region = read_region(args.region) if args.region else None
     settings = replace(with_fields(EncodeSettings(), args.set), region=region)
     bench = Bench(settings, args.draws, args.seed, args.frames, views, folder)
-    rows: list[Row] = []
+    everything: list[Row] = []
     for spec in args.scenes:
         scene, _, cameras = spec.partition("=")
-        sequence = open_sequence(scene, views=cameras or None)
-        rows += bench_scene(bench, sequence, args.targets, args.single_rungs)
-    print("\n".join(table(HEAD, [row.cells() for row in rows])), *verdict(rows), sep="\n")
-    if args.output:
-        args.output.write_text(json.dumps([asdict(row) | {"off": round(row.off, 3)} for row in rows], indent=1))
+        for rows in bench_scene(bench, open_sequence(scene, views=cameras or None), args.targets, args.single_rungs):
+            print("\n".join(table(HEAD, [row.cells() for row in rows])), flush=True)
+            everything += rows
+            if args.output:
+                plain = [asdict(row) | {"off": round(row.off, 3)} for row in everything]
+                args.output.write_text(json.dumps(plain, indent=1))
+    print(*verdict(everything), sep="\n")
     return 0
 
 

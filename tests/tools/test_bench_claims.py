@@ -12,6 +12,7 @@ from airgs_codec.inspect.compare import compare_streams, rung_streams
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import open_package
+from airgs_codec.scene.camera import resized
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.temporal import write_temporal
@@ -38,9 +39,9 @@ def row(kilobytes, found, claimed=40.0, ladder=True, single=None):
 
 def test_it_measures_what_the_comparison_does(demo_package):
     package, sequence = open_package(demo_package), open_sequence(FOX)
-    cameras = draw_views(package.manifest.region, 2, seed=3)
-    found = measure(package, sequence, cameras, most=4)
-    frames = range(0, 10, 3)
+    cameras = [resized(camera, 0.2) for camera in draw_views(package.manifest.region, 2, seed=3)]
+    found = measure(package, sequence, cameras, most=2)
+    frames = range(2, 10, 5)
     compared = compare_streams(rung_streams(package, frames), sequence, frames, cameras)["train"]
     assert {name: m.mean for name, m in found.items()} == {n: round(q.psnr, 3) for n, q in compared.items()}
     assert all(m.worst_picture <= m.worst_view <= m.mean for m in found.values())
@@ -89,12 +90,13 @@ def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):
     assert "clip 99.9: target: 99.9 PSNR is out of reach" in printed.err
     assert "clip default: claims off by" in printed.out
     rows = json.loads((tmp_path / "claims.json").read_text())
-    top, last = rows[0], rows[-1]
+    (fine, coarse), top = rows[:2], rows[2]
     manifest = open_package(tmp_path / "kept" / "clip-default.airgs").manifest
     assert top["claimed"] == pytest.approx(manifest.segments[0].levels[0].psnr[0], abs=1e-3)
     assert top["claimed_worst"] == manifest.segments[0].levels[0].worst[0]
     assert top["off"] == pytest.approx(top["measured"]["mean"] - top["claimed"], abs=1e-3)
-    assert last["target"] == "x8" and rows[-2]["kilobytes"] > last["kilobytes"]
+    assert (fine["target"], coarse["target"], top["target"]) == ("x0.2", "x8", "default")
+    assert fine["kilobytes"] > coarse["kilobytes"]
 
 
 def test_a_region_without_other_views_needs_cameras(demo_package):
