@@ -28,12 +28,14 @@ COUNT = 12  # cameras
 GUESSES = 8  # cameras of either kind where nothing is sure; the fewest where it is
 SIDES, SIDE_SIZE, SIDE_ROWS = 12, 48, 8000  # views, pixels and rows that tell an object from a place
 OBJECT = 0.6  # solidity of three in four sides of an object; filmed places have up to 0.5, objects from 0.7
+PERHAPS = 0.52  # solidity of what may be either
 LOWEST = np.radians(5)  # of views of an object on a floor, above the horizon
 SCATTERED, KEPT, ROUNDS = 300, 40, 5  # poses tried at random, those looked at again, rounds about the best of them
 GOOD = 0.7  # of the best score
 APART = (0.35, 0.2, 0.1)  # of `gaps`, of the poses that cameras are chosen from: the first that leaves enough
 REGION = 1.5  # of `gaps`, at most, from one pose of a region to the next
-SURE = 0.05  # score; real captures have 0.1 to 0.2, broken ones up to 0.03
+SURE = 0.05  # score of the best; real captures have 0.1 to 0.2, broken ones mostly up to 0.03
+SURE_COVERED = 0.95  # of most pictures; who films a place fills them, objects with haze about them leave holes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +60,8 @@ def find_viewpoints(frames: Sequence[Gaussians]) -> FoundViews:
     middle = usable[len(usable) // 2]
     try:
         with one_thread():
-            return _object(middle) if _solidity(middle) >= OBJECT else _place(usable, middle)
+            solidity = _solidity(middle)
+            return _object(middle) if solidity >= OBJECT else _place(usable, middle, solidity >= PERHAPS)
     except SceneError:
         return FoundViews(orbit_views(middle), [0.0] * 8, False, "nothing can be seen: 8 views on an orbit")
 
@@ -79,39 +82,50 @@ def _object(gaussians: Gaussians) -> FoundViews:
     return FoundViews(cameras, scores, True, f"an object in empty space: {COUNT} views {where}")
 
 
-def _place(frames: Sequence[Gaussians], middle: Gaussians) -> FoundViews:
+def _place(frames: Sequence[Gaussians], middle: Gaussians, perhaps_object: bool) -> FoundViews:
     search = Search(middle)
     search.scatter(SCATTERED, KEPT)
     search.refine(ROUNDS)
-    good = _good(search.poses, frames)
-    sure = good[0].look.score >= SURE
-    chosen = spread(good, COUNT if sure else GUESSES)
+    ranked = _ranked(search.poses, frames)
+    good = _good(ranked)
+    doubt = "it may be an object in a haze" if perhaps_object else _doubt(good)
+    chosen = spread(ranked[: 2 * GUESSES], GUESSES) if doubt else spread(good, COUNT)
     cameras = [pose.camera(f"found{i:02d}", SIZE) for i, pose in enumerate(chosen)]
     scores = [pose.look.score for pose in chosen]
-    around = [] if sure else dome_views(middle, GUESSES, SIZE, UP)
-    return FoundViews(cameras + around, scores + [0.0] * len(around), sure, _tell(good, len(cameras), len(around)))
+    if not doubt:
+        return FoundViews(cameras, scores, True, f"a filmed place: {_where(good, len(cameras))}")
+    around = dome_views(middle, GUESSES, SIZE, UP)
+    story = f"unclear where from ({doubt}): {_where(chosen, len(cameras))}, and {len(around)} all around"
+    return FoundViews(cameras + around, scores + [0.0] * len(around), False, story)
 
 
-def _good(poses: Sequence[Pose], frames: Sequence[Gaussians]) -> list[Pose]:
-    """Poses that all frames together find good, best first: as far apart as leaves enough of them.
-
-    Where none is good enough to be sure, the best few.
-    """
+def _ranked(poses: Sequence[Pose], frames: Sequence[Gaussians]) -> list[Pose]:
+    """The best poses as all frames together judge them, as far apart as leaves enough good ones."""
     for apart in APART:
         ranked = judge(best_apart(poses, KEPT, apart), frames)
-        good = [pose for pose in ranked if pose.look.score >= GOOD * ranked[0].look.score]
-        if len(good) >= GUESSES:
+        if len(_good(ranked)) >= GUESSES:
             break
-    return good if good[0].look.score >= SURE else ranked[: 2 * GUESSES]
+    return ranked
 
 
-def _tell(good: Sequence[Pose], found: int, around: int) -> str:
-    """What was found in one line."""
-    regions = connected_components(gaps(good) <= REGION)[0]
-    x, y, z = np.median([pose.position for pose in good], axis=0)
-    away = float(np.median([pose.look.distance for pose in good]))
-    score = f"score {good[0].look.score:.3f}, sure from {SURE}"
-    if around:
-        return f"no place looks as if it had been filmed from ({score}): {found} guesses and {around} views all around"
-    places = f"{regions} region{'s' if regions > 1 else ''} about ({x:.3g}, {y:.3g}, {z:.3g})"
-    return f"a filmed place: {found} views from {places}, {away:.3g} from what they see ({score})"
+def _good(ranked: Sequence[Pose]) -> list[Pose]:
+    return [pose for pose in ranked if pose.look.score >= GOOD * ranked[0].look.score]
+
+
+def _doubt(good: Sequence[Pose]) -> str:
+    """Why these may not be the places that a scene was filmed from; empty for no doubt."""
+    best, covered = good[0].look.score, float(np.median([pose.look.covered for pose in good]))
+    if best < SURE:
+        return f"the best score is {best:.3f}, filmed places have {SURE} or more"
+    if covered < SURE_COVERED:
+        return f"{1 - covered:.0%} of pictures are empty, of filmed places at most {1 - SURE_COVERED:.0%}"
+    return ""
+
+
+def _where(poses: Sequence[Pose], views: int) -> str:
+    """Where some views are."""
+    regions = connected_components(gaps(poses) <= REGION)[0]
+    x, y, z = np.median([pose.position for pose in poses], axis=0)
+    away = float(np.median([pose.look.distance for pose in poses]))
+    place = f"{regions} region{'s' if regions > 1 else ''} about ({x:.3g}, {y:.3g}, {z:.3g})"
+    return f"{views} views from {place}, {away:.3g} from what they see"

@@ -60,10 +60,18 @@ def test_a_place_is_seen_from_where_it_was_filmed(room):
 
 def test_where_nothing_is_clear_it_says_so_and_looks_from_everywhere():
     found, again = (find_viewpoints([needles(800)]) for _ in range(2))
-    assert not found.confident and "no place" in found.story
+    assert not found.confident and "unclear" in found.story
     around = [c for c in found.cameras if c.name.startswith("orbit")]
     assert len(around) == 8 and len(found.cameras) == len(found.scores) == 16
     np.testing.assert_array_equal(places_of(again), places_of(found))
+
+
+def test_an_object_in_a_haze_is_not_taken_for_a_place():
+    haze = needles(100, length=0.6)
+    thin = replace(haze, means=(0.7 * haze.means).astype(np.float32), opacity_logits=np.full(100, -2, np.float32))
+    found = find_viewpoints([joined(ball(), thin)])
+    assert not found.confident and "haze" in found.story
+    assert sum(camera.name.startswith("orbit") for camera in found.cameras) == 8
 
 
 def test_broken_rows_are_passed_over():
