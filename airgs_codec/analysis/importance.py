@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,15 +51,26 @@ class KeptRows:
 
 
 class RowPruning:
-    """Leaves out the least important rows of some frames; remembers the errors that it has rendered."""
+    """Leaves out the least important rows of some frames."""
 
-    def __init__(self, pictures: Sequence[tuple[Gaussians, Camera]], rank: NDArray[np.float64]) -> None:
-        """`rank` is the (N,) `importance` of the rows."""
-        self._seen = [cpu.project(cpu.activate(g), camera).tiles for g, camera in pictures]
-        self._full = [cpu.draw(tiles).rgb for tiles in self._seen]
+    def __init__(
+        self, pictures: Sequence[tuple[Gaussians, Camera]], rank: NDArray[np.float64], errors: dict[int, float]
+    ) -> None:
+        """`rank` is the (N,) `importance` of the rows; `errors` keeps what has been rendered: rows left out -> error.
+
+        Whoever asks for the same pictures again gives the same dictionary, at first an empty one.
+        """
+        self._pictures = pictures
         self._order = np.argsort(rank, kind="stable")
-        self._errors = {0: 0.0}  # rows left out -> pooled error
+        self._errors = errors
+        self._errors[0] = 0.0
         self._unused = min(int(np.count_nonzero(rank == 0)), len(rank) - 1)
+
+    @cached_property
+    def _seen(self) -> list[tuple[cpu.Tiles, NDArray[np.float32]]]:
+        """Projected rows and the whole picture of each."""
+        tiles = [cpu.project(cpu.activate(g), camera).tiles for g, camera in self._pictures]
+        return [(t, cpu.draw(t).rgb) for t in tiles]
 
     def within(self, allowed: float) -> KeptRows:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
@@ -85,8 +97,7 @@ class RowPruning:
         """Pooled error of pictures without the `count` least important rows."""
         kept = np.ones(len(self._order), bool)
         kept[self._order[:count]] = False
-        shown = (cpu.draw(tiles.keep(kept)).rgb for tiles in self._seen)
-        errors = [mse(picture, full) for picture, full in zip(shown, self._full, strict=True)]
+        errors = [mse(cpu.draw(tiles.keep(kept)).rgb, full) for tiles, full in self._seen]
         return self._errors.setdefault(count, pooled_error(errors))
 
 

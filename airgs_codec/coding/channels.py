@@ -8,7 +8,7 @@ N rows of all decoded tiers, n rows of a level, T frames, C colour channels. `ke
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,11 @@ class Canonical:
     colours: NDArray[np.float32]  # (N, C)
     depths: NDArray[np.uint8]  # (N,) deepest level that carries the row; STATIC: none
     transform: NDArray[np.float64]  # (C, C) KLT, as stored
+
+    def first(self, count: int) -> Canonical:
+        """Its first `count` rows: the canonical space that fewer key tiers make."""
+        rows = {f.name: getattr(self, f.name)[:count] for f in fields(self) if f.name != "transform"}
+        return replace(self, **rows)
 
     def to_gaussians(self) -> Gaussians:
         """The canonical space as a frame: what is shown where no state says otherwise."""

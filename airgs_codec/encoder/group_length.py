@@ -6,6 +6,7 @@ Keys get cheaper the longer a group is, states dearer: they grow with the distan
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,7 +68,8 @@ def compare_lengths(sequence: GaussianSequence, views: ViewPlan, settings: Encod
     if len(lengths) < 2:
         return []
     trial = _Trial.of(sequence, (start, stop), lengths, views, settings)
-    return sorted((trial.cost(length) for length in lengths), key=lambda cost: cost.score)
+    with ThreadPoolExecutor(settings.jobs) as pool:
+        return sorted(pool.map(trial.cost, lengths), key=lambda cost: cost.score)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -122,22 +122,14 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
 
 def prune_rows(frames: Sequence[Gaussians], survey: Survey) -> RowPruning:
     """Pruning of a group's rows by what some of its pictures show; `frames` are all of the group."""
-    return RowPruning(pair(frames, survey.checks), survey.importance)
+    return RowPruning(pair(frames, survey.checks), survey.importance, survey.removals)
 
 
-def keep_rows(
-    frames: Sequence[Gaussians],
-    survey: Survey,
-    settings: EncodeSettings,
-    pruning: RowPruning | None = None,
-) -> KeptRows:
-    """Rows of a group that are written: all, or those that pictures cannot do without.
-
-    `pruning`, of `prune_rows`, saves time where it is known already.
-    """
+def keep_rows(frames: Sequence[Gaussians], survey: Survey, settings: EncodeSettings) -> KeptRows:
+    """Rows of a group that are written: all, or those that pictures cannot do without."""
     if settings.keep_all or not survey.trusted:
         return KeptRows.all(len(frames[0]))
-    return (pruning or prune_rows(frames, survey)).within(settings.steps.rows * settings.quality)
+    return prune_rows(frames, survey).within(settings.steps.rows * settings.quality)
 
 
 def split_segments(span: GroupSpan, segment_s: float, fps: Fraction) -> tuple[tuple[int, int], ...]:

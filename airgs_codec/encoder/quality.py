@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.views import Pictures, ViewPlan
 from airgs_codec.media.color import delta_e
@@ -15,8 +16,10 @@ from airgs_codec.media.metrics import Reference, psnr
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Manifest, Quality, Segment, SegmentLevel
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render import render
+from airgs_codec.render import Camera, render
 from airgs_codec.scene.sequence import GaussianSequence
+
+_Compared = tuple[int, Camera, Reference]  # number of the frame, view, the original's picture
 
 OFF_LADDER = 5  # one picture in so many measures key qualities that are not those of a level
 
@@ -54,41 +57,33 @@ def measure_quality(
     segments: list[Segment] = []
     for index, segment in enumerate(m.segments):
         progress("quality", index, len(m.segments))
-        pictures = views.measure(index, segment.start, segment.stop, count)
-        references = _references(sequence, pictures)
-        rows = [
-            [_measure(package, index, (level, quality), pictures, references) for quality in range(len(m.qualities))]
-            for level in range(len(m.levels))
+        compared = _references(sequence, views.measure(index, segment.start, segment.stop, count))
+        bases = [decode_canonical(package, segment.group, quality) for quality in range(len(m.qualities))]
+        levels = [
+            _with_quality(level, [_measure(package, (index, j, q), base, compared) for q, base in enumerate(bases)])
+            for j, level in enumerate(segment.levels)
         ]
-        levels = [_with_quality(level, row) for level, row in zip(segment.levels, rows, strict=True)]
         segments.append(replace(segment, levels=levels))
     return replace(m, segments=segments)
 
 
-def _references(sequence: GaussianSequence, pictures: Pictures) -> list[Reference]:
-    """Pictures of the original."""
+def _references(sequence: GaussianSequence, pictures: Pictures) -> list[_Compared]:
+    """The pictures with what the original shows in them."""
     numbers = sorted({number for number, _ in pictures})
     originals = dict(zip(numbers, sequence.load(numbers).frames, strict=True))
-    return [Reference.of(render(originals[number], camera).rgb) for number, camera in pictures]
+    return [(number, camera, Reference.of(render(originals[number], camera).rgb)) for number, camera in pictures]
 
 
-def _measure(
-    package: Package,
-    index: int,
-    rung: tuple[int, int],
-    pictures: Pictures,
-    references: Sequence[Reference],
-) -> Quality:
-    """Quality of one level at one key quality in a segment."""
-    m, (level, quality) = package.manifest, rung
-    every = 1 if quality == m.levels[level].quality else OFF_LADDER
+def _measure(package: Package, rung: tuple[int, int, int], base: Canonical, compared: Sequence[_Compared]) -> Quality:
+    """Quality of `rung`, a segment's level at a key quality, over the canonical space of all key tiers."""
+    m, (index, level, quality) = package.manifest, rung
     segment = m.segments[index]
-    base = decode_canonical(package, segment.group, quality, m.levels[level].tiers)
-    compared = list(zip(pictures, references, strict=True))[::every]
-    places = sorted({number - segment.start for (number, _), _ in compared})
-    shown = dict(zip(places, decode_segment(package, index, base, level, places), strict=True))
+    rows = sum(tier.count for tier in m.groups[segment.group].tiers[: m.levels[level].tiers])
+    looked_at = compared if quality == m.levels[level].quality else compared[::OFF_LADDER]
+    places = sorted({number - segment.start for number, _, _ in looked_at})
+    shown = dict(zip(places, decode_segment(package, index, base.first(rows), level, places), strict=True))
     sums = QualitySums()
-    for (number, camera), reference in compared:
+    for number, camera, reference in looked_at:
         sums.add(render(shown[number - segment.start], camera).rgb, reference)
     return sums.quality()
 

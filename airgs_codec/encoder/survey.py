@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +47,7 @@ class Survey:
     sensitivity: Sensitivity
     importance: NDArray[np.float64]  # (N,) of `analysis.importance`
     trusted: bool  # rows that no picture shows may be left out
+    removals: dict[int, float] = field(default_factory=dict)  # errors in `checks` known so far, see `RowPruning`
 
     def score(self, name: str) -> NDArray[np.float64]:
         """(N,) one of `usage.MEASURES`: what ranks rows for key tiers."""

@@ -30,7 +30,7 @@ def test_removed_rows_cost_what_was_allowed(scene):
     cameras, frames = scene
     rank = importance(frames, measure_usage(frames, cameras), measure_sensitivity(frames, cameras))
     chosen = [cameras[i] for i in evenly_spaced(len(cameras), 6)]
-    pruning = RowPruning(list(zip(itertools.cycle(frames), chosen, strict=False)), rank)
+    pruning = RowPruning(list(zip(itertools.cycle(frames), chosen, strict=False)), rank, {})
     counts = []
     for allowed in (0.0, 0.002, 0.005, 0.02):
         kept = pruning.within(allowed)
@@ -49,12 +49,12 @@ def test_rows_that_no_ranking_picture_showed_stay_if_others_show_them(scene):
     shown = np.flatnonzero(measure_usage([frames[0]], cameras[:3]).total > 0)
     rank = np.ones(len(frames[0]))
     rank[shown[::3]] = 0  # as if those that ranked had missed them
-    kept = RowPruning(views, rank).within(0.001)
+    kept = RowPruning(views, rank, {}).within(0.001)
     assert kept.error <= 0.001**2 and np.intersect1d(kept.rows, shown[::3]).size
-    assert RowPruning(views, rank).error_of(len(rank)) == 0
+    assert RowPruning(views, rank, {}).error_of(len(rank)) == 0
     rank[:] = 1
     rank[np.setdiff1d(np.arange(len(rank)), shown)] = 0
-    assert RowPruning(views, rank).within(0.0).rows.tolist() == shown.tolist()
+    assert RowPruning(views, rank, {}).within(0.0).rows.tolist() == shown.tolist()
 
 
 def test_the_worst_pictures_weigh_more_in_a_pooled_error():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,8 +78,8 @@ class Withholding:
         depths = assign_depths(score, moving, SHARES)
         shown = [(frame, camera) for frame, (_, camera) in zip(frames, pictures, strict=True)]
         full = [render(frame, camera).rgb for frame, camera in shown]
-        errors = []
-        for i in range(len(SHARES)):
+        errors = [0.0]
+        for i in range(1, len(SHARES)):
             updated = (moving & (depths >= i)) | ~moving
             held = [render(mix_rows(frame, canonical, updated), camera).rgb for frame, camera in shown]
             errors.append(pooled_error([mse(a, b) for a, b in zip(held, full, strict=True)]))
@@ -91,23 +92,31 @@ class Withholding:
 
 
 def choose_shares(
-    sample: CalibrationSample, withholding: Withholding, steps: StepSettings, price: float, factors: Sequence[float]
+    sample: CalibrationSample,
+    withholding: Withholding,
+    steps: StepSettings,
+    price: float,
+    factors: Sequence[float],
+    jobs: int,
 ) -> tuple[Shares, float]:
     """The cheapest share of the updates to withhold at each of `factors` on `steps`; empty if nothing moves.
 
     `price` is that of a byte a frame at factor 1, in squared error. Also gives the mean squared error that factor 1
-    is expected to make, but for rows that are left out.
+    is expected to make, but for rows that are left out. `jobs` trial encodes run at a time.
     """
     states = sample.states(sample.code_key(steps, 1.0)[1], steps)
     still = sample.error(states[0][None], steps)
     if not sample.moving.any():
         return (), float(still.sum())
-    coded = {factor: sample.code_states(states, factor) for factor in {1.0, *factors}}
-    whole, error = coded[1.0]
-    if whole == 0:  # no channel has a plane
-        return (), float(sample.error(error, steps).sum())
+    tried = sorted({1.0, *factors})
     kept = [withholding.kept(sample, share) for share in SHARES]
-    parts = [replace(sample, moving=rows).code_states(states, 1.0)[0] / whole for rows in kept]
+    with ThreadPoolExecutor(jobs) as pool:
+        coded = dict(zip(tried, pool.map(lambda factor: sample.code_states(states, factor), tried), strict=True))
+        whole, error = coded[1.0]
+        if whole == 0:  # no channel has a plane
+            return (), float(sample.error(error, steps).sum())
+        fewer = pool.map(lambda rows: replace(sample, moving=rows).code_states(states, 1.0)[0], kept)
+        parts = [size / whole for size in fewer]
     shares: dict[float, float] = {}
     expected, least = 0.0, 0.0
     for factor in sorted(coded):

@@ -39,10 +39,8 @@ class Subject:
     def of(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Subject:
         """Lay out the group at `settings`."""
         loaded = sequence.load(range(survey.span.start, survey.span.stop))
-        pruning = prune_rows(loaded.frames, survey)
-        kept = keep_rows(loaded.frames, survey, settings, pruning)
-        layout = lay_out(loaded, survey, kept, settings, sequence.fps)
-        return Subject(loaded.frames, layout, pruning, settings)
+        layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
+        return Subject(loaded.frames, layout, prune_rows(loaded.frames, survey), settings)
 
     def canonical(self) -> Gaussians:
         """The canonical frame, N rows in file order."""
