@@ -18,6 +18,16 @@ ENOUGH = 2.5  # tolerances by which the best of all trials may miss
 FACTORS = 0.01, 100.0  # least and largest quality factor that is tried
 
 
+class OutOfReachError(ConfigError):
+    """A goal that no quality factor meets."""
+
+    def __init__(self, goal: Goal, got: float, factor: float, why: str = "") -> None:
+        near = f"{got:.4g} at quality factor {factor:.3g}"
+        super().__init__(f"target: {goal.value:g} {goal.kind} is out of reach, the nearest was {near}{why}")
+        self.got = got
+        self.factor = factor
+
+
 @dataclass(frozen=True, slots=True)
 class Goal:
     """What the top rung is to reach."""
@@ -40,7 +50,7 @@ def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> f
 
     It is met to TOLERANCES, or to ENOUGH of them after TRIALS trials. The search steps by SLOPES until two trials lie
     on both sides of the goal, then by regula falsi between the nearest two: trials are noisy by about a tolerance, so
-    no slope between two of them can be trusted. Raises ConfigError when the goal is out of reach.
+    no slope between two of them can be trusted. Raises OutOfReachError.
     """
     slope = SLOPES[goal.kind] / TOLERANCES[goal.kind]
     seen: dict[float, float] = {}
@@ -57,9 +67,7 @@ def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> f
         return best
     wide = TOLERANCES[goal.kind]
     got = goal.value + seen[best] * wide if goal.kind == PSNR else goal.value * math.exp(seen[best] * wide)
-    raise ConfigError(
-        f"target: {goal.value:g} {goal.kind} is out of reach, the nearest was {got:.4g} at quality factor {best:.3g}"
-    )
+    raise OutOfReachError(goal, got, best)
 
 
 def _next_factor(seen: dict[float, float], slope: float) -> float:

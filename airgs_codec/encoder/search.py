@@ -8,8 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from airgs_codec.encoder.encoder import EncodeJob, encode_sequence
+from airgs_codec.encoder.limits import find_limit
 from airgs_codec.encoder.quality import measure_quality
-from airgs_codec.encoder.rate_target import PSNR, Goal, find_quality
+from airgs_codec.encoder.rate_target import PSNR, Goal, OutOfReachError, find_quality
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.store import Package
@@ -30,7 +31,8 @@ def search_quality(
 ) -> float:
     """The quality factor that brings the top rung to its goal. Raises ConfigError for a goal out of reach.
 
-    PSNR is measured against `original`, which has all SH bands. Trials are written into `folder` and removed.
+    The error then names what keeps pictures from a higher PSNR. PSNR is measured against `original`, which has all SH
+    bands. Trials are written into `folder` and removed.
     """
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
     pictures = settings.measure_pictures or TRIAL_PICTURES
@@ -47,7 +49,16 @@ def search_quality(
         assert measured is not None
         return measured.psnr
 
-    return find_quality(goal, trial, settings.quality)
+    try:
+        return find_quality(goal, trial, settings.quality)
+    except OutOfReachError as error:
+        if goal.kind != PSNR or error.got > goal.value:
+            raise
+        with tempfile.TemporaryDirectory(prefix=".trial", dir=folder) as name:
+            encoded = encode_sequence(job, top.at(error.factor), Path(name), progress)
+            part, reached = find_limit(Package(Path(name), encoded.manifest, 0), encoded, original, job.views)
+        why = f"; what holds it back most: {part}, without whose error it would be {reached:.4g} dB"
+        raise OutOfReachError(goal, error.got, error.factor, why) from None
 
 
 def kilobytes_a_frame(top: Manifest, settings: EncodeSettings) -> float:

@@ -1,0 +1,47 @@
+"""What holds the pictures of a package back most is named."""
+
+from dataclasses import replace
+
+import pytest
+
+from airgs_codec.coding.steps import StepSettings
+from airgs_codec.encoder.encoder import EncodeJob, encode_sequence
+from airgs_codec.encoder.limits import LEFT_OUT, find_limit
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.survey import survey_groups
+from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.package.store import Package
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.regions import place, region
+from tests.support.scenes import moving_frames, write_sequence
+
+FINE = StepSettings()
+COARSE = {
+    "sizes": replace(FINE, key=replace(FINE.key, log_scales=2.0), state=replace(FINE.state, log_scales=2.0)),
+    "colours": replace(FINE, key=replace(FINE.key, sh_dc=2.0), state=replace(FINE.state, sh_dc=2.0)),
+    "positions": replace(FINE, grid=4.0, state=replace(FINE.state, means=4.0)),
+    LEFT_OUT: replace(FINE, rows=0.2),
+}
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    """A small moving scene."""
+    sequence = open_sequence(write_sequence(tmp_path_factory.mktemp("limits") / "scene", moving_frames(200, 3)))
+    views = ViewPlan.of(sequence, 6, region=replace(region(place(0.0)), width=96, height=72))
+    return EncodeJob(sequence, survey_groups(sequence, [(0, 3)], views, lambda *_: None), views)
+
+
+@pytest.mark.parametrize("part", COARSE)
+def test_the_part_that_is_coarse_is_named(job, tmp_path, part):
+    settings = EncodeSettings(
+        calibrate="none",
+        levels=(LevelSettings(0.0),),
+        tiers=(1.0,),
+        key_factors=(1.0,),
+        steps=COARSE[part],
+        preset="ultrafast",
+    )
+    encoded = encode_sequence(job, settings, tmp_path)
+    package = Package(tmp_path, encoded.manifest, 0)
+    assert find_limit(package, encoded, job.sequence, job.views)[0] == part
