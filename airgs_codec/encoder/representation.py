@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.atlas import picture_size
-from airgs_codec.errors import SceneError
-from airgs_codec.media.h264 import ClosedGop, CodecSettings, Stream, check_stream, encode_stream
+from airgs_codec.errors import CodecError, SceneError
+from airgs_codec.media.h264 import (
+    BRIGHTEST,
+    DARKEST,
+    ClosedGop,
+    CodecSettings,
+    Stream,
+    check_stream,
+    encode_stream,
+)
 from airgs_codec.package.tables import MAX_SIDE, Atlas, Picture
 from airgs_codec.progress import Progress
 
@@ -51,9 +59,18 @@ EMPTY = Representation(None, (0, 0), ())
 def encode_checked(
     gops: Callable[[], Iterable[ClosedGop]], size: tuple[int, int], clock: Clock, codec: CodecSettings
 ) -> Representation:
-    """Encode pictures, then decode them again and compare; `gops` is called for each of the two. Raises CodecError."""
-    stream = encode_stream(gops(), size, clock.fps, clock.timescale, codec)
-    return Representation(stream, size, tuple(check_stream(stream, gops(), codec)))
+    """Encode pictures, then decode them again and compare; `gops` is called for each of the two.
+
+    Where decoded luma leaves its range the pictures are coded once more with a finer quantiser, which errs by less;
+    the steps of an atlas and its escapes stay as they are. Raises CodecError.
+    """
+    for qp in range(codec.qp, 0, -1):
+        codec = replace(codec, qp=qp)
+        stream = encode_stream(gops(), size, clock.fps, clock.timescale, codec)
+        decoded = check_stream(stream, gops(), codec)
+        if all(gop.in_range for gop in decoded):
+            return Representation(stream, size, tuple(gop.difference for gop in decoded))
+    raise CodecError(f"decoded luma leaves {DARKEST}-{BRIGHTEST} at every QP")
 
 
 def common_size(atlases: Sequence[Atlas]) -> tuple[int, int]:

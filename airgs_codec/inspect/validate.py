@@ -13,7 +13,7 @@ from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.inspect.errors import Measured
-from airgs_codec.media.h264 import decode_pictures
+from airgs_codec.media.h264 import BRIGHTEST, DARKEST, decode_pictures, in_range
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.store import MAX_JSON_BYTES, Package, open_package
 from airgs_codec.package.tables import JSON_NAME, MPD_NAME, expected_files, key_init_path, state_init_path
@@ -147,9 +147,12 @@ def _decode_state(package: Package, index: int, level: int, base: Canonical) -> 
 
 
 def _expect_pictures(package: Package, init: str, media: str, count: int) -> None:
-    got = sum(1 for _ in decode_pictures(package.read(init), package.read(media), media))
-    if got != count:
-        raise FormatError("bad_picture", media, f"expected {count} pictures, got {got}")
+    inside = [in_range(picture) for picture in decode_pictures(package.read(init), package.read(media), media)]
+    if len(inside) != count:
+        raise FormatError("bad_picture", media, f"expected {count} pictures, got {len(inside)}")
+    if not all(inside):
+        where = f"picture {inside.index(False)}"
+        raise FormatError("bad_picture", media, f"expected luma of {DARKEST} to {BRIGHTEST}, {where} has other samples")
 
 
 def _expect_finite(frame: Gaussians, where: str) -> None:

@@ -28,6 +28,12 @@ KEY_IP_RATIO = 1.0
 STATE_IP_RATIO = 1.2
 STATE_PB_RATIO = 1.3
 FULL_RANGE = 2  # AVCOL_RANGE_JPEG
+# Decoders and screens that take full-range pictures for limited ones clip what is outside: no decoded luma is.
+DARKEST, BRIGHTEST = 16, 235
+_LEVEL = "5.1"  # the highest that every phone decodes, and its limits (ISO/IEC 14496-10, table A-1):
+_LEVEL_BUFFER = 184_320  # macroblocks of the pictures that a decoder holds
+_LEVEL_RATE = 983_040  # macroblocks a second
+_MOST_REFERENCES = 16  # that any preset asks for
 _SEI = 6  # type of the NAL unit in which x264 repeats its version and options in every stream
 
 
@@ -63,22 +69,35 @@ class CodecSettings:
     ip_ratio: float
     pb_ratio: float
     preset: str = DEFAULT_PRESET
+    stills: bool = False  # every GOP is one picture: nothing is referred to, nothing reordered
 
-    def options(self) -> dict[str, str]:
+    def options(self, size: tuple[int, int], rate: Fraction) -> dict[str, str]:
         """AVOptions. AQ, psy and mb-tree off: every sample counts alike. Scene cuts off: `ClosedGop`s decide the IDRs.
 
         Deblocking off: neighbours in a plane are near in space, not parts of a smooth picture (+0.1 dB on the fox).
+        x264 writes into the SPS how many pictures it reorders and refers to, and derives the level from that, the
+        `size` (width, height) and the `rate`. Where it would come to more than 5.1 it is told 5.1, which leaves as many
+        reference pictures as that allows.
         """
         params = (
             f"keyint=infinite:scenecut=0:open-gop=0:aq-mode=0:psy=0:mbtree=0:rc-lookahead=0:sync-lookahead=0:"
             f"no-deblock=1:ipratio={self.ip_ratio}:pbratio={self.pb_ratio}:fullrange=on:threads=1"
         )
-        return {"preset": self.preset, "qp": str(self.qp), "forced-idr": "1", "x264-params": params}
+        options = {"preset": self.preset, "qp": str(self.qp), "forced-idr": "1", "x264-params": params}
+        if self.stills:
+            options |= {"refs": "1", "bf": "0"}
+        return options if self._suits_level(size, rate) else options | {"level": _LEVEL}
+
+    def _suits_level(self, size: tuple[int, int], rate: Fraction) -> bool:
+        """Whether x264 derives no higher level than 5.1, whatever the preset."""
+        macroblocks = -(-size[0] // 16) * -(-size[1] // 16)
+        held = macroblocks * (1 if self.stills else _MOST_REFERENCES)
+        return held <= _LEVEL_BUFFER and macroblocks * rate <= _LEVEL_RATE
 
 
 def key_codec(preset: str) -> CodecSettings:
     """The settings of key pictures at an x264 preset."""
-    return CodecSettings(KEY_QP, KEY_IP_RATIO, 1.0, preset)
+    return CodecSettings(KEY_QP, KEY_IP_RATIO, 1.0, preset, stills=True)
 
 
 def state_codec(preset: str) -> CodecSettings:
@@ -129,7 +148,7 @@ class _Track:
     ) -> None:
         self._container = container
         self._time_base = Fraction(1, timescale)
-        self._stream = container.add_stream("libx264", rate=rate, options=settings.options())
+        self._stream = container.add_stream("libx264", rate=rate, options=settings.options(size, rate))
         context = self._stream.codec_context
         context.width, context.height, context.pix_fmt = *size, "yuv420p"
         context.color_range = FULL_RANGE
@@ -200,32 +219,45 @@ def _luma(frame: av.VideoFrame, where: str) -> NDArray[np.uint8]:
     return np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
 
 
-def check_stream(stream: Stream, gops: Iterable[ClosedGop], settings: CodecSettings) -> list[NDArray[np.uint8]]:
+def in_range(picture: NDArray[np.uint8]) -> bool:
+    """Whether every sample of decoded luma lies within DARKEST and BRIGHTEST."""
+    return bool(picture.min() >= DARKEST and picture.max() <= BRIGHTEST)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecodedGop:
+    """What became of the pictures of a closed GOP."""
+
+    difference: NDArray[np.uint8]  # (H, W) largest of any picture, luma levels
+    in_range: bool  # see `in_range`; all samples count, also those that carry nothing
+
+
+def check_stream(stream: Stream, gops: Iterable[ClosedGop], settings: CodecSettings) -> list[DecodedGop]:
     """Decode what was encoded and compare it with the pictures it was made of, before anything is published.
 
-    Gives for each GOP the (H, W) largest difference over its pictures, in luma levels. Encoders have returned wrong
-    pixels at odd sizes: the root mean square error over a GOP was measured at 0.3 steps of its QP; a whole step means
-    that something else was decoded. Raises CodecError.
+    Encoders have returned wrong pixels at odd sizes: the root mean square error over a GOP was measured at 0.3 steps of
+    its QP; a whole step means that something else was decoded. Raises CodecError.
     """
     segments = enumerate(zip(gops, stream.media, strict=True))
-    return [_largest_difference(stream.init, media, gop, settings.qp, f"segment {i}") for i, (gop, media) in segments]
+    return [_check_gop(stream.init, media, gop, settings.qp, f"segment {i}") for i, (gop, media) in segments]
 
 
-def _largest_difference(init: bytes, media: bytes, gop: ClosedGop, qp: int, where: str) -> NDArray[np.uint8]:
-    """(H, W) largest difference of any picture, in luma levels. Raises CodecError as `check_stream` does."""
+def _check_gop(init: bytes, media: bytes, gop: ClosedGop, qp: int, where: str) -> DecodedGop:
+    """Decode and compare one GOP. Raises CodecError as `check_stream` does."""
     squared, count = 0.0, 0
-    largest = np.zeros((1, 1), np.uint8)
+    largest, inside = np.zeros((1, 1), np.uint8), True
     try:
         for picture, shown in zip(gop.pictures, decode_pictures(init, media, where), strict=True):
             difference = np.maximum(picture, shown) - np.minimum(picture, shown)
             squared += float(np.mean(np.square(difference, dtype=np.float32)))
             largest = np.maximum(largest, difference)
+            inside = inside and in_range(shown)
             count += 1
     except ValueError as error:  # another number of pictures, or pictures of another size
         raise CodecError(f"{where} does not decode to the pictures it was made of: {error}") from error
     if (squared / count) ** 0.5 > qp_step(qp):
         raise CodecError(f"{where} decodes {(squared / count) ** 0.5:.1f} levels off the pictures encoded")
-    return largest
+    return DecodedGop(largest, inside)
 
 
 def library_versions() -> dict[str, str]:

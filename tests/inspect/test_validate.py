@@ -5,6 +5,7 @@ import json
 import os
 import random
 import shutil
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.inspect.validate import validate
+from airgs_codec.media.h264 import ClosedGop, encode_stream, key_codec
 from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import JSON_NAME
 from tests.support.mutations import (
@@ -102,6 +104,16 @@ def test_cells_that_the_files_do_not_have_are_refused(package, coarser):
     assert open_package(package).manifest.qualities[1].coarser == 1
     on_disk(package, set_value(("qualities", 1, "coarser"), coarser))
     assert "bad_sidecar" in reasons(package)
+
+
+def test_luma_outside_the_limited_range_is_refused(package):
+    picture = open_package(package).manifest.key_pictures[0][0]
+    bright = ClosedGop([np.full((picture.height, picture.width), 240, np.uint8)], 0, 1000)
+    stream = encode_stream([bright], (picture.width, picture.height), Fraction(24), 24000, key_codec("veryfast"))
+    replace_file(package, "key/T0/Q0/1.m4s", stream.media[0])
+    replace_file(package, "key/T0/Q0/init.mp4", stream.init)
+    (finding,) = validate(package)
+    assert finding.reason == "bad_picture" and "16 to 235" in str(finding)
 
 
 def test_more_pictures_than_promised_are_refused(package):

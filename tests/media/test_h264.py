@@ -14,8 +14,12 @@ from airgs_codec.media.h264 import (
     check_stream,
     decode_pictures,
     encode_stream,
+    in_range,
+    key_codec,
     qp_step,
+    state_codec,
 )
+from tests.support.bitstream import trace_headers
 
 
 def pictures(count, seed=0, width=96, height=64):
@@ -68,3 +72,43 @@ def test_a_stream_that_decodes_to_something_else_is_not_published():
     for other in (wrong, right[:3], [*right, right[0]], [p[:32] for p in right]):
         with pytest.raises(CodecError, match="segment 0"):
             check_stream(stream, [ClosedGop(other, 0, 1)], codec)
+
+
+@pytest.mark.parametrize(("codec", "reordered"), [(key_codec("veryslow"), 0), (state_codec("veryslow"), 2)])
+def test_the_stream_says_what_a_decoder_must_hold(codec, reordered):
+    """Without that in the VUI some decoders hold 16 pictures back."""
+    gop = ClosedGop(pictures(1 if codec.stills else 9), 0, 1000)
+    stream = encode_stream([gop], (96, 64), Fraction(24), 24000, codec)
+    sps = trace_headers(stream.init + stream.media[0])
+    assert sps["bitstream_restriction_flag"] == 1
+    assert sps["max_num_reorder_frames"] == reordered
+    assert reordered <= sps["max_dec_frame_buffering"] == sps["max_num_ref_frames"] <= (1 if codec.stills else 16)
+    assert sps["video_full_range_flag"] == 1
+
+
+@pytest.mark.parametrize("codec", [key_codec("ultrafast"), state_codec("veryslow")])
+@pytest.mark.parametrize(("size", "rate"), [((3072, 3072), 24), ((2048, 2048), 120)])
+def test_no_level_is_higher_than_decoders_have(codec, size, rate):
+    """16 reference pictures of 36,864 macroblocks would be level 6, 120 pictures of 2048x2048 a second level 5.2."""
+    grey = np.full(size[::-1], 128, np.uint8)
+    stream = encode_stream([ClosedGop([grey], 0, 1000)], size, Fraction(rate), rate * 1000, codec)
+    sps = trace_headers(stream.init + stream.media[0])
+    assert sps["level_idc"] <= 51
+    assert sps["max_dec_frame_buffering"] * size[0] * size[1] // 256 <= 184_320
+
+
+def test_samples_outside_the_limited_range_are_noticed_wherever_they_are():
+    """One sample does: in one corner of one picture."""
+    codec = state_codec("veryfast")
+    for corner, inside in ((128, True), (5, False), (250, False)):
+        gop = [np.full((64, 96), 128, np.uint8) for _ in range(3)]
+        gop[1][-8:, -8:] = corner
+        closed = [ClosedGop(gop, 0, 1)]
+        stream = encode_stream(closed, (96, 64), Fraction(24), 24, codec)
+        (decoded,) = check_stream(stream, closed, codec)
+        assert decoded.in_range == inside
+
+
+def test_the_range_is_that_of_limited_pictures():
+    for low, high, inside in ((16, 235, True), (15, 235, False), (16, 236, False)):
+        assert in_range(np.array([[low, high]], np.uint8)) == inside
