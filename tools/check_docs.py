@@ -58,6 +58,7 @@ def pages() -> list[Path]:
         *sorted(REPOSITORY.glob("*.md")),
         *sorted((REPOSITORY / "docs").glob("*.md")),
         *REPOSITORY.glob("tests/*/*.md"),
+        *REPOSITORY.glob("manifests/*/*.md"),
     ]
 
 

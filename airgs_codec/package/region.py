@@ -92,7 +92,7 @@ def departures(region: Region, cameras: Sequence[Camera]) -> list[Departure]:
     ahead = foci - positions
     length = np.linalg.norm(ahead, axis=2)
     cosine = (ahead * forward).sum(axis=2) / np.maximum(length, np.finfo(float).tiny)
-    cosine[length == 0] = 1.0  # at the focus every direction is towards it
+    cosine[length <= slack] = 1.0  # at the focus every direction is towards it
     degrees = np.degrees(np.arccos(np.clip(cosine, -1, 1))) - region.turn
     distance = np.where(away > slack, away, 0.0)  # (C, P)
     least = distance.min(axis=1)

@@ -9,5 +9,6 @@ FOX = DATA / "fox"  # the embedded sequence
 FOX_VIEWS = DATA / "fox_views"  # its pictures
 GOLDEN = REPOSITORY / "tests" / "golden"
 CORPUS = REPOSITORY / "manifests"
+VECTORS = CORPUS / "vectors"  # test vectors for readers in any language
 VALID = CORPUS / "valid"
 INVALID = CORPUS / "invalid"

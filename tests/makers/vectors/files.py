@@ -1,0 +1,13 @@
+"""Which vectors there are, and their bytes."""
+
+from __future__ import annotations
+
+from tests.makers.vectors import columns, escapes, keys, planes, policies, positions, region, shown, states
+from tests.makers.vectors.text import write
+
+MODULES = (columns, positions, escapes, planes, keys, states, shown, region, policies)
+
+
+def make() -> dict[str, bytes]:
+    """File name -> bytes of all vectors; the same whenever and wherever it runs."""
+    return {f"{module.__name__.rpartition('.')[2]}.json": write(module.table()) for module in MODULES}

@@ -1,0 +1,160 @@
+"""The formulas of FORMAT.md, sections 4 and 5, for one row and one number at a time, in float64.
+
+Every result comes with what a decoder in float32 may be off by (FORMAT.md, "Precision").
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from tests.makers.vectors.text import plain
+
+Steps = Mapping[str, float]
+ULP = 2.0**-24  # half a unit in the last place of a float32, relative
+LEAST_ALPHA = 2.0**-20
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A sum, and the sum of the sizes of its terms."""
+
+    value: float
+    size: float
+
+    def __add__(self, other: Number) -> Number:
+        return Number(self.value + other.value, self.size + other.size)
+
+
+def total(terms: Iterable[float]) -> Number:
+    """A number that is the sum of these."""
+    listed = list(terms)
+    return Number(math.fsum(listed), math.fsum(map(abs, listed)))
+
+
+@dataclass(frozen=True, slots=True)
+class Rotation:
+    """A unit quaternion w, x, y, z, and the sum of the angles of the rotations that it is the product of."""
+
+    quaternion: tuple[float, float, float, float]
+    angle: float
+
+    def __mul__(self, other: Rotation) -> Rotation:
+        aw, ax, ay, az = self.quaternion
+        bw, bx, by, bz = other.quaternion
+        product = (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        )
+        return Rotation(product, self.angle + other.angle)
+
+
+def rotation(vector: Sequence[float]) -> Rotation:
+    """The rotation of a rotation vector."""
+    angle = math.sqrt(math.fsum(v * v for v in vector))
+    x, y, z = (v * (math.sin(angle / 2) / angle if angle else 0.5) for v in vector)
+    return Rotation((math.cos(angle / 2), x, y, z), angle)
+
+
+@dataclass(frozen=True, slots=True)
+class Coding:
+    """What gives codes their meaning."""
+
+    steps: Steps
+    factor: float
+    gain: float
+    transform: Sequence[Sequence[float]]  # K, C x C
+
+    def values(self, codes: Sequence[int], step: str) -> list[float]:
+        """Values of channels that have the same step."""
+        return [code * self.steps[step] * self.factor / self.gain for code in codes]
+
+    def colours(self, codes: Sequence[int]) -> list[Number]:
+        """Colours of colour channels."""
+        y = [code * self.factor / self.gain for code in codes]
+        scale = [self.steps["sh_dc" if i < 3 else "sh_rest"] for i in range(len(y))]
+        return [total(y[k] * self.transform[k][i] * scale[i] for k in range(len(y))) for i in range(len(y))]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A row of a canonical space or of a frame."""
+
+    means: list[Number]
+    quaternions: Rotation
+    log_scales: list[Number]
+    alpha: Number  # before it is limited
+    colours: list[Number]
+
+
+def key_row(codes: Sequence[int], coding: Coding, mean: Sequence[float] = (0.0, 0.0, 0.0)) -> Row:
+    """The canonical row that 7 + C codes make."""
+    return Row(
+        means=[total([v]) for v in mean],
+        quaternions=rotation(coding.values(codes[3:6], "quaternions")),
+        log_scales=[total([v]) for v in coding.values(codes[:3], "log_scales")],
+        alpha=total(coding.values(codes[6:7], "opacity")),
+        colours=coding.colours(codes[7:]),
+    )
+
+
+def state_row(row: Row, codes: Sequence[int], coding: Coding, motion_class: int) -> Row:
+    """The row with the state that 10 + C codes make."""
+    unit = 2.0**motion_class
+    shift = [total([v * unit]) for v in coding.values(codes[:3], "means")]
+    growth = [total([v]) for v in coding.values(codes[3:6], "log_scales")]
+    return Row(
+        means=[a + b for a, b in zip(row.means, shift, strict=True)],
+        quaternions=rotation(coding.values(codes[6:9], "quaternions")) * row.quaternions,
+        log_scales=[a + b for a, b in zip(row.log_scales, growth, strict=True)],
+        alpha=row.alpha + total(coding.values(codes[9:10], "opacity")),
+        colours=[a + b for a, b in zip(row.colours, coding.colours(codes[10:]), strict=True)],
+    )
+
+
+def listed(rows: Sequence[Row], *, limit: bool) -> dict[str, object]:
+    """Rows as vectors have them, with their tolerances; `limit` the alpha, as it is where rows are shown."""
+    return {"values": _values(rows, limit), "tolerance": _tolerances(rows)}
+
+
+def _values(rows: Sequence[Row], limit: bool) -> dict[str, object]:
+    alpha = [row.alpha.value for row in rows]
+    if limit:
+        alpha = [min(max(a, LEAST_ALPHA), 1 - LEAST_ALPHA) for a in alpha]
+    return {
+        "means": plain([[n.value for n in row.means] for row in rows]),
+        "quaternions": plain([row.quaternions.quaternion for row in rows]),
+        "log_scales": plain([[n.value for n in row.log_scales] for row in rows]),
+        "alpha": plain(alpha),
+        "colours": plain([[n.value for n in row.colours] for row in rows]),
+    }
+
+
+def _tolerances(rows: Sequence[Row]) -> dict[str, object]:
+    """One for all numbers of an attribute of a row."""
+    return {
+        "means": [_up(8 * max(n.size for n in row.means)) for row in rows],
+        "quaternions": [_up(8 * (6 + row.quaternions.angle)) for row in rows],
+        "log_scales": [_up(8 * max(n.size for n in row.log_scales)) for row in rows],
+        "alpha": [_up(8 * max(row.alpha.size, LEAST_ALPHA)) for row in rows],
+        "colours": [_up((8 + len(row.colours)) * max(n.size for n in row.colours)) for row in rows],
+    }
+
+
+def _up(ulps: float) -> float:
+    """So many halves of a last place to two digits, rounded up."""
+    text = f"{1.05 * ulps * ULP:.1e}"
+    return float(text)
+
+
+def pack_transform(transform: Sequence[Sequence[float]]) -> tuple[str, list[list[float]]]:
+    """A transform as `colour_transform` has it, and what that decodes to."""
+    whole = [[round(entry * 32767) for entry in line] for line in transform]
+    flat = [entry for line in whole for entry in line]
+    text = base64.b64encode(struct.pack(f"<{len(flat)}h", *flat)).decode()
+    return text, [[entry / 32767 for entry in line] for line in whole]

@@ -1,0 +1,71 @@
+"""What a package offers a player, from numbers alone: policies choose by it without files or tables.
+
+S segments, G groups, T key tiers, Q key qualities, L levels, R rungs, numbered quality by quality.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.play.ladder import Option
+
+Numbers = Mapping[str, Any]
+
+
+class Offer:
+    """Stands in for `play.catalogue.Catalogue` where policies look at it. `numbers` are an offer of the vectors."""
+
+    def __init__(self, numbers: Numbers) -> None:
+        self.levels: list[Numbers] = numbers["levels"]
+        self.groups: list[list[list[int]]] = numbers["groups"]  # G x Q x T wire bytes
+        self.segments: list[Numbers] = numbers["segments"]
+        self.manifest = SimpleNamespace(levels=self.levels)
+        self.seconds: list[float] = [s["seconds"] for s in self.segments]
+        self.rungs = [(q, j) for q in range(len(self.groups[0])) for j in range(len(self.levels))]
+        self.quality = np.array([[s["psnr"][j][q] for q, j in self.rungs] for s in self.segments])
+
+    def sizes(self, segment: int, decoded: Mapping[int, int]) -> list[int]:
+        """(R,) wire bytes of what is missing where `decoded` tiers of each key quality are there."""
+        s = self.segments[segment]
+        keys = self.groups[s["group"]]
+        return [sum(keys[q][decoded.get(q, 0) : self.levels[j]["tiers"]]) + s["state_bytes"][j] for q, j in self.rungs]
+
+    def options(self, segment: int, decoded: Mapping[int, int]) -> tuple[Option, ...]:
+        """Every rung of a segment."""
+        sizes = self.sizes(segment, decoded)
+        quality = self.quality[segment].tolist()
+        return tuple(Option(r, sizes[r], quality[r], self.levels[j]["pruned"]) for r, (_, j) in enumerate(self.rungs))
+
+    @cached_property
+    def bytes_from_scratch(self) -> NDArray[np.int64]:
+        """(S, R) wire bytes where no key of the group is decoded."""
+        return np.array([self.sizes(s, {}) for s in range(len(self.segments))])
+
+    @cached_property
+    def bytes_after(self) -> NDArray[np.int64]:
+        """(S, R, R) wire bytes of a rung after another one in the segment before, of the same group."""
+        held = [{q: self.levels[j]["tiers"]} for q, j in self.rungs]
+        return np.array([[self.sizes(s, decoded) for decoded in held] for s in range(len(self.segments))])
+
+    def index(self, position: int) -> int:
+        """The segment that is played at a position; the sequence is played over and over."""
+        return position % len(self.segments)
+
+    def seconds_at(self, position: int) -> float:
+        """Seconds of play at a position."""
+        return self.seconds[self.index(position)]
+
+    def upcoming(self, position: int, count: int, end: int) -> Iterator[tuple[int, bool]]:
+        """(segment, whether it begins a group) of the next positions, before `end`."""
+        for p in range(position, min(position + count, end)):
+            yield self.index(p), self.starts_group(self.index(p))
+
+    def starts_group(self, segment: int) -> bool:
+        """Whether no key of a segment's group can be decoded before it."""
+        return segment == 0 or self.segments[segment]["group"] != self.segments[segment - 1]["group"]

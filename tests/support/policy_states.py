@@ -1,0 +1,40 @@
+"""States of players as the vectors have them, and what policies answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, cast
+
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.policies.named import ADAPTIVE
+from airgs_codec.play.policies.state import Download, PlayerState
+from tests.support.offers import Offer
+
+State = Mapping[str, Any]
+
+
+def player_state(offer: Offer, state: State) -> PlayerState:
+    """What a policy is asked with."""
+    decoded = {quality: tiers for quality, tiers in enumerate(state["decoded"]) if tiers}
+    options = offer.options(offer.index(state["position"]), decoded)
+    return PlayerState(
+        catalogue=cast(Catalogue, offer),
+        position=state["position"],
+        end=state["end"],
+        decoded_tiers=decoded,
+        options=tuple(option for option in options if option.index not in state["unavailable"]),
+        now_s=state["now_s"],
+        deadline_s=state["deadline_s"],
+        buffer_limit_s=state["buffer_limit_s"],
+        request_latency_s=state["request_latency_s"],
+        pipelined=True,
+        shown_quality=state["shown_quality"],
+        history=tuple(Download(size, seconds) for size, seconds in state["history"]),
+    )
+
+
+def choices(offer: Offer, state: State) -> dict[str, list[Any]]:
+    """Policy -> its rung, whether that fits, and its wire bytes."""
+    asked = player_state(offer, state)
+    answers = {name: policy.choose(asked) for name, policy in ADAPTIVE.items()}
+    return {name: [d.index, d.fits, d.size_bytes] for name, d in answers.items()}

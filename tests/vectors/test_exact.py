@@ -1,0 +1,109 @@
+"""The decoder reads whole numbers as the vectors say: columns, positions, escapes and planes."""
+
+import numpy as np
+import pytest
+
+from airgs_codec.coding import escapes
+from airgs_codec.coding.atlas import read_codes, sample_index
+from airgs_codec.coding.grid import grid_means
+from airgs_codec.coding.morton import morton_decode, morton_encode
+from airgs_codec.coding.rangecoder import ColumnReader
+from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
+from airgs_codec.errors import FormatError
+from airgs_codec.package.tables import Atlas, Grid
+from tests.support.vectors import cases, data, label, numbers
+
+
+def read_columns(case):
+    """The columns of a file, by order and how many numbers each has."""
+    reader = ColumnReader(data(case["data"]), "vector")
+    for column in case["columns"]:
+        listed = numbers(column["numbers"]) if "numbers" in column else None
+        count = column["count"] if listed is None else len(listed)
+        yield reader.column(count, column["order"]).tolist(), listed
+    reader.close()
+
+
+@pytest.mark.parametrize("case", cases("columns"), ids=label)
+def test_columns(case):
+    for got, expected in read_columns(case):
+        assert got == expected
+
+
+@pytest.mark.parametrize("case", cases("columns", "refused"), ids=label)
+def test_columns_that_are_refused(case):
+    with pytest.raises(FormatError) as caught:
+        list(read_columns(case))
+    assert caught.value.reason == "bad_sidecar"
+
+
+def test_morton_codes():
+    for case in cases("positions", "morton"):
+        code, index = np.array([int(case["code"])], np.uint64), np.array([case["index"]])
+        assert morton_encode(index) == code
+        np.testing.assert_array_equal(morton_decode(code), index)
+
+
+@pytest.mark.parametrize("case", cases("positions", "tiers"), ids=label)
+def test_positions(case):
+    grid, coarsest = Grid(**case["grid"]), case["qualities"][-1]["coarser"]
+    shared = unpack_key_sidecar(data(case["data"]), case["rows"], grid, coarsest, "vector")
+    assert (shared.classes.tolist(), shared.depths.tolist()) == (case["classes"], case["depths"])
+    for quality in case["qualities"]:
+        reader = ColumnReader(data(quality["data"]), "vector")
+        sidecar = read_detail(reader, shared, grid, quality["coarser"], coarsest)
+        assert not len(escapes.read_columns(reader, (1, 1, case["rows"])).index)
+        reader.close()
+        assert sidecar.codes.tolist() == numbers(quality["codes"])
+        means = grid_means(sidecar.codes, sidecar.classes, grid, quality["coarser"])
+        np.testing.assert_array_equal(means, quality["means"])
+
+
+@pytest.mark.parametrize("case", cases("positions", "refused"), ids=label)
+def test_positions_that_are_refused(case):
+    grid = Grid(**case["grid"])
+    with pytest.raises(FormatError) as caught:
+        shared = unpack_key_sidecar(data(case["data"]), case["rows"], grid, case["coarsest"], "vector")
+        reader = ColumnReader(data(case["detail"]), "vector")
+        read_detail(reader, shared, grid, case["coarser"], case["coarsest"])
+        reader.close()
+    assert caught.value.reason == "bad_sidecar"
+
+
+def unpack_escapes(case):
+    shape = tuple(case[name] for name in ("frames", "planes", "rows"))
+    return escapes.unpack(data(case["data"]), shape, "vector")
+
+
+@pytest.mark.parametrize("case", cases("escapes"), ids=label)
+def test_escapes(case):
+    found = unpack_escapes(case)
+    for frame, expected in enumerate(case["bases"]):
+        assert found.bases(frame).tolist() == [numbers(line) for line in expected]
+
+
+@pytest.mark.parametrize("case", cases("escapes", "refused"), ids=label)
+def test_escapes_that_are_refused(case):
+    with pytest.raises(FormatError) as caught:
+        unpack_escapes(case)
+    assert caught.value.reason == "bad_sidecar"
+
+
+def test_places_in_a_plane():
+    for case in cases("planes", "places"):
+        stride = case["plane_width"]
+        line, column = divmod(int(sample_index(case["row"] + 1, stride, 1, 1, stride)[0, -1]), stride)
+        assert [column, line] == case["place"]
+
+
+@pytest.mark.parametrize("case", cases("planes"), ids=label)
+def test_pictures(case):
+    fields = ("rows", "centres", "planes", "plane_width", "columns")
+    atlas = Atlas(**{name: case[name] for name in fields})
+    luma = np.frombuffer(data(case["luma"]), np.uint8).reshape(case["height"], case["width"])
+    bases = np.array([numbers(line) for line in case["bases"]], np.int32).reshape(len(atlas.planes), atlas.rows)
+    expected = [numbers(line) for line in case["codes"]]
+    if atlas.planes:
+        assert read_codes(luma, atlas, bases).tolist() == expected
+    else:  # there is no picture to read
+        assert [[centre] * atlas.rows for centre in atlas.centres] == expected

@@ -1,0 +1,102 @@
+"""The decoder's numbers are as near to those of the vectors as FORMAT.md asks: keys, states, what is shown, regions."""
+
+import numpy as np
+import pytest
+import torch
+
+from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key
+from airgs_codec.coding.colour import colours
+from airgs_codec.coding.motion import motion_units
+from airgs_codec.coding.quantize import from_codes
+from airgs_codec.coding.sidecar import KeySidecar
+from airgs_codec.package.layout import KEY, STATE
+from airgs_codec.package.region import departure
+from airgs_codec.package.tables import Grid, KeySteps, Place, Region, StateSteps, unpack_matrix
+from airgs_codec.render.reference import sh_colours
+from airgs_codec.scene.camera import look_at
+from airgs_codec.scene.rotations import to_matrices
+from tests.support.vectors import assert_near, cases, float32, label
+
+CHANNELS = (3, 12, 27, 48)  # of colour, by SH degree
+
+
+def shown(g):
+    """A frame as the vectors have it."""
+    return {
+        "means": g.means,
+        "quaternions": g.quaternions,
+        "log_scales": g.log_scales,
+        "alpha": 1 / (1 + np.exp(-g.opacity_logits.astype(np.float64))),
+        "colours": colours(g.sh_dc, g.sh_rest),
+    }
+
+
+@pytest.mark.parametrize("case", cases("keys"), ids=label)
+def test_keys(case):
+    width, steps = CHANNELS[case["sh_degree"]], KeySteps(**case["steps"])
+    codes = np.array(case["codes"], np.int32)
+    values = from_codes(codes, KEY.steps(steps, width) * case["factor"], case["gain"])
+    rows = codes.shape[1]
+    sidecar = KeySidecar(np.zeros(rows, np.uint64), np.zeros(rows, np.int16), np.zeros(rows, np.uint8))
+    transform = unpack_matrix(case["colour_transform"], width)
+    key = dequantise_key(values, sidecar, transform, Grid([0.0] * 3, 1.0, 1, 0), steps)
+    names = {"quaternions": key.quaternions, "log_scales": key.log_scales, "alpha": key.opacity, "colours": key.colours}
+    assert_near(names, case)
+
+
+def canonical(case):
+    """The canonical space of a case of states."""
+    space = case["canonical"]
+    classes = np.array(space["classes"], np.int16)
+    return Canonical(
+        means=np.array(space["means"], np.float64),
+        motion_units=motion_units(classes),
+        quaternions=float32(space["quaternions"]),
+        log_scales=float32(space["log_scales"]),
+        opacity=float32(space["alpha"]),
+        colours=float32(space["colours"]),
+        depths=np.array(space["depths"], np.uint8),
+        transform=unpack_matrix(case["colour_transform"], CHANNELS[case["sh_degree"]]),
+    )
+
+
+@pytest.mark.parametrize("case", cases("states"), ids=label)
+def test_states(case):
+    base, steps = canonical(case), StateSteps(**case["steps"])
+    rows = np.flatnonzero((base.depths >= case["level"]) & (base.depths != 255))
+    assert rows.tolist() == case["rows"]
+    widths = STATE.steps(steps, CHANNELS[case["sh_degree"]]) * case["factor"]
+    applier = StateApplier.of(base, rows, steps)
+    for frame in case["frames"]:
+        codes = np.array(frame["codes"], np.int32)[:, : len(rows)]
+        assert_near(shown(applier.apply(from_codes(codes, widths, case["gain"]))), frame)
+
+
+def test_a_canonical_space_without_states_is_shown_alike():
+    case = next(case for case in cases("states") if not case["rows"])
+    assert_near(shown(canonical(case).to_gaussians()), case["frames"][0])
+
+
+def test_covariances():
+    for case in cases("shown", "covariances"):
+        spread = to_matrices(np.array(case["quaternion"])) * np.exp(case["log_scales"])
+        np.testing.assert_allclose(spread @ spread.T, case["covariance"], rtol=0, atol=case["tolerance"])
+
+
+def test_colours_from_directions():
+    for case in cases("shown", "colours"):
+        directions, sh = (torch.tensor([case[name]], dtype=torch.float64) for name in ("direction", "coefficients"))
+        np.testing.assert_allclose(sh_colours(directions, sh)[0], case["colour"], rtol=0, atol=case["tolerance"])
+
+
+@pytest.mark.parametrize("case", cases("region"), ids=label)
+def test_regions(case):
+    places = [Place(p["position"], p["focus"], p["up"], p["reach"]) for p in case["places"]]
+    region = Region("file", 32, 24, 50.0, 0.01, case["turn"], places)
+    for viewer in case["viewers"]:
+        position = np.array(viewer["position"])
+        target = position + viewer["forward"]
+        found = departure(region, look_at(position, target, np.array([0.0, -1, 0]), size=8, fov_y=1.0, name="viewer"))
+        assert found.inside == viewer["inside"]
+        assert found.distance == pytest.approx(viewer["distance"], abs=1e-6)
+        assert found.degrees == pytest.approx(viewer["degrees"], abs=1e-3)
