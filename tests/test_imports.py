@@ -11,8 +11,8 @@ from tests.support.paths import PACKAGE
 
 ROOT = "the root"
 ORDER = (
-    ROOT, "media", "scene", "render", "package", "analysis", "coding", "decoder", "train", "play", "encoder", "inspect",
-    "cli",
+    ROOT, "media", "scene", "render", "package", "analysis", "coding", "decoder", "train", "play", "serve", "encoder",
+    "inspect", "cli",
 )  # fmt: skip
 MAY_IMPORT = {
     "torch": {"render/absgrad.py", "render/differentiable.py", "render/cuda.py", "render/reference.py", "train"},
@@ -23,6 +23,8 @@ MAY_IMPORT = {
     "colour": {"media/color.py"},
     "numba": {"coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "train/loss/kernels.py"},
     "matplotlib": {"_report.py"},
+    "hypercorn": {"serve/server.py"},
+    "starlette": {"serve/answers.py", "serve/app.py", "serve/server.py"},
 }
 MODULES = {path.relative_to(PACKAGE).as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}
 

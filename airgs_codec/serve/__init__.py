@@ -1,0 +1,1 @@
+"""Packages over HTTP: their files, answers to requests, a shaped link, the server."""

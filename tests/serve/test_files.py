@@ -1,0 +1,150 @@
+"""Files of packages at the moment of a request: nothing but they, and one version at a time."""
+
+import asyncio
+import gzip
+import os
+import shutil
+import time
+
+import pytest
+
+from airgs_codec._files import write_bytes
+from airgs_codec.errors import ConfigError, TransportError
+from airgs_codec.package.tables import digest
+from airgs_codec.serve import files as module
+from airgs_codec.serve.files import PackageFiles, media_type
+from tests.support.mutations import read_files
+from tests.support.paths import VALID
+
+PACKAGE = VALID / "two-groups-sh1"
+STATE = "state/L0/1.m4s"
+
+
+@pytest.fixture
+def package(tmp_path):
+    return shutil.copytree(PACKAGE, tmp_path / "two.airgs")
+
+
+def read(files, path, name="two.airgs"):
+    return asyncio.run(files.read(name, path))
+
+
+def age(path, seconds=60.0):
+    """As if the file had been written before; its inode still changes now."""
+    then = time.time_ns() - int(1e9 * seconds)
+    os.utime(path, ns=(then, then))
+
+
+def test_every_file_of_a_package_is_there_with_its_digest(package):
+    files = PackageFiles([package])
+    for path, data in read_files(package).items():
+        snapshot = read(files, path)
+        assert snapshot.data == data and snapshot.sha256 == digest(data)
+        assert snapshot.lasting == (path not in ("airgs.json", "manifest.mpd"))
+        assert (snapshot.zipped is not None) == path.endswith((".json", ".mpd"))
+        assert snapshot.zipped is None or gzip.decompress(snapshot.zipped) == data
+
+
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        ("airgs.json", "application/json"),
+        ("manifest.mpd", "application/dash+xml"),
+        ("index/12.json", "application/json"),
+        ("group/7.json.gz", "application/gzip"),
+        ("key/T0/1.bin", "application/octet-stream"),
+        ("key/T0/Q1/init.mp4", "video/mp4"),
+        (STATE, "video/mp4"),
+        *((path, None) for path in ("", "notes.json", "airgs.json/", "key", "key/T0/notes.txt", "x/1.bin")),
+        *((path, None) for path in ("key/../airgs.json", "key/./1.bin", "/airgs.json", "key//1.bin", "key/.b.bin")),
+        *((path, None) for path in (".airgs.json.part", "airgs.json\n", "key/T0/1.bin\0", "key\\1.bin", "key/é/1.bin")),
+    ],
+)  # fmt: skip
+def test_a_path_has_a_type_or_is_none_of_a_package(path, expected):
+    assert media_type(path) == expected
+
+
+def test_links_folders_and_what_is_no_plain_file_are_not_there(package, tmp_path):
+    (tmp_path / "secret.m4s").write_bytes(b"secret")
+    (package / "state/L0/8.m4s").symlink_to(tmp_path / "secret.m4s")
+    (package / "state/L0/9.m4s").symlink_to(package / STATE)
+    (package / "state/L9").symlink_to(package / "state/L0")
+    (package / "state/L0/7.m4s").mkdir()
+    os.mkfifo(package / "state/L0/6.m4s")
+    files = PackageFiles([package])
+    assert read(files, STATE)
+    for path in ("state/L0/8.m4s", "state/L0/9.m4s", "state/L9/1.m4s", "state/L0/7.m4s", "state/L0/6.m4s"):
+        assert read(files, path) is None, path
+    assert read(files, STATE, "other.airgs") is None and read(files, f"{STATE}/1.m4s") is None
+
+
+def test_a_growing_package_is_served_as_it_is_now(package, monkeypatch):
+    monkeypatch.setattr(module, "SETTLED_NS", 0)  # everything may come from memory
+    files = PackageFiles([package])
+    root = read(files, "airgs.json")
+    assert read(files, "airgs.json") is root
+    assert read(files, "state/L0/99.m4s") is None
+    write_bytes(package / "state/L0/99.m4s", b"new")
+    write_bytes(package / "airgs.json", b"{}")
+    assert read(files, "state/L0/99.m4s").data == b"new"
+    assert read(files, "airgs.json").sha256 == digest(b"{}")
+    shutil.rmtree(package)
+    assert read(files, "airgs.json") is None
+    shutil.copytree(PACKAGE, package)
+    assert read(files, "airgs.json").data == root.data
+
+
+def test_a_young_file_is_read_anew_because_its_time_stamp_may_not_tell(package):
+    """Two versions of one length within a tick of the clock."""
+    files, path = PackageFiles([package]), package / STATE
+    for data in (b"first", b"other"):
+        path.write_bytes(data)
+        assert read(files, STATE).data == data
+
+
+def test_a_file_in_memory_is_known_by_all_of_its_stamp(package, monkeypatch):
+    """A file of the same length and time takes its place, as `cp -p` and rsync do."""
+    monkeypatch.setattr(module, "SETTLED_NS", 0)
+    files, path = PackageFiles([package]), package / STATE
+    path.write_bytes(b"first")
+    age(path)
+    assert read(files, STATE).data == b"first"
+    shutil.copystat(path, shutil.copy(package / "airgs.json", package / "copy"))
+    (package / "copy").write_bytes(b"other")
+    shutil.copystat(path, package / "copy")
+    (package / "copy").replace(path)
+    assert read(files, STATE).data == b"other"
+
+
+def test_a_file_that_is_being_written_is_not_served(package, monkeypatch):
+    """Every look finds it longer."""
+    monkeypatch.setattr(module, "PAUSE_S", 0.0)
+    path, stamp = package / STATE, module._stamp
+
+    def growing(descriptor):
+        with path.open("ab") as file:
+            file.write(b"x")
+        return stamp(descriptor)
+
+    monkeypatch.setattr(module, "_stamp", growing)
+    with pytest.raises(TransportError, match="being written"):
+        read(PackageFiles([package]), STATE)
+
+
+def test_memory_is_bounded(package, monkeypatch):
+    monkeypatch.setattr(module, "SETTLED_NS", 0)
+    files = PackageFiles([package], cache_bytes=50_000)
+    for number in range(100, 120):
+        (package / f"state/L0/{number}.m4s").write_bytes(bytes(10_000))
+    (package / "state/L0/200.m4s").write_bytes(bytes(60_000))
+    kept = [read(files, f"state/L0/{number}.m4s") for number in range(100, 120)]
+    assert read(files, "state/L0/119.m4s") is kept[-1] and read(files, "state/L0/100.m4s") is not kept[0]
+    assert len(files._cache) <= 5 and files._held_bytes <= 50_000
+    assert len(read(files, "state/L0/200.m4s").data) == 60_000 and files._held_bytes <= 50_000
+
+
+def test_folders_must_be_packages_of_different_names(package, tmp_path):
+    with pytest.raises(ConfigError, match=r"nothing.*expected a package"):
+        PackageFiles([tmp_path / "nothing"])
+    with pytest.raises(ConfigError, match="twice"):
+        PackageFiles([package, shutil.copytree(package, tmp_path / "other" / "two.airgs")])

@@ -1,0 +1,301 @@
+"""The real server on loopback: what viewers need, and what hostile clients get."""
+
+import contextlib
+import http.client
+import json
+import shutil
+import socket
+import subprocess
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from airgs_codec._files import write_bytes
+from airgs_codec.errors import ConfigError
+from airgs_codec.package.tables import digest
+from airgs_codec.play.http import HttpDownloader, open_catalogue
+from airgs_codec.play.player import run
+from airgs_codec.play.policies.named import make_policy
+from airgs_codec.play.session import SessionLog
+from airgs_codec.play.settings import SessionSettings
+from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen
+from tests.support.mutations import read_files
+from tests.support.paths import VALID
+from tests.support.servers import plainly_serving, say, serving
+
+PACKAGE = VALID / "two-groups-sh1"
+NAME = PACKAGE.name
+ROOT = f"/{NAME}/airgs.json"
+RULES = SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0, loops=1)
+PATIENCE_S = 0.4
+
+
+@pytest.fixture(scope="module")
+def port():
+    """Of a server with two packages and little patience."""
+    with serving(PACKAGE, VALID / "moving", settings=ServerSettings(patience_s=PATIENCE_S)) as port:
+        yield port
+
+
+def ask(port, path, method="GET", headers=None, body=None):
+    """Status, headers and body of one answer."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request(method, path, body, headers or {})
+    response = connection.getresponse()
+    data = response.read()
+    connection.close()
+    return response.status, response.headers, data
+
+
+def statuses(answer):
+    return [int(line.split()[1]) for line in answer.split(b"\r\n") if line.startswith(b"HTTP/1.1 ")]
+
+
+def request(target=ROOT, method="GET", *lines):
+    text = "\r\n".join([f"{method} {target} HTTP/1.1", "Host: a", *lines])
+    return f"{text}\r\n\r\n".encode("latin-1")
+
+
+def test_every_file_is_served_whole_under_its_digest(port):
+    for path, data in read_files(PACKAGE).items():
+        status, headers, body = ask(port, f"/{NAME}/{path}")
+        assert (status, body) == (200, data)
+        assert headers["ETag"] == f'"{digest(data)}"' and headers["Content-Length"] == str(len(data))
+        assert headers["Access-Control-Allow-Origin"] == "*" and headers["X-Content-Type-Options"] == "nosniff"
+        status, headers, body = ask(port, f"/{NAME}/{path}", "HEAD")
+        assert (status, body, headers["Content-Length"]) == (200, b"", str(len(data)))
+
+
+def test_the_packages_are_listed(port):
+    listed = json.loads(ask(port, "/", headers={"Accept": "application/json"})[2])
+    assert [entry["name"] for entry in listed] == ["moving", NAME]
+    page = ask(port, "/")[2].decode()
+    for entry in listed:
+        assert ask(port, entry["tables"])[0] == ask(port, entry["mpd"])[0] == 200
+        assert entry["mpd"] in page
+
+
+def test_names_of_packages_are_quoted(tmp_path):
+    shutil.copytree(PACKAGE, tmp_path / "a <b>&?#%é.airgs")
+    with serving(tmp_path / "a <b>&?#%é.airgs") as port:
+        (entry,) = json.loads(ask(port, "/", headers={"Accept": "application/json"})[2])
+        assert ask(port, entry["tables"])[0] == 200
+        assert "<b>" not in ask(port, "/")[2].decode()
+
+
+def test_conditions_and_ranges(port):
+    data = (PACKAGE / "state/L0/1.m4s").read_bytes()
+    target, tag = f"/{NAME}/state/L0/1.m4s", f'"{digest(data)}"'
+    assert ask(port, target, headers={"If-None-Match": tag})[0::2] == (304, b"")
+    status, headers, body = ask(port, target, headers={"Range": "bytes=5-9", "If-Range": tag})
+    assert (status, body, headers["Content-Range"]) == (206, data[5:10], f"bytes 5-9/{len(data)}")
+    assert ask(port, target, headers={"Range": "bytes=5-9", "If-Range": '"old"'})[0::2] == (200, data)
+    assert ask(port, target, headers={"Range": f"bytes={10**30}-"})[0] == 416
+    many = ",".join(f"{i}-{i}" for i in range(1000))
+    assert ask(port, target, headers={"Range": f"bytes={many}"})[0::2] == (200, data)
+
+
+def test_pages_of_other_origins_may_ask_for_ranges_and_read_tags(port):
+    asked = {"Origin": "https://a.b", "Access-Control-Request-Method": "GET", "Access-Control-Request-Headers": "range"}
+    status, headers, _ = ask(port, ROOT, "OPTIONS", asked)
+    assert status == 204 and "Range" in headers["Access-Control-Allow-Headers"]
+    assert headers["Access-Control-Allow-Origin"] == "*" and "GET" in headers["Access-Control-Allow-Methods"]
+    assert {"ETag", "Content-Range"} <= set(ask(port, ROOT)[1]["Access-Control-Expose-Headers"].split(", "))
+    assert ask(port, "/nothing")[1]["Access-Control-Allow-Origin"] == "*"
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "/../../etc/passwd",
+        f"/{NAME}/../moving/airgs.json",
+        f"/{NAME}/%2e%2e/moving/airgs.json",
+        f"/{NAME}/..%2fmoving%2fairgs.json",
+        f"/{NAME}//etc/passwd",
+        f"/{NAME}/key/..%5c..%5cairgs.json",
+        f"/{NAME}/.airgs.json.part",
+        f"/{NAME}/airgs.json%00.m4s",
+        "/%ff%fe/airgs.json",
+        "/other/airgs.json",
+        f"/{NAME}",
+        f"/{NAME}/",
+        f"/{NAME}/key",
+        "*",
+    ],
+)
+def test_nothing_else_is_served(port, target):
+    assert statuses(say(port, request(target, "GET", "Connection: close"))) == [404]
+
+
+@pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "TRACE", "NONSENSE"])
+def test_other_methods_are_refused(port, method):
+    status, headers, _ = ask(port, ROOT, method, {"Content-Length": "0"})
+    assert status == 405 and set(headers["Allow"].split(", ")) == {"GET", "HEAD"}
+
+
+@pytest.mark.parametrize(
+    ("data", "status"),
+    [
+        (request(ROOT, "POST", "Content-Length: 9999999") + b"x" * 100, 413),
+        (request(ROOT, "GET", "Content-Length: 9999999"), 413),
+        (request(ROOT, "GET", "Transfer-Encoding: chunked") + b"5\r\nhello\r\n", 413),
+        (request(ROOT, "GET", "Content-Length: -1"), 400),
+        (request(ROOT, "GET", "Content-Length: 0", "Content-Length: 7"), 400),
+        (request(ROOT, "GET", f"X: {'x' * 20_000}"), 431),
+        (request(ROOT, "GET", *(f"X{i}: x" for i in range(4000))), 431),
+        (request(f"/{'x' * 20_000}"), 431),
+        (b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: x\r\n" * 50_000, 431),
+        (b"GET / HTTP/1.1\r\n\r\n", 400),
+        (b"GET /\xff HTTP/1.1\r\nHost: a\r\n\r\n", 400),
+        (b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n", 400),
+    ],
+)
+def test_bodies_huge_headers_and_nonsense_are_refused_and_end_the_connection(port, data, status):
+    """What follows a refused body must not be taken for a request."""
+    try:
+        assert statuses(say(port, data)) == [status]
+    except ConnectionResetError:  # the server did not read all of it
+        assert len(data) > 16_384
+    assert ask(port, ROOT)[0] == 200
+
+
+@pytest.mark.parametrize("data", [b"", b"G", request()[:-2], b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"])
+def test_a_client_that_does_not_finish_its_request_is_sent_away(port, data):
+    answer = say(port, data)  # ends, or raises TimeoutError
+    assert b"HTTP/1.1 200" not in answer
+
+
+def test_a_byte_now_and_then_does_not_buy_time(port):
+    """Slow loris: headers that trickle in for ever."""
+    with socket.create_connection(("127.0.0.1", port), 10) as connection:
+        connection.sendall(b"GET / HTTP/1.1\r\nHost: a\r\n")
+        stop = threading.Event()
+        trickling = threading.Thread(target=_trickle, args=(connection, stop))
+        trickling.start()
+        with contextlib.suppress(ConnectionError):
+            assert connection.recv(1) == b""
+        stop.set()
+        trickling.join()
+
+
+def _trickle(connection, stop):
+    while not stop.wait(PATIENCE_S / 8):
+        try:
+            connection.sendall(b"X: x\r\n")
+        except OSError:
+            return
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="the kernel does it")
+def test_a_client_that_takes_nothing_is_dropped(tmp_path):
+    package = shutil.copytree(PACKAGE, tmp_path / "big")
+    size = 32 << 20  # more than buffers hold
+    (package / "state/L0/1.m4s").write_bytes(bytes(size))
+    with (
+        serving(package, settings=ServerSettings(patience_s=PATIENCE_S, grace_s=0.1)) as port,
+        socket.socket() as connection,
+    ):
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
+        connection.settimeout(10)
+        connection.connect(("127.0.0.1", port))
+        connection.sendall(request("/big/state/L0/1.m4s"))
+        threading.Event().wait(8 * PATIENCE_S)
+        taken = 0
+        with contextlib.suppress(ConnectionError):
+            while part := connection.recv(1 << 20):
+                taken += len(part)
+        assert taken < size
+
+
+def test_a_growing_package_is_never_served_in_parts_of_two_versions(tmp_path):
+    """Its root is replaced again and again while many read it."""
+    package = shutil.copytree(PACKAGE, tmp_path / "live")
+    versions = {f'"{digest(data)}"': data for data in (b"%d" % i * 40_000 for i in range(10))}
+    with serving(package) as port, ThreadPoolExecutor(8) as pool:
+        write_bytes(package / "airgs.json", next(iter(versions.values())))
+        answers = [pool.submit(ask, port, "/live/airgs.json") for _ in range(100)]
+        for data in versions.values():
+            write_bytes(package / "airgs.json", data)
+            assert ask(port, "/live/airgs.json")[2] == data
+        for answer in answers:
+            status, headers, body = answer.result()
+            assert status == 200 and versions[headers["ETag"]] == body
+
+
+@pytest.mark.parametrize("serve", [serving, plainly_serving], ids=["airgs-serve", "http.server"])
+def test_the_player_reads_from_this_server_as_from_any_other(serve):
+    """It pipelines: many requests are sent before the first answer."""
+    with serve(PACKAGE) as port:
+        url = f"http://127.0.0.1:{port}" + (f"/{NAME}" if serve is serving else "")
+        catalogue, files = open_catalogue(url), {}
+        downloader = HttpDownloader(url, catalogue, files.__setitem__)
+        log = SessionLog.of(
+            run(catalogue, downloader, make_policy("fixed:0", catalogue), RULES), catalogue, "fixed:0", RULES
+        )
+        downloader.close()
+    assert not log.lost and log.shown and all(shown.rung == 0 for shown in log.shown)
+    assert files and all(data == (PACKAGE / path).read_bytes() for path, data in files.items())
+
+
+def test_answers_to_pipelined_requests_come_in_their_order(port):
+    paths = sorted(read_files(PACKAGE)) * 20
+    requests = [request(f"/{NAME}/{path}") for path in paths]
+    answer = say(port, b"".join(requests) + request("/", "GET", "Connection: close"))
+    at = 0
+    for path in paths:
+        data = (PACKAGE / path).read_bytes()
+        assert f"content-length: {len(data)}".encode() in answer[at:].split(b"\r\n\r\n", 1)[0]
+        at = answer.index(b"\r\n\r\n", at) + 4
+        assert answer[at : at + len(data)] == data
+        at += len(data)
+
+
+def test_an_open_connection_does_not_keep_the_server_from_stopping():
+    with serving(PACKAGE) as port:
+        idle = socket.create_connection(("127.0.0.1", port), 10)
+        idle.sendall(request())
+        assert idle.recv(12) == b"HTTP/1.1 200"
+    while idle.recv(1 << 16):  # to the end
+        pass
+    idle.close()
+
+
+def test_a_port_in_use_and_an_address_that_is_none_are_refused(port):
+    for host, number in (("127.0.0.1", port), ("no host", 0), ("127.0.0.1", 1 << 16), ("127.0.0.1", -1)):
+        with pytest.raises(ConfigError, match="expected"):
+            listen(host, number)
+
+
+@pytest.mark.skipif(not shutil.which("openssl"), reason="needs openssl to make a certificate")
+def test_https_speaks_http_2(tmp_path):
+    h2 = pytest.importorskip("h2.connection")
+    import ssl
+
+    from h2.events import DataReceived, StreamEnded
+
+    chain, key = tmp_path / "chain.pem", tmp_path / "key.pem"
+    made = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:P-256", "-nodes"]
+    subject = ["-subj", "/CN=localhost", "-addext", "subjectAltName=DNS:localhost"]
+    subprocess.run([*made, *subject, "-keyout", key, "-out", chain], check=True, capture_output=True)
+    with pytest.raises(ConfigError, match="PEM"):
+        check_certificate(Certificate(key, chain))
+    check_certificate(Certificate(chain, key))
+    context = ssl.create_default_context(cafile=chain)
+    context.set_alpn_protocols(["h2"])
+    with (
+        serving(PACKAGE, settings=ServerSettings(certificate=Certificate(chain, key))) as port,
+        socket.create_connection(("127.0.0.1", port), 10) as plain,
+        context.wrap_socket(plain, server_hostname="localhost") as connection,
+    ):
+        assert connection.selected_alpn_protocol() == "h2"
+        client, data, ended = h2.H2Connection(), b"", False
+        client.initiate_connection()
+        head = {":method": "GET", ":path": ROOT, ":scheme": "https", ":authority": "localhost"}
+        client.send_headers(1, list(head.items()), end_stream=True)
+        while not ended:
+            connection.sendall(client.data_to_send())
+            for event in client.receive_data(connection.recv(1 << 16)):
+                data += event.data if isinstance(event, DataReceived) else b""
+                ended |= isinstance(event, StreamEnded)
+    assert data == (PACKAGE / "airgs.json").read_bytes()

@@ -1,0 +1,67 @@
+"""Servers on loopback for the time of a block, and what is said to them byte by byte."""
+
+import asyncio
+import socket
+import threading
+from collections.abc import Coroutine, Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+from airgs_codec.serve.app import make_app
+from airgs_codec.serve.files import PackageFiles
+from airgs_codec.serve.server import ServerSettings, listen, serve
+
+
+@contextmanager
+def serving(*folders: Path, settings: ServerSettings | None = None) -> Iterator[int]:
+    """The project's server; gives its port."""
+    app = make_app(PackageFiles(list(folders)))
+    loop, stop, listening = asyncio.new_event_loop(), asyncio.Event(), listen("127.0.0.1", 0)
+    port = listening.getsockname()[1]
+    work = serve(app, listening, settings or ServerSettings(), stop)
+    thread = threading.Thread(target=lambda: _run(loop, work))
+    thread.start()
+    try:
+        yield port
+    finally:
+        loop.call_soon_threadsafe(stop.set)
+        thread.join()
+
+
+def _run(loop: asyncio.AbstractEventLoop, work: Coroutine[None, None, None]) -> None:
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
+        runner.run(work)
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+
+    def log_message(self, *args: object) -> None:
+        pass
+
+
+@contextmanager
+def plainly_serving(folder: Path) -> Iterator[int]:
+    """The server of Python's standard library; gives its port."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=folder))
+    server.daemon_threads = True
+    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
+    thread.start()
+    try:
+        yield server.server_address[1]
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def say(port: int, data: bytes, wait_s: float = 10.0) -> bytes:
+    """All that a server says to these bytes until it ends the connection. Raises TimeoutError if it does not."""
+    with socket.create_connection(("127.0.0.1", port), wait_s) as connection:
+        connection.sendall(data)
+        answer = b""
+        while part := connection.recv(1 << 16):
+            answer += part
+        return answer
