@@ -15,6 +15,10 @@ VIEWS := tests/data/fox_views
 	$(BIN)/pip install --quiet --editable '.[train,dev]'
 	touch $@
 
+# Tests in a browser are skipped, and say so, where npm, node or chromium is not there.
+web/node_modules/installed: web/package-lock.json
+	if command -v npm >/dev/null; then npm ci --prefix web --ignore-scripts --no-audit --no-fund && touch $@; fi
+
 demo: .venv/installed
 	mkdir -p $(OUT)
 	$(BIN)/airgs-encode $(SCENE) -o $(OUT)/fox.airgs
@@ -27,11 +31,11 @@ demo: .venv/installed
 	$(BIN)/airgs-play $(OUT)/trained.airgs --trace $(SCENE)/trace.csv --views $(OUT)/trained/transforms.json --report $(OUT)/trained-report
 	@echo "Pictures: $(OUT)/ladder.png, $(OUT)/report/index.html, $(OUT)/study/index.html, $(OUT)/training/index.html; what the viewer saw: $(OUT)/screen.mp4"
 
-test: .venv/installed
+test: .venv/installed web/node_modules/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/pytest --numprocesses 2 --dist loadfile
+	$(BIN)/pytest --numprocesses 2 --dist loadfile -rs
 
 clean:
-	rm -rf build .venv
+	rm -rf build .venv web/node_modules

@@ -1,0 +1,117 @@
+"""dash.js and shaka-player in a real browser: the MPD says to them what the tables say, and the pictures play."""
+
+from collections import defaultdict
+from urllib.parse import urlencode, urlsplit
+
+import numpy as np
+import pytest
+
+from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import MPD_NAME, key_init_path, key_media_path, state_init_path, state_media_path
+from tests.support.browser import WEB, missing, serve, visit
+from tests.support.paths import GOLDEN
+
+PLAYERS = ("dashjs", "shaka")
+KNOWN = ("internal Manifest structure is NOT covered",)  # shaka says so to everybody who looks at what it parsed
+TIGHT_S = 1e-5  # players take the MPD's decimals and float ticks
+GREY = 2  # largest difference of two channels of 8 bits
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
+
+
+@pytest.fixture(scope="module", params=["fox", "fox-fine"])
+def package(request):
+    """Two groups each; in the second one of fox-fine nothing moves, so that its state ends early."""
+    return open_package(GOLDEN / request.param)
+
+
+def look(package, player, **query):
+    """What a player reports of a package's MPD; it must have found every file and said nothing."""
+    with serve({"web": WEB, "package": package.path}) as site:
+        page = f"{site.url}/web/test/{player}.html?{urlencode({'mpd': f'/package/{MPD_NAME}', **query})}"
+        seen = visit(page)
+    assert seen.complaints(KNOWN) == []
+    assert seen.report["errors"] == []
+    assert [answer for answer in site.answers if answer[1] >= 400] == []
+    return seen.report
+
+
+def expected(m):
+    """Representation -> its init segment, and its files with the seconds when they begin and end, from the tables."""
+    streams = {f"L{j}": (state_init_path(j), []) for j in range(len(m.levels))}
+    streams |= {
+        f"T{t}/Q{q}": (key_init_path(t, q), []) for t in range(len(m.key_pictures)) for q in range(len(m.qualities))
+    }
+    for segment in m.segments:
+        for j, level in enumerate(segment.levels):
+            if level.number:
+                streams[f"L{j}"][1].append((segment, state_media_path(j, level.number)))
+    for group in m.groups:
+        for t, tier in enumerate(group.tiers):
+            for q in range(len(m.qualities) if tier.number else 0):
+                streams[f"T{t}/Q{q}"][1].append((group, key_media_path(t, q, tier.number)))
+    return {
+        name: (init, [(float(span.start / m.fps), float(span.stop / m.fps), path) for span, path in files])
+        for name, (init, files) in streams.items()
+        if files
+    }
+
+
+def paths(urls):
+    return [urlsplit(url).path.removeprefix("/package/") for url in urls]
+
+
+def test_shaka_finds_what_the_tables_say(package):
+    report = look(package, "shaka")
+    streams = expected(package.manifest)
+    assert not report["live"]
+    assert report["duration"] == pytest.approx(float(package.manifest.frames / package.manifest.fps), abs=TIGHT_S)
+    assert {r["id"] for r in report["representations"]} == set(streams)
+    sets = defaultdict(list)
+    for r in report["representations"]:
+        init, files = streams[r["id"]]
+        assert [paths(s["urls"]) for s in r["segments"]] == [[path] for *_, path in files]
+        assert [s["start"] for s in r["segments"]] == pytest.approx([start for start, *_ in files], abs=TIGHT_S)
+        assert {path for s in r["segments"] for path in paths(s["init"])} == {init}
+        sets[r["set"]].append(r["id"])
+    assert sorted(map(sorted, sets.values())) == sorted(map(sorted, sets_of(streams)))
+    assert all((package.path / path).is_file() for init, files in streams.values() for path in (init, files[0][2]))
+
+
+def sets_of(streams):
+    """Representations by what they are of: the state, or a tier of the key."""
+    kinds = defaultdict(list)
+    for name in streams:
+        kinds["state" if name.startswith("L") else name.split("/")[0]].append(name)
+    return kinds.values()
+
+
+def test_dashjs_finds_the_sets_and_plays_the_state(package):
+    report = look(package, "dashjs")
+    streams = expected(package.manifest)
+    roles = {tuple(s["role"]): sorted(s["representations"]) for s in report["sets"]}
+    tiers = range(len(package.manifest.key_pictures))
+    assert list(roles) == [("state",), *((f"key;tier={t}",) for t in tiers)]
+    assert sorted(roles.values()) == sorted(map(sorted, sets_of(streams)))
+    assert {f["id"] for f in report["fragments"]} <= set(roles[("state",)])
+    assert not report["live"]
+
+
+@pytest.mark.parametrize("player", PLAYERS)
+@pytest.mark.parametrize("name", ["L0", "T0/Q0"])
+def test_a_representation_plays_as_grey_video_to_its_end(package, player, name):
+    m = package.manifest
+    report = look(package, player, only=name)
+    init, files = expected(m)[name]
+    played = report["played"]
+    frames = sum(round((stop - start) * m.fps) for start, stop, _ in files) if name[0] == "L" else len(files)
+    assert (played["frames"], played["corrupted"]) == (frames, 0)
+    assert played["stopped"] == pytest.approx(played["duration"], abs=TIGHT_S)
+    assert played["colour"] <= GREY and played["brightest"] - played["darkest"] > 50
+    if player == "dashjs":
+        fragments = report["fragments"]
+        media = [f for f in fragments if f["type"] == "MediaSegment"]
+        assert paths(f["url"] for f in media) == [path for *_, path in files]
+        times = [(f["start"], f["end"]) for f in media]
+        assert np.array(times) == pytest.approx(np.array([span[:2] for span in files]), abs=TIGHT_S)
+        assert set(paths(f["url"] for f in fragments if f["type"] == "InitializationSegment")) == {init}

@@ -1,0 +1,22 @@
+// What a video element showed, for the pages of both DASH players.
+
+/** Waits for the element to play to its end. Chromium now and then is at the end without an `ended` event. */
+export async function ended(video) {
+  while (!video.ended) await new Promise((resolve) => setTimeout(resolve, 20));
+}
+
+/** Counts of frames, the size, and how grey the last picture is: largest difference of channels, range of luma. */
+export function shown(video) {
+  const canvas = new OffscreenCanvas(video.videoWidth, video.videoHeight);
+  const context = canvas.getContext("2d");
+  context.drawImage(video, 0, 0);
+  const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+  let [colour, darkest, brightest] = [0, 255, 0];
+  for (let at = 0; at < data.length; at += 4) {
+    const [low, high] = [Math.min(...data.subarray(at, at + 3)), Math.max(...data.subarray(at, at + 3))];
+    [colour, darkest, brightest] = [Math.max(colour, high - low), Math.min(darkest, low), Math.max(brightest, high)];
+  }
+  const { totalVideoFrames: frames, corruptedVideoFrames: corrupted } = video.getVideoPlaybackQuality();
+  const { videoWidth: width, videoHeight: height, duration, currentTime: stopped } = video;
+  return { frames, corrupted, width, height, duration, stopped, colour, darkest, brightest };
+}
