@@ -48,7 +48,7 @@ LAYOUTS = {
     "one block a plane": Layout(256, 16, 2, (0, 1, 3), 4, (48, 32)),
     "a row more than a block": Layout(257, 16, 2, (0, 2), 3, (32, 40)),
     "two blocks side by side": Layout(300, 32, 1, (1, 2), 3, (40, 32)),
-    "planes three blocks wide": Layout(700, 48, 2, (0, 3), 5, (96, 64)),
+    "planes three blocks wide, the last line of blocks not full": Layout(770, 48, 2, (0, 3, 4), 5, (96, 64)),
     "five planes in two lines": Layout(40, 16, 3, (0, 1, 2, 4, 5), 6, (64, 64)),
 }
 
