@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import os
 import random
 import re
 import subprocess
@@ -33,6 +34,7 @@ class Tally:
 
     first_byte_s: list[float] = field(default_factory=list)
     bytes: int = 0
+    cpu_s: float = 0.0  # of the server, its start included
     errors: list[str] = field(default_factory=list)
     memory_mb: list[tuple[float, float]] = field(default_factory=list)  # (s, MB) of the server
 
@@ -98,6 +100,8 @@ def summary(tally: Tally, seconds: float) -> str:
         [
             f"{len(tally.first_byte_s)} answers, {len(tally.first_byte_s) / seconds:.0f} a second, "
             f"{8e-6 * tally.bytes / seconds:.0f} Mbit/s, {len(tally.errors)} errors",
+            f"server: {1e3 * tally.cpu_s / len(tally.first_byte_s):.2f} ms of a core an answer; load average "
+            f"{os.getloadavg()[0]:.1f} on {os.cpu_count()} cores",
             f"first byte: median {p50:.1f} ms, p95 {p95:.1f} ms, p99 {p99:.1f} ms, worst {worst:.1f} ms",
             f"memory: {warm[0]:.1f} MB after {WARM_S:g} s, {warm[-1]:.1f} MB at the end ({shown})",
             *tally.errors[:5],
@@ -123,6 +127,8 @@ def main() -> int:
         assert server.stdout
         port = int(server.stdout.readline().rstrip("/\n").rpartition(":")[2])
         tally = asyncio.run(measure(server.pid, port, files, args))
+        user, system = Path(f"/proc/{server.pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+        tally.cpu_s = (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
         server.terminate()
     print(summary(tally, args.seconds))
     return int(bool(tally.errors))

@@ -48,10 +48,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(args: argparse.Namespace) -> int:
     files = PackageFiles(args.packages)
     shape, certificate = _shape(args), _certificate(args)
-    listening = listen(args.host, args.port)
+    settings = ServerSettings(shape, certificate, access_log=_access_log() if args.verbose else None)
+    listening = listen(args.host, args.port, settings.patience_s)
     _allow_connections()
     print(_greeting(files, listening, "https" if certificate else "http"), flush=True)
-    settings = ServerSettings(shape, certificate, access_log=_access_log() if args.verbose else None)
     asyncio.run(_serve_until_signal(files, listening, settings))
     print("stopped")
     return 0

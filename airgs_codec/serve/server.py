@@ -21,6 +21,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.serve.app import HEAD_BYTES
 from airgs_codec.serve.shaping import Relay, Shape
 
+PATIENCE_S = 20.0
 BACKLOG = 1024  # connections that wait to be taken
 SILENCE = 6  # times the patience without a word from a client end its connection, even while it takes an answer
 CONNECTION_REQUESTS = 1_000_000  # a viewer's connection lives as long as a sequence
@@ -41,21 +42,30 @@ class ServerSettings:
 
     shape: Shape | None = None  # of the link, None: as fast as it goes
     certificate: Certificate | None = None  # for https and HTTP/2 in browsers
-    patience_s: float = 20.0  # for a request's headers, for the next request, and for a client that takes nothing
+    patience_s: float = PATIENCE_S  # for the headers of a request, and for the next request
     grace_s: float = 3.0  # for answers under way when the server stops
     access_log: logging.Logger | None = None
 
 
-def listen(host: str, port: int) -> socket.socket:
-    """A socket that takes connections; port 0 stands for any free one. Raises ConfigError where that cannot be."""
+def listen(host: str, port: int, patience_s: float = PATIENCE_S) -> socket.socket:
+    """A socket that takes connections; port 0 stands for any free one.
+
+    The kernel drops a client that takes nothing for `patience_s`, where it knows TCP_USER_TIMEOUT (RFC 5482).
+    Connections inherit that from the socket, so it is set here: those made before `serve` runs have it, too.
+
+    Raises ConfigError where nothing can listen.
+    """
     if not 0 <= port < 1 << 16:
         raise ConfigError(f"port: expected 0 to 65535, got {port}")
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
-        return socket.create_server((host, port), family=family, backlog=BACKLOG)
+        listening = socket.create_server((host, port), family=family, backlog=BACKLOG)
     except (OSError, UnicodeError) as error:
         words = getattr(error, "strerror", None) or str(error)
         raise ConfigError(f"{host} port {port}: expected an address to listen at, got: {words}") from error
+    with contextlib.suppress(OSError):
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1e3 * patience_s))
+    return listening
 
 
 def check_certificate(certificate: Certificate) -> None:
@@ -69,8 +79,6 @@ def check_certificate(certificate: Certificate) -> None:
 async def serve(app: ASGIApp, listening: socket.socket, settings: ServerSettings, stop: asyncio.Event) -> None:
     """Serve an ASGI application on a listening socket, which it closes, until `stop` is set."""
     asyncio.get_running_loop().set_exception_handler(_report)
-    with contextlib.suppress(OSError):  # where the system has it: the kernel drops a client that takes nothing
-        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1e3 * settings.patience_s))
     if settings.shape is None:
         await _serve_asgi(app, listening, settings, stop.wait)
         return

@@ -18,9 +18,10 @@ from airgs_codec.serve.server import ServerSettings, listen, serve
 def serving(*folders: Path, settings: ServerSettings | None = None) -> Iterator[int]:
     """The project's server; gives its port."""
     app = make_app(PackageFiles(list(folders)))
-    loop, stop, listening = asyncio.new_event_loop(), asyncio.Event(), listen("127.0.0.1", 0)
+    settings = settings or ServerSettings()
+    loop, stop, listening = asyncio.new_event_loop(), asyncio.Event(), listen("127.0.0.1", 0, settings.patience_s)
     port = listening.getsockname()[1]
-    work = serve(app, listening, settings or ServerSettings(), stop)
+    work = serve(app, listening, settings, stop)
     thread = threading.Thread(target=lambda: _run(loop, work))
     thread.start()
     try:
