@@ -51,7 +51,7 @@ def listen(host: str, port: int, patience_s: float = PATIENCE_S) -> socket.socke
     """A socket that takes connections; port 0 stands for any free one.
 
     The kernel drops a client that takes nothing for `patience_s`, where it knows TCP_USER_TIMEOUT (RFC 5482).
-    Connections inherit that from the socket, so it is set here: those made before `serve` runs have it, too.
+    Connections inherit that and TCP_NODELAY from the socket; those made before `serve` runs have them, too.
 
     Raises ConfigError where nothing can listen.
     """
@@ -63,6 +63,7 @@ def listen(host: str, port: int, patience_s: float = PATIENCE_S) -> socket.socke
     except (OSError, UnicodeError) as error:
         words = getattr(error, "strerror", None) or str(error)
         raise ConfigError(f"{host} port {port}: expected an address to listen at, got: {words}") from error
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # asyncio sees proto 0 here and leaves it out
     with contextlib.suppress(OSError):
         listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1e3 * patience_s))
     return listening

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from airgs_codec.play.trace import Trace
 
 CHUNK_BYTES = 4096  # that pass at once
-DEPTH_S = 0.01  # of the bucket: what passes in that time is made up for when the clock was looked at late
+IDLE_S = 0.005  # without an answer to pass: the link's time is lost
+LATE_S = 0.25  # of a busy link that are made up for, when this program or the client was late
 QUEUE = 64  # chunks of requests on their way
 
 
@@ -40,14 +41,15 @@ class Bucket:
         if self._zero is None:
             self._zero = self._clock()
 
-    def take(self, size: int) -> float:
+    def take(self, size: int, idle: bool = False) -> float:
         """Pass `size` bytes behind all before them; returns the seconds until the last one is through.
 
-        Raises TransportError when the trace has ended.
+        They were there to pass as soon as the link was free, unless it was `idle` until now. Raises TransportError when
+        the trace has ended.
         """
         self.begin()
         now_s = self._clock() - (self._zero or 0.0)
-        self._free_s = self._trace.arrival_s(size, max(self._free_s, now_s - DEPTH_S))
+        self._free_s = self._trace.arrival_s(size, max(self._free_s, now_s if idle else now_s - LATE_S))
         return self._free_s - now_s
 
 
@@ -107,11 +109,14 @@ class Relay:
 
     async def _answer(self, answers: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Answers, at the rate of the link."""
+        asked_s = time.monotonic()
         while data := await answers.read(CHUNK_BYTES):
             if self._bucket:
-                await asyncio.sleep(self._bucket.take(len(data)))
+                idle = time.monotonic() - asked_s > IDLE_S
+                await asyncio.sleep(self._bucket.take(len(data), idle))
             writer.write(data)
             await writer.drain()
+            asked_s = time.monotonic()
 
 
 async def _delay(queue: asyncio.Queue[tuple[float, bytes]], server: asyncio.StreamWriter) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.serve.server import ServerSettings
-from airgs_codec.serve.shaping import DEPTH_S, Bucket, Shape
+from airgs_codec.serve.shaping import LATE_S, Bucket, Shape
 from tests.support.paths import VALID
 from tests.support.servers import say, serving
 
@@ -36,14 +36,16 @@ def test_bytes_pass_one_after_another_at_the_rate_of_the_moment():
     assert bucket.take(1000) == pytest.approx(0.5)
 
 
-def test_a_late_look_at_the_clock_is_made_up_for_and_idle_time_is_not():
+def test_what_comes_late_is_made_up_for_and_idle_time_is_not():
     clock = Clock()
     bucket = Bucket(open_trace("const:0.008"), clock)  # 1 kB/s
     bucket.take(100)
-    clock.now_s += 0.1 + DEPTH_S / 2
-    assert bucket.take(100) == pytest.approx(0.1 - DEPTH_S / 2)
-    clock.now_s += 100.0
-    assert bucket.take(100) == pytest.approx(0.1 - DEPTH_S)
+    clock.now_s += 0.1 + 0.02
+    assert bucket.take(100) == pytest.approx(0.1 - 0.02)
+    clock.now_s += 0.5
+    assert bucket.take(100, idle=True) == pytest.approx(0.1)
+    clock.now_s += 100.0  # of a client that took nothing
+    assert bucket.take(1000) == pytest.approx(1.0 - LATE_S)
 
 
 def test_the_trace_begins_with_the_first_request():
@@ -53,7 +55,7 @@ def test_the_trace_begins_with_the_first_request():
     bucket.begin()
     clock.now_s += 2.0
     bucket.begin()
-    assert bucket.take(1000) == pytest.approx(0.5 - DEPTH_S)
+    assert bucket.take(1000, idle=True) == pytest.approx(0.5)
 
 
 def test_answers_come_a_round_trip_late_and_no_faster_than_the_link():
@@ -64,7 +66,7 @@ def test_answers_come_a_round_trip_late_and_no_faster_than_the_link():
         answer = say(port, 2 * (REQUEST + b"\r\n") + REQUEST + CLOSE)  # share a round trip
         took_s = time.monotonic() - began_s
     assert len(answer) > 2.9 * size and answer.count(b"HTTP/1.1 200") == 3
-    assert took_s >= 0.05 + 2.9 * 0.1 - DEPTH_S
+    assert took_s >= 0.05 + 2.9 * 0.1
 
 
 def test_a_round_trip_alone_is_a_shape_and_a_client_may_give_up():
