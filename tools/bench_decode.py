@@ -20,8 +20,9 @@ import av
 
 from airgs_codec.decoder.decode import decode, decode_frames
 from airgs_codec.media.h264 import library_versions
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.paths import INIT_NAME
 from airgs_codec.package.store import Package, open_package
-from airgs_codec.package.tables import Manifest, key_init_path, state_init_path
 
 
 def plain_decode(data: bytes, stop: int | None) -> None:
@@ -38,11 +39,11 @@ def video_alone(package: Package, groups: list[int], segments: list[int], stop: 
     m = package.manifest
     for g in groups:
         for t, tier in enumerate(m.groups[g].tiers):
-            if tier.number:
-                plain_decode(package.read(key_init_path(t, 0)) + package.read(m.key_files(g, t, 0)[1]), None)
+            if tier.count:
+                plain_decode(package.read(INIT_NAME) + package.read(m.key_files(g, t, 0)[1]), None)
     for s in segments:
         if m.state_files(s, 0):  # where nothing moves there are none
-            plain_decode(package.read(state_init_path(0)) + package.read(m.state_files(s, 0)[0]), stop)
+            plain_decode(package.read(INIT_NAME) + package.read(m.state_files(s, 0)[0]), stop)
 
 
 def median_ms(work: Callable[[], object], repeat: int) -> float:
@@ -62,7 +63,7 @@ def measure(package: Package, repeat: int) -> dict[str, float]:
     index, frame = middle_frame(m)
     segment = m.segments[index]
     everything = list(range(len(m.groups))), list(range(len(m.segments)))
-    alone = [segment.group], [index], frame - segment.start + 1
+    alone = [m.group_of(index)], [index], frame - segment.start + 1
     figures = {
         "random_frame": frame,
         "sequence": median_ms(lambda: list(decode_frames(package, 0, m.frames)), repeat) / m.frames,

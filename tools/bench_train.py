@@ -24,8 +24,8 @@ from airgs_codec.cli.common import parse_frames
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.package.paths import JSON_NAME, MPD_NAME
 from airgs_codec.package.store import open_package
-from airgs_codec.package.tables import JSON_NAME, MPD_NAME
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out

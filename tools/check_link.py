@@ -133,7 +133,7 @@ def main() -> None:
     for name in args.traces:
         server, link = ShapedServer(args.package), Link(open_trace(name))
         catalogue = open_catalogue(server.url)
-        loops = max(1, round(args.seconds / sum(catalogue.seconds)))
+        loops = max(1, round(args.seconds / catalogue.duration_s))
         settings = SessionSettings(loops=loops, pipelined=False)
         real = play_really(server, link, args.policy, settings)
         server.close()

@@ -26,8 +26,8 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.media.h264 import state_codec
 from airgs_codec.media.metrics import mse
+from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import pooled_quality
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.policies.named import NAMES
@@ -263,12 +263,12 @@ def measure_train(folder: Path, quick: bool) -> Iterator[Row]:
 def measure_select(package: Package, quick: bool) -> Iterator[Row]:
     """Mean regret over seeded links, and seconds of a choice."""
     c = Catalogue.of(package)
-    rate = 20 * package.manifest.bytes_of(package.manifest.rung_files(0, 0)) / sum(c.seconds)  # 2.5 times its own
+    rate = 20 * package.manifest.bytes_of(package.manifest.rung_files(0, 0)) / c.duration_s  # 2.5 times its own
     for name in NAMES:
         regrets, took, choices = [], 0.0, 0
         for seed in range(4 if quick else 12):
             link = Link(markov_trace(seed, rate))
-            rules = SessionSettings(loops=max(1, round(20 / sum(c.seconds))))
+            rules = SessionSettings(loops=max(1, round(20 / c.duration_s)))
             began = time.perf_counter()
             log = simulate(c, link, name, rules)
             took += time.perf_counter() - began

@@ -244,11 +244,13 @@ def _as_json(report: EncodeReport, target: Path) -> dict[str, object]:
     return {
         "package": str(target),
         "frames": m.frames,
-        "bytes": sum(f.bytes for f in m.files.values()) + report.manifest_bytes,
+        "bytes": m.bytes_of([path for g in range(len(m.groups)) for path in m.group_files(g)])
+        + m.init.bytes
+        + report.manifest_bytes,
         "top_rung_bytes": m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes,
         "seconds": {name: round(value, 3) for name, value in _times(report).items()},
         "calibration_cached": report.cached,
-        "repairs": m.repairs,
+        "repairs": [line for group in m.groups for line in group.repairs],
     }
 
 

@@ -30,9 +30,10 @@ from airgs_codec.inspect.plot import plot_ladder
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.inspect.validate import exceeded, validate
+from airgs_codec.package.manifest import Quality
+from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, checking_views
 from airgs_codec.package.store import Package, open_package
-from airgs_codec.package.tables import JSON_NAME, Quality
 from airgs_codec.render import read_cameras
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.orbits import orbit_views
@@ -138,7 +139,8 @@ def _validate(args: argparse.Namespace) -> int:
         print("\n".join(str(f) for f in findings))
     else:
         m = open_package(args.package).manifest
-        print(f"valid: {m.frames} frames, {len(m.groups)} groups, {len(m.segments)} segments, {len(m.files)} files")
+        files = 2 + sum(1 for _ in m.files())
+        print(f"valid: {m.frames} frames, {len(m.groups)} groups, {len(m.segments)} segments, {files} files")
         if measured:
             print(format_errors(measured))
     return 1 if findings else 0

@@ -57,6 +57,6 @@ def from_klt(channels: Floats, transform: Floats) -> Floats:
 
 
 def colour_transform(key: Gaussians, steps: KeySteps) -> str:
-    """The KLT of the colours of a canonical frame, as airgs.json stores it (base64 of C x C int16)."""
+    """The KLT of the colours of a canonical frame, as the table of a group stores it (base64 of C x C int16)."""
     colour = colours(key.sh_dc, key.sh_rest).astype(np.float64)
     return pack_matrix(fit_colour_transform(colour / colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1])))

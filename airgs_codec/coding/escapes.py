@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns
+from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
 from airgs_codec.errors import FormatError
 
 UNIT = 128  # codes that a base of 1 stands for
@@ -88,12 +88,15 @@ def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:
 
 
 def pack(bases: NDArray[np.int32]) -> bytes:
-    """(T, P, N) bases -> the column file of their jumps alone."""
-    return encode_columns(columns(bases))
+    """(T, P, N) bases -> the column file of their jumps alone; empty where there are none."""
+    return encode_some(columns(bases))
 
 
-def unpack(data: bytes, shape: tuple[int, int, int], where: str) -> Escapes:
-    """Inverse of `pack` for bases of `shape` (T, P, N); `where` names the file. Raises FormatError(bad_sidecar)."""
+def unpack(data: bytes | None, shape: tuple[int, int, int], where: str) -> Escapes:
+    """Inverse of `pack` for bases of `shape` (T, P, N), None for no jumps; `where` names the file.
+
+    Raises FormatError(bad_sidecar).
+    """
     reader = ColumnReader(data, where)
     found = read_columns(reader, shape)
     reader.close()

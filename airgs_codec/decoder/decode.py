@@ -18,10 +18,10 @@ from airgs_codec.coding.quantize import from_codes
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, join_sidecars, read_detail, unpack_key_sidecar
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.media.h264 import decode_pictures
+from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.layout import COLOUR, KEY, STATE
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import STATIC, Atlas, Picture, key_init_path, state_init_path, unpack_matrix
+from airgs_codec.package.tables import STATIC, Atlas, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -65,11 +65,10 @@ def decode_frames(
         raise ConfigError(f"frames: expected a range inside 0:{m.frames}, got {start}:{stop}")
     base: Canonical | None = None
     group = -1
-    for index, segment in enumerate(m.segments):
-        if segment.stop <= start or segment.start >= stop:
-            continue
-        if base is None or segment.group != group:
-            group = segment.group
+    for index in range(m.segment_at(start), m.segment_at(stop - 1) + 1) if start < stop else ():
+        segment = m.segments[index]
+        if base is None or m.group_of(index) != group:
+            group = m.group_of(index)
             base = decode_canonical(package, group, q, m.levels[j].tiers if tiers is None else tiers)
         first, last = max(start, segment.start), min(stop, segment.stop)
         shown = decode_segment(package, index, base, j, range(first - segment.start, last - segment.start))
@@ -85,7 +84,7 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
     m = package.manifest
     g = m.groups[group]
     steps = KEY.steps(g.key_steps, m.colour_channels) * m.qualities[quality].factor
-    parts = [decode_key(package, group, t, quality) for t, tier in enumerate(g.tiers[:tiers]) if tier.number]
+    parts = [decode_key(package, group, t, quality) for t, tier in enumerate(g.tiers[:tiers]) if tier.count]
     if not parts:
         raise ConfigError(f"group {group}: expected at least one key tier with rows, got tiers={tiers}")
     return dequantise_key(
@@ -102,16 +101,16 @@ def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[N
     """(KEY.width(C), n) codes of one key unit, and its sidecar with the positions of that quality. FormatError."""
     m = package.manifest
     unit = m.groups[group].tiers[tier]
-    sidecar_path, media, detail_path = m.key_files(group, tier, quality)
+    sidecar_path, media = m.key_files(group, tier, quality)
     grid, coarser, coarsest = m.groups[group].grid, m.qualities[quality].coarser, m.qualities[-1].coarser
     shared = unpack_key_sidecar(package.read(sidecar_path), unit.count, grid, coarsest, sidecar_path)
-    pictures = decode_pictures(package.read(key_init_path(tier, quality)), package.read(media), media)
-    picture = next(pictures, None)
+    segment = open_segment(package.read(media), media)
+    picture = next(decode_pictures(segment.samples, media), None)
     if picture is None:
         raise FormatError("bad_picture", media, "expected one picture, got none")
-    _expect_size(picture, m.key_pictures[tier][quality], media)
     atlas = unit.qualities[quality]
-    reader = ColumnReader(package.read(detail_path), detail_path)
+    _expect_size(picture, atlas, media)
+    reader = ColumnReader(segment.columns, media)
     sidecar = read_detail(reader, shared, grid, coarser, coarsest)
     jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
     reader.close()
@@ -125,15 +124,15 @@ def decode_state(package: Package, index: int, level: int, first: int, last: int
     """
     m = package.manifest
     segment = m.segments[index]
-    media, sidecar_path = m.state_files(index, level)
-    atlas = m.groups[segment.group].levels[level]
+    (media,) = m.state_files(index, level)
+    atlas = m.groups[m.group_of(index)].levels[level]
     shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
-    jumps = escapes.unpack(package.read(sidecar_path), shape, sidecar_path)
+    file = open_segment(package.read(media), media)
+    jumps = escapes.unpack(file.columns, shape, media)
     shown = 0
-    pictures = decode_pictures(package.read(state_init_path(level)), package.read(media), media)
-    for shown, picture in enumerate(pictures, 1):
+    for shown, picture in enumerate(decode_pictures(file.samples, media), 1):
         if shown > first:
-            _expect_size(picture, m.state_pictures[level], media)
+            _expect_size(picture, atlas, media)
             yield read_codes(picture, atlas, jumps.bases(shown - 1))
         if shown == last:
             break
@@ -155,12 +154,12 @@ def decode_segment(
         frame = base.to_gaussians()
         yield from (frame for _ in places)
         return
-    group = m.groups[m.segments[index].group]
+    group = m.groups[m.group_of(index)]
     atlas = group.levels[level]
     rows = np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
     complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
     if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
-        detail = f"the sidecars give {len(rows)} rows, airgs.json {atlas.rows}"
+        detail = f"the sidecars give {len(rows)} rows, the table {atlas.rows}"
         raise FormatError("count_mismatch", files[0], detail)
     steps = STATE.steps(group.state_steps, m.colour_channels) * m.levels[level].factor
     varies = [_varies(atlas, STATE.slice(name)) for name in ("quaternions", COLOUR)]
@@ -177,7 +176,7 @@ def _varies(atlas: Atlas, channels: slice) -> bool:
     return any(p in places for p in atlas.planes) or any(atlas.centres[channels])
 
 
-def _expect_size(picture: NDArray[np.uint8], size: Picture, where: str) -> None:
+def _expect_size(picture: NDArray[np.uint8], size: Atlas, where: str) -> None:
     if picture.shape != (size.height, size.width):
         got = f"{picture.shape[1]}x{picture.shape[0]}"
         raise FormatError("bad_picture", where, f"expected {size.width}x{size.height}, got {got}")

@@ -51,8 +51,8 @@ def load_states(package: Package, group: int) -> GroupStates:
     g = m.groups[group]
     steps = STATE.steps(g.state_steps, m.colour_channels)
     values = np.zeros((g.stop - g.start, len(steps), len(rows)), np.float32)
-    for index, segment in enumerate(m.segments):
-        if segment.group == group and m.state_files(index, 0):
+    for index, segment in zip(m.segments_of(group), g.segments, strict=True):
+        if m.state_files(index, 0):
             for t, codes in enumerate(decode_state(package, index, 0, 0, segment.stop - segment.start)):
                 values[segment.start - g.start + t] = from_codes(codes, steps * m.levels[0].factor, m.state_gain)
     level = StateApplier.of(base, rows, g.state_steps, True, True)

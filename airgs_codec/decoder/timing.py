@@ -14,8 +14,9 @@ def measure_decoding(package: Package) -> float:
     began = time.perf_counter()
     group = -1
     for index, segment in enumerate(m.segments):
-        if segment.group != group:
-            group, base = segment.group, decode_canonical(package, segment.group, 0)
+        if m.group_of(index) != group:
+            group = m.group_of(index)
+            base = decode_canonical(package, group, 0)
         for _ in decode_segment(package, index, base, 0, range(segment.stop - segment.start)):
             pass
     return (time.perf_counter() - began) / m.frames

@@ -29,7 +29,7 @@ from airgs_codec.encoder.tables import (
     write_files,
 )
 from airgs_codec.encoder.views import ViewPlan
-from airgs_codec.package.tables import Manifest
+from airgs_codec.package.manifest import Manifest
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.sequence import GaussianSequence
 

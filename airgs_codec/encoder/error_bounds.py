@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from decimal import ROUND_CEILING, Decimal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ from airgs_codec.package.layout import Layout
 from airgs_codec.package.tables import Atlas
 
 ROUNDING = 2.0**-22
-PRINTED = 1.0006  # a bound is written with four digits, which may round it down by 1/2000
+DIGITS = 3  # of a bound, which is rounded up to them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +50,13 @@ class ErrorModel:
         errors[atlas.planes] = (0.5 + off) * self.units[atlas.planes]
         errors += ROUNDING * self.largest
         places = layout.attribute_index(len(errors))
-        return [float(f"{errors[places == k].max() * PRINTED:.4g}") for k in range(int(places.max()) + 1)]
+        return [_round_up(errors[places == k].max()) for k in range(int(places.max()) + 1)]
+
+
+def _round_up(error: float) -> float:
+    """The least number of DIGITS significant digits that is no less."""
+    shown = Decimal(float(error))
+    return float(shown.quantize(Decimal(1).scaleb(shown.adjusted() - DIGITS + 1), ROUND_CEILING)) if error else 0.0
 
 
 def with_bounds(

@@ -17,7 +17,7 @@ from airgs_codec.coding.atlas import assemble, centre_codes, choose_layout, fit_
 from airgs_codec.coding.channels import Canonical, dequantise_key
 from airgs_codec.coding.grid import coarse_codes
 from airgs_codec.coding.quantize import from_codes, to_codes
-from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns
+from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
 from airgs_codec.coding.sidecar import KeySidecar, detail_columns, join_sidecars, read_detail
 from airgs_codec.encoder.error_bounds import ErrorModel
 from airgs_codec.encoder.leave_out import KeyOmissions
@@ -31,7 +31,7 @@ from airgs_codec.encoder.representation import (
     encode_parallel,
 )
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.media.h264 import KEY_QP, ClosedGop, decode_pictures, key_codec, qp_step
+from airgs_codec.media.h264 import KEY_QP, ClosedGop, decode_pictures, key_codec, open_segment, qp_step
 from airgs_codec.package.layout import KEY
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
 from airgs_codec.progress import Progress
@@ -43,7 +43,7 @@ class CodedAtlas:
 
     atlas: Atlas  # without its largest errors; 0 rows: nothing is sent
     samples: NDArray[np.uint8]  # (P, n) luma
-    detail: bytes  # of positions, and escapes
+    detail: bytes  # of positions, and escapes; empty where all of it is 0
     error: ErrorModel | None  # None: nothing is sent
 
 
@@ -91,7 +91,7 @@ def _code_tier(
     atlas = _with_picture(fit_atlas(codes, gain / 2, omitted))
     samples, bases = escapes.split(centre_codes(codes, atlas))
     error = ErrorModel.of(values, atlas, steps / gain)
-    return CodedAtlas(atlas, samples[0], encode_columns([*detail, *escapes.columns(bases)]), error)
+    return CodedAtlas(atlas, samples[0], encode_some([*detail, *escapes.columns(bases)]), error)
 
 
 def _with_picture(atlas: Atlas) -> Atlas:
@@ -150,8 +150,8 @@ def decode_base(
         if stream is None or not number:
             continue
         where = f"key tier {tier} of frames {layout.span.start}-{layout.span.stop - 1}"
-        picture = next(decode_pictures(stream.init, stream.media[number - 1], where))
-        reader = ColumnReader(coded.detail, where)
+        picture = next(decode_pictures(open_segment(stream.media[number - 1], where).samples, where))
+        reader = ColumnReader(coded.detail or None, where)
         sidecars.append(_read_positions(reader, layout, tier, keys.coarser[quality], keys.coarser[-1]))
         jumps = escapes.read_columns(reader, (1, len(coded.atlas.planes), coded.atlas.rows))
         codes = read_codes(picture, coded.atlas, jumps.bases(0))

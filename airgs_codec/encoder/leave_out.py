@@ -1,7 +1,7 @@
 """What a group's pictures can do without, by what rendering without it shows.
 
 T frames and N rows of the group, n rows of its first level, C colour channels. Each decision comes with a note for
-airgs.json, None where nothing was left out.
+the tables, None where nothing was left out.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from airgs_codec.coding.channels import Canonical, StateApplier
 from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.views import Pictures
-from airgs_codec.media.metrics import mse
+from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import STATIC, LeftOut
 from airgs_codec.render import render
@@ -27,13 +27,13 @@ from airgs_codec.scene.sequence import GaussianSequence
 SEEN = 4  # pictures of a segment, when it is tried without its states
 
 
-def note_omission(what: str, group: int, count: int, error: float, size: float) -> LeftOut | None:
+def note_omission(what: str, count: int, error: float, size: float) -> LeftOut | None:
     """The record that `count` things were left out, at this error and to save `size` bytes a frame."""
-    return LeftOut(what, group, count, float(f"{error:.3g}"), float(f"{size:.3g}")) if count else None
+    return LeftOut(what, count, float(f"{error:.3g}"), float(f"{size:.3g}")) if count else None
 
 
-def omit_bands(sequence: GaussianSequence, survey: Survey, step: float, price: float) -> tuple[int, LeftOut | None]:
-    """Number of SH bands past DC that pictures of the canonical frame of a group need.
+def omit_bands(sequence: GaussianSequence, survey: Survey, step: float, price: float) -> tuple[int, str | None]:
+    """Number of SH bands past DC that pictures of the canonical frame of a group need, and a line on the others.
 
     The highest band goes as long as its bytes, at quantiser step `step` and coded once in the group, are worth less
     than the error of rendering without it; `price` is the squared error a byte a frame must be worth.
@@ -50,7 +50,9 @@ def omit_bands(sequence: GaussianSequence, survey: Survey, step: float, price: f
         if error > price / 2 * (size + band):
             break
         bands, cost, size = bands - 1, error, size + band
-    return bands, note_omission("sh bands", 0, g.sh_degree - bands, cost, size)
+    missing = g.sh_degree - bands
+    alone = f"{psnr(cost):.1f} dB by itself" if cost else "no error"
+    return bands, f"{missing} SH bands left out: {alone}, {size / 1e3:.2f} kB/frame saved" if missing else None
 
 
 def _band_bytes(g: Gaussians, band: int, step: float) -> float:
@@ -84,7 +86,7 @@ class KeyOmissions:
         written = len(self.layout.rows)
         missing = self.layout.count - written
         size = float(self.sizes.sum()) / written * missing
-        return note_omission("gaussians", self.layout.span.index, missing, self.layout.removal_error, size)
+        return note_omission("gaussians", missing, self.layout.removal_error, size)
 
     def planes(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
         """(7 + C,) channels that every row may take from the channel's median."""
@@ -99,7 +101,7 @@ class KeyOmissions:
 
         chosen, cost = select_omissions(self.sizes, self.guesses, error, price)
         saved = float(self.sizes[chosen].sum())
-        return chosen, note_omission("key planes", self.layout.span.index, int(chosen.sum()), cost, saved)
+        return chosen, note_omission("key planes", int(chosen.sum()), cost, saved)
 
     def _show(self, values: NDArray[np.float64]) -> Gaussians:
         depths = np.zeros(len(self.layout.codes), np.uint8)
@@ -115,7 +117,7 @@ def note_static(layout: GroupLayout, states: NDArray[np.float64], depths: NDArra
     centres = np.zeros(states.shape[1])
     sizes, errors = estimate_cost(states[:, :, still], centres, layout.state_weights()[:, still])
     size = float(sizes.sum()) / len(states)
-    return note_omission("updates", layout.span.index, int(still.sum()), float(errors.sum()), size)
+    return note_omission("updates", int(still.sum()), float(errors.sum()), size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,7 +154,7 @@ class StateOmissions:
 
         chosen, cost = select_omissions(sizes / frames, guesses, error, price)
         saved = float(sizes[chosen].sum()) / frames
-        return chosen, note_omission("state planes", self.layout.span.index, int(chosen.sum()), cost, saved)
+        return chosen, note_omission("state planes", int(chosen.sum()), cost, saved)
 
     def segments(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
         """(S,) segments of the group for which the canonical space may stand."""
@@ -177,7 +179,7 @@ class StateOmissions:
 
         chosen, cost = select_omissions(sizes / frames, guesses * shares, error, price)
         saved = float(sizes[chosen].sum()) / frames
-        return chosen, note_omission("segments", self.layout.span.index, int(chosen.sum()), cost, saved)
+        return chosen, note_omission("segments", int(chosen.sum()), cost, saved)
 
     def _of_segment(self, places: NDArray[np.intp]) -> Pictures:
         """Views of frames evenly spaced over a segment, which holds these places of the group."""

@@ -18,9 +18,9 @@ from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, Encod
 from airgs_codec.encoder.survey import Survey, survey_groups
 from airgs_codec.encoder.verify import Attempt, encode_verified
 from airgs_codec.encoder.views import ViewPlan
-from airgs_codec.package.mpd import write_mpd
-from airgs_codec.package.staging import staged, write_file
-from airgs_codec.package.tables import JSON_NAME, MPD_NAME, LeftOut, Manifest
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.staging import staged
+from airgs_codec.package.writing import write_tables
 from airgs_codec.progress import Progress, Stopwatch, silent
 from airgs_codec.scene.sequence import GaussianSequence, read_attribution
 
@@ -30,7 +30,7 @@ class EncodeReport:
     """What was published, and how many seconds each part of the work took."""
 
     manifest: Manifest
-    manifest_bytes: int  # airgs.json and manifest.mpd together
+    manifest_bytes: int  # all tables and manifest.mpd together
     survey_s: float  # views, lengths of groups and what pictures show
     calibrate_s: float
     search_s: float  # for a goal
@@ -46,7 +46,7 @@ class _Calibrated:
     job: EncodeJob
     settings: EncodeSettings  # nothing is left to calibrate
     expected: float | None  # mean squared error of pictures of the top rung; None: nothing was promised
-    left_out: tuple[LeftOut, ...]  # SH bands
+    decisions: tuple[str, ...]  # about SH bands
     cached: bool
 
 
@@ -84,10 +84,9 @@ def encode(
         expected = None if goal else calibrated.expected
         given = wanted.levels != DEFAULT_LEVELS
         attempt = encode_verified(Attempt(job, sequence, settings, expected, given), stage, progress)
-        left_out = [*calibrated.left_out, *attempt.manifest.left_out]
-        decisions = [*attempt.manifest.decisions, *attempt.stories]
-        manifest = replace(attempt.manifest, left_out=left_out, decisions=decisions)
-        size = _write_manifests(stage, manifest)
+        decisions = [*attempt.manifest.decisions, *calibrated.decisions, *attempt.stories]
+        manifest = replace(attempt.manifest, decisions=decisions)
+        size = write_tables(stage, manifest)
         seconds = (survey_s, calibrate_s, search_s, attempt.encode_s, attempt.measure_s)
         return EncodeReport(manifest, size, *seconds, calibrated.cached)
 
@@ -135,10 +134,3 @@ def _longest(surveys: Sequence[Survey]) -> Survey:
     most = max(survey.span.frames for survey in surveys)
     longest = [survey for survey in surveys if survey.span.frames == most]
     return longest[len(longest) // 2]
-
-
-def _write_manifests(folder: Path, manifest: Manifest) -> int:
-    """Write airgs.json and manifest.mpd; gives their length together."""
-    tables = write_file(folder, JSON_NAME, manifest.to_json().encode())
-    mpd = write_file(folder, MPD_NAME, write_mpd(manifest))
-    return tables.bytes + mpd.bytes

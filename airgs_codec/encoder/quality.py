@@ -13,8 +13,9 @@ from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.views import Pictures, ViewPlan
 from airgs_codec.media.color import delta_e
 from airgs_codec.media.metrics import Reference, psnr
+from airgs_codec.package.manifest import Groups, Manifest, Quality
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import Manifest, Quality, Segment, SegmentLevel
+from airgs_codec.package.tables import Segment, SegmentLevel
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.sequence import GaussianSequence
@@ -58,13 +59,16 @@ def measure_quality(
     for index, segment in enumerate(m.segments):
         progress("quality", index, len(m.segments))
         compared = _references(sequence, views.measure(index, segment.start, segment.stop, count))
-        bases = [decode_canonical(package, segment.group, quality) for quality in range(len(m.qualities))]
+        bases = [decode_canonical(package, m.group_of(index), quality) for quality in range(len(m.qualities))]
         levels = [
             _with_quality(level, [_measure(package, (index, j, q), base, compared) for q, base in enumerate(bases)])
             for j, level in enumerate(segment.levels)
         ]
         segments.append(replace(segment, levels=levels))
-    return replace(m, segments=segments)
+    groups = [
+        replace(group, segments=[segments[s] for s in m.segments_of(number)]) for number, group in enumerate(m.groups)
+    ]
+    return replace(m, groups=Groups.of(groups))
 
 
 def _references(sequence: GaussianSequence, pictures: Pictures) -> list[_Compared]:
@@ -78,7 +82,7 @@ def _measure(package: Package, rung: tuple[int, int, int], base: Canonical, comp
     """Quality of `rung`, a segment's level at a key quality, over the canonical space of all key tiers."""
     m, (index, level, quality) = package.manifest, rung
     segment = m.segments[index]
-    rows = sum(tier.count for tier in m.groups[segment.group].tiers[: m.levels[level].tiers])
+    rows = sum(tier.count for tier in m.groups[m.group_of(index)].tiers[: m.levels[level].tiers])
     looked_at = compared if quality == m.levels[level].quality else compared[::OFF_LADDER]
     places = sorted({number - segment.start for number, _, _ in looked_at})
     shown = dict(zip(places, decode_segment(package, index, base.first(rows), level, places), strict=True))

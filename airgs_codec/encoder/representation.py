@@ -21,7 +21,7 @@ from airgs_codec.media.h264 import (
     check_stream,
     encode_stream,
 )
-from airgs_codec.package.tables import MAX_SIDE, Atlas, Picture
+from airgs_codec.package.tables import MAX_SIDE, Atlas
 from airgs_codec.progress import Progress
 
 
@@ -47,10 +47,6 @@ class Representation:
     stream: Stream | None  # None: there is nothing to show
     size: tuple[int, int]  # width and height of its pictures, samples
     differences: tuple[NDArray[np.uint8], ...]  # (H, W) largest luma error of each closed GOP, see `h264.check_stream`
-
-    def picture(self) -> Picture:
-        """Its entry in the tables."""
-        return Picture(*self.size, self.stream.codecs) if self.stream else Picture(0, 0, "")
 
 
 EMPTY = Representation(None, (0, 0), ())

@@ -12,9 +12,11 @@ from airgs_codec.encoder.limits import find_limit
 from airgs_codec.encoder.quality import measure_quality
 from airgs_codec.encoder.rate_target import PSNR, Goal, OutOfReachError, find_quality
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import write_mpd
-from airgs_codec.package.store import Package
-from airgs_codec.package.tables import Group, Manifest, SegmentLevel, pooled_quality
+from airgs_codec.package.packing import pack_json
+from airgs_codec.package.store import Package, root_of
+from airgs_codec.package.tables import FileEntry, Group, SegmentLevel, digest
 from airgs_codec.progress import Progress
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -67,32 +69,30 @@ def kilobytes_a_frame(top: Manifest, settings: EncodeSettings) -> float:
 
 
 def _manifest_bytes(m: Manifest, settings: EncodeSettings) -> int:
-    """Length of both manifests if all levels and key qualities were there, each like the only one in `m`."""
+    """Length of all tables and the MPD if all levels and key qualities were there, each like the only one in `m`."""
     levels, qualities = len(settings.levels), len(settings.key_factors)
-    files = dict(m.files)
-    for path, entry in m.files.items():
-        files |= {path.replace("/L0/", f"/L{j}/"): entry for j in range(levels)}
-        files |= {path.replace("/Q0/", f"/Q{q}/"): entry for q in range(qualities)}
-    many = replace(
-        m,
-        qualities=m.qualities * qualities,
-        levels=m.levels * levels,
-        key_pictures=[row * qualities for row in m.key_pictures],
-        state_pictures=m.state_pictures * levels,
-        groups=[_widen(group, levels, qualities) for group in m.groups],
-        segments=[replace(s, levels=[_measured(s.levels[0], settings)] * levels) for s in m.segments],
-        files=files,
-    )
-    return len(many.to_json()) + len(write_mpd(many))
+    groups = Groups.of([_widen(group, settings) for group in m.groups])
+    many = replace(m, qualities=m.qualities * qualities, levels=m.levels * levels, groups=groups)
+    return len(pack_json(root_of(many))) + len(write_mpd(many)) + many.bytes_of(many.table_files())
 
 
-def _widen(group: Group, levels: int, qualities: int) -> Group:
-    tiers = [replace(tier, qualities=tier.qualities * qualities) for tier in group.tiers]
-    return replace(group, tiers=tiers, levels=group.levels * levels)
+def _widen(group: Group, settings: EncodeSettings) -> Group:
+    levels, qualities = len(settings.levels), len(settings.key_factors)
+    tiers = [
+        replace(t, qualities=t.qualities * qualities, pictures=_others(t.pictures * qualities)) for t in group.tiers
+    ]
+    segments = [replace(s, levels=_measured(s.levels[0], settings)) for s in group.segments]
+    return replace(group, tiers=tiers, levels=group.levels * levels, segments=segments)
 
 
-def _measured(level: SegmentLevel, settings: EncodeSettings) -> SegmentLevel:
-    """With figures of the usual length where the package will have them."""
+def _others(files: list[FileEntry]) -> list[FileEntry]:
+    """The same with digests that differ, as those of other files do."""
+    return [FileEntry(f.bytes, digest(f"{i} {f.sha256}".encode()) if f.bytes else "") for i, f in enumerate(files)]
+
+
+def _measured(level: SegmentLevel, settings: EncodeSettings) -> list[SegmentLevel]:
+    """All levels, with figures of the usual length where the package will have them."""
     count = len(settings.key_factors) if settings.measure_pictures else 0
     decibels = [44.44] * count
-    return replace(level, psnr=decibels, worst=decibels, ssim=[0.9999] * count, delta_e=[0.44] * count)
+    like = replace(level, psnr=decibels, worst=decibels, ssim=[0.9999] * count, delta_e=[0.44] * count)
+    return [replace(like, file=file) for file in _others([level.file] * len(settings.levels))]

@@ -19,9 +19,10 @@ from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence
 from airgs_codec.encoder.quality import measure_quality
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import STATIC, Manifest, pooled_quality
+from airgs_codec.package.tables import STATIC
 from airgs_codec.progress import Progress, Stopwatch, silent
 from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows

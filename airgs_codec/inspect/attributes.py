@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.atlas import extract
-from airgs_codec.media.h264 import decode_pictures
+from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import Atlas, key_init_path, state_init_path
+from airgs_codec.package.tables import Atlas
 
 
 def bytes_by_attribute(package: Package) -> dict[str, float]:
@@ -38,26 +38,26 @@ def _of_keys(package: Package) -> Iterator[tuple[str, float]]:
     m = package.manifest
     for g, group in enumerate(m.groups):
         for t, tier in enumerate(group.tiers):
-            if tier.number:
-                sidecar, media, detail = m.key_files(g, t, 0)
-                fine = min(3 * m.qualities[-1].coarser * tier.count / 8, m.files[detail].bytes)
-                yield "means", m.files[sidecar].bytes + fine
-                samples = _samples(package, key_init_path(t, 0), media, tier.qualities[0])
-                yield from _shares(m.bytes_of([media, detail]) - fine, tier.qualities[0], samples, KEY)
+            if tier.count:
+                _, media = m.key_files(g, t, 0)
+                fine = min(3 * m.qualities[-1].coarser * tier.count / 8, tier.pictures[0].bytes)
+                yield "means", tier.sidecar.bytes + fine
+                samples = _samples(package, media, tier.qualities[0])
+                yield from _shares(tier.pictures[0].bytes - fine, tier.qualities[0], samples, KEY)
 
 
 def _of_states(package: Package) -> Iterator[tuple[str, float]]:
     m = package.manifest
     for s, segment in enumerate(m.segments):
         if files := m.state_files(s, 0):
-            atlas = m.groups[segment.group].levels[0]
-            samples = _samples(package, state_init_path(0), files[0], atlas)
+            atlas = m.groups[m.group_of(s)].levels[0]
+            samples = _samples(package, files[0], atlas)
             yield from _shares(sum(segment.levels[0].frame_bytes), atlas, samples, STATE)
 
 
-def _samples(package: Package, init: str, media: str, atlas: Atlas) -> Iterator[NDArray[np.int16]]:
+def _samples(package: Package, media: str, atlas: Atlas) -> Iterator[NDArray[np.int16]]:
     """(P, N) of each picture."""
-    for picture in decode_pictures(package.read(init), package.read(media), media):
+    for picture in decode_pictures(open_segment(package.read(media), media).samples, media):
         yield extract(picture, atlas).astype(np.int16)
 
 

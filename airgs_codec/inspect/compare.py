@@ -14,9 +14,10 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.quality import QualitySums
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import Reference
+from airgs_codec.package.manifest import Manifest, Quality, pooled_quality
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import Manifest, Quality, Region, pooled_quality
+from airgs_codec.package.tables import Region
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians

@@ -29,8 +29,8 @@ from airgs_codec.decoder.group_states import MEASURED, SHARES, GroupStates, kept
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import state_codec
 from airgs_codec.media.metrics import mse, psnr, ssim
+from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import Manifest
 from airgs_codec.play.ladder import Ladder, Option
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
@@ -89,7 +89,7 @@ def measure_dense(
     `original` is given, FormatError.
     """
     m = package.manifest
-    if original is None and not all(level.psnr for segment in m.segments for level in segment.levels):
+    if original is None and not m.measured:
         raise ConfigError("--ladder: the package has no measured quality, give the original with --against")
     prunings = [
         *(Pruning(ranking, share, 1.0) for ranking in MEASURED for share in SHARES),
@@ -97,11 +97,12 @@ def measure_dense(
     ]
     levels: list[DenseLevel] = []
     loaded: dict[int, tuple[GroupStates, dict[str, NDArray[np.float64]]]] = {}
-    for index, segment in enumerate(m.segments):
-        if segment.group not in loaded:
-            states = load_states(package, segment.group)
-            loaded = {segment.group: (states, score_rows(states, list(training)))}
-        states, scores = loaded[segment.group]
+    for index in range(len(m.segments)):
+        group = m.group_of(index)
+        if group not in loaded:
+            states = load_states(package, group)
+            loaded = {group: (states, score_rows(states, list(training)))}
+        states, scores = loaded[group]
         source = _open_segment(package, index, states, original)
         reference = [[render(g, camera).rgb for camera in cameras] for g in source.reference]
         kept = [kept_rows(scores[pruning.ranking], pruning.pruned) for pruning in prunings]

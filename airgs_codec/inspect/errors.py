@@ -95,7 +95,7 @@ def _keys(
         part = slice(first, first + tier.count)
         first += tier.count
         for q, quality in enumerate(m.qualities):
-            if tier.number:
+            if tier.count:
                 codes, _ = decode_key(package, index, t, q)
                 errors = np.abs(values[:, part] - from_codes(codes, steps * quality.factor, m.key_gain))
                 where = f"group {index} key T{t} {quality.id}"
@@ -117,8 +117,8 @@ def _states(
         rows = np.flatnonzero((base.depths >= j) & (base.depths != STATIC))
         worst = np.zeros((1, len(steps), len(rows)))
         sent = False
-        for s, segment in enumerate(m.segments):
-            if segment.group != index or not m.state_files(s, j):
+        for s, segment in zip(m.segments_of(index), group.segments, strict=True):
+            if not m.state_files(s, j):
                 continue
             sent = True
             for t, codes in enumerate(decode_state(package, s, j, 0, segment.stop - segment.start)):

@@ -9,16 +9,17 @@ import numpy as np
 
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.layout import KEY, STATE, Layout
-from airgs_codec.package.tables import Atlas, LeftOut, Manifest
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.tables import Atlas, LeftOut
 
 FEW = 4  # groups that are listed one by one
-_NAMES = {"gaussians": "Gaussians", "updates": "rows are never updated", "sh bands": "SH bands"}
+_NAMES = {"gaussians": "Gaussians", "updates": "rows are never updated"}
 
 
 def describe_left_out(m: Manifest) -> list[str]:
     """One line each; what concerns more than FEW groups alike is one line."""
     lines = [*_decisions(m), *_constant(m)]
-    quiet = sum(not s.levels[0].number for s in m.segments)
+    quiet = sum(not s.levels[0].file.bytes for s in m.segments)
     if quiet:
         lines.append(f"{quiet} state segments: nothing moves in them by more than half a step")
     if m.sh_degree == 0:
@@ -28,20 +29,24 @@ def describe_left_out(m: Manifest) -> list[str]:
 
 def _decisions(m: Manifest) -> Iterator[str]:
     """The entries of `left_out`, by what they are."""
-    for what in dict.fromkeys(entry.what for entry in m.left_out):
-        same = [entry for entry in m.left_out if entry.what == what]
-        yield from [_sentence(same)] if len(same) > FEW else [_sentence([entry]) for entry in same]
+    entries: dict[str, list[tuple[int, LeftOut]]] = {}
+    for number, group in enumerate(m.groups):
+        for entry in group.left_out:
+            entries.setdefault(entry.what, []).append((number, entry))
+    for what, same in entries.items():
+        groups = [same] if len(same) > FEW else [[one] for one in same]
+        yield from (_sentence(what, [number for number, _ in some], [entry for _, entry in some]) for some in groups)
 
 
-def _sentence(entries: list[LeftOut]) -> str:
+def _sentence(what: str, groups: list[int], entries: list[LeftOut]) -> str:
     """A line about one group, or about many: ranges, and the largest error."""
     error = max(entry.error for entry in entries)
     alone = f"{psnr(error):.1f} dB by itself" if error > 0 else "no error"
     saved = f"{np.mean([entry.bytes for entry in entries]) / 1e3:.2f} kB/frame saved"
     count = span(min(entry.count for entry in entries), max(entry.count for entry in entries))
-    where = f"group {entries[0].group}" if len(entries) == 1 else f"{len(entries)} groups"
-    worst = "at worst " if len(entries) > 1 and error > 0 else ""
-    return f"{where}: {count} {_NAMES.get(entries[0].what, entries[0].what)}: {worst}{alone}, {saved}"
+    where = f"group {groups[0]}" if len(groups) == 1 else f"{len(groups)} groups"
+    worst = "at worst " if len(groups) > 1 and error > 0 else ""
+    return f"{where}: {count} {_NAMES.get(what, what)}: {worst}{alone}, {saved}"
 
 
 def _constant(m: Manifest) -> Iterator[str]:
@@ -50,7 +55,7 @@ def _constant(m: Manifest) -> Iterator[str]:
     for i, group in enumerate(m.groups):
         keys = [(f"key T{t} Q0", tier.qualities[0], KEY) for t, tier in enumerate(group.tiers)]
         for t, tier in enumerate(group.tiers):
-            if not tier.number:
+            if not tier.count:
                 groups.setdefault(f"key tier T{t}: it has no rows", []).append(i)
         for name, atlas, layout in (*keys, ("state L0", group.levels[0], STATE)):
             if text := _without_plane(atlas, layout):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._report import new_figure, save_figure
 from airgs_codec.inspect.summary import summarise
-from airgs_codec.package.tables import Manifest
+from airgs_codec.package.manifest import Manifest
 from airgs_codec.play.report.region_map import draw_region
 
 
@@ -80,6 +80,6 @@ def _key_bytes(m: Manifest) -> NDArray[np.float64]:
     """(F,) bytes of the keys in Q0, spread over the frames of their group."""
     sizes = np.zeros(m.frames)
     for g, group in enumerate(m.groups):
-        total = sum(m.bytes_of(m.key_files(g, t, 0)) for t in range(m.tier_count))
+        total = sum(m.bytes_of(m.key_files(g, t, 0)) for t in range(m.tiers))
         sizes[group.start : group.stop] = total / (group.stop - group.start)
     return sizes

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from airgs_codec.inspect.left_out import describe_left_out
 from airgs_codec.package.layout import STATE
+from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.region_summary import RegionSummary
-from airgs_codec.package.tables import Manifest, Views, pooled_quality
+from airgs_codec.package.tables import Views
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,23 +103,23 @@ class Summary:
 
 
 def summarise(m: Manifest, manifest_bytes: int) -> Summary:
-    """The figures of a package whose airgs.json and manifest.mpd have `manifest_bytes` together."""
+    """The figures of a package whose tables and manifest.mpd have `manifest_bytes` together."""
     qualities, levels = range(len(m.qualities)), range(len(m.levels))
     return Summary(
         frames=m.frames,
         fps=float(m.fps),
         duration_s=float(m.frames / m.fps),
         sh_degree=m.sh_degree,
-        package_bytes=manifest_bytes + sum(f.bytes for f in m.files.values()),
+        package_bytes=manifest_bytes + m.media_bytes(),
         region=RegionSummary.of(m.region),
         views=m.views,
         groups=tuple(_group(m, g) for g in range(len(m.groups))),
-        keys=tuple(_key(m, t, q) for t in range(m.tier_count) for q in qualities),
+        keys=tuple(_key(m, t, q) for t in range(m.tiers) for q in qualities),
         levels=tuple(_level(m, j) for j in levels),
         rungs=ladder([_rung(m, q, j, manifest_bytes) for q in qualities for j in levels]),
         top_rung_bytes=bytes_by_kind(m, 0, 0, manifest_bytes),
         left_out=tuple(describe_left_out(m)),
-        repairs=tuple(m.repairs),
+        repairs=tuple(line for group in m.groups for line in group.repairs),
         decisions=tuple(m.decisions),
         attribution=m.attribution,
     )
@@ -126,8 +127,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
 
 def _group(m: Manifest, index: int) -> GroupSummary:
     g = m.groups[index]
-    segments = sum(s.group == index for s in m.segments)
-    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, segments, g.grid.bits)
+    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.grid.bits)
 
 
 def _key(m: Manifest, tier: int, quality: int) -> KeySummary:
@@ -202,21 +202,17 @@ def _slope(a: tuple[float, float], b: tuple[float, float]) -> float:
 
 
 def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) -> dict[str, int]:
-    """Bytes that a viewer of one rung fetches: pictures, sidecars with escapes, MP4 boxes and manifests.
+    """Bytes that a viewer of one rung fetches: pictures, sidecars, escapes of states with MP4 boxes, and all tables.
 
-    State pictures are H.264 alone and their MP4 boxes count as container; key pictures count with their boxes (about
-    0.1 kB each), init segments as container.
+    State pictures are H.264 alone; key pictures count with the detail of positions, their escapes and boxes.
     """
-    keys = [m.key_files(g, t, quality) for g in range(len(m.groups)) for t in range(m.levels[level].tiers)]
-    keys = [files for files in keys if files]
-    states = [files for s in range(len(m.segments)) if (files := m.state_files(s, level))]
-    pictures = sum(sum(s.levels[level].frame_bytes) for s in m.segments)
-    boxes = m.bytes_of([media for media, _ in states]) - pictures
+    tiers = [tier for group in m.groups for tier in group.tiers[: m.levels[level].tiers]]
+    states = [segment.levels[level] for segment in m.segments]
+    pictures = sum(sum(state.frame_bytes) for state in states)
     return {
-        "key pictures": m.bytes_of([media for _, media, _ in keys]),
-        "key sidecars": m.bytes_of([path for sidecar, _, detail in keys for path in (sidecar, detail)]),
+        "key pictures": sum(tier.pictures[quality].bytes for tier in tiers),
+        "key sidecars": sum(tier.sidecar.bytes for tier in tiers),
         "state pictures": pictures,
-        "state sidecars": m.bytes_of([escapes for _, escapes in states]),
-        "container": boxes + m.bytes_of(m.init_files(quality, level)),
+        "escapes and boxes": sum(state.file.bytes for state in states) - pictures,
         "manifests": manifest_bytes,
     }

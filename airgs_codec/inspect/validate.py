@@ -13,10 +13,11 @@ from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.inspect.errors import Measured
-from airgs_codec.media.h264 import BRIGHTEST, DARKEST, decode_pictures, in_range
+from airgs_codec.media.h264 import BRIGHTEST, DARKEST, decode_pictures, in_range, open_segment
 from airgs_codec.package.mpd_check import check_mpd
-from airgs_codec.package.store import MAX_JSON_BYTES, Package, open_package
-from airgs_codec.package.tables import JSON_NAME, MPD_NAME, expected_files, key_init_path, state_init_path
+from airgs_codec.package.packing import MAX_ROOT_BYTES
+from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path
+from airgs_codec.package.store import Package, open_package
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -43,8 +44,10 @@ def validate(path: str | Path) -> list[Finding]:
         package = open_package(path)
     except FormatError as error:
         return [_finding(error)]
-    findings = list(_check_files(package))
-    findings += _check_measures(package)
+    findings = list(_check_tables(package))
+    if findings:  # without all tables nothing can be said of what they list
+        return findings
+    findings = [*_check_files(package), *_check_measures(package)]
     findings += _attempt(MPD_NAME, partial(_check_mpd, package))
     if not findings:  # broken files would only repeat themselves
         findings = list(_check_decoding(package))
@@ -64,7 +67,7 @@ def _finding(error: FormatError) -> Finding:
     return Finding(error.reason, error.where, error.detail)
 
 
-def _attempt(where: str, work: Callable[[], None]) -> list[Finding]:
+def _attempt(where: str, work: Callable[[], object]) -> list[Finding]:
     """The finding of a step that raises, or nothing."""
     try:
         work()
@@ -77,37 +80,44 @@ def _attempt(where: str, work: Callable[[], None]) -> list[Finding]:
 
 def _check_mpd(package: Package) -> None:
     path = package.path / MPD_NAME
-    if path.stat().st_size > MAX_JSON_BYTES:
-        raise FormatError("too_large", MPD_NAME, f"expected at most {MAX_JSON_BYTES} bytes")
+    if path.stat().st_size > MAX_ROOT_BYTES:
+        raise FormatError("too_large", MPD_NAME, f"expected at most {MAX_ROOT_BYTES} bytes")
     check_mpd(path.read_bytes(), package.manifest)
 
 
+def _check_tables(package: Package) -> Iterator[Finding]:
+    """Every page and the table of every group can be read."""
+    groups = package.manifest.groups
+    found: dict[str, Finding] = {}  # groups of one page share its finding
+    for number in range(len(groups)):
+        for finding in _attempt(group_path(number + 1), partial(groups.__getitem__, number)):
+            found.setdefault(str(finding), finding)
+    yield from found.values()
+
+
 def _check_files(package: Package) -> Iterator[Finding]:
-    listed = set(package.manifest.files)
+    listed = set(package.manifest.files())
     for relative in sorted(listed):
         try:
             package.read(relative)
         except FormatError as error:
             yield _finding(error)
-    for relative in sorted(listed - set(expected_files(package.manifest))):
-        yield Finding("foreign_file", relative, "listed, but no table refers to it")
     for file in sorted(package.path.rglob("*")):
         relative = file.relative_to(package.path).as_posix()
         if file.is_symlink():
-            yield Finding("unsafe_path", relative, "expected plain files and folders, got a link")
+            if relative not in listed:
+                yield Finding("unsafe_path", relative, "expected plain files and folders, got a link")
         elif not file.is_dir() and relative not in listed | {JSON_NAME, MPD_NAME}:
-            yield Finding("foreign_file", relative, f"not listed in {JSON_NAME}")
+            yield Finding("foreign_file", relative, "not listed in the tables")
 
 
 def _check_measures(package: Package) -> Iterator[Finding]:
     """The H.264 bytes of the frames of a segment are no more than the file that holds them."""
-    m = package.manifest
-    for s, segment in enumerate(m.segments):
+    for s, segment in enumerate(package.manifest.segments):
         for j, level in enumerate(segment.levels):
-            size = m.bytes_of(m.state_files(s, j)[:1])
-            if sum(level.frame_bytes) > size:
-                detail = f"frame_bytes add up to {sum(level.frame_bytes)}, the file has {size}"
-                yield Finding("size_mismatch", f"{JSON_NAME}.segments[{s}].levels[{j}]", detail)
+            if sum(level.frame_bytes) > level.file.bytes:
+                detail = f"frame_bytes add up to {sum(level.frame_bytes)}, the file has {level.file.bytes}"
+                yield Finding("size_mismatch", f"segment {s} L{j}", detail)
 
 
 def _check_decoding(package: Package) -> Iterator[Finding]:
@@ -120,8 +130,8 @@ def _check_decoding(package: Package) -> Iterator[Finding]:
                 base = decode_canonical(package, g, 0)
         except (AirgsError, OverflowError):
             continue  # found above
-        for s, segment in enumerate(m.segments):
-            for j in range(len(m.levels) if segment.group == g else 0):
+        for s in m.segments_of(g):
+            for j in range(len(m.levels)):
                 yield from _attempt(f"segment {s}", partial(_decode_state, package, s, j, base))
 
 
@@ -129,10 +139,10 @@ def _decode_key(package: Package, group: int, quality: int) -> None:
     with np.errstate(all="ignore"):  # _expect_finite says it better
         base = decode_canonical(package, group, quality)
         _expect_finite(base.to_gaussians(), f"group {group} Q{quality}")
-    for t in range(package.manifest.tier_count):
+    for t in range(package.manifest.tiers):
         files = package.manifest.key_files(group, t, quality)
         if files:
-            _expect_pictures(package, key_init_path(t, quality), files[1], 1)
+            _expect_pictures(package, files[1], 1)
 
 
 def _decode_state(package: Package, index: int, level: int, base: Canonical) -> None:
@@ -143,11 +153,12 @@ def _decode_state(package: Package, index: int, level: int, base: Canonical) -> 
         with np.errstate(all="ignore"):
             for frame in decode_segment(package, index, base, level, range(length)):
                 _expect_finite(frame, files[0])
-        _expect_pictures(package, state_init_path(level), files[0], length)
+        _expect_pictures(package, files[0], length)
 
 
-def _expect_pictures(package: Package, init: str, media: str, count: int) -> None:
-    inside = [in_range(picture) for picture in decode_pictures(package.read(init), package.read(media), media)]
+def _expect_pictures(package: Package, media: str, count: int) -> None:
+    samples = open_segment(package.read(media), media).samples
+    inside = [in_range(picture) for picture in decode_pictures(samples, media)]
     if len(inside) != count:
         raise FormatError("bad_picture", media, f"expected {count} pictures, got {len(inside)}")
     if not all(inside):

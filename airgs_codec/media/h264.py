@@ -5,18 +5,19 @@ Luma carries the samples, chroma is 128, the full-range flag is set, and no fram
 
 from __future__ import annotations
 
-import io
-from collections.abc import Iterable, Iterator
+import itertools
+import struct
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
 import av
-import av.bitstream
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import CodecError, FormatError
-from airgs_codec.media.mp4 import avc_configuration, codecs_string, read_samples, split_segments
+from airgs_codec.media.fragments import CodedPicture, media_segment
+from airgs_codec.media.mp4 import Segment, read_segment, start_codes
 
 DEFAULT_PRESET = "veryslow"
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
@@ -34,6 +35,7 @@ _LEVEL = "5.1"  # the highest that every phone decodes, and its limits (ISO/IEC 
 _LEVEL_BUFFER = 184_320  # macroblocks of the pictures that a decoder holds
 _LEVEL_RATE = 983_040  # macroblocks a second
 _MOST_REFERENCES = 16  # that any preset asks for
+_SLICES = (1, 5)  # types of NAL units: of other pictures and of an IDR
 _SEI = 6  # type of the NAL unit in which x264 repeats its version and options in every stream
 
 
@@ -53,12 +55,10 @@ class ClosedGop:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """A coded representation: its init segment and a media segment a closed GOP."""
+    """A coded representation: the media segment of each closed GOP, which decodes by itself."""
 
-    codecs: str  # RFC 6381
-    init: bytes
     media: list[bytes]
-    picture_bytes: list[list[int]]  # H.264 bytes of each picture of each segment, in display order
+    picture_bytes: list[list[int]]  # of the slices of each picture of each segment, in display order
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,78 +110,72 @@ def encode_stream(
 ) -> Stream:
     """Code closed GOPs of `size` = (width, height) pictures as one representation, a media segment each.
 
-    `rate`: pictures a second, from which x264 derives the level; `timescale`: ticks a second.
+    `rate`: pictures a second, from which x264 derives the level; `timescale`: ticks a second. Parameter sets stand
+    in front of every IDR.
 
     Raises CodecError when FFmpeg refuses or a GOP did not become one segment.
     """
-    output = io.BytesIO()
-    options = {"movflags": "cmaf+frag_keyframe+empty_moov+default_base_moof", "video_track_timescale": str(timescale)}
-    options |= {"avoid_negative_ts": "disabled"}
-    times: list[list[int]] = []  # of the pictures of each GOP
+    coded: list[CodedPicture] = []
+    spans: list[tuple[int, int, int]] = []  # of each GOP: its start, the duration of a picture, how many there are
     try:
-        with av.open(output, "w", format="mp4", options=options) as container:
-            track = _Track(container, size, rate, timescale, settings)
-            for gop in gops:
-                times.append([])
-                for number, picture in enumerate(gop.pictures):
-                    times[-1].append(gop.start + number * gop.ticks)
-                    track.encode(picture, times[-1][-1], gop.ticks, idr=number == 0)
-            track.finish()
+        encoder = _Encoder(size, rate, timescale, settings)
+        for gop in gops:
+            count = 0
+            for count, picture in enumerate(gop.pictures, 1):
+                coded += encoder.encode(picture, gop.start + (count - 1) * gop.ticks, idr=count == 1)
+            spans.append((gop.start, gop.ticks, count))
+        coded += encoder.finish()
     except av.FFmpegError as error:
         raise CodecError(f"H.264 encoder refused {size[0]}x{size[1]} pictures: {error}") from error
-    init, media = split_segments(output.getvalue())
-    if len(media) != len(times):
-        raise CodecError(f"expected {len(times)} segments from the muxer, got {len(media)}")
-    return Stream(codecs_string(init), init, media, [[track.picture_bytes[at] for at in gop] for gop in times])
+    rest = iter(coded)
+    if len(coded) != (wanted := sum(count for *_, count in spans)):
+        raise CodecError(f"expected {wanted} coded pictures, got {len(coded)}")
+    parts = [list(itertools.islice(rest, count)) for *_, count in spans]
+    media = [media_segment(part, start, ticks) for part, (start, ticks, _) in zip(parts, spans, strict=True)]
+    shown = [sorted(part, key=lambda picture: picture.time) for part in parts]
+    return Stream(media, [[picture.bytes for picture in part] for part in shown])
 
 
-class _Track:
-    """The one track of a container that is written."""
+class _Encoder:
+    """x264 at work on one representation."""
 
-    def __init__(
-        self,
-        container: av.container.OutputContainer,
-        size: tuple[int, int],
-        rate: Fraction,
-        timescale: int,
-        settings: CodecSettings,
-    ) -> None:
-        self._container = container
+    def __init__(self, size: tuple[int, int], rate: Fraction, timescale: int, settings: CodecSettings) -> None:
         self._time_base = Fraction(1, timescale)
-        self._stream = container.add_stream("libx264", rate=rate, options=settings.options(size, rate))
-        context = self._stream.codec_context
+        context = av.CodecContext.create("libx264", "w")
+        assert isinstance(context, av.VideoCodecContext)
         context.width, context.height, context.pix_fmt = *size, "yuv420p"
         context.color_range = FULL_RANGE
-        context.time_base = self._time_base
+        context.framerate, context.time_base = rate, self._time_base
+        context.options = settings.options(size, rate)
         context.thread_count = 1
-        self._without_sei: av.bitstream.BitStreamFilterContext | None = None
-        self._durations: dict[int, int] = {}  # ticks, by presentation time
-        self.picture_bytes: dict[int, int] = {}  # of H.264, by presentation time
+        self._context = context
 
-    def encode(self, picture: NDArray[np.uint8], time: int, ticks: int, idr: bool) -> None:
-        """Code an (H, W) picture that is shown from `time` on for `ticks`."""
+    def encode(self, picture: NDArray[np.uint8], time: int, idr: bool) -> list[CodedPicture]:
+        """Code an (H, W) picture that is shown from `time` on; gives what is finished, in decoding order."""
         frame = _frame(picture)
         frame.pts, frame.time_base = time, self._time_base
         kinds = av.video.frame.PictureType
         frame.pict_type = kinds.I if idr else kinds.NONE
-        self._durations[time] = ticks
-        self._mux(self._stream.encode(frame))
+        return self._coded(self._context.encode(frame))
 
-    def finish(self) -> None:
-        """Code what x264 still holds back."""
-        self._mux(self._stream.encode(None))
+    def finish(self) -> list[CodedPicture]:
+        """What x264 still holds back."""
+        return self._coded(self._context.encode(None))
 
-    def _mux(self, packets: Iterable[av.Packet]) -> None:
+    def _coded(self, packets: Iterable[av.Packet]) -> list[CodedPicture]:
+        out = []
         for packet in packets:
-            if self._without_sei is None:  # can be made once x264 has been opened
-                removal = f"filter_units=remove_types={_SEI}"
-                self._without_sei = av.bitstream.BitStreamFilterContext(removal, self._stream)
-            for kept in self._without_sei.filter(packet):
-                if kept.pts is None:
-                    raise CodecError("a packet has no presentation time")
-                self.picture_bytes[kept.pts] = kept.size
-                kept.duration = self._durations[kept.pts]
-                self._container.mux(kept)
+            if packet.pts is None:
+                raise CodecError("a packet has no presentation time")
+            units = [(unit[0] & 31, struct.pack(">I", len(unit)) + unit) for unit in _units(bytes(packet))]
+            data = b"".join(unit for kind, unit in units if kind != _SEI)
+            out.append(CodedPicture(data, packet.pts, sum(len(unit) for kind, unit in units if kind in _SLICES)))
+        return out
+
+
+def _units(stream: bytes) -> list[bytes]:
+    """The NAL units of a byte stream (ISO/IEC 14496-10, Annex B); none of them ends in a zero byte."""
+    return [unit.rstrip(b"\0") for unit in stream.split(b"\0\0\1")[1:]]
 
 
 def _frame(picture: NDArray[np.uint8]) -> av.VideoFrame:
@@ -195,20 +189,27 @@ def _frame(picture: NDArray[np.uint8]) -> av.VideoFrame:
     return frame
 
 
-def decode_pictures(init: bytes, media: bytes, where: str) -> Iterator[NDArray[np.uint8]]:
-    """(H, W) luma of each picture of one media segment, in display order; stop iterating to stop decoding.
+def decode_pictures(samples: Sequence[bytes], where: str) -> Iterator[NDArray[np.uint8]]:
+    """(H, W) luma of each picture of the samples of a media segment, in display order; stop iterating to stop decoding.
 
     `where` names the segment in errors. Raises FormatError(bad_picture) when the bytes do not decode.
     """
     try:
         context = av.CodecContext.create("h264", "r")
-        context.extradata = avc_configuration(init)
         context.thread_count = 1
-        packets = [av.Packet(sample) for sample in read_samples(media)]
+        packets = [av.Packet(start_codes(sample)) for sample in samples]
         for packet in [*packets, None]:
             for frame in context.decode(packet):
                 yield _luma(frame, where)
     except (av.FFmpegError, CodecError) as error:
+        raise FormatError("bad_picture", where, f"expected H.264: {error}") from error
+
+
+def open_segment(media: bytes, where: str) -> Segment:
+    """The parts of a media segment. Raises FormatError(bad_picture) when it is no such segment."""
+    try:
+        return read_segment(media)
+    except CodecError as error:
         raise FormatError("bad_picture", where, f"expected H.264 in fragmented MP4: {error}") from error
 
 
@@ -239,15 +240,16 @@ def check_stream(stream: Stream, gops: Iterable[ClosedGop], settings: CodecSetti
     its QP; a whole step means that something else was decoded. Raises CodecError.
     """
     segments = enumerate(zip(gops, stream.media, strict=True))
-    return [_check_gop(stream.init, media, gop, settings.qp, f"segment {i}") for i, (gop, media) in segments]
+    return [_check_gop(media, gop, settings.qp, f"segment {i}") for i, (gop, media) in segments]
 
 
-def _check_gop(init: bytes, media: bytes, gop: ClosedGop, qp: int, where: str) -> DecodedGop:
+def _check_gop(media: bytes, gop: ClosedGop, qp: int, where: str) -> DecodedGop:
     """Decode and compare one GOP. Raises CodecError as `check_stream` does."""
     squared, count = 0.0, 0
     largest, inside = np.zeros((1, 1), np.uint8), True
     try:
-        for picture, shown in zip(gop.pictures, decode_pictures(init, media, where), strict=True):
+        pictures = decode_pictures(read_segment(media).samples, where)
+        for picture, shown in zip(gop.pictures, pictures, strict=True):
             difference = np.maximum(picture, shown) - np.minimum(picture, shown)
             squared += float(np.mean(np.square(difference, dtype=np.float32)))
             largest = np.maximum(largest, difference)

@@ -2,35 +2,31 @@
 
 One AdaptationSet for the state (its Representations are the levels) and one for each key tier (the key qualities).
 The shape was chosen by what ffmpeg and dash.js read: SegmentTemplate with $Number$ and an explicit SegmentTimeline,
-SupplementalProperty only, relative addresses. What all Representations of an AdaptationSet have in common stands there
-once: attributes, and the SegmentTemplate if their timelines are equal. Otherwise each has its own, and the set has none
-(video.js would play the files of both). `mpd_check` reads an MPD back and refuses others.
+SupplementalProperty only, relative addresses, one init segment for all. The SegmentTemplate stands in the
+AdaptationSet where the timelines of its Representations are equal; otherwise each has its own, and the set has none
+(video.js would play the files of both). Runs of equal segments are one S, so that the MPD does not grow with a regular
+sequence. `mpd_check` reads an MPD back and refuses others.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from datetime import datetime
 
-from airgs_codec.package.tables import (
-    Group,
-    Manifest,
-    Picture,
-    Segment,
-    key_init_path,
-    key_media_path,
-    state_init_path,
-    state_media_path,
-)
+import numpy as np
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.media.fragments import CODECS
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.paths import INIT_NAME, JSON_NAME, key_media_path, state_media_path
+from airgs_codec.package.tables import Group, Segment
 
 DASH = "urn:mpeg:dash:schema:mpd:2011"
-AIRGS = "urn:airgs:mpd:1"
 MIN_BUFFER_S = 1.0
 NUMBER = "$Number$"  # stands for the number of a file in a SegmentTemplate
 ID = "$RepresentationID$"  # stands there for the id, which is the folder of the files below that of all of its kind
-INHERITED = ("codecs", "width", "height", "sar", "frameRate")  # a Representation without one has that of its set
-Timeline = tuple[tuple[int, int], ...]  # start and duration of each file in ticks, number 1 first
 CONTENT = {  # the elements that this format uses, and their children in the order of ISO/IEC 23009-1's schema
     "MPD": ("Period",),
     "Period": ("AdaptationSet", "SupplementalProperty"),
@@ -44,17 +40,22 @@ CONTENT = {  # the elements that this format uses, and their children in the ord
 
 
 @dataclass(frozen=True, slots=True)
+class Unit:
+    """A file and when it plays."""
+
+    number: int
+    start: int  # ticks
+    duration: int  # ticks
+
+
+@dataclass(frozen=True, slots=True)
 class Representation:
     """What the MPD says of one stream: its files and when they play."""
 
     id: str
-    codecs: str
-    width: int
-    height: int
-    init: str
     media: str  # template with $Number$
-    timeline: Timeline
-    advice: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)  # further attributes
+    timeline: tuple[Unit, ...]
+    bandwidth: int = field(default=0, compare=False)  # bit/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,72 +67,95 @@ class AdaptationSet:
     representations: tuple[Representation, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class LiveClock:
+    """The times that the MPD of a growing package names."""
+
+    available: datetime  # when its first frame was, or would have been, there
+    published: datetime  # of this MPD
+
+
 def adaptation_sets(m: Manifest) -> list[AdaptationSet]:
     """What the tables call for: the state, then each key tier; streams without files and empty sets are left out."""
-    keys = [
-        AdaptationSet(f"key;tier={t}", 1, tuple(_key(m, t, q, picture) for q, picture in enumerate(row)))
-        for t, row in enumerate(m.key_pictures)
-    ]
-    state = AdaptationSet("state", 10, tuple(_state(m, j, picture) for j, picture in enumerate(m.state_pictures)))
-    with_files = [
-        AdaptationSet(s.role, s.priority, tuple(r for r in s.representations if r.timeline)) for s in (state, *keys)
-    ]
-    return [s for s in with_files if s.representations]
+    streams = _streams(m)
+    state = [streams[f"L{j}"] for j in range(len(m.levels))]
+    keys = [[streams[f"T{t}/Q{q}"] for q in range(len(m.qualities))] for t in range(m.tiers)]
+    sets = [("state", 10, state), *((f"key;tier={t}", 1, row) for t, row in enumerate(keys))]
+    with_files = [(role, priority, tuple(r.listed() for r in row if r.timeline)) for role, priority, row in sets]
+    return [AdaptationSet(role, priority, row) for role, priority, row in with_files if row]
 
 
-def _state(m: Manifest, level: int, picture: Picture) -> Representation:
-    entry, rate = m.levels[level], m.fps
-    advice = {
-        "frameRate": str(rate.numerator) if rate.denominator == 1 else f"{rate.numerator}/{rate.denominator}",
-        f"{{{AIRGS}}}pruned": f"{entry.pruned:g}",
-        f"{{{AIRGS}}}factor": f"{entry.factor:g}",
-        f"{{{AIRGS}}}tiers": str(entry.tiers),
+@dataclass(slots=True)
+class _Stream:
+    """A Representation as its files are found."""
+
+    id: str
+    media: str
+    timeline: list[Unit] = field(default_factory=list)
+    rate: float = 0.0  # bit/s
+
+    def add(self, m: Manifest, number: int, span: Group | Segment, size: int) -> None:
+        """The next file; one of no bytes is not there.
+
+        At the largest `rate` every run of files has come MIN_BUFFER_S after its first one begins to play.
+        """
+        if size:
+            frames, ticks = span.stop - span.start, m.frame_ticks
+            self.timeline.append(Unit(number, span.start * ticks, frames * ticks))
+            self.rate = max(self.rate, 8 * size / min(MIN_BUFFER_S, float(frames / m.fps)))
+
+    def listed(self) -> Representation:
+        """What the MPD says of it."""
+        return Representation(self.id, self.media, tuple(self.timeline), int(self.rate) + 1)
+
+
+def _streams(m: Manifest) -> dict[str, _Stream]:
+    """Every stream by its id, from one walk over the groups."""
+    keys = {
+        (t, q): _Stream(f"T{t}/Q{q}", key_media_path(t, q, NUMBER)) for t, q in np.ndindex(m.tiers, len(m.qualities))
     }
-    timeline = _timeline(m, (s for s in m.segments if s.levels[level].number))
-    media = state_media_path(level, NUMBER)
-    return Representation(
-        f"L{level}", picture.codecs, picture.width, picture.height, state_init_path(level), media, timeline, advice
-    )
+    states = [_Stream(f"L{j}", state_media_path(j, NUMBER)) for j in range(len(m.levels))]
+    for g, group in enumerate(m.groups):
+        for (t, q), stream in keys.items():
+            stream.add(m, g + 1, group, group.tiers[t].pictures[q].bytes)
+        for number, segment in zip(m.segments_of(g), group.segments, strict=True):
+            for stream, level in zip(states, segment.levels, strict=True):
+                stream.add(m, number + 1, segment, level.file.bytes)
+    return {stream.id: stream for stream in (*keys.values(), *states)}
 
 
-def _key(m: Manifest, tier: int, quality: int, picture: Picture) -> Representation:
-    advice = {f"{{{AIRGS}}}factor": f"{m.qualities[quality].factor:g}"}
-    timeline = _timeline(m, (g for g in m.groups if g.tiers[tier].number))
-    init, media = key_init_path(tier, quality), key_media_path(tier, quality, NUMBER)
-    name = f"T{tier}/Q{quality}"
-    return Representation(name, picture.codecs, picture.width, picture.height, init, media, timeline, advice)
-
-
-def _timeline(m: Manifest, spans: Iterable[Group | Segment]) -> Timeline:
-    ticks = m.frame_ticks
-    return tuple((span.start * ticks, (span.stop - span.start) * ticks) for span in spans)
-
-
-def write_mpd(m: Manifest) -> bytes:
-    """The text of manifest.mpd."""
+def write_mpd(m: Manifest, clock: LiveClock | None = None) -> bytes:
+    """The text of manifest.mpd. Raises ConfigError for a growing package without a clock."""
     ET.register_namespace("", DASH)
-    ET.register_namespace("airgs", AIRGS)
     duration = f"PT{float(m.frames / m.fps):.6f}S"
-    root = _element(
-        None,
-        "MPD",
-        type="static",
-        profiles="urn:mpeg:dash:profile:isoff-live:2011",
-        mediaPresentationDuration=duration,
-        minBufferTime=f"PT{MIN_BUFFER_S:g}S",
-    )
-    period = _element(root, "Period", id="p0", start="PT0S", duration=duration)
+    root = _element(None, "MPD", **_presentation(m, duration, clock))
+    period = _element(root, "Period", id="p0", start="PT0S", **({} if m.live else {"duration": duration}))
     for number, adaptation_set in enumerate(adaptation_sets(m), 1):
         _write_set(period, m, number, adaptation_set)
-    _element(period, "SupplementalProperty", schemeIdUri="urn:airgs:scene:1", value="airgs.json")
+    _element(period, "SupplementalProperty", schemeIdUri="urn:airgs:scene:2", value=JSON_NAME)
     ET.indent(root, "")  # a line for each element
     return b'<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
 
 
+def _presentation(m: Manifest, duration: str, clock: LiveClock | None) -> dict[str, str]:
+    """Attributes of the MPD element."""
+    common = {"profiles": "urn:mpeg:dash:profile:isoff-live:2011", "minBufferTime": f"PT{MIN_BUFFER_S:g}S"}
+    if not m.live:
+        return {"type": "static", **common, "mediaPresentationDuration": duration}
+    if clock is None:
+        raise ConfigError("the MPD of a growing package: expected the time from which it is available")
+    longest = max(group.stop - group.start for group in m.groups)
+    return {
+        "type": "dynamic",
+        **common,
+        "availabilityStartTime": clock.available.isoformat(),
+        "publishTime": clock.published.isoformat(),
+        "minimumUpdatePeriod": f"PT{float(longest / m.fps):.6f}S",
+    }
+
+
 def _write_set(period: ET.Element, m: Manifest, number: int, adaptation_set: AdaptationSet) -> None:
     listed = adaptation_set.representations
-    attributes = [_attributes(m, r, ranking) for ranking, r in enumerate(listed, 1)]
-    common = _common(attributes)
     element = _element(
         period,
         "AdaptationSet",
@@ -139,37 +163,18 @@ def _write_set(period: ET.Element, m: Manifest, number: int, adaptation_set: Ada
         selectionPriority=str(adaptation_set.priority),
         contentType="video",
         mimeType="video/mp4",
+        codecs=CODECS,
         segmentAlignment="true",
         startWithSAP="1",
-        **common,
     )
-    _element(element, "SupplementalProperty", schemeIdUri="urn:airgs:plane:1", value=adaptation_set.role)
+    _element(element, "SupplementalProperty", schemeIdUri="urn:airgs:plane:2", value=adaptation_set.role)
     one_timeline = len({r.timeline for r in listed}) == 1
     if one_timeline:
         _write_template(element, m, listed[0])
-    for r, own in zip(listed, attributes, strict=True):
-        row = _element(element, "Representation", **{k: v for k, v in own.items() if k not in common})
+    for r in listed:
+        row = _element(element, "Representation", id=r.id, bandwidth=str(r.bandwidth))
         if not one_timeline:
             _write_template(row, m, r)
-
-
-def _attributes(m: Manifest, r: Representation, ranking: int) -> dict[str, str]:
-    return {
-        "id": r.id,
-        "codecs": r.codecs,
-        "bandwidth": str(_bandwidth(m, r)),
-        "width": str(r.width),
-        "height": str(r.height),
-        "sar": "1:1",
-        "qualityRanking": str(ranking),
-        **r.advice,
-    }
-
-
-def _common(rows: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """What all Representations of a set say alike and may leave to it."""
-    first = rows[0]
-    return {k: first[k] for k in INHERITED if k in first and all(row.get(k) == first[k] for row in rows)}
 
 
 def _write_template(parent: ET.Element, m: Manifest, r: Representation) -> None:
@@ -177,41 +182,34 @@ def _write_template(parent: ET.Element, m: Manifest, r: Representation) -> None:
         parent,
         "SegmentTemplate",
         timescale=str(m.timescale),
-        startNumber="1",
-        initialization=r.init.replace(r.id, ID),
+        initialization=INIT_NAME,
         media=r.media.replace(r.id, ID),
+        startNumber=str(r.timeline[0].number),
     )
     timeline = _element(template, "SegmentTimeline")
     for attributes in _runs(r.timeline):
         _element(timeline, "S", **attributes)
 
 
-def _runs(timeline: Timeline) -> list[dict[str, str]]:
-    """Attributes of an S for each run of equal durations; t where it begins the timeline or follows a gap."""
+def _runs(timeline: Iterable[Unit]) -> list[dict[str, str]]:
+    """Attributes of an S for each run of equal durations; t where it begins the timeline, t and n after a gap."""
     runs: list[dict[str, int]] = []
-    end = None
-    for start, duration in timeline:
-        if start == end and runs[-1]["d"] == duration:
+    before: Unit | None = None
+    for unit in timeline:
+        follows = before is not None and (unit.number, unit.start) == (
+            before.number + 1,
+            before.start + before.duration,
+        )
+        if before is not None and follows and before.duration == unit.duration:
             runs[-1]["r"] = runs[-1].get("r", 0) + 1
+        elif follows:
+            runs.append({"d": unit.duration})
         else:
-            runs.append({"d": duration} if start == end else {"t": start, "d": duration})
-        end = start + duration
+            runs.append({"t": unit.start, "d": unit.duration} | ({"n": unit.number} if before else {}))
+        before = unit
     return [{name: str(value) for name, value in run.items()} for run in runs]
 
 
 def _element(parent: ET.Element | None, tag: str, **attributes: str) -> ET.Element:
     name = f"{{{DASH}}}{tag}"
     return ET.Element(name, attributes) if parent is None else ET.SubElement(parent, name, attributes)
-
-
-def _bandwidth(m: Manifest, r: Representation) -> int:
-    """A bit/s above the least b at which every run of segments fits into b * (MIN_BUFFER_S + time since its start)."""
-    sizes = [8 * m.files[r.media.replace(NUMBER, str(n))].bytes for n in range(1, len(r.timeline) + 1)]
-    starts = [start / m.timescale for start, _ in r.timeline]
-    best = 0.0
-    for first in range(len(sizes)):
-        bits = 0
-        for i in range(first, len(sizes)):
-            bits += sizes[i]
-            best = max(best, bits / (MIN_BUFFER_S + starts[i] - starts[first]))
-    return int(best) + 1

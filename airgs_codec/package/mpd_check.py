@@ -6,15 +6,16 @@ import re
 import xml.etree.ElementTree as ET
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.mpd import CONTENT, DASH, ID, Representation, Timeline, adaptation_sets
-from airgs_codec.package.tables import MPD_NAME, Manifest
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.mpd import CONTENT, DASH, ID, Representation, Unit, adaptation_sets
+from airgs_codec.package.paths import INIT_NAME, MPD_NAME
 
 _XLINK = "{http://www.w3.org/1999/xlink}"
 _LEAD_AWAY = ("BaseURL", "Location", "PatchLocation")  # elements that change where a player fetches
 _ATTRIBUTES = {  # of the elements that say which file plays when; the others' are advisory
     "SegmentTemplate": {"timescale", "startNumber", "initialization", "media"},
     "SegmentTimeline": set[str](),
-    "S": {"t", "d", "r"},
+    "S": {"t", "n", "d", "r"},
 }
 
 
@@ -41,7 +42,7 @@ def _check_ids(found: list[list[str]], expected: list[list[str]]) -> None:
     if len(set(got)) != len(got):
         raise FormatError("bad_mpd", MPD_NAME, "expected a different id for each Representation")
     for name in sorted(set(got) ^ set(wanted)):
-        raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", "is not in both the MPD and airgs.json")
+        raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", "is not in both the MPD and the tables")
     if {frozenset(row) for row in found if row} != {frozenset(row) for row in expected}:
         raise FormatError("mpd_mismatch", MPD_NAME, "expected an AdaptationSet for the state and one for each key tier")
 
@@ -114,12 +115,18 @@ def _local(element: ET.Element) -> str:
 
 
 def _check_duration(root: ET.Element, m: Manifest) -> None:
-    text = root.get("mediaPresentationDuration", "")
+    kind, text = root.get("type", "static"), root.get("mediaPresentationDuration", "")
+    if kind != ("dynamic" if m.live else "static"):
+        raise FormatError("mpd_mismatch", MPD_NAME, f"airgs.json says live: {m.live}, got a {kind} presentation")
+    if m.live:
+        if text or not root.get("availabilityStartTime"):
+            raise FormatError("bad_mpd", MPD_NAME, "expected an availabilityStartTime and no duration")
+        return
     if not re.fullmatch(r"PT\d{1,12}(\.\d{1,12})?S", text, re.ASCII):
         raise FormatError("bad_mpd", MPD_NAME, f"expected mediaPresentationDuration as PT…S, got {text!r}")
     seconds = float(m.frames / m.fps)
-    if abs(float(text[2:-1]) - seconds) > 1e-5 or root.get("type") != "static":
-        raise FormatError("mpd_mismatch", MPD_NAME, f"expected a static presentation of {seconds:.6f} s, got {text}")
+    if abs(float(text[2:-1]) - seconds) > 1e-5:
+        raise FormatError("mpd_mismatch", MPD_NAME, f"expected a presentation of {seconds:.6f} s, got {text}")
 
 
 def _id(representation: ET.Element) -> str:
@@ -129,15 +136,11 @@ def _id(representation: ET.Element) -> str:
 def _read(row: ET.Element, element: ET.Element, m: Manifest, wanted: Representation) -> Representation:
     """A Representation with what it has from its AdaptationSet `row`. No more files are read than are wanted."""
     where = f"{MPD_NAME} {wanted.id}"
-    template, said = _template(row, element, where), row.attrib | element.attrib
+    template = _template(row, element, where)
     init, media = (template.get(name, "").replace(ID, wanted.id) for name in ("initialization", "media"))
-    timeline = _timeline(template, len(wanted.timeline), where)
-    scale, width, height = (
-        _whole(a, where) for a in (template.get("timescale"), said.get("width"), said.get("height"))
-    )
-    if scale != m.timescale or template.get("startNumber") != "1":
-        raise FormatError("mpd_mismatch", where, f"expected timescale {m.timescale} and startNumber 1")
-    return Representation(wanted.id, said.get("codecs", ""), width, height, init, media, timeline)
+    if init != INIT_NAME or _whole(template.get("timescale"), where) != m.timescale:
+        raise FormatError("mpd_mismatch", where, f"expected {INIT_NAME} and timescale {m.timescale}")
+    return Representation(wanted.id, media, _timeline(template, len(wanted.timeline), where))
 
 
 def _template(row: ET.Element, element: ET.Element, where: str) -> ET.Element:
@@ -151,16 +154,17 @@ def _template(row: ET.Element, element: ET.Element, where: str) -> ET.Element:
     return template
 
 
-def _timeline(template: ET.Element, count: int, where: str) -> Timeline:
-    """Start and duration of at most `count` files."""
-    out: list[tuple[int, int]] = []
-    end = 0
+def _timeline(template: ET.Element, count: int, where: str) -> tuple[Unit, ...]:
+    """At most `count` files."""
+    out: list[Unit] = []
+    end, number = 0, _whole(template.get("startNumber", "1"), where)
     for s in template.iter(f"{{{DASH}}}S"):
         start, duration, repeats = (_whole(a, where) for a in (s.get("t", str(end)), s.get("d"), s.get("r", "0")))
+        number = _whole(s.get("n", str(number)), where)
         if len(out) + 1 + repeats > count:
             raise FormatError("mpd_mismatch", where, f"expected {count} files in the timeline, got more")
-        out += [(start + i * duration, duration) for i in range(1 + repeats)]
-        end = start + (1 + repeats) * duration
+        out += [Unit(number + i, start + i * duration, duration) for i in range(1 + repeats)]
+        end, number = start + (1 + repeats) * duration, number + 1 + repeats
     return tuple(out)
 
 

@@ -1,4 +1,4 @@
-"""Strict reading of airgs.json: the dataclasses of `tables` and their annotations are the schema.
+"""Strict reading of tables: the dataclasses of `tables` and their annotations are the schema.
 
 What is not in them is refused, never ignored or repaired. `references` then checks what no single field can tell.
 """
@@ -15,26 +15,52 @@ from typing import Annotated, Any
 
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.package.constraints import Constraint
-from airgs_codec.package.references import check_references, check_region
-from airgs_codec.package.tables import JSON_NAME, VERSION, Manifest, Region
+from airgs_codec.package.index import GroupEntry
+from airgs_codec.package.packing import inflate
+from airgs_codec.package.paths import JSON_NAME, group_path, page_path
+from airgs_codec.package.references import check_group, check_page, check_region, check_root
+from airgs_codec.package.tables import VERSION, Group, Header, Region, Root, Spans
 
 
-def parse_manifest(text: str | bytes) -> Manifest:
+def parse_root(text: str | bytes) -> Root:
     """The value of an airgs.json. Raises FormatError whose `where` names the place.
 
-    Reasons: not_json, unknown_version, unknown_field, missing_field, wrong_type, bad_value, unsafe_path, missing_entry.
+    Reasons: not_json, unknown_version, unknown_field, missing_field, wrong_type, bad_value, missing_entry.
     """
-    try:
-        data = json.loads(text, parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise FormatError("not_json", JSON_NAME, f"expected JSON: {error}") from error
+    data = _load(text, JSON_NAME)
     if not isinstance(data, dict):
         raise FormatError("wrong_type", JSON_NAME, f"expected an object, got {type(data).__name__}")
     if data.get("version") != VERSION:
         raise FormatError("unknown_version", JSON_NAME, f"expected version {VERSION}, got {data.get('version')!r}")
-    manifest: Manifest = _parse(Manifest, data, JSON_NAME)
-    check_references(manifest)
-    return manifest
+    root: Root = _parse(Root, data, JSON_NAME)
+    check_root(root)
+    return root
+
+
+def parse_page(text: bytes, root: Root, number: int) -> Spans:
+    """A page of the index, counted from 0. Raises FormatError as `parse_root` does."""
+    where = page_path(number + 1)
+    page: Spans = _parse(Spans, _load(text, where), where)
+    check_page(root, page, number)
+    return page
+
+
+def parse_group(data: bytes, header: Header, entry: GroupEntry, number: int) -> Group:
+    """The table of a group, counted from 0, of which the index says `entry`.
+
+    Raises FormatError as `parse_root` does, and too_large.
+    """
+    where = group_path(number + 1)
+    group: Group = _parse(Group, _load(inflate(data, where), where), where)
+    check_group(header, entry, group, where)
+    return group
+
+
+def _load(text: str | bytes, where: str) -> Any:
+    try:
+        return json.loads(text, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise FormatError("not_json", where, f"expected JSON: {error}") from error
 
 
 def read_region(path: Path) -> Region:
@@ -43,12 +69,10 @@ def read_region(path: Path) -> Region:
     Raises SceneError for a file that cannot be read, FormatError for one that is no region.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
+        text = path.read_bytes()
     except OSError as error:
         raise SceneError(f"{path}: cannot read a viewing region: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise FormatError("not_json", str(path), f"expected JSON: {error}") from error
-    region: Region = _parse(Region, data, str(path))
+    region: Region = _parse(Region, _load(text, str(path)), str(path))
     check_region(region, str(path))
     return dataclasses.replace(region, source="file")
 
@@ -70,7 +94,11 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
         return {_parse(name, k, where): _parse(item, d, f"{where}[{k!r}]") for k, d in data.items()}
     if dataclasses.is_dataclass(kind):
         return _parse_dataclass(kind, _expect(data, dict, where), where)
-    return _parse_float(data, where) if kind is float else _expect(data, kind, where)
+    if kind is float:
+        return _parse_float(data, where)
+    if kind is bool and isinstance(data, bool):
+        return data
+    return _expect(data, kind, where)
 
 
 def _parse_dataclass(kind: Any, data: dict[str, Any], where: str) -> Any:

@@ -1,4 +1,4 @@
-"""Checks of airgs.json that no single field can tell: counts, spans, and fields that refer to each other.
+"""Checks of tables that no single field can tell: counts, spans, and fields that refer to each other.
 
 Each check relies on those before it. T tiers, Q key qualities, L levels.
 """
@@ -10,39 +10,76 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from airgs_codec.errors import FormatError
+from airgs_codec.package.index import GroupEntry
 from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.paths import JSON_NAME, page_path
 from airgs_codec.package.tables import (
     BLOCK,
-    JSON_NAME,
+    DIGEST,
     MAX_BITS,
     MAX_SIDE,
+    PAGE,
     Atlas,
+    FileEntry,
     Group,
-    Manifest,
-    Picture,
+    GroupTier,
+    Header,
     Region,
+    Root,
     Segment,
-    expected_files,
+    Spans,
 )
 
 Bound = tuple[str, float, float, float]  # where, what came, the least and the most that may stand there
 
 
-def check_references(m: Manifest) -> None:
-    """Raise FormatError (bad_value, missing_entry) unless the tables fit each other."""
-    _check_shapes(m)
-    for where, value, low, high in _bounds(m):
-        if not low <= value <= high:
-            raise _bad(where, f"expected {low} to {high}, got {value}")
+def check_root(m: Root) -> None:
+    """Raise FormatError (bad_value, missing_entry) unless what airgs.json says fits together."""
+    ids = [*(q.id for q in m.qualities), *(v.id for v in m.levels)]
+    expected = [*(f"Q{i}" for i in range(len(m.qualities))), *(f"L{i}" for i in range(len(m.levels)))]
+    if ids != expected:
+        raise _bad(f"{JSON_NAME}.levels", f"expected {expected}, got {ids}")
+    _check_bounds(JSON_NAME, _root_bounds(m))
     check_region(m.region, f"{JSON_NAME}.region")
-    _check_clock(m)
-    _check_cover(m)
-    for index, segment in enumerate(m.segments):
-        _check_segment(m, index, segment)
-    _check_numbers(m)
-    for path in expected_files(m):
-        if path not in m.files:
-            raise FormatError("missing_entry", f"{JSON_NAME}.files", f"no entry for {path}")
+    if m.timescale * m.frame_rate[1] % m.frame_rate[0]:
+        raise _bad(f"{JSON_NAME}.timescale", "a frame is not a whole number of ticks")
+    _check_file(f"{JSON_NAME}.init", m.init, True)
+    for name, spans in (("pages", m.index.pages), ("groups", m.index.groups)):
+        _check_columns(f"{JSON_NAME}.index.{name}", spans)
+    if len(m.index.groups) >= PAGE:
+        raise _bad(f"{JSON_NAME}.index.groups", f"expected at most {PAGE - 1} groups after the last page")
+    total = sum(m.index.pages.frames) + sum(m.index.groups.frames)
+    if total != m.frames:
+        raise _bad(f"{JSON_NAME}.index", f"covers {total} of {m.frames} frames")
+
+
+def check_page(m: Root, page: Spans, number: int) -> None:
+    """Raise FormatError (bad_value) unless a page, counted from 0, holds what airgs.json says of it."""
+    where = page_path(number + 1)
+    _check_columns(where, page)
+    got = len(page), sum(page.frames), sum(page.segments)
+    expected = PAGE, m.index.pages.frames[number], m.index.pages.segments[number]
+    if got != expected:
+        raise _bad(where, f"expected {expected} groups, frames and segments, got {got}")
+
+
+def check_group(m: Header, entry: GroupEntry, group: Group, where: str) -> None:
+    """Raise FormatError (bad_value, missing_entry) unless the table of a group fits the package and itself."""
+    got, expected = (group.start, group.stop, len(group.segments)), (entry.start, entry.stop, entry.segments)
+    if got != expected:
+        raise _bad(where, f"expected the start, stop and number of segments {expected}, got {got}")
+    _check_shapes(m, group, where)
+    _check_bounds(where, _group_bounds(m, group))
+    for t, tier in enumerate(group.tiers):
+        _check_tier(f"{where}.tiers[{t}]", tier)
+    stop = group.start
+    for s, segment in enumerate(group.segments):
+        if segment.start != stop or not stop < segment.stop <= group.stop:
+            raise _bad(f"{where}.segments[{s}]", f"expected a start at {stop}, got [{segment.start}, {segment.stop})")
+        stop = segment.stop
+        _check_segment(m, group, segment, f"{where}.segments[{s}]")
+    if stop != group.stop:
+        raise _bad(f"{where}.segments", f"end at {stop}, the group at {group.stop}")
 
 
 def check_region(region: Region, where: str) -> None:
@@ -54,43 +91,56 @@ def check_region(region: Region, where: str) -> None:
 
 
 def _bad(where: str, detail: str) -> FormatError:
-    return FormatError("bad_value", f"{JSON_NAME}.{where}", detail)
+    return FormatError("bad_value", where, detail)
 
 
-def _check_shapes(m: Manifest) -> None:
-    """Ids, and lists that must be of the same length."""
-    tiers, qualities, levels = m.tier_count, len(m.qualities), len(m.levels)
-    shapes: list[tuple[str, list[int] | list[str], list[int] | list[str]]] = [
-        ("qualities", [q.id for q in m.qualities], [f"Q{i}" for i in range(qualities)]),
-        ("levels", [v.id for v in m.levels], [f"L{i}" for i in range(levels)]),
-        ("key_pictures", [len(row) for row in m.key_pictures], [qualities] * tiers),
-        ("state_pictures", [len(m.state_pictures)], [levels]),
-    ]
-    for g, group in enumerate(m.groups):
-        shapes.append((f"groups[{g}].tiers", [len(group.tiers)], [tiers]))
-        shapes.append((f"groups[{g}].levels", [len(group.levels)], [levels]))
-        for t, tier in enumerate(group.tiers):
-            shapes.append((f"groups[{g}].tiers[{t}].qualities", [len(tier.qualities)], [qualities]))
-    shapes += [(f"segments[{s}].levels", [len(segment.levels)], [levels]) for s, segment in enumerate(m.segments)]
-    for where, got, expected in shapes:
-        if got != expected:
-            raise _bad(where, f"expected {expected}, got {got}")
+def _check_bounds(where: str, bounds: Iterator[Bound]) -> None:
+    for name, value, low, high in bounds:
+        if not low <= value <= high:
+            raise _bad(f"{where}.{name}", f"expected {low} to {high}, got {value}")
 
 
-def _bounds(m: Manifest) -> Iterator[Bound]:
+def _check_columns(where: str, spans: Spans) -> None:
+    """Columns are of one length."""
+    lengths = [len(spans.frames), len(spans.segments), len(spans.bytes), len(spans.sha256) / DIGEST]
+    if len(set(lengths)) > 1:
+        raise _bad(where, f"expected columns of one length, got {lengths}")
+
+
+def _check_file(where: str, entry: FileEntry, wanted: bool) -> None:
+    """A file is there where one is wanted, and only there; a length and a digest come together."""
+    if not wanted and entry.bytes:
+        raise _bad(where, "expected no file: nothing is to be fetched")
+    if wanted and not entry.bytes:
+        raise FormatError("missing_entry", where, "expected a file")
+    if bool(entry.bytes) != bool(entry.sha256):
+        raise _bad(where, f"expected both a length and a digest or neither, got {entry.bytes} and {entry.sha256!r}")
+
+
+def _root_bounds(m: Header) -> Iterator[Bound]:
     for q, quality in enumerate(m.qualities):
         yield f"qualities[{q}].coarser", quality.coarser, m.qualities[q - 1].coarser if q else 0, MAX_BITS if q else 0
-    finest = 0
-    most = m.tier_count  # every tier is some level's: the first level has all of them
+    finest, most = 0, m.tiers  # every tier is some level's: the first level has all of them
     for j, level in enumerate(m.levels):
         yield f"levels[{j}].tiers", level.tiers, 1 if j else most, most
         yield f"levels[{j}].quality", level.quality, finest, len(m.qualities) - 1
         most, finest = level.tiers, level.quality
-    for g, group in enumerate(m.groups):
-        yield from ((f"groups[{g}].{name}", *bound) for name, *bound in _group_bounds(m, group))  # type: ignore[misc]
 
 
-def _group_bounds(m: Manifest, group: Group) -> Iterator[Bound]:
+def _check_shapes(m: Header, group: Group, where: str) -> None:
+    """Lists that must be of the same length."""
+    tiers, qualities, levels = m.tiers, len(m.qualities), len(m.levels)
+    shapes = [("tiers", len(group.tiers), tiers), ("levels", len(group.levels), levels)]
+    for t, tier in enumerate(group.tiers):
+        shapes.append((f"tiers[{t}].qualities", len(tier.qualities), qualities))
+        shapes.append((f"tiers[{t}].pictures", len(tier.pictures), qualities))
+    shapes += [(f"segments[{s}].levels", len(segment.levels), levels) for s, segment in enumerate(group.segments)]
+    for name, got, expected in shapes:
+        if got != expected:
+            raise _bad(f"{where}.{name}", f"expected {expected}, got {got}")
+
+
+def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
     counts = [tier.count for tier in group.tiers]
     fewest = m.levels[-1].tiers
     yield "static", group.static, 0, group.count
@@ -100,13 +150,13 @@ def _group_bounds(m: Manifest, group: Group) -> Iterator[Bound]:
         for q, atlas in enumerate(tier.qualities):
             where = f"tiers[{t}].qualities[{q}]"
             yield f"{where}.rows", atlas.rows, tier.count, tier.count
-            yield from _atlas_bounds(where, atlas, KEY, m.colour_channels, m.key_pictures[t][q])
+            yield from _atlas_bounds(where, atlas, KEY, m.colour_channels)
     for j, atlas in enumerate(group.levels):
         yield f"levels[{j}].rows", atlas.rows, 0, group.count - group.static
-        yield from _atlas_bounds(f"levels[{j}]", atlas, STATE, m.colour_channels, m.state_pictures[j])
+        yield from _atlas_bounds(f"levels[{j}]", atlas, STATE, m.colour_channels)
 
 
-def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int, picture: Picture) -> Iterator[Bound]:
+def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Iterator[Bound]:
     channels, attributes = layout.width(colours), len(layout.attributes)
     yield f"len({where}.centres)", len(atlas.centres), channels, channels
     yield f"len({where}.max_error)", len(atlas.max_error), attributes, attributes
@@ -117,54 +167,29 @@ def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int, pictur
         yield f"{where}.plane_width % {BLOCK}", atlas.plane_width % BLOCK, 0, 0
         yield f"{where}.columns", atlas.columns, 1, len(atlas.planes)
         width, height = atlas.size
-        yield f"{where} width", width, BLOCK, picture.width
-        yield f"{where} height", height, BLOCK, picture.height
+        yield f"{where} width", width, BLOCK, atlas.width
+        yield f"{where} height", height, BLOCK, atlas.height
 
 
-def _check_clock(m: Manifest) -> None:
-    if m.timescale * m.frame_rate[1] % m.frame_rate[0]:
-        raise _bad("timescale", "a frame is not a whole number of ticks")
+def _check_tier(where: str, tier: GroupTier) -> None:
+    for name, entry in (("sidecar", tier.sidecar), *((f"pictures[{q}]", e) for q, e in enumerate(tier.pictures))):
+        _check_file(f"{where}.{name}", entry, tier.count > 0)
 
 
-def _check_cover(m: Manifest) -> None:
-    """Groups and segments each cover the frames without gap or overlap."""
-    spans: dict[str, Sequence[Group | Segment]] = {"groups": m.groups, "segments": m.segments}
-    for name, parts in spans.items():
-        stop = 0
-        for i, span in enumerate(parts):
-            if span.start != stop or span.stop <= span.start:
-                raise _bad(f"{name}[{i}]", f"expected to start at {stop}, got [{span.start}, {span.stop})")
-            stop = span.stop
-        if stop != m.frames:
-            raise _bad(name, f"cover {stop} of {m.frames} frames")
-
-
-def _check_segment(m: Manifest, index: int, segment: Segment) -> None:
-    """A segment lies within its group, and says as much of each level as there is to say."""
-    where = f"segments[{index}]"
-    if not 0 <= segment.group < len(m.groups):
-        raise _bad(f"{where}.group", f"no group {segment.group}")
-    group = m.groups[segment.group]
-    if segment.start < group.start or segment.stop > group.stop:
-        raise _bad(where, f"crosses group {segment.group}")
+def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> None:
+    """A segment says as much of each level as there is to say."""
+    measured = len(m.qualities) if m.measured else 0
     for j, level in enumerate(segment.levels):
-        for name, got, allowed in (
-            ("frame_bytes", len(level.frame_bytes), {segment.stop - segment.start if level.number else 0}),
-            ("psnr", len(level.psnr), {0, len(m.qualities)}),
-            ("worst", len(level.worst), {len(level.psnr)}),
-            ("ssim", len(level.ssim), {len(level.psnr)}),
-            ("delta_e", len(level.delta_e), {len(level.psnr)}),
-            ("number", level.number, {level.number} if group.levels[j].planes else {0}),
-        ):
-            if got not in allowed:
-                raise _bad(f"{where}.levels[{j}].{name}", f"expected {sorted(allowed)}, got {got}")
-
-
-def _check_numbers(m: Manifest) -> None:
-    """Files of a tier or level are numbered 1, 2, … in order; 0 says that there is none."""
-    runs = {f"level L{j}": [s.levels[j].number for s in m.segments] for j in range(len(m.levels))}
-    runs |= {f"tier T{t}": [g.tiers[t].number for g in m.groups] for t in range(m.tier_count)}
-    for name, numbers in runs.items():
-        present = [number for number in numbers if number]
-        if present != list(range(1, len(present) + 1)):
-            raise _bad(name, f"expected files 1, 2, … in order, got {present}")
+        here = f"{where}.levels[{j}]"
+        fetched = level.file.bytes > 0
+        _check_file(f"{here}.file", level.file, fetched and bool(group.levels[j].planes))
+        counts: Sequence[tuple[str, int, int]] = (
+            ("frame_bytes", len(level.frame_bytes), segment.stop - segment.start if fetched else 0),
+            ("psnr", len(level.psnr), measured),
+            ("worst", len(level.worst), measured),
+            ("ssim", len(level.ssim), measured),
+            ("delta_e", len(level.delta_e), measured),
+        )
+        for name, got, expected in counts:
+            if got != expected:
+                raise _bad(f"{here}.{name}", f"expected {expected} values, got {got}")

@@ -1,4 +1,4 @@
-"""The JSON Schema of airgs.json, made from the dataclasses of `tables` and their annotations.
+"""The JSON Schemas of airgs.json and of the other tables, made from the dataclasses of `tables` and their annotations.
 
 python -m airgs_codec.package.schema manifests/airgs.schema.json
 """
@@ -12,16 +12,21 @@ import typing
 from pathlib import Path
 from typing import Annotated, Any
 
-from airgs_codec.package.tables import VERSION, Manifest
+from airgs_codec.package.tables import VERSION, Group, Root, Spans
 
-_PLAIN = {int: "integer", float: "number", str: "string"}
+_PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string"}
 
 
 def manifest_schema() -> dict[str, Any]:
-    """The schema of airgs.json; what ties one field to another it cannot say, and `references` checks."""
-    schema = _schema_of(Manifest)
+    """The schema of airgs.json, and under $defs those of a group's table and of a page of the index.
+
+    What ties one field to another it cannot say, and `references` checks.
+    """
+    schema = _schema_of(Root)
     schema["properties"]["version"] = {"const": VERSION}
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "airgs.json", **schema}
+    others = {"group": _schema_of(Group), "page": _schema_of(Spans)}
+    draft = "https://json-schema.org/draft/2020-12/schema"
+    return {"$schema": draft, "title": "airgs.json", **schema, "$defs": others}
 
 
 def _schema_of(kind: Any) -> dict[str, Any]:

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from airgs_codec._files import write_bytes
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.tables import MPD_NAME, FileEntry, digest
+from airgs_codec.package.paths import MPD_NAME
+from airgs_codec.package.tables import FileEntry, file_entry
 
 
 def write_file(folder: Path, relative: str, data: bytes) -> FileEntry:
@@ -21,7 +22,7 @@ def write_file(folder: Path, relative: str, data: bytes) -> FileEntry:
     path = folder / relative
     path.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(path, data)
-    return FileEntry(len(data), digest(data))
+    return file_entry(data)
 
 
 @contextmanager

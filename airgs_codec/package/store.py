@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.parse import parse_manifest
-from airgs_codec.package.tables import JSON_NAME, MPD_NAME, Manifest, digest
+from airgs_codec.package.index import GroupEntry
+from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.packing import MAX_ROOT_BYTES
+from airgs_codec.package.parse import parse_group, parse_page, parse_root
+from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path, locate, page_path
+from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest
 
-MAX_JSON_BYTES = 1 << 28
+Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -> its bytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,57 +23,98 @@ class Package:
 
     path: Path
     manifest: Manifest
-    manifest_bytes: int  # airgs.json and manifest.mpd together
+    root_bytes: int  # of airgs.json
+    mpd_bytes: int = 0  # of manifest.mpd
+
+    @property
+    def manifest_bytes(self) -> int:
+        """All tables and manifest.mpd together."""
+        return self.root_bytes + self.mpd_bytes + self.manifest.bytes_of(self.manifest.table_files())
 
     def read(self, relative: str) -> bytes:
-        """A listed file, whole and unaltered.
+        """A file that the tables list, whole and unaltered.
 
-        Raises FormatError: missing_entry, missing_file, unsafe_path (a link), size_mismatch, hash_mismatch.
+        Raises FormatError: missing_entry, missing_file, unsafe_path (a link), size_mismatch, hash_mismatch, and what
+        is wrong with the table of the group that it belongs to.
         """
-        entry = self.manifest.files.get(relative)
-        if entry is None:
-            raise FormatError("missing_entry", relative, f"no entry in {JSON_NAME}")
-        data = self._load(relative, entry.bytes)
-        if digest(data) != entry.sha256:
-            raise FormatError("hash_mismatch", relative, "the SHA-256 differs from the one in airgs.json")
-        return data
+        return read_file(self.path, relative, self.manifest.entry(relative))
 
-    def _load(self, relative: str, expected: int) -> bytes:
-        path = self.path
-        for part in Path(relative).parts:
-            path = path / part
-            if path.is_symlink():
-                raise FormatError("unsafe_path", relative, "expected a plain file, got a link")
-        if not path.is_file():
-            raise FormatError("missing_file", relative, "expected a file, got nothing")
-        size = path.stat().st_size
-        if size != expected:
-            raise FormatError("size_mismatch", relative, f"expected {expected} bytes, got {size}")
-        return path.read_bytes()
+
+def read_file(folder: Path, relative: str, entry: FileEntry) -> bytes:
+    """A file of a package whose length and digest are known; `Package.read` says what is raised."""
+    path = folder
+    for part in Path(relative).parts:
+        path = path / part
+        if path.is_symlink():
+            raise FormatError("unsafe_path", relative, "expected a plain file, got a link")
+    if not path.is_file():
+        raise FormatError("missing_file", relative, "expected a file, got nothing")
+    size = path.stat().st_size
+    if size != entry.bytes:
+        raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {size}")
+    data = path.read_bytes()
+    check_digest(relative, data, entry)
+    return data
+
+
+def check_digest(relative: str, data: bytes | bytearray, entry: FileEntry) -> None:
+    """Raise FormatError(hash_mismatch) unless a file has the digest of its entry."""
+    if digest(data) != entry.sha256:
+        raise FormatError("hash_mismatch", relative, "the SHA-256 differs from the one in the tables")
+
+
+def open_manifest(root: Root, read: Read) -> Manifest:
+    """The tables of a package whose airgs.json is read; `read` gets pages and tables of groups when they are needed."""
+    shared = {field.name: getattr(root, field.name) for field in fields(Header)}
+
+    def page(number: int) -> Spans:
+        file = root.index.pages.file(number)
+        return parse_page(read(page_path(number + 1), file), root, number)
+
+    def group(number: int, entry: GroupEntry) -> Group:
+        return parse_group(read(group_path(number + 1), entry.file), root, entry, number)
+
+    return Manifest(**shared, init=root.init, groups=Groups(root.index, page, group))
+
+
+def root_of(m: Manifest) -> Root:
+    """The airgs.json of a package."""
+    shared = {field.name: getattr(m, field.name) for field in fields(Header)}
+    return Root(**shared, init=m.init, index=m.groups.table)
 
 
 def open_package(path: str | Path) -> Package:
-    """Open the package in the folder `path`: read and check its tables; other files are read when they are needed.
+    """Open the package in the folder `path`: read and check airgs.json; other files are read when they are needed.
 
-    Raises FormatError: missing_file, too_large, or one of the reasons of `parse_manifest`.
+    Raises FormatError: missing_file, too_large, or one of the reasons of `parse_root`.
     """
     path = Path(path)
     mpd, tables = path / MPD_NAME, path / JSON_NAME
     for file in (mpd, tables):
         if file.is_symlink() or not file.is_file():
             raise FormatError("missing_file", str(file), "expected a package with manifest.mpd and airgs.json")
-    if tables.stat().st_size > MAX_JSON_BYTES:
-        raise FormatError("too_large", str(tables), f"expected at most {MAX_JSON_BYTES} bytes")
+    if tables.stat().st_size > MAX_ROOT_BYTES:
+        raise FormatError("too_large", str(tables), f"expected at most {MAX_ROOT_BYTES} bytes")
     data = tables.read_bytes()
-    return Package(path, parse_manifest(data), len(data) + mpd.stat().st_size)
+    manifest = open_manifest(parse_root(data), lambda name, entry: read_file(path, name, entry))
+    return Package(path, manifest, len(data), mpd.stat().st_size)
 
 
 def find_faults(package: Package) -> dict[str, FormatError]:
-    """Listed files that cannot be used, each with the reason why `Package.read` refuses it."""
+    """Files that cannot be used, each with the reason why `Package.read` refuses it; DASH's own are not read."""
     faults: dict[str, FormatError] = {}
-    for path in package.manifest.files:
+    m = package.manifest
+    for number in range(len(m.groups)):
+        table = group_path(number + 1)
         try:
-            package.read(path)
+            m.groups.places.entry(number)
+            paths = m.group_files(number)
         except FormatError as error:
-            faults[path] = error
+            faults[error.where if locate(error.where)[0] == "page" else table] = error
+            continue
+        for path in paths:
+            try:
+                package.read(path)
+            except FormatError as error:
+                faults[path] = error
     return faults

@@ -93,7 +93,7 @@ class _Programme:
         self._horizon = horizon
         self._catalogue = horizon.catalogue
         self._qualities = len(self._catalogue.manifest.qualities)
-        self._tiers = self._catalogue.manifest.tier_count
+        self._tiers = self._catalogue.manifest.tiers
         self.rungs = len(self._catalogue.rungs)
         self._width = self.rungs + self._qualities * self._tiers + 1
         self.columns = self._width * len(horizon.slots)
@@ -112,11 +112,12 @@ class _Programme:
 
     def objective(self) -> NDArray[np.float64]:
         """(columns,) minus the dB that each variable adds to the mean over time."""
-        slots, seconds = self._horizon.slots, self._catalogue.seconds
-        total = sum(seconds[slot.segment] for slot in slots)
+        slots = self._horizon.slots
+        seconds = [self._catalogue.seconds(slot.segment) for slot in slots]
+        total = sum(seconds)
         costs = np.zeros((len(slots), self._width))
         for k, slot in enumerate(slots):
-            costs[k, : self.rungs] = -self._catalogue.quality[slot.segment] * seconds[slot.segment] / total
+            costs[k, : self.rungs] = -self._catalogue.quality[slot.segment] * seconds[k] / total
         return costs.ravel()
 
     def upper(self) -> NDArray[np.float64]:
@@ -152,7 +153,7 @@ class _Programme:
     def fetched(self, k: int) -> Terms:
         """kB that are fetched for slot k, for each unit of a variable."""
         slot, c = self._horizon.slots[k], self._catalogue
-        group = c.manifest.segments[slot.segment].group
+        group = c.manifest.group_of(slot.segment)
         state_bytes = c.state_bytes[slot.segment]
         fetched = [(self._share(k, rung), float(state_bytes[j]) / 1e3) for rung, (_, j) in enumerate(c.rungs)]
         for quality, tier in self._keys():

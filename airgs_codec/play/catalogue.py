@@ -6,15 +6,18 @@ quality by quality. A position is a segment of a session, which may play the seq
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.errors import FormatError
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import JSON_NAME, Manifest, key_init_path, state_init_path
 from airgs_codec.play.ladder import Option
 
 SESSION_S = 30.0  # of play
@@ -26,18 +29,28 @@ DecodedTiers = Mapping[int, int]  # key quality -> how many of its tiers are dec
 class Batch:
     """Paths of the files that are requested together, in the order in which they arrive."""
 
-    init: tuple[str, ...] = ()
     keys: tuple[str, ...] = ()
     state: tuple[str, ...] = ()
+    tables: tuple[str, ...] = ()
 
     @property
     def files(self) -> tuple[str, ...]:
-        """All paths: init segments, key units tier by tier, then the state segment."""
-        return self.init + self.keys + self.state
+        """All paths: key units tier by tier, then the state segment, then tables for what comes next."""
+        return self.keys + self.state + self.tables
 
-    def without(self, paths: Collection[str]) -> Batch:
-        """The batch with those init segments left out that the player has."""
-        return Batch(tuple(path for path in self.init if path not in paths), self.keys, self.state)
+
+class Rows:
+    """A table of numbers whose rows are made when they are asked for, since they need tables of groups, and kept."""
+
+    def __init__(self, make: Callable[[int], NDArray[Any]]) -> None:
+        self._make = make
+        self._kept: dict[int, NDArray[Any]] = {}
+
+    def __getitem__(self, place: Any) -> Any:
+        row, *rest = place if isinstance(place, tuple) else (place,)
+        if row not in self._kept:
+            self._kept[row] = self._make(row)
+        return self._kept[row][tuple(rest)] if rest else self._kept[row]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +59,13 @@ class Catalogue:
 
     manifest: Manifest
     header_bytes: int = HEADER_BYTES
-    manifest_bytes: int = 0  # of airgs.json and manifest.mpd together, which count as one file
+    root_bytes: int = 0  # of airgs.json
+    received: dict[str, bytes] = field(default_factory=dict)  # pages and tables that came over a connection
 
     @staticmethod
     def of(package: Package) -> Catalogue:
         """The catalogue of an open package."""
-        return Catalogue(package.manifest, manifest_bytes=package.manifest_bytes)
+        return Catalogue(package.manifest, root_bytes=package.root_bytes)
 
     @cached_property
     def _options(self) -> dict[tuple[int, tuple[tuple[int, int], ...]], tuple[Option, ...]]:
@@ -73,68 +87,78 @@ class Catalogue:
         """Frames a second."""
         return float(self.manifest.fps)
 
-    @cached_property
-    def seconds(self) -> list[float]:
-        """(S,) seconds of play of each segment."""
-        return [(s.stop - s.start) / self.fps for s in self.manifest.segments]
+    @property
+    def segments(self) -> int:
+        """How many segments there are, S."""
+        return len(self.manifest.segments)
 
-    @cached_property
+    @property
+    def duration_s(self) -> float:
+        """Seconds of play of the whole sequence."""
+        return self.manifest.frames / self.fps
+
+    @property
     def measured(self) -> bool:
         """Whether every rung of every segment has a quality."""
-        return all(level.psnr for segment in self.manifest.segments for level in segment.levels)
+        return self.manifest.measured
+
+    def span(self, segment: int) -> tuple[int, int]:
+        """Frames [start, stop) of a segment; where its table cannot be had, as if its neighbours were of one length."""
+        try:
+            found = self.manifest.segments[segment]
+        except FormatError:
+            return self.manifest.groups.places.guess_span(segment)
+        return found.start, found.stop
+
+    def seconds(self, segment: int) -> float:
+        """Seconds of play of a segment."""
+        start, stop = self.span(segment)
+        return (stop - start) / self.fps
 
     @cached_property
-    def quality(self) -> NDArray[np.float64]:
+    def quality(self) -> Rows:
         """(S, Q L) PSNR in dB; 0 where it was not measured."""
-        table = np.zeros((len(self.manifest.segments), len(self.rungs)))
-        for s, segment in enumerate(self.manifest.segments):
-            for r, (q, j) in enumerate(self.rungs):
-                table[s, r] = segment.levels[j].psnr[q] if segment.levels[j].psnr else 0.0
-        return table
+        return Rows(lambda s: self._measures(s, "psnr", 0.0))
 
     @cached_property
-    def delta_e(self) -> NDArray[np.float64]:
+    def delta_e(self) -> Rows:
         """(S, Q L) mean colour difference CIEDE2000; NaN where it was not measured."""
-        table = np.full((len(self.manifest.segments), len(self.rungs)), np.nan)
-        for s, segment in enumerate(self.manifest.segments):
-            for r, (q, j) in enumerate(self.rungs):
-                table[s, r] = segment.levels[j].delta_e[q] if segment.levels[j].delta_e else np.nan
-        return table
+        return Rows(lambda s: self._measures(s, "delta_e", np.nan))
+
+    def _measures(self, segment: int, name: str, unknown: float) -> NDArray[np.float64]:
+        rows = [getattr(level, name) for level in self.manifest.segments[segment].levels]
+        return np.array([rows[j][q] if rows[j] else unknown for q, j in self.rungs])
 
     @cached_property
-    def state_bytes(self) -> NDArray[np.int64]:
+    def state_bytes(self) -> Rows:
         """(S, L) wire bytes of a state segment; 0 where there is nothing to fetch."""
         m = self.manifest
-        return np.array(
-            [[self._wire(m.state_files(s, j)) for j in range(len(m.levels))] for s in range(len(m.segments))]
+        return Rows(lambda s: np.array([self._wire(m.state_files(s, j)) for j in range(len(m.levels))]))
+
+    @cached_property
+    def key_bytes(self) -> Rows:
+        """(G, Q, T) wire bytes of a key unit; 0 for a tier without rows."""
+        m = self.manifest
+        shape = (len(m.qualities), m.tiers)
+        return Rows(
+            lambda g: np.array([self._wire(m.key_files(g, t, q)) for q, t in np.ndindex(*shape)]).reshape(shape)
         )
 
     @cached_property
-    def key_bytes(self) -> NDArray[np.int64]:
-        """(G, Q, T) wire bytes of a key unit; 0 for a tier without rows."""
-        m = self.manifest
-        shape = (len(m.groups), len(m.qualities), m.tier_count)
-        flat = [self._wire(m.key_files(g, t, q)) for g, q, t in np.ndindex(*shape)]
-        return np.array(flat).reshape(shape)
-
-    @cached_property
-    def bytes_after(self) -> NDArray[np.int64]:
+    def bytes_after(self) -> Rows:
         """(S, Q L, Q L) wire bytes of rung c in a segment after rung p in the one before, in the same group."""
-        table = np.empty((len(self.manifest.segments), len(self.rungs), len(self.rungs)), np.int64)
-        for s in range(len(table)):
-            for p, (quality, level) in enumerate(self.rungs):
-                table[s, p] = self.sizes(s, {quality: self.manifest.levels[level].tiers})
-        return table
+        held = [{quality: self.manifest.levels[level].tiers} for quality, level in self.rungs]
+        return Rows(lambda s: np.array([self.sizes(s, decoded) for decoded in held]))
 
     @cached_property
-    def bytes_from_scratch(self) -> NDArray[np.int64]:
+    def bytes_from_scratch(self) -> Rows:
         """(S, Q L) wire bytes of a rung when no key of its group is decoded."""
-        return np.array([self.sizes(s, {}) for s in range(len(self.manifest.segments))])
+        return Rows(lambda s: np.array(self.sizes(s, {})))
 
     def sizes(self, segment: int, decoded_tiers: DecodedTiers) -> list[int]:
         """(Q L,) wire bytes of the keys that are missing and the state."""
         m = self.manifest
-        group = m.segments[segment].group
+        group = m.group_of(segment)
         return [
             int(
                 self.key_bytes[group, q, decoded_tiers.get(q, 0) : m.levels[j].tiers].sum()
@@ -154,33 +178,24 @@ class Catalogue:
         return self._options[key]
 
     def batch(self, segment: int, rung: int, decoded_tiers: DecodedTiers) -> Batch:
-        """The files that a rung of a segment needs beside the decoded tiers, with the init segments of each."""
+        """The files that a rung of a segment needs beside the decoded tiers."""
         m, (q, j) = self.manifest, self.rungs[rung]
-        group = m.segments[segment].group
-        units = [self.key_unit(group, t, q) for t in range(decoded_tiers.get(q, 0), m.levels[j].tiers)]
-        state = m.state_files(segment, j)
-        init = [path for unit in units for path in unit.init]
-        init += [state_init_path(j)] if state and m.state_pictures[j].width else []
-        return Batch(tuple(init), tuple(path for unit in units for path in unit.keys), tuple(state))
-
-    def key_unit(self, group: int, tier: int, quality: int) -> Batch:
-        """The files of one key unit with its init segment; none for a tier without rows."""
-        files = self.manifest.key_files(group, tier, quality)
-        has_picture = files and self.manifest.key_pictures[tier][quality].width
-        return Batch((key_init_path(tier, quality),) if has_picture else (), tuple(files))
+        group = m.group_of(segment)
+        units = [m.key_files(group, t, q) for t in range(decoded_tiers.get(q, 0), m.levels[j].tiers)]
+        return Batch(tuple(path for unit in units for path in unit), tuple(m.state_files(segment, j)))
 
     def index(self, position: int) -> int:
         """The segment of the package that a session plays at a position."""
-        return position % len(self.seconds)
+        return position % self.segments
 
     def group(self, position: int) -> tuple[int, int]:
         """(loop, group) that a position belongs to; its keys are fetched once."""
-        loop, index = divmod(position, len(self.seconds))
-        return loop, self.manifest.segments[index].group
+        loop, index = divmod(position, self.segments)
+        return loop, self.manifest.group_of(index)
 
     def seconds_at(self, position: int) -> float:
         """Seconds of play at a position."""
-        return self.seconds[position % len(self.seconds)]
+        return self.seconds(self.index(position))
 
     def upcoming(self, position: int, count: int, end: int) -> Iterator[tuple[int, bool]]:
         """(segment, whether it begins a group) of the next positions, before `end`."""
@@ -190,20 +205,19 @@ class Catalogue:
 
     def starts_group(self, segment: int) -> bool:
         """Whether a segment begins a group, so that no key of it is decoded."""
-        segments = self.manifest.segments
-        return segment == 0 or segments[segment].group != segments[segment - 1].group
+        return segment == self.manifest.segments_of(self.manifest.group_of(segment))[0]
 
     def loops(self, wanted: int | None = None) -> int:
         """How often the sequence is played: as wanted, else for about SESSION_S."""
-        return wanted or max(1, round(SESSION_S / sum(self.seconds)))
+        return wanted or max(1, round(SESSION_S / self.duration_s))
 
     def file_bytes(self, path: str) -> int:
-        """Bytes of a file without headers; airgs.json stands for both manifests."""
-        return self.manifest_bytes if path == JSON_NAME else self.manifest.files[path].bytes
+        """Bytes of a file without headers."""
+        return self.root_bytes if path == JSON_NAME else self.manifest.entry(path).bytes
 
     def wire_bytes(self, sizes: Sequence[int]) -> int:
         """Bytes of files with their headers."""
         return sum(sizes) + self.header_bytes * len(sizes)
 
     def _wire(self, paths: list[str]) -> int:
-        return self.wire_bytes([self.manifest.files[path].bytes for path in paths])
+        return self.wire_bytes([self.file_bytes(path) for path in paths])

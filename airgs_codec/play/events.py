@@ -17,7 +17,7 @@ from airgs_codec.play.ladder import Decision
 class BatchKind(StrEnum):
     """What a batch was requested for; the values are the names in reports."""
 
-    MANIFESTS = "manifests"
+    TABLES = "tables"  # airgs.json, pages of the index and tables of groups
     GROUP = "group"  # the next segment, with keys of its group
     STATE = "state"  # the next segment, whose keys are decoded
     REPLACEMENT = "replacement"  # a better rung of a buffered segment

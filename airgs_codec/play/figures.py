@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from airgs_codec.package.tables import FileKind
+from airgs_codec.package.paths import FileKind
 
 TICK_PSNR = "mean over display ticks of the dB of what was on the screen; frozen pictures count"
 KINDS = (FileKind.KEY, FileKind.STATE, FileKind.SIDECARS, FileKind.INIT, FileKind.MANIFESTS)  # of bytes

@@ -50,7 +50,7 @@ class FrameLog:
 
 
 def frame_options(c: Catalogue, keys: bool) -> list[tuple[Option, ...]]:
-    """For each frame of the sequence its levels: the bytes of its state picture and its share of the sidecar.
+    """For each frame of the sequence its levels: the bytes of its state picture and its share of the rest of its file.
 
     With `keys`, its share of its group's keys too.
     """
@@ -71,14 +71,15 @@ def frame_options(c: Catalogue, keys: bool) -> list[tuple[Option, ...]]:
 
 
 def _shared_bytes(c: Catalogue, index: int, level: int, keys: bool) -> float:
-    """Bytes a frame of what the frames of a segment share: its sidecar and, with `keys`, its group's keys."""
+    """Bytes a frame of what the frames of a segment share: escapes, boxes and, with `keys`, its group's keys."""
     m = c.manifest
     segment = m.segments[index]
-    files = m.state_files(index, level)
-    shared = m.files[files[1]].bytes / (segment.stop - segment.start) if files else 0.0
+    state = segment.levels[level]
+    shared = (state.file.bytes - sum(state.frame_bytes)) / (segment.stop - segment.start)
     if keys:
-        group = m.groups[segment.group]
-        paths = [p for t in range(m.levels[level].tiers) for p in m.key_files(segment.group, t, 0)]
+        number = m.group_of(index)
+        group = m.groups[number]
+        paths = [p for t in range(m.levels[level].tiers) for p in m.key_files(number, t, 0)]
         shared += m.bytes_of(paths) / (group.stop - group.start)
     return shared
 

@@ -16,9 +16,11 @@ from dataclasses import dataclass, field
 from urllib.parse import quote, urlsplit
 
 from airgs_codec.errors import ConfigError, FormatError, TransportError
-from airgs_codec.package.parse import parse_manifest
-from airgs_codec.package.store import MAX_JSON_BYTES
-from airgs_codec.package.tables import JSON_NAME, digest
+from airgs_codec.package.packing import MAX_ROOT_BYTES
+from airgs_codec.package.parse import parse_root
+from airgs_codec.package.paths import JSON_NAME, locate
+from airgs_codec.package.store import check_digest, open_manifest
+from airgs_codec.package.tables import PAGE, FileEntry
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import CHECK_S, GiveUp, Partial
 from airgs_codec.play.events import Arrival, Request
@@ -30,15 +32,25 @@ Receive = Callable[[str, bytes], None]
 
 
 def open_catalogue(url: str, timeout_s: float = TIMEOUT_S) -> Catalogue:
-    """The catalogue of the package at a URL, from its airgs.json. Raises TransportError, FormatError."""
+    """The catalogue of the package at a URL, from its airgs.json; `HttpDownloader` adds the tables that it fetches.
+
+    Raises TransportError, FormatError.
+    """
     try:
         with urllib.request.urlopen(f"{url.rstrip('/')}/{JSON_NAME}", timeout=timeout_s) as response:
-            data = response.read(MAX_JSON_BYTES + 1)
+            data = response.read(MAX_ROOT_BYTES + 1)
     except OSError as error:
         raise TransportError(f"{url}: cannot read {JSON_NAME}: {error}") from error
-    if len(data) > MAX_JSON_BYTES:
-        raise FormatError("too_large", f"{url}/{JSON_NAME}", f"expected at most {MAX_JSON_BYTES} bytes")
-    return Catalogue(parse_manifest(data), manifest_bytes=len(data))
+    if len(data) > MAX_ROOT_BYTES:
+        raise FormatError("too_large", f"{url}/{JSON_NAME}", f"expected at most {MAX_ROOT_BYTES} bytes")
+    received: dict[str, bytes] = {}
+
+    def read(path: str, entry: FileEntry) -> bytes:
+        if path not in received:
+            raise FormatError("missing_file", path, "it has not been fetched")
+        return received[path]
+
+    return Catalogue(open_manifest(parse_root(data), read), root_bytes=len(data), received=received)
 
 
 def _discard(path: str, data: bytes) -> None:
@@ -171,7 +183,7 @@ class HttpDownloader:
     def _judge(self, transfer: _Transfer, response: Response) -> None:
         """The oldest request is answered: keep the file if it is what the tables say."""
         path = transfer.waiting.pop(0)
-        error = self._fault(path, response)
+        error = self._fault(path, response) or self._table_fault(path, response)
         if error is None:
             transfer.whole.append(path)
             self._received(path, bytes(response.body))
@@ -184,9 +196,27 @@ class HttpDownloader:
             return FormatError("missing_file", path, f"expected a file, got status {response.status}")
         if path == JSON_NAME:
             return None
-        entry = self._catalogue.manifest.files[path]
+        entry = self._catalogue.manifest.entry(path)
         if response.length != entry.bytes:
             return FormatError("size_mismatch", path, f"expected {entry.bytes} bytes, got {response.length}")
-        if digest(response.body) != entry.sha256:
-            return FormatError("hash_mismatch", path, "the SHA-256 differs from the one in airgs.json")
+        try:
+            check_digest(path, response.body, entry)
+        except FormatError as error:
+            return error
+        return None
+
+    def _table_fault(self, path: str, response: Response) -> FormatError | None:
+        """Add a page or a table to the catalogue. Why it cannot be read, None if it can, and for other files."""
+        what, numbers = locate(path)
+        groups = self._catalogue.manifest.groups
+        if what not in ("group", "page"):
+            return None
+        self._catalogue.received[path] = bytes(response.body)
+        try:
+            if what == "group":
+                groups[numbers[0] - 1]
+            else:
+                groups.places.entry(PAGE * (numbers[0] - 1))
+        except FormatError as error:
+            return error
         return None

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.tables import FileKind
+from airgs_codec.package.paths import FileKind
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.events import BatchKind, Shown
 from airgs_codec.play.link import Link
@@ -26,6 +26,7 @@ class Fetch:
     kind: BatchKind
     position: int  # of the segment in the session
     rung: int
+    files: int  # that came, or were refused
     bytes: int  # with headers; of an abandoned batch, what had passed
     wasted: int  # of them: abandoned, broken, too late or replaced later
     request_s: float
@@ -45,6 +46,8 @@ class SessionMetrics:
     frames: int
     played_s: float
     startup_s: float  # from the first request to the first picture
+    startup_files: int  # requested up to those of the first picture
+    startup_table_bytes: int  # of them with headers, those of tables
     stalls: int
     stall_s: float  # waited after the first picture
     stall_ratio: float  # of the time from the first picture to the last
@@ -127,10 +130,13 @@ def session_metrics(
     took_ms = 1e3 * frame_times(fetches, shown)
     took_ms = took_ms if len(took_ms) else np.zeros(1)
     trace = link.trace if link else None
+    first = fetches[: 1 + next((i for i, f in enumerate(fetches) if f.shown), len(fetches))]
     return SessionMetrics(
         frames=frames,
         played_s=played,
         startup_s=shown[0].start_s,
+        startup_files=sum(f.files for f in first),
+        startup_table_bytes=sum(f.bytes for f in first if f.kind is BatchKind.TABLES),
         stalls=len(stalls),
         stall_s=stall,
         stall_ratio=stall / (played + stall),

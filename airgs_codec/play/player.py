@@ -6,21 +6,24 @@ its group) as long as it will be there in time. A download that would come too l
 would come sooner; whole key files that have arrived are kept. A segment none of whose rungs can be had is lost: the
 last picture stands for its time, and the session goes on.
 
-The sequence may be played several times, as if it were longer: keys and states are fetched again, init segments and
-manifests are not. Times are seconds from the first request.
+What a batch offers stands in the table of its group: those of the first segments that the policy looks at are fetched
+before the first batch, later ones with the batch before. A segment whose table cannot be had is lost.
+
+The sequence may be played several times, as if it were longer: keys and states are fetched again, tables are not. Times
+are seconds from the first request.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.tables import JSON_NAME
+from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.play.catalogue import Batch, Catalogue
 from airgs_codec.play.downloader import Downloader, GiveUp, Partial
 from airgs_codec.play.events import Arrival, Arrived, BatchKind, Event, Lost, Replaced, Request, Shown
-from airgs_codec.play.keys import KeyStore
+from airgs_codec.play.keys import KeyStore, TableStore
 from airgs_codec.play.ladder import Decision, Option
 from airgs_codec.play.playout import Playout, Slot
 from airgs_codec.play.policies.state import (
@@ -60,6 +63,7 @@ class _Player:
     downloader: Downloader
     policy: Policy
     settings: SessionSettings
+    tables: TableStore
     keys: KeyStore
     playout: Playout
     now_s: float = 0.0  # when the last batch was over, or when there was room for the next
@@ -69,13 +73,15 @@ class _Player:
 
     @staticmethod
     def new(c: Catalogue, downloader: Downloader, policy: Policy, settings: SessionSettings) -> _Player:
-        end = c.loops(settings.loops) * len(c.seconds)
-        return _Player(c, downloader, policy, settings, KeyStore(c), Playout(c, settings, end))
+        end = c.loops(settings.loops) * c.segments
+        return _Player(c, downloader, policy, settings, TableStore(c), KeyStore(c), Playout(c, settings, end))
 
     def play(self) -> Iterator[Event]:
         """All events of the session, in the order in which they happen."""
-        yield self._fetch_manifests()
+        yield self._fetch_tables((JSON_NAME,), 0)
         for position in range(self.playout.end):
+            while wanted := self._wanted_tables(position):
+                yield self._fetch_tables(wanted, position)
             self.playout.make_room(position)
             earliest_s = self.playout.earliest_request_s(position)
             while self.now_s < earliest_s and (yield from self._replace_best()):
@@ -89,10 +95,15 @@ class _Player:
             pass
         yield from self._shown(self.playout.started())
 
-    def _fetch_manifests(self) -> Arrived:
-        request = Request(BatchKind.MANIFESTS, 0, 0, Batch((JSON_NAME,)), 0.0, self.downloader.rtt_s)
-        arrival = self._receive(request)
-        return Arrived(arrival, Decision(0, True, "start", arrival.bytes), 0.0, 0.0)
+    def _wanted_tables(self, position: int) -> tuple[str, ...]:
+        """Tables that the policy needs to choose at a position and that can be had."""
+        reach = range(position, min(position + self.policy.horizon, self.playout.end))
+        return tuple(path for path in self.tables.missing(reach) if path not in self.unusable)
+
+    def _fetch_tables(self, paths: tuple[str, ...], position: int) -> Arrived:
+        batch = Batch(tables=paths)
+        arrival = self._receive(Request(BatchKind.TABLES, position, 0, batch, self.now_s, self.downloader.rtt_s))
+        return Arrived(arrival, Decision(0, True, "tables", arrival.bytes), 0.0, 0.0)
 
     def _latency_s(self, position: int, earliest_s: float) -> float:
         """What is left of the round trip when the link is free: pipelined, the request was sent before."""
@@ -115,7 +126,8 @@ class _Player:
         took_s = max(arrival.at_s - arrival.first_byte_s, SHORTEST_S)
         self.downloads.append((arrival.at_s, Download(arrival.bytes, took_s)))
         self.unusable.update(arrival.refused)
-        if request.kind is not BatchKind.MANIFESTS:
+        self.tables.add(arrival)
+        if request.kind is not BatchKind.TABLES:
             self.keys.add(arrival)
             self._use_keys(request)
         return arrival
@@ -135,13 +147,14 @@ class _Player:
 
     def _fetch_next(self, position: int, latency_s: float) -> Generator[Event, None, bool]:
         """Choose a rung of the next segment and fetch it; False: it was abandoned or broken, choose again."""
-        state = self._state(position, latency_s)
-        if not state.options:
+        state = self._state(position, latency_s) if self.tables.has(position) else None
+        if state is None or not state.options:
             yield Lost(position, self.now_s)
             self.playout.enqueue(position, None, self.now_s)
             return True
         decision = self.policy.choose(state)
-        batch = self.keys.missing(position, decision.index)
+        ahead = self._wanted_tables(position + 1) if position else ()  # nothing delays the first picture
+        batch = replace(self.keys.missing(position, decision.index), tables=ahead)
         if batch.files:  # without files nothing moves: the canonical space is decoded
             kind = BatchKind.GROUP if batch.keys else BatchKind.STATE
             request = Request(kind, position, decision.index, batch, self._sent_s(latency_s), latency_s)
@@ -238,7 +251,7 @@ class _Player:
     def _replacing(self, slot: Slot, rung: int) -> Batch:
         """What it takes to show another rung of a buffered segment: with the same level, only its keys."""
         rungs, batch = self.catalogue.rungs, self.keys.missing(slot.position, rung)
-        return Batch(batch.init, batch.keys) if rungs[rung][1] == rungs[slot.rung or 0][1] else batch
+        return Batch(batch.keys) if rungs[rung][1] == rungs[slot.rung or 0][1] else batch
 
     def _quality(self, slot: Slot) -> float | None:
         """dB, None of a lost segment."""
@@ -249,15 +262,15 @@ class _Player:
     def _shown(self, slots: Iterator[Slot]) -> Iterator[Shown]:
         c = self.catalogue
         for slot in slots:
-            loop, index = divmod(slot.position, len(c.seconds))
-            segment = c.manifest.segments[index]
+            loop, index = divmod(slot.position, c.segments)
+            start, stop = c.span(index)
             yield Shown(
                 segment=index,
                 loop=loop,
                 rung=slot.rung,
                 ready_s=slot.ready_s,
                 start_s=slot.start_s,
-                frames=segment.stop - segment.start,
+                frames=stop - start,
                 stall_s=slot.stall_s,
                 psnr=self._quality(slot) if c.measured else None,
             )

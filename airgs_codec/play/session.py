@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import FormatError
+from airgs_codec.package.paths import FileKind, file_kind
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import FileKind, file_kind
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import SimulatedDownloader
 from airgs_codec.play.events import Arrival, Arrived, BatchKind, Event, Lost, Replaced, Shown
@@ -130,8 +130,8 @@ class _Fold:
         elif isinstance(event, Replaced):
             self._replaced(event)
         elif isinstance(event, Lost):
-            segment = self.catalogue.manifest.segments[self.catalogue.index(event.position)]
-            frames = f"frames {segment.start}-{segment.stop - 1}"
+            start, stop = self.catalogue.span(self.catalogue.index(event.position))
+            frames = f"frames {start}-{stop - 1}"
             self.lost.append(f"{frames} at {event.at_s:.2f} s: no rung can be had, the last picture stands")
         else:
             self.shown.append(event)
@@ -165,6 +165,7 @@ class _Fold:
             kind=request.kind,
             position=request.position,
             rung=request.rung,
+            files=len(arrival.whole) + len(arrival.refused),
             bytes=arrival.bytes,
             wasted=self._useless_bytes(number, arrival) + self.replaced_bytes[number],
             request_s=request.sent_s,

@@ -20,6 +20,7 @@ from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.figures import FIGURES, FRAME_FIGURES, KINDS
 from airgs_codec.play.frame_mode import CHOOSERS, frame_table, simulate_frames
+from airgs_codec.play.keys import TableStore
 from airgs_codec.play.link import Link
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import SessionLog, simulate
@@ -79,19 +80,18 @@ def offsets_of(trace: Trace, count: int, seed: int) -> list[float]:
 
 def is_feasible(c: Catalogue, link: Link, settings: SessionSettings, loops: int) -> bool:
     """Whether a player that always takes the smallest rung shows all of it without a stall from FEASIBLE_START_S on."""
-    at = link.arrival_s(c.wire_bytes([c.manifest_bytes]), 0.0)
+    at = link.arrival_s(c.wire_bytes([c.root_bytes]), 0.0)
     due = FEASIBLE_START_S
-    inits = c.manifest.init_files(*c.rungs[int(np.argmin(c.bytes_from_scratch[0]))])
-    first = c.wire_bytes([c.manifest.files[path].bytes for path in inits])
-    for position in range(loops * len(c.seconds)):
-        segment = position % len(c.seconds)
-        room = due + c.seconds[segment] - settings.buffer_s
+    at = link.arrival_s(c.wire_bytes([c.file_bytes(path) for path in TableStore(c).missing(range(1))]), at)
+    for position in range(loops * c.segments):
+        segment = c.index(position)
+        room = due + c.seconds(segment) - settings.buffer_s
         asked = max(at - link.rtt_s if settings.pipelined and position else at, room)
-        size = int(c.bytes_from_scratch[segment].min()) + (0 if position else first)
+        size = int(c.bytes_from_scratch[segment].min())
         at = link.trace.arrival_s(size, max(at, asked + link.rtt_s))
         if at + settings.decode_frame_s > due:
             return False
-        due += c.seconds[segment]
+        due += c.seconds(segment)
     return True
 
 

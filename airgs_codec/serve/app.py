@@ -14,7 +14,7 @@ from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from airgs_codec.package.tables import JSON_NAME, MPD_NAME
+from airgs_codec.package.paths import JSON_NAME, MPD_NAME
 from airgs_codec.serve.answers import CHECKED, answer
 from airgs_codec.serve.files import PackageFiles
 

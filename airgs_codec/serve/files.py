@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package.tables import JSON_NAME, MPD_NAME, digest
+from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME
+from airgs_codec.package.tables import digest
 
 CACHE_BYTES = 64 << 20
 SETTLED_NS = 2_000_000_000  # a younger file may change without a new time stamp (the coarsest are 2 s apart)
@@ -27,7 +28,7 @@ LEAST_ZIPPED_BYTES = 1024  # what fits one packet gains nothing
 ATTEMPTS, PAUSE_S = 5, 0.02  # to read a file that is being written
 ROOTS = (JSON_NAME, MPD_NAME)  # what changes while a package grows; all other files are written once
 _BELOW = r"(?:group|index|key|state)/(?:[A-Za-z0-9_-]+/){0,3}[A-Za-z0-9_-]+(?:\.[a-z0-9]+){1,2}"
-_PATH = re.compile("|".join([*map(re.escape, ROOTS), _BELOW]), re.ASCII)
+_PATH = re.compile("|".join([*map(re.escape, (*ROOTS, INIT_NAME)), _BELOW]), re.ASCII)
 _ABSENT = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.EACCES, errno.ENAMETOOLONG, errno.ENXIO}
 _TYPES = {
     ".bin": "application/octet-stream",
@@ -49,7 +50,7 @@ class Snapshot:
     media_type: str
     lasting: bool  # the file never changes under its name
     data: bytes
-    sha256: str  # of `data`, as in the tables: base64url without padding
+    sha256: str  # of `data`, as in the tables: the first 24 bytes in base64url
     zipped: bytes | None  # gzip of `data` where that is worth it
 
 

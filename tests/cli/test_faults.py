@@ -14,7 +14,8 @@ from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.staging import staged
 from airgs_codec.package.store import open_package
-from tests.support.mutations import on_disk, set_value
+from tests.makers.conformance import TABLE
+from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX, VALID
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -79,15 +80,15 @@ def test_a_full_disk_while_decoding(tmp_path):
 @pytest.mark.parametrize(
     ("where", "value"),
     [
-        (("groups", 0, "count"), 1 << 24),
-        (("groups", 0, "tiers", 0, "count"), 1 << 24),
-        (("frames",), 10**6),
-        (("state_pictures", 0, "width"), 16384),
-        (("timescale",), 1 << 31),
+        (("count",), 1 << 24),
+        (("tiers", 0, "count"), 1 << 24),
+        (("stop",), 10**6),
+        (("levels", 0, "width"), 16384),
+        (("tiers", 0, "qualities", 0, "width"), 16384),
     ],
 )
 def test_absurd_counts_are_refused_with_little_memory(tmp_path, where, value):
-    bomb = on_disk(shutil.copytree(MOVING, tmp_path / "bomb.airgs"), set_value(where, value))
+    bomb = on_disk(shutil.copytree(MOVING, tmp_path / "bomb.airgs"), set_value(where, value, TABLE), reindexed)
     with pytest.raises(FormatError):
         decode(open_package(bomb), 0)
 

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from airgs_codec.coding.rangecoder import ColumnReader
+from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.store import open_package
 from tests.makers.golden import digests
 from tests.support.paths import GOLDEN
@@ -25,4 +26,5 @@ def test_decodes_to_the_recorded_codes(case):
 
 def test_the_corpus_has_escapes():
     package = open_package(GOLDEN / "fox-fine")
-    assert ColumnReader(package.read("state/L0/1.bin"), "x").column(1, 0)[0] > 0
+    columns = open_segment(package.read("state/L0/1.m4s"), "x").columns
+    assert ColumnReader(columns, "x").column(1, 0)[0] > 0

@@ -7,7 +7,15 @@ import pytest
 
 from airgs_codec.coding.escapes import LIMIT
 from airgs_codec.encoder.representation import Clock, encode_checked
-from airgs_codec.media.h264 import ClosedGop, check_stream, decode_pictures, encode_stream, in_range, state_codec
+from airgs_codec.media.h264 import (
+    ClosedGop,
+    check_stream,
+    decode_pictures,
+    encode_stream,
+    in_range,
+    open_segment,
+    state_codec,
+)
 
 CODEC = state_codec("veryfast")
 
@@ -32,5 +40,5 @@ def test_pictures_that_would_leave_the_range_are_coded_finer():
     coarse = encode_stream(closed, (128, 128), Fraction(24), 24, CODEC)
     assert not check_stream(coarse, closed, CODEC)[0].in_range
     coded = encode_checked(lambda: closed, (128, 128), Clock.of(Fraction(24)), CODEC)
-    shown = list(decode_pictures(coded.stream.init, coded.stream.media[0], "x"))
+    shown = list(decode_pictures(open_segment(coded.stream.media[0], "x").samples, "x"))
     assert len(shown) == 6 and all(in_range(picture) for picture in shown)

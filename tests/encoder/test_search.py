@@ -9,8 +9,8 @@ from airgs_codec.cli import encode as command
 from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal, find_quality
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
+from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.store import open_package
-from airgs_codec.package.tables import pooled_quality
 from tests.support.scenes import write_demo
 
 

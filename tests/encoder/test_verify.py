@@ -13,8 +13,9 @@ from airgs_codec.encoder.survey import survey_groups
 from airgs_codec.encoder.verify import Attempt, encode_verified, find_repair
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package.tables import pooled_quality
+from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.manifests import with_segments
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -56,7 +57,7 @@ def measured(encoded, quality):
             for v, q in zip(segment.levels, quality, strict=True)
         ]
         segments.append(replace(segment, levels=figures))
-    return replace(m, segments=segments)
+    return with_segments(m, segments)
 
 
 def test_rungs_that_each_show_more_for_more_bytes_stay(attempt, encoded):
@@ -134,7 +135,8 @@ def test_a_false_promise_makes_steps_finer_until_it_is_kept(attempt, tmp_path):
     assert quality > reached + 3 - verify.SHORTFALL_DB
     assert 1 <= len(second.stories) < verify.ATTEMPTS and f"{reached:.2f} dB where" in second.stories[0]
     assert second.stories[-1].endswith(f"top rung now {quality:.2f} dB")
-    assert set(second.manifest.files) == {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+    written = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
+    assert set(second.manifest.files()) - set(second.manifest.table_files()) == written
 
 
 def test_a_package_that_was_repaired_says_so_and_is_whole(attempt, tmp_path, monkeypatch):

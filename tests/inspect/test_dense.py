@@ -9,6 +9,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.dense import DROP, HOLD, MEASURED, measure_dense, pruning_levels, saving_levels, split_at_cliff
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import open_package
+from tests.support.manifests import with_segments
 from tests.support.paths import FOX, VALID
 
 MOVING = str(VALID / "moving")
@@ -29,7 +30,7 @@ def test_dense_levels_fall_and_bytes_are_those_of_the_package(moving, cameras):
         replace(s, levels=[replace(v, psnr=[45.0, 40.0], ssim=[0.99, 0.98]) for v in s.levels])
         for s in moving.manifest.segments
     ]
-    package = replace(moving, manifest=replace(moving.manifest, segments=measured))
+    package = replace(moving, manifest=with_segments(moving.manifest, measured))
     levels_of_all = measure_dense(package, cameras[:1], cameras)
     m = package.manifest
     full = sum(m.bytes_of(m.state_files(i, 0)) for i in range(len(m.segments)))
@@ -57,6 +58,11 @@ def test_inspect_shows_the_dense_ladder(moving, tmp_path, capsys):
 
 def test_dense_levels_need_a_measured_top_rung(moving, cameras):
     segments = [replace(s, levels=[replace(v, psnr=[], ssim=[]) for v in s.levels]) for s in moving.manifest.segments]
-    bare = replace(moving, manifest=replace(moving.manifest, segments=segments))
+    bare = replace(
+        moving,
+        manifest=with_segments(
+            replace(moving.manifest, views=replace(moving.manifest.views, reference="none")), segments
+        ),
+    )
     with pytest.raises(ConfigError, match="--against"):
         measure_dense(bare, cameras[:1], cameras)

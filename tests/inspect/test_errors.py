@@ -14,7 +14,8 @@ from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.sequence import open_sequence
-from tests.support.mutations import on_disk, set_value
+from tests.makers.conformance import TABLE
+from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -25,7 +26,7 @@ def test_every_atlas_keeps_its_bound_and_the_bound_is_tight(demo_package):
     measured = list(measure_errors(open_package(demo_package), open_sequence(FOX)))
     atlases = {m.where for m in measured}
     m = open_package(demo_package).manifest
-    assert len(atlases) == len(m.groups) * (m.tier_count * len(m.qualities) + len(m.levels))
+    assert len(atlases) == len(m.groups) * (m.tiers * len(m.qualities) + len(m.levels))
     assert {e.attribute for e in measured if "key" in e.where} == set(KEY.attributes)
     assert {e.attribute for e in measured if "state" in e.where} == set(STATE.attributes)
     for e in measured:
@@ -44,9 +45,9 @@ def test_coarser_levels_promise_less(demo_package):
 def test_a_lie_is_found(demo_copy, capsys):
     assert main(["validate", str(demo_copy), "--against", str(FOX)]) == 0
     assert "measured / max_error" in capsys.readouterr().out
-    place = ("groups", 0, "levels", 0, "max_error", 0)
+    place = ("levels", 0, "max_error", 0)
     promised = open_package(demo_copy).manifest.groups[0].levels[0].max_error[0]
-    on_disk(demo_copy, set_value(place, 0.5 * promised))
+    on_disk(demo_copy, set_value(place, 0.5 * promised, TABLE), reindexed)
     assert main(["validate", str(demo_copy), "--against", str(FOX)]) == 1
     assert "means: max_error" in capsys.readouterr().out
 

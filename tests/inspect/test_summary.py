@@ -13,9 +13,10 @@ from airgs_codec.inspect.summary import bytes_by_kind, segment_rates, summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.media.image import read_png
 from airgs_codec.package.layout import KEY, STATE
+from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.store import open_package
-from airgs_codec.package.tables import LeftOut, pooled_quality
-from tests.support.manifests import tiny_manifest
+from airgs_codec.package.tables import LeftOut
+from tests.support.manifests import in_groups, tiny_manifest, with_segments
 from tests.support.paths import VALID
 from tests.support.regions import arc
 
@@ -29,7 +30,7 @@ def with_measured(m, index, psnr, ssim, delta_e=1.0, worst=20.0):
     levels = [dataclasses.replace(v, **measured) for v in m.segments[index].levels]
     segments = list(m.segments)
     segments[index] = dataclasses.replace(segments[index], levels=levels)
-    return dataclasses.replace(m, segments=segments)
+    return with_segments(m, segments)
 
 
 def test_quality_pools_squared_errors_by_frames_not_decibels():
@@ -69,8 +70,8 @@ def test_a_rung_counts_everything_a_viewer_fetches():
     m = tiny_manifest()
     rungs = {(r.key, r.state): r for r in summarise(m, MANIFESTS).rungs}
     keys, state = 2 * (3000 + 1000 + 2 * 100), 2 * (2000 + 100)
-    assert rungs["Q0", "L0"].bytes_per_frame * 20 == pytest.approx(keys + state + 3 * 50 + MANIFESTS)
-    assert rungs["Q1", "L2"].bytes_per_frame * 20 == pytest.approx(3400 + 1200 + 3 * 50 + MANIFESTS)
+    assert rungs["Q0", "L0"].bytes_per_frame * 20 == pytest.approx(keys + state + MANIFESTS)
+    assert rungs["Q1", "L2"].bytes_per_frame * 20 == pytest.approx(3400 + 1200 + MANIFESTS)
     assert rungs["Q1", "L2"].psnr == pytest.approx(32) and rungs["Q1", "L2"].worst == 30
     assert len(rungs) == 6
 
@@ -95,15 +96,14 @@ def replace_reach(region, index, reach):
     return dataclasses.replace(region, places=places)
 
 
-def test_kinds_add_up_and_boxes_are_container():
+def test_kinds_add_up():
     m = tiny_manifest(groups=(3, 3))  # 2000 B of media hold 3 * 666 B of pictures
     kinds = bytes_by_kind(m, 0, 0, MANIFESTS)
     assert kinds == {
         "key pictures": 8000,
         "key sidecars": 400,
         "state pictures": 3996,
-        "state sidecars": 200,
-        "container": 3 * 50 + 4,
+        "escapes and boxes": 204,
         "manifests": MANIFESTS,
     }
     assert sum(kinds.values()) == m.bytes_of(m.rung_files(0, 0)) + MANIFESTS
@@ -111,16 +111,12 @@ def test_kinds_add_up_and_boxes_are_container():
 
 def test_what_was_left_out_is_named():
     m = tiny_manifest(state_bytes=(0,), psnr=None)
-    tiers = [m.groups[0].tiers[0], dataclasses.replace(m.groups[0].tiers[1], number=0, count=0)]
-    group = dataclasses.replace(m.groups[0], tiers=tiers)
-    notes = [
-        LeftOut("gaussians", 1, 7, 1e-5, 120.0),
-        LeftOut("updates", 0, 3, 0.0, 5.0),
-        LeftOut("sh bands", 0, 2, 1e-6, 9),
-    ]
-    text = "\n".join(describe_left_out(dataclasses.replace(m, groups=[group, m.groups[1]], left_out=notes)))
+    tiers = [m.groups[0].tiers[0], dataclasses.replace(m.groups[0].tiers[1], count=0)]
+    first = dataclasses.replace(m.groups[0], tiers=tiers, left_out=[LeftOut("updates", 3, 0.0, 5.0)])
+    second = dataclasses.replace(m.groups[1], left_out=[LeftOut("gaussians", 7, 1e-5, 120.0)])
+    text = "\n".join(describe_left_out(dataclasses.replace(m, groups=in_groups([first, second]))))
     assert "group 1: 7 Gaussians: 50.0 dB by itself, 0.12 kB/frame saved" in text
-    assert "group 0: 3 rows are never updated: no error" in text and "2 SH bands: 60.0 dB" in text
+    assert "group 0: 3 rows are never updated: no error" in text
     assert "key tier T1: it has no rows" in text
     assert "2 log_scales, 3 quaternions, 1 opacity, 3 colour" in text
     assert "2 state segments" in text and "SH rest" in text
@@ -143,7 +139,9 @@ def test_bytes_by_attribute_share_out_pictures_and_key_sidecars(name):
 
 
 def test_the_table_has_every_rung_level_and_repair():
-    m = dataclasses.replace(tiny_manifest(), repairs=["2 Gaussians repaired"], attribution="somebody's scene")
+    m = dataclasses.replace(tiny_manifest(), attribution="somebody's scene")
+    repaired = dataclasses.replace(m.groups[0], repairs=["2 Gaussians repaired"])
+    m = dataclasses.replace(m, groups=in_groups([repaired, m.groups[1]]))
     text = format_summary(summarise(m, MANIFESTS))
     for word in ("20 frames at 10 fps", "Q1 + L2", "T1", "x3", "20 %", "repaired: 2 Gaussians repaired", "somebody's"):
         assert word in text
@@ -189,11 +187,14 @@ def test_the_ladder_is_the_convex_hull():
 
 def test_what_many_groups_leave_out_alike_is_one_line():
     m = tiny_manifest(groups=(10,) * 6)
-    entries = [LeftOut("gaussians", g, 5 + g, 1e-5 * (g + 1), 100.0) for g in range(6)]
-    lines = describe_left_out(dataclasses.replace(m, left_out=entries))
+    groups = [
+        dataclasses.replace(group, left_out=[LeftOut("gaussians", 5 + g, 1e-5 * (g + 1), 100.0)])
+        for g, group in enumerate(m.groups)
+    ]
+    lines = describe_left_out(dataclasses.replace(m, groups=in_groups(groups)))
     assert lines[0] == "6 groups: 5-10 Gaussians: at worst 42.2 dB by itself, 0.10 kB/frame saved"
     assert not any(line.startswith("group") for line in lines)
-    few = describe_left_out(dataclasses.replace(m, left_out=entries[:2]))
+    few = describe_left_out(dataclasses.replace(m, groups=in_groups([*groups[:2], *m.groups[2:]])))
     assert few[:2] == [
         "group 0: 5 Gaussians: 50.0 dB by itself, 0.10 kB/frame saved",
         "group 1: 6 Gaussians: 47.0 dB by itself, 0.10 kB/frame saved",

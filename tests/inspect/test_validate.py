@@ -1,7 +1,6 @@
 """Validation: everything wrong is a finding with its reason, nothing raises, whatever the bytes are."""
 
 import dataclasses
-import json
 import os
 import random
 import shutil
@@ -13,9 +12,12 @@ import pytest
 
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.inspect.validate import validate
+from airgs_codec.media.fragments import with_columns
 from airgs_codec.media.h264 import ClosedGop, encode_stream, key_codec
+from airgs_codec.media.mp4 import read_segment
+from airgs_codec.package.paths import JSON_NAME, FileKind, file_kind
 from airgs_codec.package.store import open_package
-from airgs_codec.package.tables import JSON_NAME
+from tests.makers.conformance import TABLE, media_alone
 from tests.support.mutations import (
     add_file,
     by_chance,
@@ -23,6 +25,8 @@ from tests.support.mutations import (
     honest,
     on_disk,
     random_tables,
+    read_files,
+    reindexed,
     set_value,
 )
 from tests.support.paths import VALID
@@ -35,8 +39,7 @@ def package(tmp_path):
 
 def replace_file(package: Path, relative: str, data: bytes) -> None:
     """Write a file and make its entry agree, so that only its content can be refused."""
-    listed = edit_tables(lambda tables: tables["files"].setdefault(relative, {}))
-    on_disk(package, add_file(relative, data), listed, honest)
+    on_disk(package, add_file(relative, data), honest)
 
 
 def reasons(package: Path) -> set[str]:
@@ -51,7 +54,7 @@ def test_a_folder_that_is_no_package(tmp_path):
 
 
 def test_every_broken_file_has_its_own_finding(package):
-    listed = sorted(json.loads((package / "airgs.json").read_text())["files"])
+    listed = sorted(p for p in open_package(package).manifest.files() if file_kind(p) is not FileKind.MANIFESTS)
     for relative in listed:
         (package / relative).unlink()
     assert [(f.reason, f.where) for f in validate(package)] == [("missing_file", relative) for relative in listed]
@@ -71,17 +74,10 @@ def test_what_is_neither_file_nor_folder_is_foreign(package):
     assert [(f.reason, f.where) for f in validate(package)] == [("foreign_file", "pipe")]
 
 
-def test_a_listed_file_without_a_table_is_foreign(package):
-    (package / "state/L7").mkdir()
-    (package / "state/L7/1.bin").touch()
-    replace_file(package, "state/L7/1.bin", b"x")
-    assert reasons(package) == {"foreign_file"}
-
-
 @pytest.mark.parametrize("level", [0, 1])
 def test_every_level_is_decoded(package, level):
-    relative = f"state/L{level}/1.bin"
-    replace_file(package, relative, b"\0" * 20)
+    relative = f"state/L{level}/1.m4s"
+    replace_file(package, relative, with_columns(media_alone((package / relative).read_bytes()), bytes(20)))
     assert [(f.reason, f.where) for f in validate(package)] == [("bad_sidecar", relative)]
 
 
@@ -94,8 +90,8 @@ def test_every_key_quality_is_decoded(package, quality):
 
 @pytest.mark.parametrize("quality", [0, 1])
 def test_the_positions_of_every_key_quality_are_read(package, quality):
-    relative = f"key/T1/Q{quality}/1.bin"
-    replace_file(package, relative, b"\0" * 20)
+    relative = f"key/T1/Q{quality}/1.m4s"
+    replace_file(package, relative, with_columns(media_alone((package / relative).read_bytes()), bytes(20)))
     assert [(f.reason, f.where) for f in validate(package)] == [("bad_sidecar", relative)]
 
 
@@ -107,18 +103,19 @@ def test_cells_that_the_files_do_not_have_are_refused(package, coarser):
 
 
 def test_luma_outside_the_limited_range_is_refused(package):
-    picture = open_package(package).manifest.key_pictures[0][0]
+    picture = open_package(package).manifest.groups[0].tiers[0].qualities[0]
     bright = ClosedGop([np.full((picture.height, picture.width), 240, np.uint8)], 0, 1000)
     stream = encode_stream([bright], (picture.width, picture.height), Fraction(24), 24000, key_codec("veryfast"))
-    replace_file(package, "key/T0/Q0/1.m4s", stream.media[0])
-    replace_file(package, "key/T0/Q0/init.mp4", stream.init)
+    columns = read_segment((package / "key/T0/Q0/1.m4s").read_bytes()).columns or b""
+    replace_file(package, "key/T0/Q0/1.m4s", with_columns(stream.media[0], columns))
     (finding,) = validate(package)
     assert finding.reason == "bad_picture" and "16 to 235" in str(finding)
 
 
 def test_more_pictures_than_promised_are_refused(package):
-    replace_file(package, "key/T0/Q0/1.m4s", (package / "state/L0/1.m4s").read_bytes())
-    replace_file(package, "key/T0/Q0/init.mp4", (package / "state/L0/init.mp4").read_bytes())
+    key, state = ((package / path).read_bytes() for path in ("key/T0/Q0/1.m4s", "state/L0/1.m4s"))
+    columns = read_segment(key).columns or b""
+    replace_file(package, "key/T0/Q0/1.m4s", with_columns(media_alone(state), columns))
     assert "bad_picture" in reasons(package)
 
 
@@ -136,35 +133,31 @@ def test_more_pictures_than_promised_are_refused(package):
 )
 def test_what_the_tables_claim_of_a_segment_is_checked(package, field, value, reason):
     assert open_package(package).manifest.segments[0].levels[0].psnr
-    on_disk(package, set_value(("segments", 0, "levels", 0, field), value))
+    on_disk(package, set_value(("segments", 0, "levels", 0, field), value, TABLE), reindexed)
     assert reasons(package) == {reason}
 
 
 def test_steps_that_decode_to_no_finite_number_are_refused(package):
     steps = {("key_steps", "log_scales"): 1e30, ("key_steps", "quaternions"): 1e30}
     factors = [set_value(("qualities", q, "factor"), 1e6) for q in (0, 1)]
-    coarse = [set_value(("groups", 0, *place), value) for place, value in steps.items()]
-    on_disk(package, *coarse, *factors, set_value(("key_gain",), 1e-3))
+    coarse = [set_value(place, value, TABLE) for place, value in steps.items()]
+    on_disk(package, *coarse, *factors, set_value(("key_gain",), 1e-3), reindexed)
     assert reasons(package) == {"bad_value"}
 
 
 def test_a_number_that_fits_no_array_is_refused(package):
-    on_disk(package, set_value(("groups", 0, "levels", 1, "centres", 0), 1 << 31))
+    on_disk(package, set_value(("levels", 1, "centres", 0), 1 << 31, TABLE), reindexed)
     assert reasons(package) == {"bad_value"}
 
 
 def test_a_group_without_keys_is_refused(package):
-    def forget(tables):
-        for tier in tables["groups"][0]["tiers"]:
-            tier["number"] = 0
-        tables["files"] = {path: entry for path, entry in tables["files"].items() if path.endswith("init.mp4")}
-        for segment in tables["segments"]:
-            for level in segment["levels"]:
-                level.update(number=0, frame_bytes=[])
+    def forget(table):
+        for tier in table["tiers"]:
+            for entry in (tier["sidecar"], *tier["pictures"]):
+                entry.update(bytes=0, sha256="")
 
-    on_disk(package, edit_tables(forget))
-    found = validate(package)
-    assert found and {f.reason for f in found} <= {"foreign_file", "mpd_mismatch", "bad_value"}
+    on_disk(package, edit_tables(forget, TABLE), reindexed)
+    assert reasons(package) == {"missing_entry"}
 
 
 def test_one_broken_quality_does_not_hide_another_group(tmp_path):
@@ -194,13 +187,13 @@ def test_random_damage_is_found_or_harmless_and_never_raises(name, tmp_path):
     assert {"bad_picture", "bad_sidecar"} <= seen
 
 
+@pytest.mark.parametrize("table", [JSON_NAME, TABLE])
 @pytest.mark.parametrize("name", ["moving", "two-groups-sh1"])
-def test_random_changes_of_the_tables_never_raise(name, tmp_path):
+def test_random_changes_of_the_tables_never_raise(name, table, tmp_path):
     package = shutil.copytree(VALID / name, tmp_path / "package")
     chance = random.Random(name)
-    text = (package / JSON_NAME).read_bytes()
-    seen = set()
-    for _ in range(150):
-        (package / JSON_NAME).write_bytes(random_tables(chance, text))
+    before, seen = read_files(package), set()
+    for _ in range(100):
+        on_disk(package, lambda _: before | {table: random_tables(chance, table, before[table])}, reindexed)
         seen |= reasons(package)
     assert {"bad_value", "wrong_type", "missing_field"} <= seen

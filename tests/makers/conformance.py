@@ -2,16 +2,18 @@
 
     python -m tests.makers.conformance
 
-Every package under invalid/ is valid/moving with one thing broken, and must be refused for the reason it is named
-after. Encoder bytes may change from one x264 to the next; what the packages decode to is pinned in tests/golden.
+Every package under invalid/ is valid/moving (valid/paged for what concerns a page) with one thing broken, and must be
+refused for the reason that its name begins with. Encoder bytes may change from one x264 to the next; what the packages
+decode to is pinned in tests/golden.
 """
 
 from __future__ import annotations
 
-import json
+import gzip
 import shutil
 import tempfile
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -19,19 +21,30 @@ import numpy as np
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.package.parse import parse_manifest
-from airgs_codec.package.tables import JSON_NAME, MPD_NAME
+from airgs_codec.media.fragments import box, with_columns
+from airgs_codec.media.mp4 import read_boxes
+from airgs_codec.package.manifest import Groups
+from airgs_codec.package.mpd import LiveClock
+from airgs_codec.package.parse import parse_root
+from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME
+from airgs_codec.package.staging import write_file
+from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import Grid, digest
+from airgs_codec.package.writing import write_tables
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.mutations import (
     Files,
     Mutation,
     add_file,
+    apply,
     drop_value,
-    edit_tables,
     edit_text,
     honest,
+    link_file,
     on_disk,
+    parse_table,
+    reindexed,
     remove_file,
     rewrite,
     set_value,
@@ -39,7 +52,7 @@ from tests.support.mutations import (
 from tests.support.paths import INVALID, VALID
 from tests.support.scenes import write_sequence
 
-KEY_SIDECAR, KEY_PICTURE, STATE_SIDECAR = "key/T0/1.bin", "key/T0/Q0/1.m4s", "state/L0/1.bin"
+KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1.json"
 SETTINGS = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),))
 
 
@@ -58,17 +71,22 @@ def frames(count: int, degree: int, length: int) -> list[Gaussians]:
 PACKAGES = {
     "moving": (frames(64, 0, 4), replace(SETTINGS, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))),
     "one-gaussian": (frames(1, 1, 1), replace(SETTINGS, key_factors=(1.0,))),
+    "paged": (
+        frames(4, 0, 65),
+        replace(SETTINGS, group_frames=1, key_factors=(1.0,), tiers=(1.0,), measure_pictures=0),
+    ),
     "two-groups-sh1": (frames(40, 1, 5), replace(SETTINGS, group_frames=3, segment_s=0.07)),
 }
 
 
 def without_moving_rows(files: Files) -> Files:
     """Say in a sidecar that its rows are static, while the tables count them."""
-    m = parse_manifest(files[JSON_NAME])
-    group, coarsest = m.groups[0], m.qualities[-1].coarser
-    sidecar = unpack_key_sidecar(files[KEY_SIDECAR], group.tiers[0].count, group.grid, coarsest, KEY_SIDECAR)
+    root = parse_root(files[JSON_NAME])
+    group, coarsest = parse_table(files[TABLE]), root.qualities[-1].coarser
+    grid = Grid(**group["grid"])
+    sidecar = unpack_key_sidecar(files[KEY_SIDECAR], group["tiers"][0]["count"], grid, coarsest, KEY_SIDECAR)
     still = replace(sidecar, depths=np.full_like(sidecar.depths, 255))
-    return files | {KEY_SIDECAR: pack_key_sidecar(still, group.grid, coarsest)}
+    return files | {KEY_SIDECAR: pack_key_sidecar(still, grid, coarsest)}
 
 
 def flip(data: bytes) -> bytes:
@@ -76,27 +94,77 @@ def flip(data: bytes) -> bytes:
     return data[:-1] + bytes([data[-1] ^ 1])
 
 
-BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason -> what breaks valid/moving
-    "not_json": (rewrite(JSON_NAME, lambda text: json.dumps(json.loads(text))[:-1].encode()),),
-    "unknown_version": (set_value(("version",), 2),),
+def in_table(*mutations: Mutation) -> tuple[Mutation, ...]:
+    """Changes to the table of the first group, of which the index knows."""
+    return (*mutations, reindexed)
+
+
+def inflated(data: bytes) -> bytes:
+    """What is in a table, without gzip."""
+    return gzip.decompress(data)
+
+
+def media_alone(data: bytes) -> bytes:
+    """A media segment without the uuid box in front of it."""
+    return b"".join(whole for kind, whole in read_boxes(data) if kind != b"uuid")
+
+
+def repaged(files: Files) -> Files:
+    """Make airgs.json agree with the length and digest of the first page."""
+    page = files[PAGE_TABLE]
+    edits = (set_value(("index", "pages", "bytes"), [len(page)]), set_value(("index", "pages", "sha256"), digest(page)))
+    return apply(files, *edits)
+
+
+BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks valid/moving, or valid/paged
+    "not_json": (rewrite(JSON_NAME, lambda text: text[:-1]),),
+    "not_json-group": in_table(rewrite(TABLE, inflated)),
+    "not_json-group-tail": in_table(rewrite(TABLE, lambda data: data + data)),
+    "unknown_version": (set_value(("version",), 1),),
     "unknown_field": (set_value(("colour",), "red"),),
+    "unknown_field-group": in_table(set_value(("colour",), "red", TABLE)),
     "missing_field": (drop_value(("frames",)),),
+    "missing_field-group": in_table(drop_value(("grid",), TABLE)),
     "wrong_type": (set_value(("frames",), "4"),),
+    "wrong_type-live": (set_value(("live",), 1),),
+    "wrong_type-group": in_table(set_value(("count",), None, TABLE)),
     "bad_value": (set_value(("sh_degree",), 4),),
-    "unsafe_path": (edit_tables(lambda t: t["files"].update({"../outside.bin": t["files"][KEY_SIDECAR]})),),
-    "missing_entry": (drop_value(("files", STATE_SIDECAR)),),
+    "bad_value-columns": (set_value(("index", "groups", "frames"), [2, 2]),),
+    "bad_value-cover": (set_value(("frames",), 5),),
+    "bad_value-page-root": (set_value(("index", "groups"), {"frames": [], "segments": [], "bytes": [], "sha256": ""}),),
+    "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
+    "bad_value-segments": in_table(set_value(("segments", 0, "stop"), 3, TABLE)),
+    "bad_value-page-sum": (set_value(("frames", 0), 2, PAGE_TABLE), repaged),
+    "unsafe_path": (link_file(KEY_SIDECAR, "Q0/1.m4s"),),
+    "missing_entry": in_table(
+        set_value(("tiers", 0, "pictures", 0), {"bytes": 0, "sha256": ""}, TABLE), remove_file(KEY_PICTURE)
+    ),
     "missing_file": (remove_file(KEY_PICTURE),),
+    "missing_file-group": (remove_file(TABLE),),
+    "missing_file-page": (remove_file(PAGE_TABLE),),
     "foreign_file": (add_file("notes.txt", b"not part of the package\n"),),
     "size_mismatch": (rewrite(KEY_SIDECAR, lambda b: b + b"\0"),),
+    "size_mismatch-group": (rewrite(TABLE, lambda b: b + b"\0"),),
     "hash_mismatch": (rewrite(KEY_SIDECAR, flip),),
+    "hash_mismatch-group": (rewrite(TABLE, flip),),
+    "hash_mismatch-page": (rewrite(PAGE_TABLE, lambda b: b[:-3] + b"x" + b[-2:]),),
     "bad_sidecar": (rewrite(KEY_SIDECAR, lambda b: b[: len(b) // 2]), honest),
+    "bad_sidecar-detail": (rewrite(KEY_PICTURE, lambda b: with_columns(media_alone(b), bytes(20))), honest),
     "count_mismatch": (without_moving_rows, honest),
     "bad_picture": (rewrite(KEY_PICTURE, lambda b: b[:-40] + bytes(20)), honest),
+    "bad_picture-uuid": (rewrite(KEY_PICTURE, lambda b: box(b"uuid", bytes(20)) + media_alone(b)), honest),
+    "bad_picture-size": in_table(set_value(("tiers", 0, "qualities", 0, "width"), 4096, TABLE)),
     "doctype": (edit_text(MPD_NAME, "<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD'),),
     "bad_mpd": (edit_text(MPD_NAME, "</MPD>", ""),),
     "foreign_url": (edit_text(MPD_NAME, 'media="state/', 'media="http://example.com/state/'),),
     "mpd_mismatch": (edit_text(MPD_NAME, '<S t="0"', '<S t="1"'),),
+    "mpd_mismatch-live": (set_value(("live",), True),),
 }
+
+
+def source_of(name: str) -> str:
+    """The valid package that a broken one is made of."""
+    return "paged" if "-page" in name else "moving"
 
 
 def main() -> None:
@@ -106,8 +174,20 @@ def main() -> None:
     for name, (sequence, settings) in PACKAGES.items():
         with tempfile.TemporaryDirectory() as folder:
             encode(open_sequence(write_sequence(Path(folder), sequence)), VALID / name, settings)
-    for reason, mutations in BREAKS.items():
-        on_disk(shutil.copytree(VALID / "moving", INVALID / reason), *mutations)
+    write_live()
+    for name, mutations in BREAKS.items():
+        on_disk(shutil.copytree(VALID / source_of(name), INVALID / name), *mutations)
+
+
+def write_live() -> None:
+    """valid/live: the first group of valid/two-groups-sh1 while the second is still to come."""
+    package = open_package(VALID / "two-groups-sh1")
+    m = package.manifest
+    first = replace(m, frames=m.groups[0].stop, live=True, groups=Groups.of(m.groups[:1]))
+    for path in (INIT_NAME, *first.group_files(0)):
+        write_file(VALID / "live", path, package.read(path))
+    moment = datetime(2026, 1, 1, tzinfo=UTC)
+    write_tables(VALID / "live", first, LiveClock(moment, moment))
 
 
 if __name__ == "__main__":

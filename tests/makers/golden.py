@@ -38,7 +38,7 @@ def digests(package: Package) -> dict[str, str]:
     out = {}
     for g, group in enumerate(m.groups):
         for t, tier in enumerate(group.tiers):
-            for q in range(len(m.qualities) if tier.number else 0):
+            for q in range(len(m.qualities) if tier.count else 0):
                 codes, sidecar = decode_key(package, g, t, q)
                 out[f"group {g} T{t} Q{q}"] = digest(codes)
                 out[f"group {g} T{t} Q{q} means"] = sha256(sidecar.codes.astype("<u8").tobytes()).hexdigest()
@@ -46,7 +46,7 @@ def digests(package: Package) -> dict[str, str]:
     for s, segment in enumerate(m.segments):
         for j, level in enumerate(segment.levels):
             for f, codes in enumerate(
-                decode_state(package, s, j, 0, segment.stop - segment.start) if level.number else []
+                decode_state(package, s, j, 0, segment.stop - segment.start) if level.file.bytes else []
             ):
                 out[f"segment {s} L{j} frame {f}"] = digest(codes)
     return out

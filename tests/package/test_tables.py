@@ -1,17 +1,30 @@
 """The tables' paths: what a file carries follows from where it is."""
 
-from airgs_codec.package import tables
-from airgs_codec.package.tables import FileKind, file_kind
+import pytest
+
+from airgs_codec.package import paths
+from airgs_codec.package.paths import FileKind, file_kind, locate
 
 
 def test_kinds_of_files_are_those_of_their_paths():
-    assert file_kind(tables.JSON_NAME) is file_kind(tables.MPD_NAME) is FileKind.MANIFESTS
-    assert file_kind(tables.key_init_path(0, 1)) is file_kind(tables.state_init_path(2)) is FileKind.INIT
-    assert file_kind(tables.key_media_path(0, 1, 3)) is FileKind.KEY
-    assert file_kind(tables.state_media_path(2, 3)) is FileKind.STATE
-    for path in (
-        tables.key_sidecar_path(0, 3),
-        tables.key_detail_path(0, 1, 3),
-        tables.state_sidecar_path(2, 3),
-    ):
-        assert file_kind(path) is FileKind.SIDECARS
+    for path in (paths.JSON_NAME, paths.MPD_NAME, paths.group_path(3), paths.page_path(1)):
+        assert file_kind(path) is FileKind.MANIFESTS
+    assert file_kind(paths.INIT_NAME) is FileKind.INIT
+    assert file_kind(paths.key_media_path(0, 1, 3)) is FileKind.KEY
+    assert file_kind(paths.state_media_path(2, 3)) is FileKind.STATE
+    assert file_kind(paths.key_sidecar_path(0, 3)) is FileKind.SIDECARS
+
+
+def test_paths_are_found_again():
+    assert locate(paths.key_sidecar_path(0, 30)) == ("sidecar", [0, 30])
+    assert locate(paths.key_media_path(1, 12, 3)) == ("key", [1, 12, 3])
+    assert locate(paths.state_media_path(2, 3)) == ("state", [2, 3])
+    assert locate(paths.group_path(7200)) == ("group", [7200]) and locate(paths.page_path(1)) == ("page", [1])
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["", "key/T0/0.bin", "key/T01/1.bin", "key/T0/1.bin/..", "../key/T0/1.bin", "state/L0/x.m4s", "group/1.json"],
+)
+def test_other_paths_are_no_paths_of_a_package(path):
+    assert locate(path) == ("", [])

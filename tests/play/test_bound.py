@@ -89,7 +89,7 @@ def test_the_oracle_pays_only_round_trips_that_its_player_pays(pipelined):
 def test_rounding_of_media_time_does_not_delay_a_release():
     """25 segments of 0.4 s add up to a little more than the buffer of 10 s: the last of them waits for nothing."""
     c = Catalogue(tiny_manifest(fps=(25, 1)), header_bytes=0)
-    assert np.cumsum([0.0, *c.seconds * 13])[25] > 10.0
+    assert np.cumsum([0.0, *[c.seconds(0), c.seconds(1)] * 13])[25] > 10.0
     trace = Trace("t", np.array([0.0, 4.0]), np.array([8 * 60000.0, 8 * 500.0]), 1000.0)
     log = simulate(c, trace, "paper", SessionSettings(loops=25, buffer_s=10.0))
     bound = session_bound(log)

@@ -79,11 +79,11 @@ def test_a_package_is_played_from_a_plain_web_server(served, version):
 
 def test_missing_and_altered_files_are_refused_as_they_come(served, tmp_path):
     package = open_package(PACKAGE)
-    for path in ("airgs.json", *package.manifest.files):
+    for path in ("airgs.json", *package.manifest.files()):
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / path).write_bytes((PACKAGE / path).read_bytes())
     state = package.manifest.state_files(0, 0)[0]
-    (tmp_path / state).write_bytes(b"x" * package.manifest.files[state].bytes)
+    (tmp_path / state).write_bytes(b"x" * package.manifest.entry(state).bytes)
     (tmp_path / package.manifest.key_files(1, 0, 0)[1]).unlink()  # the picture of one of two qualities
     log = play(served(tmp_path))
     assert any(state in line and "SHA-256" in line for line in log.lost)

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.package.parse import parse_manifest
-from airgs_codec.package.store import open_package
+from airgs_codec.package.references import check_group, check_root
+from airgs_codec.package.store import open_package, root_of
+from airgs_codec.package.tables import Segment
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import SimulatedDownloader
 from airgs_codec.play.events import Arrival, Arrived, BatchKind, Replaced, Request, Shown
@@ -24,7 +25,7 @@ from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace, open_trace
-from tests.support.manifests import missing, tiny_manifest
+from tests.support.manifests import missing, tiny_manifest, with_segments
 from tests.support.paths import VALID
 
 BARE = {"startup_s": 0.0, "resume_s": 0.0, "decode_frame_s": 0.0, "loops": 1}
@@ -54,20 +55,25 @@ def pairs(log):
 @pytest.mark.parametrize("options", [{}, {"psnr": None}, {"state_bytes": (2000, 1000, 0)}], ids=str)
 def test_the_test_manifest_is_a_manifest(options):
     m = tiny_manifest(**options)
-    assert parse_manifest(m.to_json()) == m
+    check_root(root_of(m))
+    for number, group in enumerate(m.groups):
+        check_group(m, m.groups.places.entry(number), group, "group")
 
 
 def test_a_session_by_hand():
-    """10,000 B/s: 1000 B of manifests, then 150 init + 4000 key + 2000 state + 300 sidecars, and less init."""
+    """10,000 B/s: 1000 B of airgs.json, then for each group 100 of table, and 4000 key + 2100 state + 200 sidecars."""
     log = play(tiny_manifest(), link([8e4]))
-    assert [(f.kind, f.bytes) for f in log.fetches] == [("manifests", 1000), ("group", 6450), ("group", 6300)]
-    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.1, 0.745, 1.375])
-    assert [s.start_s for s in log.shown] == pytest.approx([0.745, 1.745])
+    assert [(f.kind, f.bytes) for f in log.fetches] == [
+        *(("tables", 1000), ("tables", 100), ("group", 6300), ("tables", 100), ("group", 6300)),
+    ]
+    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.1, 0.11, 0.74, 0.75, 1.38])
+    assert [s.start_s for s in log.shown] == pytest.approx([0.74, 1.74])
     result = log.metrics
-    assert result.startup_s == pytest.approx(0.745)
+    assert result.startup_s == pytest.approx(0.74)
+    assert (result.startup_files, result.startup_table_bytes) == (1 + 1 + 5, 1100)
     assert (result.stalls, result.stall_s, result.switches, result.frames) == (0, 0, 0, 20)
-    assert result.bytes == {"manifests": 1000, "init": 150, "key": 8000, "sidecars": 600, "state": 4000}
-    assert result.wire_bytes == 13_750
+    assert result.bytes == {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 4200}
+    assert result.wire_bytes == 13_800
     assert result.psnr_mean == 40.0 and result.delta_e_mean == 0.5
     assert result.trace_mean_bps == 8e4
 
@@ -76,54 +82,53 @@ def test_a_tier_is_fetched_when_a_level_first_needs_it():
     """The last level does with T0; rising in the middle of a group brings T1 along, once."""
     m = segmented(tiny_manifest(groups=(30,), psnr=None))
     m = replace(m, levels=[*m.levels[:2], replace(m.levels[2], tiers=1)])
-    assert parse_manifest(m.to_json()) == m
     low = play(m, link([8e4]), "fixed:2")
-    assert low.bytes_by_kind["key"] == 3000 and low.bytes_by_kind["sidecars"] == 100 + 3 * 100
+    assert low.bytes_by_kind["key"] == 3000 and low.bytes_by_kind["sidecars"] == 100
     high = play(m, link([8e4]))
-    assert high.bytes_by_kind["key"] == 4000 and high.bytes_by_kind["sidecars"] == 200 + 3 * 100
+    assert high.bytes_by_kind["key"] == 4000 and high.bytes_by_kind["sidecars"] == 200
 
 
 def test_half_the_rate_stalls_and_the_frozen_picture_counts():
     log = play(tiny_manifest(psnr=[[40.0, 0.0]] * 3), link([4e4]))
-    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.2, 1.49, 2.75])
-    assert [s.stall_s for s in log.shown] == pytest.approx([0, 0.26])
+    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.2, 0.22, 1.48, 1.5, 2.76])
+    assert [s.stall_s for s in log.shown] == pytest.approx([0, 0.28])
     ticks = log.screen_ticks
-    assert len(ticks) == 23  # 20 frames, 0.26 s of waiting at 10 fps
+    assert len(ticks) == 23  # 20 frames, 0.28 s of waiting at 10 fps
     assert ticks[10:13] == [(0, 9)] * 3
-    assert log.metrics.stall_ratio == pytest.approx(0.26 / 2.26)
+    assert log.metrics.stall_ratio == pytest.approx(0.28 / 2.28)
 
 
 def test_headers_round_trips_and_decoding_cost_time():
     log = play(tiny_manifest(), link([8e4], rtt=0.1), decode_frame_s=0.05, headers=100)
-    # manifests 1 file; 3 init, 2 tiers of 3 files, state of 2; then without init
-    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.21, 1.065, 1.875])
-    assert log.shown[0].start_s == pytest.approx(1.115)
+    # a table is one file; a group has 2 tiers of 2 files and a state
+    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.21, 0.33, 1.11, 1.23, 2.01])
+    assert log.shown[0].start_s == pytest.approx(1.16)
 
 
 def test_an_outage_is_waited_out():
     log = play(tiny_manifest(), link([8e4, 0, 8e4], [0, 1, 6], 100))
-    assert log.fetches[-1].arrival_s == pytest.approx(6.375)
-    assert log.shown[1].stall_s == pytest.approx(6.375 - 1.745)
+    assert log.fetches[-1].arrival_s == pytest.approx(6.38)
+    assert log.shown[1].stall_s == pytest.approx(6.38 - 1.74)
 
 
 def test_a_level_with_nothing_to_fetch_costs_only_its_key():
     log = play(tiny_manifest(state_bytes=(2000, 1000, 0)), link([8e4]), "fixed:2")
-    assert [f.bytes for f in log.fetches[1:]] == [100 + 4000 + 200, 4200]
+    assert [f.bytes for f in log.fetches if f.kind == "group"] == [4200, 4200]
     assert log.metrics.bytes.get("state", 0) == 0
 
 
 def test_the_buffer_holds_requests_back():
     log = play(tiny_manifest(), link([8e9]), loops=20, buffer_s=3.0)
     begin = log.shown[0].start_s
-    for i, fetch in enumerate(log.fetches[1:]):
+    for i, fetch in enumerate(f for f in log.fetches if f.kind == "group"):
         assert fetch.request_s >= begin + i + 1 - 3.0 - 1e-9
     assert log.fetches[-1].request_s == pytest.approx(begin + 40 - 3.0)
     assert log.metrics.stalls == 0
 
 
-def test_loops_fetch_keys_and_states_again_but_not_init_segments():
+def test_loops_fetch_keys_and_states_again_but_not_tables():
     once, twice = (play(tiny_manifest(), link([8e6]), "fixed:1", loops=n).metrics.bytes for n in (1, 2))
-    assert twice == {k: v * (1 if k in ("init", "manifests") else 2) for k, v in once.items()}
+    assert twice == {k: v * (1 if k == "manifests" else 2) for k, v in once.items()}
     default = play(tiny_manifest(), link([8e6]), "fixed:1", loops=None)
     assert default.metrics.played_s == 30.0
 
@@ -133,7 +138,7 @@ def test_key_quality_and_level_are_chosen_together():
     poor = play(tiny_manifest(), link([2e4]), "paper")
     assert pairs(rich) == {(0, 0, 40.0)}
     assert pairs(poor) == {(1, 2, 32.0)}
-    assert "nothing fits" in poor.fetches[1].reason and "fit" in rich.fetches[1].reason
+    assert "nothing fits" in poor.fetches[2].reason and "fit" in rich.fetches[2].reason
 
 
 def test_a_faster_link_is_no_worse_however_fast():
@@ -142,12 +147,8 @@ def test_a_faster_link_is_no_worse_however_fast():
 
 
 def test_paper_needs_measured_quality_everywhere():
-    m = tiny_manifest()
-    levels = [replace(m.segments[1].levels[0], psnr=[]), *m.segments[1].levels[1:]]
-    holes = replace(m, segments=[m.segments[0], replace(m.segments[1], levels=levels)])
-    for unmeasured in (tiny_manifest(psnr=None), holes):
-        with pytest.raises(ConfigError, match="no measured quality"):
-            play(unmeasured, link([8e6]), "paper")
+    with pytest.raises(ConfigError, match="no measured quality"):
+        play(tiny_manifest(psnr=None), link([8e6]), "paper")
     log = play(tiny_manifest(psnr=None), link([8e6]))
     assert log.metrics.psnr_mean is log.metrics.delta_e_mean is None and "not measured" in format_metrics(log)
 
@@ -178,26 +179,26 @@ def test_round_trips_that_cannot_be(rtt):
 
 
 def test_playing_begins_when_enough_is_at_hand():
-    """0.645 and 0.63 s of download: the second segment is there at 1.375 s."""
+    """0.63 s of download each and 0.01 of tables: the second segment is there at 1.38 s."""
     log = play(tiny_manifest(), link([8e4]), startup_s=1.5)
-    assert [s.start_s for s in log.shown] == pytest.approx([1.375, 2.375])
+    assert [s.start_s for s in log.shown] == pytest.approx([1.38, 2.38])
     assert [s.stall_s for s in log.shown] == [0, 0]
 
 
 def test_it_goes_on_when_enough_is_at_hand_again():
-    """Half the rate: the second segment stalls by 0.26 s; with 1.5 s wanted the player waits for the third too."""
+    """Half the rate: the second segment stalls by 0.28 s; with 1.5 s wanted the player waits for the third too."""
     one = play(tiny_manifest(), link([4e4]), loops=2)
-    assert [s.stall_s for s in one.shown] == pytest.approx([0, 0.26, 0.26, 0.26])
+    assert [s.stall_s for s in one.shown] == pytest.approx([0, 0.28, 0.26, 0.26])
     two = play(tiny_manifest(), link([4e4]), loops=2, resume_s=1.5)
-    assert [s.ready_s for s in two.shown] == pytest.approx([1.49, 2.75, 4.01, 5.27])
-    assert [s.start_s for s in two.shown] == pytest.approx([1.49, 4.01, 5.01, 6.01])
-    assert [s.stall_s for s in two.shown] == pytest.approx([0, 1.52, 0, 0])
+    assert [s.ready_s for s in two.shown] == pytest.approx([1.48, 2.76, 4.02, 5.28])
+    assert [s.start_s for s in two.shown] == pytest.approx([1.48, 4.02, 5.02, 6.02])
+    assert [s.stall_s for s in two.shown] == pytest.approx([0, 1.54, 0, 0])
     assert two.shown[-1].start_s + 1 > one.shown[-1].start_s
 
 
 def test_a_full_buffer_need_not_wait_for_more():
     log = play(tiny_manifest(), link([4e4]), loops=2, resume_s=9.0, startup_s=9.0, buffer_s=2.0)
-    assert log.shown[0].start_s == pytest.approx(2.75)  # two segments are all it may hold
+    assert log.shown[0].start_s == pytest.approx(2.76)  # two segments are all it may hold
     assert len(log.shown) == 4
 
 
@@ -242,30 +243,34 @@ def test_missing_and_corrupt_files_cost_their_rung_and_no_more():
     absent = play(m, link([8e6]), "paper", faults=missing("state/L0/1.m4s"))
     assert [log_rung(absent, i) for i in (0, 1)] == ["Q0+L1", "Q0+L0"]
     assert "state/L0/1.m4s" in absent.lost[0] and absent.metrics.lost_frames == 0
-    assert absent.metrics.bytes["state"] == 3000 and whole.metrics.bytes["state"] == 4000
+    assert absent.metrics.bytes["state"] == 3200 and whole.metrics.bytes["state"] == 4200
     broken = {"state/L0/1.m4s": FormatError("hash_mismatch", "state/L0/1.m4s", "the SHA-256 differs")}
     corrupt = play(m, link([8e6]), "paper", faults=broken)
-    assert corrupt.fetches[1].bytes == absent.fetches[1].bytes + 2000  # it travels before it can be found wrong
-    assert corrupt.fetches[1].wasted > absent.fetches[1].wasted
+    assert corrupt.fetches[2].bytes == absent.fetches[2].bytes + 2100  # it travels before it can be found wrong
+    assert corrupt.fetches[2].wasted > absent.fetches[2].wasted
 
 
 def test_asking_ahead_hides_the_round_trip():
-    """As by hand, with a round trip of 0.1 s: paid once for the manifests and once for the first batch."""
-    log = play(tiny_manifest(), link([8e4], rtt=0.1), pipelined=True)
-    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.2, 0.945, 1.575])
-    assert [f.request_s for f in log.fetches] == pytest.approx([0, 0.2, 0.845])
+    """As by hand, with a round trip of 0.1 s: paid for airgs.json, for a table and for the first batch.
+
+    The table of the third group comes with the second batch, so that nothing is waited for.
+    """
+    log = play(tiny_manifest(groups=(10, 10, 10)), link([8e4], rtt=0.1), pipelined=True)
+    assert [f.arrival_s for f in log.fetches] == pytest.approx([0.2, 0.31, 1.04, 1.15, 1.79, 2.42])
+    assert [f.request_s for f in log.fetches] == pytest.approx([0, 0.2, 0.31, 1.04, 1.05, 1.69])
+    assert [f.files for f in log.fetches] == [1, 1, 5, 1, 6, 5]
     full = play(tiny_manifest(), link([8e9], rtt=0.1), pipelined=True, loops=20, buffer_s=3.0)
-    for i, fetch in enumerate(full.fetches[5:], 4):  # a full buffer lets nobody ask before there is room
+    batches = [f for f in full.fetches if f.kind != "tables"]
+    for i, fetch in enumerate(batches[4:], 4):  # a full buffer lets nobody ask before there is room
         assert fetch.arrival_s >= full.shown[0].start_s + i + 1 - 3.0 + 0.1 - 1e-6
 
 
-@pytest.mark.parametrize("bad", ["state/L0/init.mp4", "key/T1/Q0/init.mp4"])
-def test_a_missing_init_segment_costs_its_rungs_and_no_more(bad):
-    """It is no file of any segment; the rungs that need it must still not be asked for again and again."""
-    log = play(tiny_manifest(), link([8e6]), "paper", faults=missing(bad))
-    names = {log_rung(log, i) for i in (0, 1)}
-    assert names == ({"Q0+L1"} if bad.startswith("state") else {"Q1+L0"})
-    assert len(log.lost) == 1 and bad in log.lost[0]
+def test_a_missing_table_costs_its_group_and_no_more():
+    m = tiny_manifest(groups=(10, 10, 10))
+    for policy in ("paper", "robust-mpc"):
+        log = play(m, link([8e6]), policy, faults=missing("group/2.json.gz"))
+        assert [s.rung is None for s in log.shown] == [False, True, False] and log.metrics.lost_frames == 10
+        assert sum("group/2.json.gz" in line for line in log.lost) == 1
 
 
 def arrived(kind, rung, sent_s, at_s, **changes):
@@ -290,7 +295,7 @@ def folded(*events):
 def test_a_replacement_is_the_time_and_the_waste_of_what_it_replaced():
     log = folded(FIRST, SECOND, Replaced(0, WORSE, BETTER))
     assert log.frame_times == pytest.approx([0.3] * 10)
-    assert [f.wasted for f in log.fetches] == [500 + 100, 0]  # the state; keys stay decoded
+    assert [f.wasted for f in log.fetches] == [600, 0]  # the state; keys stay decoded
 
 
 def test_a_replacement_that_replaced_nothing_is_wasted_and_the_time_of_no_frame():
@@ -302,10 +307,10 @@ def test_a_replacement_that_replaced_nothing_is_wasted_and_the_time_of_no_frame(
 
 def test_a_batch_given_up_is_wasted_but_for_its_keys():
     part = FIRST.arrival.request.batch
-    log = folded(arrived(BatchKind.GROUP, WORSE, 0.0, 1.0, whole=part.init + part.keys, abandoned=True), FIRST)
-    assert [f.wasted for f in log.fetches] == [9000 - 3 * 50 - 2 * 100 - 1000 - 500, 0]
+    log = folded(arrived(BatchKind.GROUP, WORSE, 0.0, 1.0, whole=part.keys, abandoned=True), FIRST)
+    assert [f.wasted for f in log.fetches] == [9000 - 2 * 100 - 1000 - 500, 0]
     assert log.metrics.abandoned == 1 and [f.abandoned for f in log.fetches] == [True, False]
-    assert log.metrics.bytes["key"] == 2 * 1500 and log.metrics.bytes["state"] == 500
+    assert log.metrics.bytes["key"] == 2 * 1500 and log.metrics.bytes["state"] == 600
 
 
 def test_events_come_in_the_order_in_which_they_happen():
@@ -314,7 +319,7 @@ def test_events_come_in_the_order_in_which_they_happen():
     policy = make_policy("paper", catalogue)
     options = rules(replace=True, buffer_s=4.0, loops=4)
     events = list(run(catalogue, SimulatedDownloader(over, catalogue), policy, options))
-    assert events[0].arrival.request.kind is BatchKind.MANIFESTS and isinstance(events[-1], Shown)
+    assert events[0].arrival.request.kind is BatchKind.TABLES and isinstance(events[-1], Shown)
     arrivals = [e.arrival.at_s for e in events if isinstance(e, Arrived)]
     starts = [e.start_s for e in events if isinstance(e, Shown)]
     assert arrivals == sorted(arrivals) and starts == sorted(starts)
@@ -343,7 +348,7 @@ def test_without_its_key_a_group_is_lost_and_the_next_one_is_not():
     assert "frames 0-9" in log.lost[-1] and log.metrics.psnr_mean == 40.0
     assert log.shown[1].start_s == pytest.approx(log.shown[0].start_s + 1)  # the last picture stands for its time
     assert "lost" in format_metrics(log)
-    nothing = play(m, link([8e6]), "paper", faults=missing(*m.files))
+    nothing = play(m, link([8e6]), "paper", faults=missing(*m.group_files(0), *m.group_files(1)))
     assert all(s.rung is None for s in nothing.shown) and nothing.metrics.psnr_mean is None
     assert session_bound(nothing) is None
 
@@ -364,15 +369,15 @@ policies = st.sampled_from(["paper", "paper-literal", "throughput", "bola", "rob
     extras=st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.5, 2.5])),
     split=st.booleans(),
     ahead=st.booleans(),
-    bad=st.sampled_from([None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin"]),
+    bad=st.sampled_from([None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin", "group/2.json.gz"]),
 )
 def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, buffer_s, extras, split, ahead, bad):
     m = segmented(tiny_manifest(groups=(30,))) if split else tiny_manifest()
-    faults = missing(bad) if bad in m.files else {}
+    faults = missing(bad) if bad in list(m.files()) else {}
     again, give_up, wait = extras
     options = SessionSettings(buffer_s, wait, wait, 0.01, again, give_up, ahead, loops=3)
     over = link(rates, rtt=0.08)
-    a, b = (simulate(Catalogue(m, manifest_bytes=1000), over, policy, options, faults) for _ in range(2))
+    a, b = (simulate(Catalogue(m, root_bytes=1000), over, policy, options, faults) for _ in range(2))
     assert (a.fetches, a.shown, a.metrics) == (b.fetches, b.shown, b.metrics)
     for first, second in itertools.pairwise(a.fetches):
         assert first.request_s <= first.arrival_s <= second.request_s + over.rtt_s * ahead + 1e-9
@@ -394,15 +399,8 @@ def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, bu
 def segmented(m, count=3):
     """The one group of a tiny manifest in `count` segments."""
     part = m.frames // count
-    segments, files = [], dict(m.files)
-    for i in range(count):
-        levels = [replace(v, number=i + 1, frame_bytes=v.frame_bytes[:part]) for v in m.segments[0].levels]
-        segments.append(replace(m.segments[0], start=i * part, stop=(i + 1) * part, levels=levels))
-    for path, entry in m.files.items():
-        if path.startswith("state/") and not path.endswith("init.mp4"):
-            head, _, tail = path.rpartition("/1.")
-            files |= {f"{head}/{n}.{tail}": entry for n in range(2, count + 1)}
-    return replace(m, segments=segments, files=files)
+    levels = [replace(v, frame_bytes=v.frame_bytes[:part]) for v in m.segments[0].levels]
+    return with_segments(m, [Segment(i * part, (i + 1) * part, levels) for i in range(count)])
 
 
 def test_a_report_is_written(tmp_path):

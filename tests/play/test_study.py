@@ -47,7 +47,7 @@ def test_offsets_are_seeded_and_a_traces_own():
 
 
 def test_feasible_means_that_the_smallest_rungs_keep_up():
-    c = Catalogue(tiny_manifest(), 0, manifest_bytes=1000)
+    c = Catalogue(tiny_manifest(), 0, root_bytes=1000)
     rules = SessionSettings(decode_frame_s=0.0, pipelined=False)
     assert is_feasible(c, constant(8 * 2300), rules, 10)  # exactly what a second of Q1+L2 takes
     assert not is_feasible(c, constant(8 * 2000), rules, 30)
@@ -162,7 +162,7 @@ def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
     assert find_faults(package) == {}
     first, second = (package.manifest.state_files(0, j)[0] for j in (0, 1))
     (demo_copy / first).unlink()
-    (demo_copy / second).write_bytes(b"x" * package.manifest.files[second].bytes)
+    (demo_copy / second).write_bytes(b"x" * package.manifest.entry(second).bytes)
     faults = find_faults(package)
     assert (faults[first].reason, faults[second].reason) == ("missing_file", "hash_mismatch")
     film = tmp_path / "film.mp4"

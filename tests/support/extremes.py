@@ -245,6 +245,6 @@ def measure_case(case: Case, folder: Path) -> Outcome:
         worst.bound,
         sum(e.rows for e in measured) // len(measured) if measured else 0,
         size,
-        "; ".join([*m.repairs, *m.decisions]),
+        "; ".join([*(line for group in m.groups for line in group.repairs), *m.decisions]),
         finite,
     )

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package import tables as mf
+from airgs_codec.package.manifest import Groups, Manifest
 from tests.support.regions import region
 
 
@@ -17,6 +19,22 @@ def missing(*paths: str) -> dict[str, FormatError]:
 HASH = mf.digest(b"")
 
 
+def in_groups(groups: Sequence[mf.Group], table_bytes: int = 100) -> Groups:
+    """Groups in memory whose tables are said to have so many bytes."""
+    counts = [group.stop - group.start for group in groups], [len(group.segments) for group in groups]
+    spans = mf.Spans(*counts, [table_bytes] * len(groups), HASH * len(groups))
+    index = mf.Index(mf.Spans([], [], [], ""), spans)
+    return Groups(index, [].__getitem__, lambda number, _: groups[number])
+
+
+def with_segments(m: Manifest, segments: Sequence[mf.Segment]) -> Manifest:
+    """A manifest whose groups have these segments, each in the group that holds its frames."""
+    groups = [
+        replace(group, segments=[s for s in segments if group.start <= s.start < group.stop]) for group in m.groups
+    ]
+    return replace(m, groups=in_groups(groups))
+
+
 def tiny_manifest(
     *,
     groups: Sequence[int] = (10, 10),
@@ -24,40 +42,62 @@ def tiny_manifest(
     key_bytes: Sequence[Sequence[int]] = ((3000, 1000), (1000, 500)),
     sidecar_bytes: int = 100,
     state_bytes: Sequence[int] = (2000, 1000, 500),
-    init_bytes: int = 50,
+    table_bytes: int = 100,
     psnr: Sequence[Sequence[float]] | None = ((40.0, 36.0), (38.0, 35.0), (34.0, 32.0)),
-) -> mf.Manifest:
+) -> Manifest:
     """One segment a group of `groups` frames; key_bytes[tier][quality], state_bytes[level], psnr[level][quality].
 
-    A key unit has `sidecar_bytes` of sidecar and escapes, a state segment so many of escapes. A level of 0 bytes has
-    nothing to fetch.
+    A state segment has `sidecar_bytes` beside its pictures. A level of 0 bytes has nothing to fetch.
     """
     tiers, qualities, levels = len(key_bytes), len(key_bytes[0]), len(state_bytes)
-    still, moving = (mf.Atlas(10, [0] * 13, [0], 16, 1, [0.1] * 5), mf.Atlas(10, [0] * 13, [0], 16, 1, [0.1] * 5))
-    key = mf.Atlas(10, [0] * 10, [0], 16, 1, [0.1] * 4)
-    picture = mf.Picture(64, 64, "avc1.64000A")
+    atlas = mf.Atlas(10, [0] * 13, [0], 16, 1, 64, 64, [0.1] * 5)
+    key = mf.Atlas(10, [0] * 10, [0], 16, 1, 64, 64, [0.1] * 4)
     spans = [(sum(groups[:i]), sum(groups[: i + 1])) for i in range(len(groups))]
-    files: dict[str, int] = {}
-    for t in range(tiers):
-        for q in range(qualities):
-            files[mf.key_init_path(t, q)] = init_bytes
-            files |= {mf.key_media_path(t, q, g + 1): key_bytes[t][q] for g in range(len(groups))}
-            files |= {mf.key_detail_path(t, q, g + 1): 10 for g in range(len(groups))}
-        files |= {mf.key_sidecar_path(t, g + 1): sidecar_bytes - 10 for g in range(len(groups))}
-    for j, size in enumerate(state_bytes):
-        if size:
-            files |= {mf.state_media_path(j, g + 1): size for g in range(len(groups))}
-            files |= {mf.state_sidecar_path(j, g + 1): sidecar_bytes for g in range(len(groups))}
-        files[mf.state_init_path(j)] = init_bytes
-    return mf.Manifest(
+
+    def level(j: int, frames: int) -> mf.SegmentLevel:
+        size = state_bytes[j]
+        return mf.SegmentLevel(
+            mf.FileEntry(size + sidecar_bytes, HASH) if size else mf.NO_FILE,
+            [size // frames] * frames if size else [],
+            list(psnr[j]) if psnr else [],
+            [value - 2 for value in psnr[j]] if psnr else [],
+            [0.9] * qualities if psnr else [],
+            [0.5 + j] * qualities if psnr else [],
+        )
+
+    tables = [
+        mf.Group(
+            start=start,
+            stop=stop,
+            count=10 * tiers,
+            static=0,
+            unused=0,
+            grid=mf.Grid([0.0, 0.0, 0.0], 0.01, 8, 0),
+            key_steps=mf.KeySteps(0.1, 0.1, 0.1, 0.1, 0.1),
+            state_steps=mf.StateSteps(0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
+            colour_transform="",
+            tiers=[
+                mf.GroupTier(
+                    10, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row]
+                )
+                for row in key_bytes
+            ],
+            levels=[atlas] * levels,
+            segments=[mf.Segment(start, stop, [level(j, stop - start) for j in range(levels)])],
+            left_out=[],
+            repairs=[],
+        )
+        for start, stop in spans
+    ]
+    return Manifest(
         version=mf.VERSION,
         generator=mf.Generator("test", {}, {}),
         attribution="",
-        repairs=[],
         decisions=[],
         frame_rate=list(fps),
         timescale=fps[0] * 100,
         frames=sum(groups),
+        live=False,
         sh_degree=0,
         key_gain=3.0,
         state_gain=6.0,
@@ -65,43 +105,7 @@ def tiny_manifest(
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
-        key_pictures=[[picture] * qualities for _ in range(tiers)],
-        state_pictures=[picture] * levels,
-        groups=[
-            mf.Group(
-                start=start,
-                stop=stop,
-                count=10 * tiers,
-                static=0,
-                unused=0,
-                grid=mf.Grid([0.0, 0.0, 0.0], 0.01, 8, 0),
-                key_steps=mf.KeySteps(0.1, 0.1, 0.1, 0.1, 0.1),
-                state_steps=mf.StateSteps(0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
-                colour_transform="",
-                tiers=[mf.GroupTier(10, g + 1, [key] * qualities) for _ in range(tiers)],
-                levels=[moving if size else still for size in state_bytes],
-            )
-            for g, (start, stop) in enumerate(spans)
-        ],
-        segments=[
-            mf.Segment(
-                group=g,
-                start=start,
-                stop=stop,
-                levels=[
-                    mf.SegmentLevel(
-                        g + 1 if size else 0,
-                        [size // (stop - start)] * (stop - start) if size else [],
-                        list(psnr[j]) if psnr else [],
-                        [value - 2 for value in psnr[j]] if psnr else [],
-                        [0.9] * qualities if psnr else [],
-                        [0.5 + j] * qualities if psnr else [],
-                    )
-                    for j, size in enumerate(state_bytes)
-                ],
-            )
-            for g, (start, stop) in enumerate(spans)
-        ],
-        left_out=[],
-        files={path: mf.FileEntry(size, HASH) for path, size in files.items()},
+        tiers=tiers,
+        init=mf.FileEntry(50, HASH),
+        groups=in_groups(tables, table_bytes),
     )

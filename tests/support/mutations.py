@@ -2,32 +2,55 @@
 
 A package is held as its files, {relative path: bytes}; a mutation is a function from files to files, which leaves its
 argument as it is. `apply` runs some in turn, `on_disk` writes the outcome, `honest` makes the lengths and digests in
-airgs.json agree with the files, so that what lies behind the digests is reached.
+the tables agree with the files, so that what lies behind the digests is reached.
 """
 
 from __future__ import annotations
 
+import gzip
+import itertools
 import json
+import os
 import random
+import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from airgs_codec.package.tables import JSON_NAME, MPD_NAME, digest
+from airgs_codec.package.paths import (
+    INIT_NAME,
+    JSON_NAME,
+    MPD_NAME,
+    FileKind,
+    file_kind,
+    group_path,
+    key_media_path,
+    key_sidecar_path,
+    state_media_path,
+)
+from airgs_codec.package.tables import digest
 
 Files = dict[str, bytes]
 Mutation = Callable[[Files], Files]
 Place = tuple[str | int, ...]  # keys and indices from the root of a JSON document
 VALUES: list[Any] = [
     None, True, -1, 0, 1, 2, 3, 7, 255, 256, 1 << 16, 1 << 24, 1 << 31, (1 << 31) - 1, 1 << 63, 10**30, -(10**12), 0.5,
-    1e-30, 1e30, 1e308, -1e308, "", "x", "../../etc/passwd", "key/T0/1.bin", [], {}, [0], [[0]], [1, 2, 3], {"a": 1},
+    1e-30, 1e30, 1e308, -1e308, "", "x", "../../etc/passwd", "A" * 32, [], {}, [0], [[0]], [1, 2, 3], {"a": 1},
 ]  # fmt: skip
 NUMBERS = (b"\x00\x00\x00\x00", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x80\x00\x00\x00", b"\x00\x00\x00\x01")
 
 
+class Link(bytes):
+    """In place of the bytes of a file: a symbolic link, and where it leads."""
+
+
 def read_files(folder: Path) -> Files:
     """All files of a package."""
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    found = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file()}
+    return {
+        name: Link(os.readlink(path).encode()) if path.is_symlink() else path.read_bytes()
+        for name, path in found.items()
+    }
 
 
 def apply(files: Files, *mutations: Mutation) -> Files:
@@ -45,30 +68,49 @@ def on_disk(folder: Path, *mutations: Mutation) -> Path:
         (folder / name).unlink()
     for name, data in after.items():
         if data != before.get(name):
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            (folder / name).write_bytes(data)
+            _write(folder / name, data)
     return folder
 
 
-def edit_tables(change: Callable[[dict[str, Any]], object]) -> Mutation:
-    """`change` edits the parsed airgs.json in place; what it returns is ignored."""
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    if isinstance(data, Link):
+        path.symlink_to(data.decode())
+    else:
+        path.write_bytes(data)
+
+
+def edit_tables(change: Callable[[dict[str, Any]], object], name: str = JSON_NAME) -> Mutation:
+    """`change` edits a parsed table in place; what it returns is ignored. The index does not learn of it."""
 
     def mutate(files: Files) -> Files:
-        tables = json.loads(files[JSON_NAME])
-        change(tables)
-        return files | {JSON_NAME: _compact(tables)}
+        table = parse_table(files[name])
+        change(table)
+        return files | {name: pack_table(name, table)}
 
     return mutate
 
 
-def set_value(place: Place, value: Any) -> Mutation:
-    """Put `value` at a place of airgs.json."""
-    return edit_tables(lambda tables: _parent(tables, place).__setitem__(place[-1], value))
+def set_value(place: Place, value: Any, name: str = JSON_NAME) -> Mutation:
+    """Put `value` at a place of a table."""
+    return edit_tables(lambda table: _parent(table, place).__setitem__(place[-1], value), name)
 
 
-def drop_value(place: Place) -> Mutation:
-    """Remove a place of airgs.json."""
-    return edit_tables(lambda tables: _parent(tables, place).__delitem__(place[-1]))
+def drop_value(place: Place, name: str = JSON_NAME) -> Mutation:
+    """Remove a place of a table."""
+    return edit_tables(lambda table: _parent(table, place).__delitem__(place[-1]), name)
+
+
+def parse_table(data: bytes) -> Any:
+    """The JSON of a table, with or without gzip."""
+    return json.loads(gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data)
+
+
+def pack_table(name: str, table: Any) -> bytes:
+    """The bytes of a table of this name."""
+    text = json.dumps(table, separators=(",", ":")).encode()
+    return gzip.compress(text, 9, mtime=0) if name.endswith(".gz") else text
 
 
 def places(document: Any, above: Place = ()) -> Iterator[Place]:
@@ -79,11 +121,6 @@ def places(document: Any, above: Place = ()) -> Iterator[Place]:
     )
     for key, inner in items:
         yield from places(inner, (*above, key))
-
-
-def _compact(tables: Any) -> bytes:
-    """JSON as the encoder writes it."""
-    return json.dumps(tables, separators=(",", ":")).encode()
 
 
 def _parent(document: Any, place: Place) -> Any:
@@ -119,29 +156,66 @@ def remove_file(name: str) -> Mutation:
     return lambda files: {other: data for other, data in files.items() if other != name}
 
 
+def link_file(name: str, target: str) -> Mutation:
+    """A symbolic link in place of a file."""
+    return lambda files: files | {name: Link(target.encode())}
+
+
 def honest(files: Files) -> Files:
-    """Give every listed file its length and digest; files with tables that cannot be read stay as they are."""
+    """Give every listed file its length and digest, up to the root; what cannot be read stays as it is."""
+    out, segment = dict(files), 1
+    for number in itertools.count(1):
+        name = group_path(number)
+        if name not in out:
+            break
+        try:
+            table = parse_table(out[name])
+            for path, entry in _entries(table, number, segment):
+                if path in out and entry["bytes"]:
+                    entry |= {"bytes": len(out[path]), "sha256": digest(out[path])}
+            segment += len(table["segments"])
+            out[name] = pack_table(name, table)
+        except UNREADABLE:
+            continue
+    return reindexed(out)
+
+
+UNREADABLE = (ValueError, KeyError, TypeError, IndexError, RecursionError, OSError, EOFError, zlib.error)
+
+
+def _entries(table: Any, number: int, segment: int) -> Iterator[tuple[str, Any]]:
+    """Path and entry of every file of a group, whose first segment has the number `segment`."""
+    for t, tier in enumerate(table["tiers"]):
+        yield key_sidecar_path(t, number), tier["sidecar"]
+        for q, entry in enumerate(tier["pictures"]):
+            yield key_media_path(t, q, number), entry
+    for s, part in enumerate(table["segments"], segment):
+        for j, level in enumerate(part["levels"]):
+            yield state_media_path(j, s), level["file"]
+
+
+def reindexed(files: Files) -> Files:
+    """Make the index of a package without pages agree with the tables of its groups, and airgs.json with init.mp4."""
     try:
-        tables = json.loads(files[JSON_NAME])
-    except (ValueError, RecursionError):
+        root = parse_table(files[JSON_NAME])
+        columns = root["index"]["groups"]
+        tables = [files[group_path(number)] for number in range(1, 1 + len(columns["frames"]))]
+        columns["bytes"], columns["sha256"] = [len(data) for data in tables], "".join(map(digest, tables))
+        root["init"] = {"bytes": len(files[INIT_NAME]), "sha256": digest(files[INIT_NAME])}
+    except UNREADABLE:
         return files
-    if not isinstance(tables, dict) or not isinstance(tables.get("files"), dict):
-        return files
-    for name, entry in tables["files"].items():
-        if name in files and isinstance(entry, dict):
-            entry |= {"bytes": len(files[name]), "sha256": digest(files[name])}
-    return files | {JSON_NAME: _compact(tables)}
+    return files | {JSON_NAME: pack_table(JSON_NAME, root)}
 
 
 def by_chance(chance: random.Random, *, tables: bool = True) -> Mutation:
     """One random change to one file; `tables`: airgs.json and manifest.mpd are among them, and more often."""
 
     def mutate(files: Files) -> Files:
-        names = [name for name in files if tables or name not in (JSON_NAME, MPD_NAME)]
-        often = (JSON_NAME, MPD_NAME) if tables else names
-        name = chance.choice(names) if chance.random() < 0.7 else chance.choice(often)
-        if name == JSON_NAME and chance.random() < 0.8:
-            return files | {name: random_tables(chance, files[name])}
+        of_tables = [name for name in files if file_kind(name) is FileKind.MANIFESTS]
+        names = list(files) if tables else [name for name in files if name not in of_tables]
+        name = chance.choice(names) if chance.random() < 0.7 else chance.choice(of_tables if tables else names)
+        if name in of_tables and name != MPD_NAME and chance.random() < 0.8:
+            return files | {name: random_tables(chance, name, files[name])}
         return files | {name: random_bytes(chance, files[name], chance.choice([d for d in files.values() if d]))}
 
     return mutate
@@ -181,15 +255,15 @@ def _flip_bits(chance: random.Random, data: bytes) -> bytes:
     return bytes(out)
 
 
-def random_tables(chance: random.Random, text: bytes) -> bytes:
-    """One or two values somewhere in the tables replaced, dropped, doubled or moved a little."""
+def random_tables(chance: random.Random, name: str, text: bytes) -> bytes:
+    """One or two values somewhere in a table replaced, dropped, doubled or moved a little."""
     try:
-        tables = json.loads(text)
-    except (ValueError, RecursionError):
+        tables = parse_table(text)
+    except UNREADABLE:
         return text
     for _ in range(chance.choice((1, 1, 1, 2))):
         _change_somewhere(chance, tables)
-    return json.dumps(tables).encode()
+    return pack_table(name, tables)
 
 
 def _change_somewhere(chance: random.Random, here: Any) -> None:

@@ -26,7 +26,6 @@ class Offer:
         self.groups: list[list[list[int]]] = numbers["groups"]  # G x Q x T wire bytes
         self.segments: list[Numbers] = numbers["segments"]
         self.manifest = SimpleNamespace(levels=self.levels)
-        self.seconds: list[float] = [s["seconds"] for s in self.segments]
         self.rungs = [(q, j) for q in range(len(self.groups[0])) for j in range(len(self.levels))]
         self.quality = np.array([[s["psnr"][j][q] for q, j in self.rungs] for s in self.segments])
 
@@ -53,13 +52,17 @@ class Offer:
         held = [{q: self.levels[j]["tiers"]} for q, j in self.rungs]
         return np.array([[self.sizes(s, decoded) for decoded in held] for s in range(len(self.segments))])
 
+    def seconds(self, segment: int) -> float:
+        """Seconds of play of a segment."""
+        return float(self.segments[segment]["seconds"])
+
     def index(self, position: int) -> int:
         """The segment that is played at a position; the sequence is played over and over."""
         return position % len(self.segments)
 
     def seconds_at(self, position: int) -> float:
         """Seconds of play at a position."""
-        return self.seconds[self.index(position)]
+        return self.seconds(self.index(position))
 
     def upcoming(self, position: int, count: int, end: int) -> Iterator[tuple[int, bool]]:
         """(segment, whether it begins a group) of the next positions, before `end`."""

@@ -6,8 +6,8 @@ from urllib.parse import urlencode, urlsplit
 import numpy as np
 import pytest
 
+from airgs_codec.package.paths import INIT_NAME, MPD_NAME
 from airgs_codec.package.store import open_package
-from airgs_codec.package.tables import MPD_NAME, key_init_path, key_media_path, state_init_path, state_media_path
 from tests.support.browser import WEB, missing, serve, visit
 from tests.support.paths import GOLDEN
 
@@ -37,22 +37,17 @@ def look(package, player, **query):
 
 
 def expected(m):
-    """Representation -> its init segment, and its files with the seconds when they begin and end, from the tables."""
-    streams = {f"L{j}": (state_init_path(j), []) for j in range(len(m.levels))}
-    streams |= {
-        f"T{t}/Q{q}": (key_init_path(t, q), []) for t in range(len(m.key_pictures)) for q in range(len(m.qualities))
-    }
-    for segment in m.segments:
-        for j, level in enumerate(segment.levels):
-            if level.number:
-                streams[f"L{j}"][1].append((segment, state_media_path(j, level.number)))
-    for group in m.groups:
-        for t, tier in enumerate(group.tiers):
-            for q in range(len(m.qualities) if tier.number else 0):
-                streams[f"T{t}/Q{q}"][1].append((group, key_media_path(t, q, tier.number)))
+    """Representation -> its files with the seconds when they begin and end, from the tables."""
+    streams = defaultdict(list)
+    for number, segment in enumerate(m.segments):
+        for j in range(len(m.levels)):
+            streams[f"L{j}"] += [(segment, path) for path in m.state_files(number, j)]
+    for number, group in enumerate(m.groups):
+        for t, q in np.ndindex(m.tiers, len(m.qualities)):
+            streams[f"T{t}/Q{q}"] += [(group, path) for path in m.key_files(number, t, q)[1:]]
     return {
-        name: (init, [(float(span.start / m.fps), float(span.stop / m.fps), path) for span, path in files])
-        for name, (init, files) in streams.items()
+        name: [(float(span.start / m.fps), float(span.stop / m.fps), path) for span, path in files]
+        for name, files in streams.items()
         if files
     }
 
@@ -69,13 +64,13 @@ def test_shaka_finds_what_the_tables_say(package):
     assert {r["id"] for r in report["representations"]} == set(streams)
     sets = defaultdict(list)
     for r in report["representations"]:
-        init, files = streams[r["id"]]
+        files = streams[r["id"]]
         assert [paths(s["urls"]) for s in r["segments"]] == [[path] for *_, path in files]
         assert [s["start"] for s in r["segments"]] == pytest.approx([start for start, *_ in files], abs=TIGHT_S)
-        assert {path for s in r["segments"] for path in paths(s["init"])} == {init}
+        assert {path for s in r["segments"] for path in paths(s["init"])} == {INIT_NAME}
         sets[r["set"]].append(r["id"])
     assert sorted(map(sorted, sets.values())) == sorted(map(sorted, sets_of(streams)))
-    assert all((package.path / path).is_file() for init, files in streams.values() for path in (init, files[0][2]))
+    assert all((package.path / files[0][2]).is_file() for files in streams.values())
 
 
 def sets_of(streams):
@@ -90,7 +85,7 @@ def test_dashjs_finds_the_sets_and_plays_the_state(package):
     report = look(package, "dashjs")
     streams = expected(package.manifest)
     roles = {tuple(s["role"]): sorted(s["representations"]) for s in report["sets"]}
-    tiers = range(len(package.manifest.key_pictures))
+    tiers = range(package.manifest.tiers)
     assert list(roles) == [("state",), *((f"key;tier={t}",) for t in tiers)]
     assert sorted(roles.values()) == sorted(map(sorted, sets_of(streams)))
     assert {f["id"] for f in report["fragments"]} <= set(roles[("state",)])
@@ -102,7 +97,7 @@ def test_dashjs_finds_the_sets_and_plays_the_state(package):
 def test_a_representation_plays_as_grey_video_to_its_end(package, player, name):
     m = package.manifest
     report = look(package, player, only=name)
-    init, files = expected(m)[name]
+    files = expected(m)[name]
     played = report["played"]
     frames = sum(round((stop - start) * m.fps) for start, stop, _ in files) if name[0] == "L" else len(files)
     assert (played["frames"], played["corrupted"]) == (frames, 0)
@@ -114,4 +109,4 @@ def test_a_representation_plays_as_grey_video_to_its_end(package, player, name):
         assert paths(f["url"] for f in media) == [path for *_, path in files]
         times = [(f["start"], f["end"]) for f in media]
         assert np.array(times) == pytest.approx(np.array([span[:2] for span in files]), abs=TIGHT_S)
-        assert set(paths(f["url"] for f in fragments if f["type"] == "InitializationSegment")) == {init}
+        assert set(paths(f["url"] for f in fragments if f["type"] == "InitializationSegment")) == {INIT_NAME}

@@ -41,7 +41,7 @@ def our_trials(targets: Sequence[float], keep_all: bool) -> Iterator[Trial]:
 
 
 def _our_package(target_db: float, keep_all: bool, subject: Subject) -> Coded:
-    """All tiers, sidecars, init segments and both manifests count.
+    """All tiers, sidecars, tables and both manifests count.
 
     Seconds of encoding include the training views and, the first time, calibration; not the search for the target.
     """

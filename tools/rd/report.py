@@ -16,7 +16,7 @@ from tools.rd.points import RdPoint, bd_rate, curves
 
 COUNTED = (
     "Bytes are everything a viewer fetches for the sequence, divided by its frames: of airgs the whole top rung with "
-    "both manifests, init segments and sidecars; of the layouts every packet, parameter set and range; of the other "
+    "both manifests, tables and sidecars; of the layouts every packet, parameter set and range; of the other "
     "formats their files."
 )
 STYLES = {"medium": ":", "veryslow": "-", "keeps all": "--"}  # by the last words of a coder's name

@@ -112,7 +112,7 @@ def _horizon(state: PlayerState) -> list[tuple[int, bool]]:
         if segments and total_s >= HORIZON_S:
             break
         segments.append((segment, starts_group))
-        total_s += state.catalogue.seconds[segment]
+        total_s += state.catalogue.seconds(segment)
     return segments
 
 
@@ -124,5 +124,5 @@ def _value_after(state: PlayerState, model: _Model, segments: list[tuple[int, bo
         segment, starts_group = segments[i]
         sizes = c.bytes_from_scratch[segment][None] if starts_group else c.bytes_after[segment]
         before = c.quality[segments[i - 1][0]]
-        value = model.value_before(sizes, c.quality[segment], before, c.seconds[segment], value)
+        value = model.value_before(sizes, c.quality[segment], before, c.seconds(segment), value)
     return value

@@ -11,7 +11,7 @@ from airgs_codec.play.ladder import Decision
 from airgs_codec.play.link import Link
 from airgs_codec.play.policies.bola import choose_bola
 from airgs_codec.play.policies.fixed import choose_fixed
-from airgs_codec.play.policies.mpc import choose_robust_mpc
+from airgs_codec.play.policies.mpc import HORIZON_SEGMENTS, choose_robust_mpc
 from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
 from airgs_codec.play.policies.paper import choose_paper, choose_paper_literal
 from airgs_codec.play.policies.state import PlayerState, Policy
@@ -25,7 +25,7 @@ ADAPTIVE = {
         Policy("paper-literal", choose_paper_literal),
         Policy("throughput", choose_throughput),
         Policy("bola", choose_bola),
-        Policy("robust-mpc", choose_robust_mpc),
+        Policy("robust-mpc", choose_robust_mpc, horizon=HORIZON_SEGMENTS),
     )
 }
 ORACLES: dict[str, Callable[[PlayerState, Link], Decision]] = {

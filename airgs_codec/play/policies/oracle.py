@@ -39,7 +39,7 @@ def upcoming_horizon(state: PlayerState, link: Link) -> Horizon:
     first_byte_s = state.now_s + state.request_latency_s
     start_s = first_start_s = max(state.deadline_s, first_byte_s)
     for segment, starts_group in c.upcoming(state.position, state.end - state.position, state.end):
-        end_s = start_s + c.seconds[segment]
+        end_s = start_s + c.seconds(segment)
         release_s = max(first_byte_s, end_s - state.buffer_limit_s + link.rtt_s)
         slots.append(Slot(segment, starts_group, link.bytes_between(0.0, release_s), link.bytes_between(0.0, start_s)))
         start_s = end_s

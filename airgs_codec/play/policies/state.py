@@ -66,6 +66,7 @@ class Policy:
     may_abandon: bool = True  # give up downloads that would come too late
     may_replace: bool = True  # fetch better rungs for buffered segments
     needs_quality: bool = True  # only packages with measured quality
+    horizon: int = 1  # segments whose sizes it looks at, the next one first; oracles know those of all
 
 
 def estimate_throughput(history: Sequence[Download]) -> float:

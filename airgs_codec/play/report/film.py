@@ -43,7 +43,7 @@ def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians
 def _segment(package: Package, index: int, quality: int, level: int) -> list[Gaussians]:
     m = package.manifest
     segment = m.segments[index]
-    base = decode_canonical(package, segment.group, quality, m.levels[level].tiers)
+    base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers)
     return list(decode_segment(package, index, base, level, range(segment.stop - segment.start)))
 
 

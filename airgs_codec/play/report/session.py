@@ -12,8 +12,8 @@ import numpy as np
 from airgs_codec._files import write_json
 from airgs_codec._report import new_figure, page, plain_log_ticks, save_figure
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.region_summary import RegionSummary
-from airgs_codec.package.tables import pooled_quality
 from airgs_codec.play.events import BatchKind
 from airgs_codec.play.figures import FIGURES, meanings
 from airgs_codec.play.metrics import SessionMetrics
@@ -176,7 +176,7 @@ def _arrivals(axis: Any, log: SessionLog) -> None:
 
 def _transfers(axis: Any, log: SessionLog) -> None:
     """The paper's transmission time: request to arrival of a batch, shared by the frames it shows."""
-    batches = [f for f in log.fetches if f.kind is not BatchKind.MANIFESTS]
+    batches = [f for f in log.fetches if f.kind is not BatchKind.TABLES]
     frames = np.array([log.shown[f.position].frames for f in batches])
     took = 1e3 * np.array([f.arrival_s - f.request_s for f in batches]) / np.maximum(frames, 1)
     axis.axhline(1e3 / log.catalogue.fps, color=_GREY, linestyle="--", label="a frame on the screen")

@@ -76,10 +76,10 @@ def session(offer: Offer, driver: str, limit_s: float, rng: np.random.Generator)
     now_s = deadline_s = 0.5
     history: list[list[Any]] = []
     shown: float | None = None
-    rate = float(np.median([size for s in range(len(offer.seconds)) for size in offer.sizes(s, {})])) * 8
-    rate *= rng.uniform(0.5, 2.0) / offer.seconds[0]
+    rate = float(np.median([size for s in range(len(offer.segments)) for size in offer.sizes(s, {})])) * 8
+    rate *= rng.uniform(0.5, 2.0) / offer.seconds(0)
     decoded: dict[int, int] = {}
-    end = max(2 * len(offer.seconds), 16)
+    end = max(2 * len(offer.segments), 16)
     for position in range(end):
         if offer.starts_group(offer.index(position)):
             decoded = {}

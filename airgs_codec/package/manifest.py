@@ -1,0 +1,209 @@
+"""A package's tables as one value: the root and its groups, whose tables are read when they are asked for.
+
+T tiers, Q key qualities, L levels. Groups, segments, tiers, qualities and levels are counted from 0; numbers in paths
+from 1.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import overload
+
+from airgs_codec.errors import FormatError
+from airgs_codec.media.metrics import psnr
+from airgs_codec.package.index import GroupEntry, GroupIndex
+from airgs_codec.package.packing import build_index, pack_group
+from airgs_codec.package.paths import (
+    INIT_NAME,
+    group_path,
+    key_media_path,
+    key_sidecar_path,
+    locate,
+    page_path,
+    state_media_path,
+)
+from airgs_codec.package.tables import MAX_PSNR, FileEntry, Group, Header, Index, Segment, Spans
+
+KEPT = 1024  # tables of groups
+
+
+class Groups(Sequence[Group]):
+    """The groups of a package in order. The tables last used are kept, the others are read again."""
+
+    def __init__(
+        self, index: Index, read_page: Callable[[int], Spans], read: Callable[[int, GroupEntry], Group]
+    ) -> None:
+        self.table = index
+        self.places = GroupIndex(index, read_page)
+        self._read = read
+        self._kept: OrderedDict[int, Group] = OrderedDict()
+
+    @staticmethod
+    def of(groups: Sequence[Group]) -> Groups:
+        """Groups that are in memory."""
+        index, pages = build_index(groups, [pack_group(group) for group in groups])
+        return Groups(index, pages.__getitem__, lambda number, _: groups[number])
+
+    def __len__(self) -> int:
+        return self.places.groups
+
+    @overload
+    def __getitem__(self, place: int) -> Group: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[Group]: ...
+
+    def __getitem__(self, place: int | slice) -> Group | list[Group]:
+        if isinstance(place, slice):
+            return [self[i] for i in range(len(self))[place]]
+        number = range(len(self))[place]
+        if number not in self._kept:
+            self._kept[number] = self._read(number, self.places.entry(number))
+            if len(self._kept) > KEPT:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(number)
+        return self._kept[number]
+
+
+class Segments(Sequence[Segment]):
+    """The segments of all groups, one after another."""
+
+    def __init__(self, groups: Groups) -> None:
+        self._groups = groups
+
+    def __len__(self) -> int:
+        return self._groups.places.segments
+
+    @overload
+    def __getitem__(self, place: int) -> Segment: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> list[Segment]: ...
+
+    def __getitem__(self, place: int | slice) -> Segment | list[Segment]:
+        if isinstance(place, slice):
+            return [self[i] for i in range(len(self))[place]]
+        number = range(len(self))[place]
+        group = self._groups.places.at_segment(number)
+        return self._groups[group].segments[number - self._groups.places.entry(group).first_segment]
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest(Header):
+    """Everything a decoder needs that is not pixels."""
+
+    init: FileEntry
+    groups: Groups
+
+    @property
+    def segments(self) -> Segments:
+        """The segments of all groups."""
+        return Segments(self.groups)
+
+    def group_of(self, segment: int) -> int:
+        """The group that a segment belongs to. Raises IndexError."""
+        return self.groups.places.at_segment(segment)
+
+    def segments_of(self, group: int) -> range:
+        """The segments of a group."""
+        entry = self.groups.places.entry(group)
+        return range(entry.first_segment, entry.first_segment + entry.segments)
+
+    def segment_at(self, frame: int) -> int:
+        """The segment that shows a frame. Raises IndexError outside the sequence."""
+        group = self.groups.places.at_frame(frame)
+        stops = [segment.stop for segment in self.groups[group].segments]
+        return self.segments_of(group)[next(i for i, stop in enumerate(stops) if frame < stop)]
+
+    def key_files(self, group: int, tier: int, quality: int) -> list[str]:
+        """Sidecar and picture of one key unit; empty when the tier has no rows in that group."""
+        paths = [key_sidecar_path(tier, group + 1), key_media_path(tier, quality, group + 1)]
+        return paths if self.groups[group].tiers[tier].count else []
+
+    def state_files(self, segment: int, level: int) -> list[str]:
+        """The file of one state segment; empty when there is nothing to fetch."""
+        return [state_media_path(level, segment + 1)] if self.segments[segment].levels[level].file.bytes else []
+
+    def group_files(self, group: int) -> list[str]:
+        """Every file that the table of a group lists."""
+        tiers, qualities, levels = range(self.tiers), range(len(self.qualities)), range(len(self.levels))
+        keys = [path for t in tiers for q in qualities for path in self.key_files(group, t, q)]
+        states = [path for s in self.segments_of(group) for j in levels for path in self.state_files(s, j)]
+        return sorted({*keys, *states})
+
+    def table_files(self) -> list[str]:
+        """Pages of the index and tables of the groups."""
+        pages = [page_path(number + 1) for number in range(self.groups.places.pages)]
+        return pages + [group_path(number + 1) for number in range(len(self.groups))]
+
+    def files(self) -> Iterator[str]:
+        """Every file of the package but airgs.json and manifest.mpd; reads the table of every group."""
+        yield INIT_NAME
+        yield from self.table_files()
+        for group in range(len(self.groups)):
+            yield from self.group_files(group)
+
+    def entry(self, path: str) -> FileEntry:
+        """Length and digest of a file. Raises FormatError(missing_entry) for one that the tables do not have."""
+        try:
+            found = self._entry(path)
+        except IndexError:
+            found = None
+        if found is None or not found.bytes:
+            raise FormatError("missing_entry", path, "no table has such a file")
+        return found
+
+    def _entry(self, path: str) -> FileEntry | None:
+        match locate(path):
+            case "sidecar", [tier, number]:
+                return self.groups[number - 1].tiers[tier].sidecar
+            case "key", [tier, quality, number]:
+                return self.groups[number - 1].tiers[tier].pictures[quality]
+            case "state", [level, number]:
+                return self.segments[number - 1].levels[level].file
+            case "group", [number]:
+                return self.groups.places.entry(number - 1).file
+            case "page", [number]:
+                return self.groups.places.page_file(number - 1)
+        return self.init if path == INIT_NAME else None
+
+    def bytes_of(self, paths: Sequence[str]) -> int:
+        """Total length of files."""
+        return sum(self.entry(path).bytes for path in paths)
+
+    def media_bytes(self) -> int:
+        """Length of all files but the tables and manifest.mpd."""
+        return self.init.bytes + sum(self.bytes_of(self.group_files(group)) for group in range(len(self.groups)))
+
+    def rung_files(self, quality: int, level: int) -> list[str]:
+        """Every file a viewer of one rung fetches from start to end, without tables."""
+        tiers = range(self.levels[level].tiers)
+        keys = [path for g in range(len(self.groups)) for t in tiers for path in self.key_files(g, t, quality)]
+        return keys + [path for s in range(len(self.segments)) for path in self.state_files(s, level)]
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How near the pictures of a rung are to those of the original, over the whole sequence."""
+
+    psnr: float  # dB, of the mean squared error over pictures
+    worst: float  # dB, of the picture with the largest error
+    ssim: float  # mean over pictures
+    delta_e: float  # CIEDE2000, mean over pictures
+
+
+def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:
+    """Quality of a rung, segments weighed by their frames; None when one of them was not measured."""
+    squared, similarity, difference, worst = 0.0, 0.0, 0.0, MAX_PSNR
+    for segment in m.segments:
+        measured = segment.levels[level]
+        if not measured.psnr:
+            return None
+        weight = (segment.stop - segment.start) / m.frames
+        squared += weight * 10.0 ** min(-measured.psnr[quality] / 10, 300.0)  # 300: a float, whatever a table claims
+        worst = min(worst, measured.worst[quality])
+        similarity += weight * measured.ssim[quality]
+        difference += weight * measured.delta_e[quality]
+    return Quality(psnr(squared), worst, similarity, difference)

@@ -1,0 +1,72 @@
+"""The files of a package by their paths: FORMAT.md, section 2. Numbers in paths count from 1."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+
+JSON_NAME = "airgs.json"
+MPD_NAME = "manifest.mpd"
+INIT_NAME = "init.mp4"
+
+_ORDINAL, _NUMBER = r"(0|[1-9]\d?)", r"([1-9]\d{0,6})"
+_PATTERNS = {  # how a path is built -> what `locate` calls it
+    rf"key/T{_ORDINAL}/{_NUMBER}\.bin": "sidecar",
+    rf"key/T{_ORDINAL}/Q{_ORDINAL}/{_NUMBER}\.m4s": "key",
+    rf"state/L{_ORDINAL}/{_NUMBER}\.m4s": "state",
+    rf"group/{_NUMBER}\.json\.gz": "group",
+    rf"index/{_NUMBER}\.json": "page",
+}
+
+
+class FileKind(StrEnum):
+    """What a file of a package carries; the values are the names in reports."""
+
+    MANIFESTS = "manifests"  # airgs.json, the MPD, pages of the index and tables of groups
+    INIT = "init"  # for DASH players alone
+    KEY = "key"  # the picture of a key unit with its detail
+    STATE = "state"  # the pictures of a state segment with its escapes
+    SIDECARS = "sidecars"  # positions
+
+
+def file_kind(path: str) -> FileKind:
+    """What a file carries, by its place in the package."""
+    if path == INIT_NAME:
+        return FileKind.INIT
+    folder = path.split("/")[0]
+    if folder not in ("key", "state"):
+        return FileKind.MANIFESTS
+    return FileKind.SIDECARS if path.endswith(".bin") else FileKind(folder)
+
+
+def locate(path: str) -> tuple[str, list[int]]:
+    """What a path names, sidecar, key, state, group or page, and the numbers in it; "" for any other path."""
+    for pattern, what in _PATTERNS.items():
+        if match := re.fullmatch(pattern, path, re.ASCII):
+            return what, [int(number) for number in match.groups()]
+    return "", []
+
+
+def key_sidecar_path(tier: int, number: int) -> str:
+    """Sidecar of a key unit, the same for all its qualities."""
+    return f"key/T{tier}/{number}.bin"
+
+
+def key_media_path(tier: int, quality: int, number: int | str) -> str:
+    """Picture of a key unit with its detail; `number` may be the placeholder of a template."""
+    return f"key/T{tier}/Q{quality}/{number}.m4s"
+
+
+def state_media_path(level: int, number: int | str) -> str:
+    """Pictures of a state segment with its escapes; `number` may be the placeholder of a template."""
+    return f"state/L{level}/{number}.m4s"
+
+
+def group_path(number: int) -> str:
+    """Table of a group."""
+    return f"group/{number}.json.gz"
+
+
+def page_path(number: int) -> str:
+    """Page of the index."""
+    return f"index/{number}.json"
