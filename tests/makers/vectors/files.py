@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.makers.vectors import columns, escapes, keys, planes, policies, positions, region, shown, states
+from tests.makers.vectors import columns, escapes, keys, packages, planes, policies, positions, region, shown, states
 from tests.makers.vectors.text import write
 
 MODULES = (columns, positions, escapes, planes, keys, states, shown, region, policies)
@@ -10,4 +10,6 @@ MODULES = (columns, positions, escapes, planes, keys, states, shown, region, pol
 
 def make() -> dict[str, bytes]:
     """File name -> bytes of all vectors; the same whenever and wherever it runs."""
-    return {f"{module.__name__.rpartition('.')[2]}.json": write(module.table()) for module in MODULES}
+    parts = {f"{module.__name__.rpartition('.')[2]}.json": write(module.table()) for module in MODULES}
+    table, frames = packages.tables()
+    return parts | {"packages.json": write(table), "packages.bin": frames}

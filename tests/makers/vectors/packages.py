@@ -1,0 +1,145 @@
+"""Whole packages of the repository: which files hold what, what is in them, and the frames that they show.
+
+Codes are those of the decoder, which tests/golden pins; what they mean is computed by the formulas.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from airgs_codec.coding.grid import grid_means
+from airgs_codec.coding.sidecar import join_sidecars
+from airgs_codec.decoder.decode import decode_key, decode_state
+from airgs_codec.media.h264 import decode_pictures, open_segment
+from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import unpack_matrix
+from tests.makers.vectors.formulas import Coding, Row, key_row, listed, state_row
+from tests.makers.vectors.tables import Tables
+from tests.makers.vectors.text import Table, binary
+from tests.support.paths import GOLDEN, REPOSITORY, VALID
+
+ATTRIBUTES = ("means", "quaternions", "log_scales", "alpha", "colours")
+FOX, FINE = GOLDEN / "fox", GOLDEN / "fox-fine"
+INDEXED = (FOX, VALID / "paged", VALID / "live", VALID / "two-groups-sh1")
+SHOWN: dict[Path, list[tuple[int, int, int, int]]] = {  # frame, key quality, level, key tiers
+    FOX: [*((frame, q, j, 2) for frame in (0, 3) for q in (0, 1) for j in (0, 1)), (3, 0, 0, 1), (1, 1, 1, 1)],
+    FINE: [(1, 0, 0, 2)],
+}
+EVERY = 16  # rows of which one is in the vectors
+STATIC = 255
+
+
+def tables() -> tuple[Table, bytes]:
+    """The JSON, and the frames as float32."""
+    frames: list[dict[str, Any]] = []
+    data = b""
+    for folder, views in SHOWN.items():
+        for view in views:
+            case, numbers = _frame(folder, *view)
+            frames.append({**case, "offset": len(data)})
+            data += numbers
+    named = [(_name(folder), Tables(folder)) for folder in INDEXED]
+    return {
+        "groups": [{"package": name, **_group(t, g)} for name, t in named for g in _some(len(t.groups))],
+        "startup": [{"package": name, **start} for name, t in named for start in _startups(t)],
+        "units": [_unit(FOX, path.relative_to(FOX).as_posix()) for path in sorted(FOX.rglob("*.m4s"))],
+        "frames": frames,
+    }, data
+
+
+def _name(folder: Path) -> str:
+    return folder.relative_to(REPOSITORY).as_posix()
+
+
+def _some(count: int) -> list[int]:
+    """Of few all; else the first, and those about the end of a page."""
+    return list(range(count)) if count < 5 else [0, 63, 64]
+
+
+def _group(t: Tables, group: int) -> dict[str, Any]:
+    table, tiers = t.groups[group], range(t.root["tiers"])
+    qualities, levels = range(len(t.root["qualities"])), range(len(t.root["levels"]))
+    segments = [
+        {"start": s["start"], "stop": s["stop"], "files": [t.state(group, number, j) for j in levels]}
+        for number, s in enumerate(table["segments"])
+    ]
+    return {
+        "number": group + 1,
+        "start": table["start"],
+        "stop": table["stop"],
+        "page": t.page_of(group),
+        "table": list(t.group_paths())[group],
+        "sidecars": [t.sidecar(group, k) for k in tiers],
+        "pictures": [[t.picture(group, k, q) for q in qualities] for k in tiers],
+        "segments": segments,
+    }
+
+
+def _startups(t: Tables) -> list[dict[str, Any]]:
+    """The first frame of the package and the last, at the best rung and at the least."""
+    worst = len(t.root["qualities"]) - 1, len(t.root["levels"]) - 1
+    out = []
+    for frame in sorted({0, t.root["frames"] - 1}):
+        for quality, level in sorted({(0, 0), worst}):
+            for tiers in sorted({1, t.root["levels"][level]["tiers"]}):
+                files = t.first_files(frame, quality, level, tiers)
+                out.append({"frame": frame, "quality": quality, "level": level, "tiers": tiers, "files": files})
+    return out
+
+
+def _unit(folder: Path, path: str) -> dict[str, Any]:
+    segment = open_segment((folder / path).read_bytes(), path)
+    pictures = list(decode_pictures(segment.samples, path))
+    return {
+        "package": _name(folder),
+        "path": path,
+        "columns": None if segment.columns is None else binary(segment.columns),
+        "width": pictures[0].shape[1],
+        "height": pictures[0].shape[0],
+        "luma": [sha256(picture.tobytes()).hexdigest() for picture in pictures],
+    }
+
+
+def _frame(folder: Path, frame: int, quality: int, level: int, tiers: int) -> tuple[dict[str, Any], bytes]:
+    rows = _rows(folder, frame, quality, level, tiers)
+    expected: dict[str, Any] = listed(list(rows.values()), limit=True)
+    data = b"".join(_float32(expected["values"][name]) for name in ATTRIBUTES)
+    tolerance = {name: max(expected["tolerance"][name]) for name in ATTRIBUTES}
+    view = {"frame": frame, "quality": quality, "level": level, "tiers": tiers}
+    return {"package": _name(folder), **view, "rows": list(rows), "tolerance": tolerance}, data
+
+
+def _rows(folder: Path, frame: int, quality: int, level: int, tiers: int) -> dict[int, Row]:
+    """The rows that the vectors have, by number, as they are shown."""
+    t, package = Tables(folder), open_package(folder)
+    group, root = t.group_at(frame), t.root
+    table = t.groups[group]
+    transform = unpack_matrix(table["colour_transform"], 3 * (1 + root["sh_degree"]) ** 2).tolist()
+    units = [decode_key(package, group, k, quality) for k in range(tiers) if t.sidecar(group, k)]
+    sidecar = join_sidecars([sidecar for _, sidecar in units])
+    codes = [line for part, _ in units for line in part.T.tolist()]
+    grid, coarser = package.manifest.groups[group].grid, root["qualities"][quality]["coarser"]
+    means = grid_means(sidecar.codes, sidecar.classes, grid, coarser).tolist()
+    key = Coding(table["key_steps"], root["qualities"][quality]["factor"], root["key_gain"], transform)
+    shown = {row: key_row(codes[row], key, means[row]) for row in range(0, len(codes), EVERY)}
+    segment = t.segment_at(frame)
+    if not t.state(group, segment, level):
+        return shown
+    place = frame - table["segments"][segment]["start"]
+    number = t.segments_before(group) + segment
+    changes = next(iter(decode_state(package, number, level, place, place + 1))).T.tolist()
+    state = Coding(table["state_steps"], root["levels"][level]["factor"], root["state_gain"], transform)
+    carried = [row for row, depth in enumerate(sidecar.depths.tolist()) if level <= depth < STATIC]
+    for row, numbers in zip(carried, changes, strict=False):  # of fewer tiers, the first rows
+        if row in shown:
+            shown[row] = state_row(shown[row], numbers, state, int(sidecar.classes[row]))
+    return shown
+
+
+def _float32(values: Sequence[Any]) -> bytes:
+    flat = [number for row in values for number in (row if isinstance(row, list) else [row])]
+    return struct.pack(f"<{len(flat)}f", *flat)

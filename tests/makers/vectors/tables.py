@@ -1,0 +1,81 @@
+"""The tables of a package as plain JSON, read as FORMAT.md, section 2, says and without the package's own reader."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+PAGE = 64  # groups on a page of the index
+
+
+@dataclass(frozen=True)
+class Tables:
+    """A package in a folder."""
+
+    folder: Path
+
+    @cached_property
+    def root(self) -> dict[str, Any]:
+        """airgs.json."""
+        return self._json("airgs.json")
+
+    @cached_property
+    def groups(self) -> list[dict[str, Any]]:
+        """The tables of all groups, in order."""
+        paths = [self.folder / path for path in self.group_paths()]
+        return [json.loads(gzip.decompress(path.read_bytes())) for path in paths]
+
+    def group_paths(self) -> Iterator[str]:
+        """The paths of their tables."""
+        index = self.root["index"]
+        count = PAGE * len(index["pages"]["bytes"]) + len(index["groups"]["bytes"])
+        yield from (f"group/{number}.json.gz" for number in range(1, count + 1))
+
+    def page_of(self, group: int) -> str | None:
+        """The page that says where a group, counted from 0, is; None where airgs.json does."""
+        page = group // PAGE
+        return f"index/{page + 1}.json" if page < len(self.root["index"]["pages"]["bytes"]) else None
+
+    def segments_before(self, group: int) -> int:
+        """Segments of all groups before this one."""
+        return sum(len(table["segments"]) for table in self.groups[:group])
+
+    def group_at(self, frame: int) -> int:
+        """The group that shows a frame."""
+        return next(g for g, table in enumerate(self.groups) if frame < table["stop"])
+
+    def segment_at(self, frame: int) -> int:
+        """The segment of its group, counted from 0, that shows a frame."""
+        segments = self.groups[self.group_at(frame)]["segments"]
+        return next(s for s, segment in enumerate(segments) if frame < segment["stop"])
+
+    def sidecar(self, group: int, tier: int) -> str | None:
+        """The sidecar of a key tier; None where it has no rows."""
+        return f"key/T{tier}/{group + 1}.bin" if self.groups[group]["tiers"][tier]["count"] else None
+
+    def picture(self, group: int, tier: int, quality: int) -> str | None:
+        """The picture of a key tier; None where it has no rows."""
+        return f"key/T{tier}/Q{quality}/{group + 1}.m4s" if self.groups[group]["tiers"][tier]["count"] else None
+
+    def state(self, group: int, segment: int, level: int) -> str | None:
+        """The pictures of a segment of the group; None where there is nothing to fetch."""
+        found = self.groups[group]["segments"][segment]["levels"][level]["file"]["bytes"]
+        return f"state/L{level}/{self.segments_before(group) + segment + 1}.m4s" if found else None
+
+    def first_files(self, frame: int, quality: int, level: int, tiers: int) -> list[str]:
+        """What a viewer fetches, in order, until it shows its first frame with so many key tiers."""
+        group = self.group_at(frame)
+        found = ["airgs.json", self.page_of(group), list(self.group_paths())[group]]
+        for tier in range(tiers):
+            found += [self.sidecar(group, tier), self.picture(group, tier, quality)]
+        found.append(self.state(group, self.segment_at(frame), level))
+        return [path for path in found if path]
+
+    def _json(self, path: str) -> dict[str, Any]:
+        table: dict[str, Any] = json.loads((self.folder / path).read_text())
+        return table
