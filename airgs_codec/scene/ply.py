@@ -5,6 +5,7 @@ N Gaussians or points, K = (degree + 1)^2 - 1 SH coefficients past DC.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +38,21 @@ def read_ply_header(path: Path) -> PlyHeader:
     """The count and SH degree of a frame, without its rows. Raises SceneError when it is not a Gaussian .ply."""
     _, vertex = _open(path, "element vertex")
     return PlyHeader(vertex.count, _sh_degree(path, vertex))
+
+
+def is_whole(path: Path) -> bool:
+    """Whether a frame has been written to its end, as far as its header and its length tell.
+
+    Of a file in ASCII, whose length no header tells, it takes the last line to be there once it ends with a newline.
+    """
+    try:
+        header, _ = _open(path, "element vertex")
+        with path.open("rb") as file:
+            length = file.seek(0, os.SEEK_END)
+            file.seek(max(0, length - 1))
+            return file.read(1) in b"\r\n" if header.ascii else length >= header.least_size
+    except (SceneError, OSError):
+        return False
 
 
 def _open(path: Path, expected: str) -> tuple[Header, Element]:

@@ -64,6 +64,12 @@ class Header:
     elements: tuple[Element, ...]
     size: int  # bytes of the header
 
+    @property
+    def least_size(self) -> int:
+        """Bytes of a binary file at least: what its elements without lists take."""
+        rows = sum(e.count * e.row_type().itemsize for e in self.elements if not e.has_lists)
+        return self.size + rows
+
     def element(self, name: str) -> Element | None:
         """The element of that name, if there is one."""
         return next((e for e in self.elements if e.name == name), None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -100,17 +100,29 @@ def open_sequence(
     paths = tuple(sorted(folder.glob("*.ply"), key=natural_key))
     if not paths:
         raise SceneError(f"{folder}: expected at least one .ply frame, got none")
-    headers = tuple(read_ply_header(path) for path in paths)
-    for path, header in zip(paths, headers, strict=True):
+    return sequence_of(folder, [(path, read_ply_header(path)) for path in paths], views=views, fps=fps)
+
+
+def sequence_of(
+    folder: Path,
+    frames: Sequence[tuple[Path, PlyHeader]],
+    *,
+    views: str | Path | None = None,
+    fps: Fraction | float | None = None,
+) -> GaussianSequence:
+    """The sequence of frames whose headers are known, at least one, with what lies beside them; see `open_sequence`."""
+    degree = frames[0][1].sh_degree
+    for path, header in frames:
         if header.count == 0:
             raise SceneError(f"{path}: expected at least one Gaussian, got none")
-        if header.sh_degree != headers[0].sh_degree:
-            expected = f"expected SH degree {headers[0].sh_degree} as in {paths[0].name}"
+        if header.sh_degree != degree:
+            expected = f"expected SH degree {degree} as in {frames[0][0].name}"
             raise SceneError(f"{path}: {expected}, got {header.sh_degree}")
-    own_fps, keyframes = _read_settings(folder / SETTINGS_NAME, len(paths))
+    own_fps, keyframes = _read_settings(folder / SETTINGS_NAME, len(frames))
     rate = own_fps if fps is None else _frame_rate(str(folder), fps)
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
     cameras = tuple(read_cameras(cameras_path)) if cameras_path else ()
+    paths, headers = zip(*frames, strict=True)
     return GaussianSequence(folder, paths, headers, rate, keyframes, cameras, cameras_path=cameras_path)
 
 
