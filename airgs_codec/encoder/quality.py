@@ -15,7 +15,7 @@ from airgs_codec.media.color import delta_e
 from airgs_codec.media.metrics import Reference, psnr
 from airgs_codec.package.manifest import Groups, Manifest, Quality
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import Segment, SegmentLevel
+from airgs_codec.package.tables import SegmentLevel
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.sequence import GaussianSequence
@@ -23,6 +23,8 @@ from airgs_codec.scene.sequence import GaussianSequence
 _Compared = tuple[int, Camera, Reference]  # number of the frame, view, the original's picture
 
 OFF_LADDER = 5  # one picture in so many measures key qualities that are not those of a level
+UNSURE = 0.06  # relative standard error of the top rung's mean squared error from which more pictures are measured
+ROUNDS = 4  # of pictures, at most
 
 
 @dataclass(slots=True)
@@ -39,10 +41,10 @@ class QualitySums:
         self.similarity += reference.ssim(picture)
         self.difference += delta_e(picture, reference.picture)
 
-    def quality(self) -> Quality:
-        """Over all pictures added so far, at least one."""
+    def quality(self, scale: float = 1.0) -> Quality:
+        """Over all pictures added so far, at least one; squared errors are multiplied by `scale`."""
         count = len(self.squared)
-        mean, worst = psnr(sum(self.squared) / count), psnr(max(self.squared))
+        mean, worst = psnr(scale * sum(self.squared) / count), psnr(scale * max(self.squared))
         return Quality(mean, worst, self.similarity / count, self.difference / count)
 
 
@@ -52,23 +54,54 @@ def measure_quality(
     """The package's tables with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
 
     PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
-    `count` pictures a segment, and in one of OFF_LADDER of them for key qualities that are not the level's own.
+    `count` pictures a segment; again and again in so many others, at most ROUNDS times, until the standard error of
+    the top rung is at most UNSURE. Errors are heavy-tailed: a large Gaussian close to one view outweighs many others.
+
+    Key qualities that are not the level's own are measured in one of OFF_LADDER of the pictures. Their squared errors
+    are scaled by what the level's own error in all pictures is to its error in these (a ratio estimator; Cochran,
+    Sampling Techniques, 1977, chapter 6), since a view that is hard for one rung is hard for all.
     """
     m = package.manifest
-    segments: list[Segment] = []
-    for index, segment in enumerate(m.segments):
-        progress("quality", index, len(m.segments))
-        compared = _references(sequence, views.measure(index, segment.start, segment.stop, count))
-        bases = [decode_canonical(package, m.group_of(index), quality) for quality in range(len(m.qualities))]
-        levels = [
-            _with_quality(level, [_measure(package, (index, j, q), base, compared) for q, base in enumerate(bases)])
-            for j, level in enumerate(segment.levels)
-        ]
-        segments.append(replace(segment, levels=levels))
-    groups = [
-        replace(group, segments=[segments[s] for s in m.segments_of(number)]) for number, group in enumerate(m.groups)
+    sums = [[[QualitySums() for _ in m.qualities] for _ in m.levels] for _ in m.segments]
+    for turn in range(ROUNDS):
+        for index, segment in enumerate(m.segments):
+            progress("quality", turn * len(m.segments) + index, (turn + 1) * len(m.segments))
+            pictures = views.measure(turn * len(m.segments) + index, segment.start, segment.stop, count)
+            _measure_segment(package, index, sums[index], _references(sequence, pictures))
+        if _standard_error(m, [of[0][m.levels[0].quality] for of in sums]) <= UNSURE:
+            break
+    return _with_sums(m, sums, views.measured(count))
+
+
+def _measure_segment(
+    package: Package, index: int, sums: Sequence[Sequence[QualitySums]], compared: Sequence[_Compared]
+) -> None:
+    """Add pictures of a segment to the sums of every level and key quality."""
+    m = package.manifest
+    bases = [decode_canonical(package, m.group_of(index), quality) for quality in range(len(m.qualities))]
+    for j, level in enumerate(m.levels):
+        for quality, base in enumerate(bases):
+            looked_at = compared if quality == level.quality else compared[::OFF_LADDER]
+            _measure(package, (index, j), base, looked_at, sums[j][quality])
+
+
+def _standard_error(m: Manifest, sums: Sequence[QualitySums]) -> float:
+    """Relative standard error of the mean squared error of a rung, from its sums in each segment; 0 without error."""
+    weights = np.array([segment.stop - segment.start for segment in m.segments]) / m.frames
+    mean = float(weights @ [np.mean(of.squared) for of in sums])
+    variance = float(weights**2 @ [np.var(of.squared) / max(1, len(of.squared) - 1) for of in sums])
+    return variance**0.5 / mean if mean else 0.0
+
+
+def _with_sums(m: Manifest, sums: Sequence[Sequence[Sequence[QualitySums]]], turn: int) -> Manifest:
+    """The tables with the quality that was measured, `turn` pictures a segment at a time."""
+    segments = [
+        replace(segment, levels=[_with_quality(m, j, of[j], level, turn) for j, level in enumerate(segment.levels)])
+        for segment, of in zip(m.segments, sums, strict=True)
     ]
-    return replace(m, groups=Groups.of(groups))
+    groups = [replace(group, segments=[segments[s] for s in m.segments_of(g)]) for g, group in enumerate(m.groups)]
+    measured = len(sums[0][0][m.levels[0].quality].squared)
+    return replace(m, groups=Groups.of(groups), views=replace(m.views, measured=measured))
 
 
 def _references(sequence: GaussianSequence, pictures: Pictures) -> list[_Compared]:
@@ -78,21 +111,26 @@ def _references(sequence: GaussianSequence, pictures: Pictures) -> list[_Compare
     return [(number, camera, Reference.of(render(originals[number], camera).rgb)) for number, camera in pictures]
 
 
-def _measure(package: Package, rung: tuple[int, int, int], base: Canonical, compared: Sequence[_Compared]) -> Quality:
-    """Quality of `rung`, a segment's level at a key quality, over the canonical space of all key tiers."""
-    m, (index, level, quality) = package.manifest, rung
+def _measure(
+    package: Package, rung: tuple[int, int], base: Canonical, compared: Sequence[_Compared], sums: QualitySums
+) -> None:
+    """Add pictures of `rung`, a segment's level, over the canonical space that all tiers make in a key quality."""
+    m, (index, level) = package.manifest, rung
     segment = m.segments[index]
     rows = sum(tier.count for tier in m.groups[m.group_of(index)].tiers[: m.levels[level].tiers])
-    looked_at = compared if quality == m.levels[level].quality else compared[::OFF_LADDER]
-    places = sorted({number - segment.start for number, _, _ in looked_at})
+    places = sorted({number - segment.start for number, _, _ in compared})
     shown = dict(zip(places, decode_segment(package, index, base.first(rows), level, places), strict=True))
-    sums = QualitySums()
-    for number, camera, reference in looked_at:
+    for number, camera, reference in compared:
         sums.add(render(shown[number - segment.start], camera).rgb, reference)
-    return sums.quality()
 
 
-def _with_quality(level: SegmentLevel, row: Sequence[Quality]) -> SegmentLevel:
+def _with_quality(m: Manifest, index: int, sums: Sequence[QualitySums], level: SegmentLevel, turn: int) -> SegmentLevel:
+    """An entry of level `index` with its quality at each key quality, measured `turn` pictures at a time."""
+    own = m.levels[index].quality
+    whole = sums[own].squared
+    shared = [error for place, error in enumerate(whole) if place % turn % OFF_LADDER == 0]
+    scale = np.mean(whole) / np.mean(shared) if any(shared) else 1.0
+    row = [of.quality(1.0 if q == own else float(scale)) for q, of in enumerate(sums)]
     return replace(
         level,
         psnr=[round(q.psnr, 2) for q in row],

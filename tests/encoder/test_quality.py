@@ -5,7 +5,7 @@ import pytest
 
 from airgs_codec.encoder import quality
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.quality import OFF_LADDER, QualitySums, measure_quality
+from airgs_codec.encoder.quality import OFF_LADDER, ROUNDS, QualitySums, measure_quality
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.media.metrics import Reference, psnr
@@ -43,7 +43,8 @@ def test_no_rung_is_better_in_its_worst_picture_than_on_average(demo_package):
             assert any(worst < mean for worst, mean in zip(level.worst, level.psnr, strict=True))
 
 
-def test_rungs_of_the_ladder_are_measured_with_all_pictures_and_others_with_fewer(small, monkeypatch):
+def measured_sums(small, monkeypatch, unsure):
+    """The sums of every segment, level and key quality of a package, 24 pictures at a time, and its tables."""
     package, sequence = small
     sums = []
 
@@ -53,9 +54,28 @@ def test_rungs_of_the_ladder_are_measured_with_all_pictures_and_others_with_fewe
             sums.append(self)
 
     monkeypatch.setattr(quality, "QualitySums", Kept)
-    m = measure_quality(package, sequence, ViewPlan.of(sequence, 24), 12)
-    many = 24  # the pictures are small
-    few = -(-many // OFF_LADDER)
+    monkeypatch.setattr(quality, "UNSURE", unsure)
+    return sums, measure_quality(package, sequence, ViewPlan.of(sequence, 24), 12)  # small pictures: twice as many
+
+
+def test_rungs_of_the_ladder_are_measured_with_all_pictures_and_others_with_fewer(small, monkeypatch):
+    sums, m = measured_sums(small, monkeypatch, unsure=100.0)
+    few = -(-24 // OFF_LADDER)
     counts = [len(of_rung.squared) for of_rung in sums]
-    assert counts == [many, few, few, many] * len(m.segments)  # L0 with Q0 and Q1, L1 with Q0 and Q1
+    assert counts == [24, few, few, 24] * len(m.segments)  # L0 with Q0 and Q1, L1 with Q0 and Q1
     assert all(len(level.psnr) == len(level.worst) == 2 for s in m.segments for level in s.levels)
+    assert m.views.measured == 24
+
+
+def test_more_pictures_are_measured_until_the_error_is_sure(small, monkeypatch):
+    sums, m = measured_sums(small, monkeypatch, unsure=0.0)
+    assert {len(of_rung.squared) for of_rung in sums} == {24 * ROUNDS, -(-24 // OFF_LADDER) * ROUNDS}
+    assert m.views.measured == 24 * ROUNDS
+
+
+def test_what_is_measured_in_few_pictures_is_scaled_by_what_the_others_say(small, monkeypatch):
+    sums, m = measured_sums(small, monkeypatch, unsure=100.0)
+    own, other = sums[0].squared, sums[1].squared  # L0 with its own key quality, and with the other
+    expected = np.mean(own) * np.sum(other) / np.sum(own[::OFF_LADDER])
+    assert m.segments[0].levels[0].psnr[1] == pytest.approx(psnr(expected), abs=0.01)
+    assert m.segments[0].levels[0].psnr[0] == pytest.approx(psnr(np.mean(own)), abs=0.01)
