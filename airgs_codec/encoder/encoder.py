@@ -1,11 +1,12 @@
-"""Gaussians -> files and tables of a package, top to bottom.
+"""Gaussians -> files and tables of a package, group after group.
 
-Two passes over the sequence: the canonical frames make the key streams; what those decode to is the space that the
-states of all frames are differences to. Each pass holds the frames of one group at a time.
+The canonical frame of a group makes its key; what that decodes to is the space that the states of its frames are
+differences to. The frames of one group are in memory at a time.
 """
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,22 +15,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.encoder.keys import CodedKeys, code_keys, decode_base, encode_keys
+from airgs_codec.encoder.keys import code_keys, decode_base, encode_keys
 from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
-from airgs_codec.encoder.representation import Clock
+from airgs_codec.encoder.representation import Clock, Done
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
 from airgs_codec.encoder.survey import Survey
-from airgs_codec.encoder.tables import (
-    CodedSequence,
-    Provenance,
-    build_manifest,
-    number_keys,
-    number_segments,
-    write_files,
-)
+from airgs_codec.encoder.tables import CodedGroup, Provenance, build_manifest, publish_group
 from airgs_codec.encoder.views import ViewPlan
-from airgs_codec.package.manifest import Manifest
+from airgs_codec.media.fragments import init_segment
+from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.paths import INIT_NAME
+from airgs_codec.package.staging import write_file
+from airgs_codec.package.tables import Group
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -44,6 +42,18 @@ class EncodeJob:
     notes: Sequence[str] = ()  # what grouping found
     attribution: str = ""
 
+    def about(self, settings: EncodeSettings) -> Provenance:
+        """What a package says of where it comes from."""
+        return Provenance(
+            settings,
+            self.views.region,
+            self.views.table(settings.measure_pictures),
+            self.attribution,
+            [*self.views.notes, *self.notes],
+            len(self.sequence),
+            self.sequence.sh_degree,
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Encoded:
@@ -55,51 +65,61 @@ class Encoded:
 
 
 def encode_sequence(job: EncodeJob, settings: EncodeSettings, folder: Path, progress: Progress = silent) -> Encoded:
-    """Write every segment and sidecar of a package into `folder`.
+    """Write every file of a package into `folder` but tables and manifests.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails.
     """
     clock = Clock.of(job.sequence.fps)
-    layouts, keys = _code_all_keys(job, settings, progress)
-    key_numbers = number_keys(keys)
-    key_streams = encode_keys(layouts, keys, clock, settings, progress)
+    finished, most = itertools.count(1), len(job.surveys) * count_streams(settings)
+    groups: list[Group] = []
+    layouts, depths = [], []
+    progress("encoding", 0, most)
     with tempfile.TemporaryDirectory(prefix=".scratch", dir=folder) as scratch:
-        states = []
-        for index, (layout, group) in enumerate(zip(layouts, keys, strict=True)):
-            progress("states", index, len(layouts))
-            bases = [
-                decode_base(layout, group, key_streams, key_numbers[index], settings, quality)
-                for quality in range(len(settings.key_factors))
-            ]
-            frames = job.sequence.load(range(layout.span.start, layout.span.stop)).frames
-            states.append(code_states(layout, bases, frames, settings, Path(scratch)))
-        state_streams = encode_states(layouts, states, clock, settings, progress)
-    coded = CodedSequence(
-        clock, layouts, keys, states, key_streams, state_streams, key_numbers, number_segments(states)
-    )
-    about = Provenance(
-        settings,
-        job.views.region,
-        job.views.table(settings.measure_pictures),
-        job.attribution,
-        [*job.views.notes, *job.notes],
-        len(job.sequence),
-        job.sequence.sh_degree,
-    )
-    manifest = build_manifest(coded, write_files(folder, coded), about)
-    return Encoded(manifest, layouts, [group.depths for group in states])
+        for survey in job.surveys:
+            first = sum(len(group.segments) for group in groups)
+            task = GroupTask(job.sequence, survey, first, Path(scratch))
+            coded = code_group(task, settings, lambda: progress("encoding", next(finished), most))
+            groups.append(publish_group(folder, coded))
+            layouts.append(coded.layout)
+            depths.append(coded.states.depths)
+    init = write_file(folder, INIT_NAME, init_segment(clock.timescale, *largest_picture(groups)))
+    return Encoded(build_manifest(job.about(settings), clock, init, Groups.of(groups)), layouts, depths)
 
 
-def _code_all_keys(
-    job: EncodeJob, settings: EncodeSettings, progress: Progress
-) -> tuple[list[GroupLayout], list[CodedKeys]]:
-    """The first pass: lay out every group and quantise its canonical frame."""
-    layouts, keys = [], []
-    for index, survey in enumerate(job.surveys):
-        progress("keys", index, len(job.surveys))
-        loaded = job.sequence.load(range(survey.span.start, survey.span.stop))
-        kept = keep_rows(loaded.frames, survey, settings)
-        layout = lay_out(loaded, survey, kept, settings, job.sequence.fps)
-        layouts.append(layout)
-        keys.append(code_keys(layout, settings))
-    return layouts, keys
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupTask:
+    """A group that is to be encoded."""
+
+    sequence: GaussianSequence
+    survey: Survey
+    first_segment: int  # how many segments the groups before it have
+    scratch: Path  # a folder for samples that wait to be encoded
+
+
+def count_streams(settings: EncodeSettings) -> int:
+    """How many streams of pictures a group has."""
+    return len(settings.tiers) * len(settings.key_factors) + len(settings.levels)
+
+
+def code_group(task: GroupTask, settings: EncodeSettings, done: Done) -> CodedGroup:
+    """Quantise and encode a group; `done` is called after every stream of pictures.
+
+    Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
+    """
+    sequence, survey = task.sequence, task.survey
+    clock = Clock.of(sequence.fps)
+    loaded = sequence.load(range(survey.span.start, survey.span.stop))
+    layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
+    keys = code_keys(layout, settings)
+    key_pictures = encode_keys(layout, keys, clock, settings, done)
+    qualities = range(len(settings.key_factors))
+    bases = [decode_base(layout, keys, key_pictures, settings, quality) for quality in qualities]
+    states = code_states(layout, bases, loaded.frames, settings, task.scratch)
+    state_pictures = encode_states(layout, states, clock, settings, done)
+    return CodedGroup(layout, keys, states, key_pictures, state_pictures, task.first_segment)
+
+
+def largest_picture(groups: Sequence[Group]) -> tuple[int, int]:
+    """Width and height that no picture of the groups exceeds."""
+    atlases = [atlas for g in groups for row in (*(tier.qualities for tier in g.tiers), g.levels) for atlas in row]
+    return max(atlas.width for atlas in atlases), max(atlas.height for atlas in atlases)

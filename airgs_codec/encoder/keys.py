@@ -25,8 +25,9 @@ from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.representation import (
     EMPTY,
     Clock,
+    Done,
     Representation,
-    common_size,
+    checked_size,
     encode_checked,
     encode_parallel,
 )
@@ -34,7 +35,6 @@ from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.h264 import KEY_QP, ClosedGop, decode_pictures, key_codec, open_segment, qp_step
 from airgs_codec.package.layout import KEY
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
-from airgs_codec.progress import Progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,55 +102,43 @@ def _with_picture(atlas: Atlas) -> Atlas:
 
 
 def encode_keys(
-    layouts: Sequence[GroupLayout],
-    keys: Sequence[CodedKeys],
-    clock: Clock,
-    settings: EncodeSettings,
-    progress: Progress,
+    layout: GroupLayout, keys: CodedKeys, clock: Clock, settings: EncodeSettings, done: Done
 ) -> list[list[Representation]]:
-    """Representations of every tier and key quality, tier x quality."""
-    codec = key_codec(settings.preset)
+    """The picture of every tier in every key quality, tier x quality."""
+    codec, ticks = key_codec(settings.preset), clock.frame_ticks
 
-    def encode(tier: int, quality: int) -> Representation:
-        coded = [(layout.span, group.tiers[tier][quality]) for layout, group in zip(layouts, keys, strict=True)]
-        used = [(span, part) for span, part in coded if part.atlas.rows]
-        if not used:
+    def encode(part: CodedAtlas) -> Representation:
+        if not part.atlas.rows:
             return EMPTY
-        size = common_size([part.atlas for _, part in used])
-        ticks = clock.frame_ticks
-        gops = [
-            ClosedGop(assemble(part.samples[None], part.atlas, *size), span.start * ticks, span.frames * ticks)
-            for span, part in used
-        ]
-        return encode_checked(lambda: gops, size, clock, codec)
+        size = checked_size(part.atlas)
+        picture = assemble(part.samples[None], part.atlas, *size)
+        gop = ClosedGop(picture, layout.span.start * ticks, layout.span.frames * ticks)
+        return encode_checked(lambda: [gop], size, clock, codec)
 
-    qualities = range(len(settings.key_factors))
-    pairs = [(tier, quality) for tier in range(len(settings.tiers)) for quality in qualities]
-    tasks = [functools.partial(encode, *pair) for pair in pairs]
-    coded = iter(encode_parallel(tasks, settings.jobs, "key pictures", progress))
-    return [[next(coded) for _ in qualities] for _ in settings.tiers]
+    tasks = [functools.partial(encode, part) for tier in keys.tiers for part in tier]
+    coded = iter(encode_parallel(tasks, settings.jobs, done))
+    return [[next(coded) for _ in tier] for tier in keys.tiers]
 
 
 def decode_base(
     layout: GroupLayout,
     keys: CodedKeys,
-    representations: Sequence[Sequence[Representation]],
-    numbers: Sequence[int],
+    pictures: Sequence[Sequence[Representation]],
     settings: EncodeSettings,
     quality: int = 0,
 ) -> Canonical:
     """The canonical space of a group as viewers of a key quality have it, every row static.
 
-    `representations` are those of `encode_keys`, `numbers` the group's key unit in each tier.
+    `pictures` are those of `encode_keys`.
     """
     steps = KEY.steps(layout.key_steps, layout.colours) * settings.key_factors[quality]
     channels, sidecars = [], []
-    for tier, number in enumerate(numbers):
-        stream, coded = representations[tier][quality].stream, keys.tiers[tier][quality]
-        if stream is None or not number:
+    for tier, of_quality in enumerate(pictures):
+        stream, coded = of_quality[quality].stream, keys.tiers[tier][quality]
+        if stream is None:
             continue
         where = f"key tier {tier} of frames {layout.span.start}-{layout.span.stop - 1}"
-        picture = next(decode_pictures(open_segment(stream.media[number - 1], where).samples, where))
+        picture = next(decode_pictures(open_segment(stream.media[0], where).samples, where))
         reader = ColumnReader(coded.detail or None, where)
         sidecars.append(_read_positions(reader, layout, tier, keys.coarser[quality], keys.coarser[-1]))
         jumps = escapes.read_columns(reader, (1, len(coded.atlas.planes), coded.atlas.rows))

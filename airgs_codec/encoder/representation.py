@@ -22,7 +22,6 @@ from airgs_codec.media.h264 import (
     encode_stream,
 )
 from airgs_codec.package.tables import MAX_SIDE, Atlas
-from airgs_codec.progress import Progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +41,14 @@ class Clock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Representation:
-    """The coded pictures of a key tier at a key quality, or of a level, over the whole sequence."""
+    """The coded pictures of a key tier in a key quality, or of a level, of one group."""
 
     stream: Stream | None  # None: there is nothing to show
     size: tuple[int, int]  # width and height of its pictures, samples
     differences: tuple[NDArray[np.uint8], ...]  # (H, W) largest luma error of each closed GOP, see `h264.check_stream`
 
 
+Done = Callable[[], None]  # called when a representation is finished
 EMPTY = Representation(None, (0, 0), ())
 
 
@@ -69,23 +69,22 @@ def encode_checked(
     raise CodecError(f"decoded luma leaves {DARKEST}-{BRIGHTEST} at every QP")
 
 
-def common_size(atlases: Sequence[Atlas]) -> tuple[int, int]:
-    """Least width and height that hold every one of the atlases. Raises SceneError for a picture that is too large."""
-    sizes = [picture_size(atlas) for atlas in atlases]
-    size = (max((w for w, _ in sizes), default=0), max((h for _, h in sizes), default=0))
+def checked_size(atlas: Atlas) -> tuple[int, int]:
+    """Width and height of the picture of an atlas. Raises SceneError for one that is too large."""
+    size = picture_size(atlas)
     if max(size) > MAX_SIDE:
         raise SceneError(f"pictures of {size[0]}x{size[1]} exceed {MAX_SIDE}: too many Gaussians for one atlas")
     return size
 
 
-def encode_parallel(
-    tasks: Sequence[Callable[[], Representation]], jobs: int, stage: str, progress: Progress
-) -> list[Representation]:
-    """What the tasks give, in order, `jobs` at a time: x264 releases the interpreter lock, so threads serve."""
+def encode_parallel(tasks: Sequence[Callable[[], Representation]], jobs: int, done: Done) -> list[Representation]:
+    """What the tasks give, in order, `jobs` at a time: x264 releases the interpreter lock, so threads serve.
+
+    `done` is called after each of them.
+    """
+    results = []
     with ThreadPoolExecutor(jobs) as pool:
-        futures = [pool.submit(task) for task in tasks]
-        results = []
-        for done, future in enumerate(futures):
-            progress(stage, done, len(tasks))
+        for future in [pool.submit(task) for task in tasks]:
             results.append(future.result())
+            done()
     return results

@@ -1,7 +1,7 @@
 """All frames -> the states of every level: which rows it carries, its samples and escapes, its stream.
 
-T frames and N rows of a group, n rows of a level, P planes. Samples of all groups and levels together do not fit into
-memory: they wait in a scratch folder until they are encoded.
+T frames and N rows of a group, n rows of a level, P planes. Samples of all levels together may not fit into memory:
+they wait in a scratch folder until they are encoded.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from airgs_codec.encoder.rank import rank_updates
 from airgs_codec.encoder.representation import (
     EMPTY,
     Clock,
+    Done,
     Representation,
-    common_size,
+    checked_size,
     encode_checked,
     encode_parallel,
 )
@@ -35,7 +36,6 @@ from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.h264 import STATE_QP, ClosedGop, qp_step, state_codec
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
-from airgs_codec.progress import Progress
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -106,7 +106,7 @@ def code_states(
             values = state_channels(shown, bases[quality], layout.state_steps)
         rows = (depths != STATIC) & (depths >= number)
         fetched = _fetched_frames(layout, changes, rows, level.factor / 2, still)
-        file = scratch / f"{layout.span.index}-{number}.npy"
+        file = scratch / f"{number}.npy"
         levels.append(_code_level(values[:, :, rows], steps * level.factor, omitted, fetched, file))
     return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes, no_segments) if n))
 
@@ -171,33 +171,25 @@ def _code_level(
 
 
 def encode_states(
-    layouts: Sequence[GroupLayout],
-    states: Sequence[CodedStates],
-    clock: Clock,
-    settings: EncodeSettings,
-    progress: Progress,
+    layout: GroupLayout, states: CodedStates, clock: Clock, settings: EncodeSettings, done: Done
 ) -> list[Representation]:
-    """Representations of every level."""
+    """The pictures of every level, a closed GOP for each segment that is fetched."""
     codec = state_codec(settings.preset)
 
-    def encode(level: int) -> Representation:
-        groups = [(layout, group.levels[level]) for layout, group in zip(layouts, states, strict=True)]
-        size = common_size([coded.atlas for _, coded in groups if coded.atlas.planes])
-        if all(coded.samples is None for _, coded in groups):
+    def encode(level: CodedLevel) -> Representation:
+        if level.samples is None:
             return EMPTY
-        return encode_checked(lambda: _level_gops(groups, size, clock.frame_ticks), size, clock, codec)
+        size = checked_size(level.atlas)
+        return encode_checked(lambda: _level_gops(layout, level, size, clock.frame_ticks), size, clock, codec)
 
-    tasks = [functools.partial(encode, level) for level in range(len(settings.levels))]
-    return encode_parallel(tasks, settings.jobs, "state pictures", progress)
+    return encode_parallel([functools.partial(encode, level) for level in states.levels], settings.jobs, done)
 
 
-def _level_gops(
-    groups: Sequence[tuple[GroupLayout, CodedLevel]], size: tuple[int, int], ticks: int
-) -> Iterator[ClosedGop]:
-    """The segments of a level that are fetched, group after group; `ticks` a frame."""
-    for layout, coded in groups:
-        for (start, stop), escaped in zip(layout.segments, coded.escapes, strict=True):
-            if coded.samples is not None and escaped is not None:
-                samples = coded.samples.open()[start - layout.span.start : stop - layout.span.start]
-                pictures = (assemble(picture[None], coded.atlas, *size)[0] for picture in samples)
-                yield ClosedGop(pictures, start * ticks, ticks)
+def _level_gops(layout: GroupLayout, level: CodedLevel, size: tuple[int, int], ticks: int) -> Iterator[ClosedGop]:
+    """The segments of a level that are fetched; `ticks` a frame."""
+    assert level.samples
+    samples = level.samples.open()
+    for (start, stop), escaped in zip(layout.segments, level.escapes, strict=True):
+        if escaped is not None:
+            shown = samples[start - layout.span.start : stop - layout.span.start]
+            yield ClosedGop((assemble(p[None], level.atlas, *size)[0] for p in shown), start * ticks, ticks)
