@@ -57,12 +57,13 @@ def plan_groups(sequence: GaussianSequence, group_frames: int = DEFAULT_GROUP_FR
             spans += [(i, min(i + group_frames, stop)) for i in range(start, stop, group_frames)]
         else:
             spans.append((start, stop))
-    return Grouping(*_split_untracked(sequence, spans, notes))
+    return Grouping(*split_untracked(sequence, spans, notes))
 
 
-def _split_untracked(
+def split_untracked(
     sequence: GaussianSequence, spans: list[tuple[int, int]], notes: list[str]
 ) -> tuple[list[tuple[int, int]], list[str]]:
+    """Groups of one frame in place of those whose rows do not correspond, and the notes with theirs."""
     kept: list[tuple[int, int]] = []
     for start, stop in spans:
         if stop - start > 1 and _displacement_ratio(sequence, start) > UNTRACKED_RATIO:
@@ -84,3 +85,18 @@ def _displacement_ratio(sequence: GaussianSequence, start: int) -> float:
     unrelated = np.random.default_rng(0).permutation(len(a))
     distance = float(np.median(np.linalg.norm(b - a[unrelated], axis=1)))
     return float(np.median(np.linalg.norm(b - a, axis=1))) / distance if distance > 0 else 0.0
+
+
+def closed_groups(sequence: GaussianSequence, start: int, group_frames: int, done: bool) -> list[tuple[int, int]]:
+    """Groups [start, stop) from frame `start` on that no frame will join any more, as `plan_groups` makes them.
+
+    The sequence is the part of a growing one that is there; `done` says that no more will come.
+    """
+    spans = []
+    for first, stop in count_runs(sequence):
+        most = group_frames if sequence.keyframes is None else stop - first
+        for i in range(max(start, first), stop, most):
+            end = min(i + most, stop)
+            if done or stop < len(sequence) or (sequence.keyframes is None and end - i == most):
+                spans.append((i, end))
+    return split_untracked(sequence, spans, [])[0]

@@ -12,7 +12,9 @@ from typing import Any
 
 from airgs_codec._settings import about
 from airgs_codec.cli.common import Bar, add_views, run_command
+from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.training import train_by_default
+from airgs_codec.encoder.follow import follow
 from airgs_codec.encoder.publish import EncodeReport, encode
 from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import (
@@ -33,6 +35,7 @@ from airgs_codec.media.h264 import PRESETS
 from airgs_codec.package.parse import read_region
 from airgs_codec.package.region import place_view
 from airgs_codec.package.tables import Region
+from airgs_codec.scene.growing import GrowingFolder
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence, read_attribution
 from airgs_codec.scene.usage import MEASURES
 from airgs_codec.train.data.readers import is_multiview
@@ -74,6 +77,13 @@ def _parser() -> argparse.ArgumentParser:
         "--contact-sheet", type=Path, metavar="FILE", help="write a PNG of the scene from every place of its region"
     )
     parser.add_argument("--attribution", metavar="TEXT", help="who made the scene (default: SCENE/ATTRIBUTION.txt)")
+    parser.add_argument(
+        "--follow",
+        action="store_true",
+        help="encode group by group while frames are still being written, and publish each group when it is whole; "
+        "until standard input ends, where it is a pipe, else until no frame has come for --idle seconds",
+    )
+    parser.add_argument("--idle", type=float, default=30.0, metavar="SECONDS", help="see --follow (default: 30)")
     parser.add_argument("--json", action="store_true", help="print a JSON report instead of a table")
     _add_rate(parser)
     _add_ladder(parser)
@@ -198,10 +208,12 @@ def _run(args: argparse.Namespace) -> int:
     settings = _settings(args)
     if args.fps is not None and not 0 < args.fps <= 1000:
         raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
-    folder = train_by_default(args.scene, args.fps, quiet=args.json) if is_multiview(args.scene) else args.scene
-    sequence = open_sequence(folder, views=args.views, fps=args.fps)
     scene = args.scene.resolve()  # "." has no name of its own
     target = args.output or scene.with_name(scene.name + ".airgs")
+    if args.follow:
+        return _follow(args, settings, target)
+    folder = train_by_default(args.scene, args.fps, quiet=args.json) if is_multiview(args.scene) else args.scene
+    sequence = open_sequence(folder, views=args.views, fps=args.fps)
     goal, attribution = _goal(args, sequence), args.attribution or read_attribution(args.scene)
     if sequence.cameras_path and not args.json:
         print(_cameras_line(sequence), flush=True)
@@ -214,6 +226,22 @@ def _run(args: argparse.Namespace) -> int:
         _draw_places(args.contact_sheet, sequence, report.manifest.region)
     cameras = {"cameras": str(sequence.cameras_path) if sequence.cameras_path else None}
     print(json.dumps(_as_json(report, target) | cameras) if args.json else _as_words(report, target))
+    return 0
+
+
+def _follow(args: argparse.Namespace, settings: EncodeSettings, target: Path) -> int:
+    """Encode a sequence that somebody still writes."""
+    for name in ("target_psnr", "target_mb", "target_mbps", "contact_sheet"):
+        if getattr(args, name) is not None:
+            raise ConfigError(f"--{name.replace('_', '-')}: expected a sequence that is whole, got --follow")
+    folder = GrowingFolder(args.scene, views=args.views, fps=args.fps)
+    bar = Bar(args.json)
+    more = frames_may_come(args.idle)
+    try:
+        groups = follow(folder, target, settings, more=more, attribution=args.attribution, progress=bar)
+        report_groups(groups, target, args.json)
+    finally:
+        bar.close()
     return 0
 
 

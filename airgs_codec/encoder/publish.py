@@ -40,7 +40,7 @@ class EncodeReport:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Calibrated:
+class Calibrated:
     """A job as its scene asks for it."""
 
     job: EncodeJob
@@ -75,7 +75,7 @@ def encode(
         surveys = survey_groups(sequence, groups.spans, views, progress)
         credit = read_attribution(sequence.folder) if attribution is None else attribution
         survey_s = watch.lap()
-        calibrated = _calibrate(EncodeJob(sequence, surveys, views, groups.notes, credit), settings, progress)
+        calibrated = calibrate_job(EncodeJob(sequence, surveys, views, groups.notes, credit), settings, progress)
         calibrate_s = watch.lap()
         wanted, job, settings = settings, calibrated.job, calibrated.settings
         if goal:
@@ -106,10 +106,10 @@ def _plan_groups(sequence: GaussianSequence, views: ViewPlan, settings: EncodeSe
     return replace(grouping, notes=[story, *grouping.notes])
 
 
-def _calibrate(job: EncodeJob, settings: EncodeSettings, progress: Progress) -> _Calibrated:
+def calibrate_job(job: EncodeJob, settings: EncodeSettings, progress: Progress) -> Calibrated:
     """Settings for this scene, and the job without the SH bands that it does not need."""
     if settings.calibrate == "none":
-        return _Calibrated(job, settings, None, (), False)
+        return Calibrated(job, settings, None, (), False)
     progress("calibration", 0, 1)
     subject = _longest(job.surveys)
     name = cache.digest(job.sequence, subject, job.views, settings)
@@ -122,11 +122,11 @@ def _calibrate(job: EncodeJob, settings: EncodeSettings, progress: Progress) -> 
     step = settings.steps.key.sh_rest * settings.quality
     bands, note = omit_bands(job.sequence, subject, step, settings.scaled_price)
     if note is None:
-        return _Calibrated(job, settings, expected, (), kept is not None)
+        return Calibrated(job, settings, expected, (), kept is not None)
     fewer = replace(job.sequence, max_sh_degree=bands)
     spans = [(survey.span.start, survey.span.stop) for survey in job.surveys]
     surveys = survey_groups(fewer, spans, job.views, progress)
-    return _Calibrated(replace(job, sequence=fewer, surveys=surveys), settings, expected, (note,), kept is not None)
+    return Calibrated(replace(job, sequence=fewer, surveys=surveys), settings, expected, (note,), kept is not None)
 
 
 def _longest(surveys: Sequence[Survey]) -> Survey:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from airgs_codec.media.color import delta_e
 from airgs_codec.media.metrics import Reference, psnr
 from airgs_codec.package.manifest import Groups, Manifest, Quality
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import SegmentLevel
+from airgs_codec.package.tables import Group, Segment, SegmentLevel
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.sequence import GaussianSequence
@@ -62,15 +62,45 @@ def measure_quality(
     Sampling Techniques, 1977, chapter 6), since a view that is hard for one rung is hard for all.
     """
     m = package.manifest
-    sums = [[[QualitySums() for _ in m.qualities] for _ in m.levels] for _ in m.segments]
-    for turn in range(ROUNDS):
-        for index, segment in enumerate(m.segments):
-            progress("quality", turn * len(m.segments) + index, (turn + 1) * len(m.segments))
-            pictures = views.measure(turn * len(m.segments) + index, segment.start, segment.stop, count)
+    groups, measured = measure_groups(package, sequence, views, range(len(m.groups)), Rounds(count), progress)
+    return replace(m, groups=Groups.of(groups), views=replace(m.views, measured=measured))
+
+
+@dataclass(frozen=True, slots=True)
+class Rounds:
+    """How many pictures of a segment are measured."""
+
+    count: int  # in a round, at least
+    least: int = 1  # rounds
+    most: int = ROUNDS
+
+
+def measure_groups(
+    package: Package,
+    sequence: GaussianSequence,
+    views: ViewPlan,
+    numbers: Sequence[int],
+    rounds: Rounds,
+    progress: Progress = silent,
+) -> tuple[list[Group], int]:
+    """Tables of some groups with their quality, and how many pictures of each segment were measured."""
+    m = package.manifest
+    indices = [s for number in numbers for s in m.segments_of(number)]
+    sums = {s: [[QualitySums() for _ in m.qualities] for _ in m.levels] for s in indices}
+    turn = views.measured(rounds.count)
+    for done in range(rounds.most):
+        for place, index in enumerate(indices):
+            progress("quality", done * len(indices) + place, (done + 1) * len(indices))
+            segment = m.segments[index]
+            pictures = views.measure(done * len(m.segments) + index, segment.start, segment.stop, rounds.count)
             _measure_segment(package, index, sums[index], _references(sequence, pictures))
-        if _standard_error(m, [of[0][m.levels[0].quality] for of in sums]) <= UNSURE:
+        if done + 1 >= rounds.least and _standard_error(m, sums) <= UNSURE:
             break
-    return _with_sums(m, sums, views.measured(count))
+    groups = []
+    for number in numbers:
+        segments = [_with_sums(m, m.segments[s], sums[s], turn) for s in m.segments_of(number)]
+        groups.append(replace(m.groups[number], segments=segments))
+    return groups, (done + 1) * turn
 
 
 def _measure_segment(
@@ -85,23 +115,21 @@ def _measure_segment(
             _measure(package, (index, j), base, looked_at, sums[j][quality])
 
 
-def _standard_error(m: Manifest, sums: Sequence[QualitySums]) -> float:
-    """Relative standard error of the mean squared error of a rung, from its sums in each segment; 0 without error."""
-    weights = np.array([segment.stop - segment.start for segment in m.segments]) / m.frames
-    mean = float(weights @ [np.mean(of.squared) for of in sums])
-    variance = float(weights**2 @ [np.var(of.squared) / max(1, len(of.squared) - 1) for of in sums])
+def _standard_error(m: Manifest, sums: Mapping[int, Sequence[Sequence[QualitySums]]]) -> float:
+    """Relative standard error of the top rung's mean squared error, from the sums of segments; 0 without error."""
+    frames = np.array([m.segments[s].stop - m.segments[s].start for s in sums])
+    weights = frames / frames.sum()
+    squared = [of[0][m.levels[0].quality].squared for of in sums.values()]
+    mean = float(weights @ [np.mean(errors) for errors in squared])
+    variance = float(weights**2 @ [np.var(errors) / max(1, len(errors) - 1) for errors in squared])
     return variance**0.5 / mean if mean else 0.0
 
 
-def _with_sums(m: Manifest, sums: Sequence[Sequence[Sequence[QualitySums]]], turn: int) -> Manifest:
-    """The tables with the quality that was measured, `turn` pictures a segment at a time."""
-    segments = [
-        replace(segment, levels=[_with_quality(m, j, of[j], level, turn) for j, level in enumerate(segment.levels)])
-        for segment, of in zip(m.segments, sums, strict=True)
-    ]
-    groups = [replace(group, segments=[segments[s] for s in m.segments_of(g)]) for g, group in enumerate(m.groups)]
-    measured = len(sums[0][0][m.levels[0].quality].squared)
-    return replace(m, groups=Groups.of(groups), views=replace(m.views, measured=measured))
+def _with_sums(m: Manifest, segment: Segment, sums: Sequence[Sequence[QualitySums]], turn: int) -> Segment:
+    """A segment with the quality that was measured, `turn` pictures at a time."""
+    return replace(
+        segment, levels=[_with_quality(m, j, sums[j], level, turn) for j, level in enumerate(segment.levels)]
+    )
 
 
 def _references(sequence: GaussianSequence, pictures: Pictures) -> list[_Compared]:

@@ -59,6 +59,7 @@ class Verified:
     """A package whose rungs each beat the cheaper ones, and how it got there."""
 
     manifest: Manifest
+    settings: EncodeSettings  # that it was encoded with at last
     stories: tuple[str, ...]  # one line a repair
     encode_s: float
     measure_s: float
@@ -77,14 +78,15 @@ def encode_verified(attempt: Attempt, folder: Path, progress: Progress = silent)
         encode_s += watch.lap()
         manifest = encoded.manifest
         if not attempt.settings.measure_pictures:
-            return Verified(manifest, (), encode_s, 0.0)
+            return Verified(manifest, attempt.settings, (), encode_s, 0.0)
         package, count = Package(folder, manifest, 0), attempt.settings.measure_pictures
         manifest = measure_quality(package, attempt.original, attempt.job.views, count, progress)
         repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
         measure_s += watch.lap()
         if repair is None:
             ends = f"; top rung now {_rung_psnr(manifest, 0):.2f} dB" if stories else ""
-            return Verified(manifest, (*stories[:-1], *(s + ends for s in stories[-1:])), encode_s, measure_s)
+            told = (*stories[:-1], *(s + ends for s in stories[-1:]))
+            return Verified(manifest, attempt.settings, told, encode_s, measure_s)
         stories.append(repair.story)
         attempt = replace(attempt, settings=repair.settings)
         _empty(folder)

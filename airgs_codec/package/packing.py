@@ -45,20 +45,29 @@ def inflate(data: bytes, where: str) -> bytes:
     return text
 
 
+EMPTY = Spans([], [], [], "")
+
+
 def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[Index, list[Spans]]:
     """The index of groups whose tables are these bytes, and its pages."""
-    whole = len(groups) // PAGE * PAGE
-    cuts = [slice(start, start + PAGE) for start in range(0, whole, PAGE)]
-    pages = [_spans(groups[cut], tables[cut]) for cut in cuts]
-    frames, segments = ([sum(getattr(page, name)) for page in pages] for name in ("frames", "segments"))
-    columns = _columns(frames, segments, [pack_json(page) for page in pages])
-    return Index(columns, _spans(groups[whole:], tables[whole:])), pages
+    index, pages = Index(EMPTY, EMPTY), []
+    for group, table in zip(groups, tables, strict=True):
+        index, page = extend_index(index, group, table)
+        pages += [page] if page else []
+    return index, pages
 
 
-def _spans(groups: Sequence[Group], tables: Sequence[bytes]) -> Spans:
-    return _columns([g.stop - g.start for g in groups], [len(g.segments) for g in groups], tables)
+def extend_index(index: Index, group: Group, table: bytes) -> tuple[Index, Spans | None]:
+    """The index with one more group, whose table is these bytes, and the page that it has filled."""
+    groups = _with(index.groups, group.stop - group.start, len(group.segments), table)
+    if len(groups) < PAGE:
+        return Index(index.pages, groups), None
+    return Index(_with(index.pages, sum(groups.frames), sum(groups.segments), pack_json(groups)), EMPTY), groups
 
 
-def _columns(frames: list[int], segments: list[int], files: Sequence[bytes]) -> Spans:
-    entries = [file_entry(data) for data in files]
-    return Spans(frames, segments, [e.bytes for e in entries], "".join(e.sha256 for e in entries))
+def _with(spans: Spans, frames: int, segments: int, data: bytes) -> Spans:
+    """The columns with one more part, whose file has these bytes."""
+    file = file_entry(data)
+    return Spans(
+        [*spans.frames, frames], [*spans.segments, segments], [*spans.bytes, file.bytes], spans.sha256 + file.sha256
+    )

@@ -6,15 +6,17 @@ a whole package whenever it looks, also while groups are added.
 
 from __future__ import annotations
 
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
-from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.mpd import LiveClock, write_mpd
-from airgs_codec.package.packing import build_index, pack_group, pack_json
+from airgs_codec.package.packing import build_index, extend_index, pack_group, pack_json
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path, page_path
 from airgs_codec.package.staging import write_file
 from airgs_codec.package.store import root_of
-from airgs_codec.package.tables import Group
+from airgs_codec.package.tables import Group, Spans
 
 
 def write_group(folder: Path, number: int, group: Group) -> bytes:
@@ -40,3 +42,43 @@ def write_root(folder: Path, m: Manifest, clock: LiveClock | None = None) -> int
     """Write manifest.mpd and airgs.json of a package whose tables are there; gives their length together."""
     mpd = write_file(folder, MPD_NAME, write_mpd(m, clock))
     return mpd.bytes + write_file(folder, JSON_NAME, pack_json(root_of(m))).bytes
+
+
+class GrowingPackage:
+    """A package in a folder to which groups are added, until it is closed; the tables of its groups are in memory."""
+
+    def __init__(self, folder: Path, m: Manifest, available: datetime) -> None:
+        """`m`: the tables of the package so far, which are written; `available`: when its first frame was there."""
+        self.folder = folder
+        self.manifest = m
+        self._groups = list(m.groups)
+        self._pages = build_index(self._groups, [pack_group(group) for group in self._groups])[1]
+        self._available = available
+
+    def expect(self, group: Group) -> Manifest:
+        """The tables with one more group, whose files are written, but not its table."""
+        return self._extended(group, pack_group(group))[0]
+
+    def add(self, group: Group) -> None:
+        """Publish one more group, whose files are written."""
+        table = write_group(self.folder, len(self._groups) + 1, group)
+        self.manifest, page = self._extended(group, table)
+        self._groups.append(group)
+        if page:
+            self._pages.append(page)
+            write_file(self.folder, page_path(len(self._pages)), pack_json(page))
+        self._write_root()
+
+    def close(self) -> None:
+        """No group will follow."""
+        self.manifest = replace(self.manifest, live=False)
+        self._write_root()
+
+    def _extended(self, group: Group, table: bytes) -> tuple[Manifest, Spans | None]:
+        index, page = extend_index(self.manifest.groups.table, group, table)
+        groups, pages = [*self._groups, group], [*self._pages, *([page] if page else [])]
+        found = Groups(index, pages.__getitem__, lambda number, _: groups[number])
+        return replace(self.manifest, frames=group.stop, groups=found), page
+
+    def _write_root(self) -> None:
+        write_root(self.folder, self.manifest, LiveClock(self._available, datetime.now(UTC)))

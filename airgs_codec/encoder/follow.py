@@ -1,0 +1,149 @@
+"""A package that grows: groups are encoded and published while somebody still writes the frames of the sequence."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
+from airgs_codec.encoder.encoder import EncodeJob, GroupTask, code_group
+from airgs_codec.encoder.publish import calibrate_job
+from airgs_codec.encoder.quality import Rounds, measure_groups
+from airgs_codec.encoder.settings import DEFAULT_LEVELS, EncodeSettings
+from airgs_codec.encoder.survey import GroupSpan, survey_group
+from airgs_codec.encoder.tables import publish_group
+from airgs_codec.encoder.verify import Attempt, encode_verified
+from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.mpd import LiveClock
+from airgs_codec.package.staging import staged
+from airgs_codec.package.store import Package
+from airgs_codec.package.tables import Group
+from airgs_codec.package.writing import GrowingPackage, write_tables
+from airgs_codec.progress import Progress, silent
+from airgs_codec.scene.growing import GrowingFolder
+from airgs_codec.scene.sequence import GaussianSequence, read_attribution
+
+POLL_S = 0.2  # between two looks at the folder
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedGroup:
+    """A group that readers can fetch from now on."""
+
+    number: int  # from 1
+    group: Group
+    waited_s: tuple[float, float]  # from the files of its first and of its last frame until it was published
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Publisher:
+    """What the first group has settled for all that follow."""
+
+    package: GrowingPackage
+    settings: EncodeSettings  # nothing is left to calibrate
+    views: ViewPlan
+    sh_degree: int  # bands above it are not worth their bytes
+    rounds: int  # of pictures that measure a segment
+
+    def publish(self, sequence: GaussianSequence, start: int, stop: int) -> None:
+        """Encode, measure and publish one more group."""
+        m = self.package.manifest
+        coded_as = replace(sequence, max_sh_degree=self.sh_degree)
+        survey = survey_group(coded_as, GroupSpan(len(m.groups), start, stop), self.views)
+        with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
+            task = GroupTask(coded_as, survey, len(m.segments), Path(scratch))
+            coded = code_group(task, self.settings, lambda: None)
+        group = publish_group(self.package.folder, coded)
+        if self.settings.measure_pictures:
+            package = Package(self.package.folder, self.package.expect(group), 0)
+            rounds = Rounds(self.settings.measure_pictures, self.rounds, self.rounds)
+            [group], _ = measure_groups(package, sequence, self.views, [len(m.groups)], rounds)
+        self.package.add(group)
+
+
+def follow(
+    folder: GrowingFolder,
+    path: str | Path,
+    settings: EncodeSettings,
+    *,
+    more: Callable[[int], bool],
+    attribution: str | None = None,
+    progress: Progress = silent,
+) -> Iterator[PublishedGroup]:
+    """Encode the sequence in `folder` group by group while it grows, and publish each at `path` when it is whole.
+
+    `more` says whether further frames may come, given how many are there. What is calibrated and repaired on the first
+    group holds for all. The package is closed when the last group is published, or when an error ends the work: then
+    it has the groups that were whole. A package that is at `path` already is replaced with the first group.
+
+    Raises SceneError, CodecError and ConfigError as `publish.encode` does.
+    """
+    path = Path(path)
+    publisher: _Publisher | None = None
+    group_frames = settings.group_frames or DEFAULT_GROUP_FRAMES
+    try:
+        for sequence, start, stop in _whole_groups(folder, group_frames, more):
+            if publisher is None:
+                publisher = _begin(sequence, stop, path, settings, attribution, progress)
+            else:
+                publisher.publish(sequence, start, stop)
+            yield _published(publisher.package.manifest, sequence)
+    finally:
+        if publisher is not None:
+            publisher.package.close()
+
+
+def _whole_groups(
+    folder: GrowingFolder, group_frames: int, more: Callable[[int], bool]
+) -> Iterator[tuple[GaussianSequence, int, int]]:
+    """Each group [start, stop) once no frame will join it, with the sequence as far as it is there."""
+    at, count, done = 0, 0, False
+    while not done:
+        done = not more(count)
+        sequence = folder.look()
+        if sequence is not None:
+            count = len(sequence)
+            for start, stop in closed_groups(sequence, at, group_frames, done):
+                yield sequence, start, stop
+                at = stop
+        if not done:
+            time.sleep(POLL_S)
+    folder.check_finished()
+
+
+def _begin(
+    sequence: GaussianSequence,
+    stop: int,
+    path: Path,
+    settings: EncodeSettings,
+    attribution: str | None,
+    progress: Progress,
+) -> _Publisher:
+    """Settle everything on the first group, frames [0, stop), and publish it."""
+    part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
+    views = ViewPlan.of(part, settings.decide_pictures, margin=settings.margin, region=settings.region)
+    survey = survey_group(part, GroupSpan(0, 0, stop), views)
+    credit = read_attribution(sequence.folder) if attribution is None else attribution
+    found = calibrate_job(EncodeJob(part, [survey], views, (), credit), settings, progress)
+    given = settings.levels != DEFAULT_LEVELS
+    available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
+    with staged(path) as stage:
+        verified = encode_verified(Attempt(found.job, part, found.settings, found.expected, given), stage, progress)
+        decisions = [*verified.manifest.decisions, *found.decisions, *verified.stories]
+        manifest = replace(verified.manifest, live=True, decisions=decisions)
+        write_tables(stage, manifest, LiveClock(available, datetime.now(UTC)))
+    rounds = manifest.views.measured // max(1, views.measured(settings.measure_pictures))
+    package = GrowingPackage(path, manifest, available)
+    return _Publisher(package, verified.settings, views, found.job.sequence.sh_degree, rounds)
+
+
+def _published(m: Manifest, sequence: GaussianSequence) -> PublishedGroup:
+    """The newest group."""
+    group, now = m.groups[-1], time.time()
+    first, last = (sequence.paths[frame].stat().st_mtime for frame in (group.start, group.stop - 1))
+    return PublishedGroup(len(m.groups), group, (now - first, now - last))
