@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence
@@ -30,3 +30,14 @@ def test_untracked_rows_are_coded_all_intra_and_tracked_ones_are_not(tmp_path):
     assert grouping.spans == [(0, 1), (1, 2), (2, 3)]
     assert "untracked" in grouping.notes[0]
     assert plan_groups(open_sequence(write_sequence(tmp_path / "b", moving_frames(200, 3)))).spans == [(0, 3)]
+
+
+def test_groups_of_a_growing_sequence_close_when_no_frame_can_join_them(tmp_path):
+    sequence = open_sequence(write_sequence(tmp_path / "a", moving_frames(9, 8) + moving_frames(12, 2)))
+    whole = plan_groups(sequence, 3).spans
+    assert whole == [(0, 3), (3, 6), (6, 8), (8, 10)]
+    assert closed_groups(sequence, 0, 3, done=False) == whole[:3]  # the last may grow to three frames
+    assert closed_groups(sequence, 6, 3, done=True) == whole[2:]
+    named = open_sequence(write_sequence(tmp_path / "b", moving_frames(9, 8), keyframes=[0, 5]))
+    assert closed_groups(named, 0, 3, done=False) == [(0, 5)]
+    assert closed_groups(named, 5, 3, done=True) == [(5, 8)]

@@ -1,0 +1,97 @@
+"""A package grows with the frames of its sequence: whole at any time, and in the end as if encoded at once."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.decoder.decode import decode_frames
+from airgs_codec.encoder import follow as module
+from airgs_codec.encoder.follow import follow
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.errors import SceneError
+from airgs_codec.inspect.validate import validate
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.growing import GrowingFolder
+from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.regions import place, region
+from tests.support.scenes import moving_frames, write_sequence
+
+SETTINGS = EncodeSettings(
+    calibrate="none",
+    levels=(LevelSettings(0.0), LevelSettings(0.4, 2.0, quality=1)),
+    group_frames=3,
+    measure_pictures=2,
+    decide_pictures=4,
+    preset="ultrafast",
+    jobs=1,
+    region=replace(region(place(0.0)), width=96, height=72),
+)
+FRAMES = moving_frames(150, 8)
+
+
+@pytest.fixture(autouse=True)
+def no_waiting(monkeypatch):
+    """A look at the folder follows the one before at once."""
+    monkeypatch.setattr(module, "POLL_S", 0.0)
+
+
+def write_one_at_a_time(folder, frames):
+    """`more` of `follow`: before every look the next frame is written."""
+    waiting = list(enumerate(frames))
+
+    def more(count):
+        assert count == len(frames) - len(waiting)
+        number, frame = waiting.pop(0)
+        write_ply(folder / f"{number:03d}.ply", frame)
+        return bool(waiting)
+
+    return more
+
+
+def test_groups_are_published_as_their_frames_appear(tmp_path):
+    scene, out = tmp_path / "scene", tmp_path / "out"
+    scene.mkdir()
+    spans = []
+    for published in follow(GrowingFolder(scene), out, SETTINGS, more=write_one_at_a_time(scene, FRAMES)):
+        m = open_package(out).manifest
+        spans.append((published.group.start, published.group.stop))
+        assert m.live and m.frames == published.group.stop and len(m.groups) == published.number
+        assert validate(out) == []
+        assert all(len(level.psnr) == 2 for segment in m.segments for level in segment.levels)
+    assert spans == [(0, 3), (3, 6), (6, 8)]
+    assert not open_package(out).manifest.live and validate(out) == []
+    assert {path.name for path in tmp_path.iterdir()} == {"scene", "out"}
+
+
+def test_it_holds_what_encoding_at_once_would(tmp_path):
+    scene = write_sequence(tmp_path / "scene", FRAMES)
+    encode(open_sequence(scene), tmp_path / "once", SETTINGS)
+    list(follow(GrowingFolder(scene), tmp_path / "grown", SETTINGS, more=lambda count: False))
+    once, grown = (open_package(tmp_path / name) for name in ("once", "grown"))
+    paths = [path for group in range(3) for path in once.manifest.group_files(group)]
+    assert [once.manifest.entry(path) for path in paths] == [grown.manifest.entry(path) for path in paths]
+    for level in (0, 1):
+        pairs = zip(decode_frames(once, 0, 8, level=level), decode_frames(grown, 0, 8, level=level), strict=True)
+        for one, other in pairs:
+            for field in fields(Gaussians):
+                pair = (getattr(frame.gaussians, field.name) for frame in (one, other))
+                np.testing.assert_array_equal(*pair)
+
+
+def test_an_error_leaves_the_groups_that_were_whole_and_closes_the_package(tmp_path):
+    scene = write_sequence(tmp_path / "scene", FRAMES[:4])
+    (scene / "999.ply").write_bytes(b"ply\n")
+    with pytest.raises(SceneError, match=r"999\.ply"):
+        list(follow(GrowingFolder(scene), tmp_path / "out", SETTINGS, more=lambda count: False))
+    m = open_package(tmp_path / "out").manifest
+    assert not m.live and m.frames == 4 and validate(tmp_path / "out") == []
+
+
+def test_without_a_frame_nothing_is_written(tmp_path):
+    with pytest.raises(SceneError, match="at least one"):
+        list(follow(GrowingFolder(tmp_path / "scene"), tmp_path / "out", SETTINGS, more=lambda count: False))
+    assert list(tmp_path.iterdir()) == []
