@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -51,12 +51,27 @@ class Site:
 
 
 @contextmanager
-def serve(folders: Mapping[str, Path]) -> Iterator[Site]:
-    """Python's own static server; `folders` are the first parts of paths, and what lies below them."""
+def serve(folders: Mapping[str, Path], made: Mapping[str, Callable[[], bytes]] | None = None) -> Iterator[Site]:
+    """Python's own static server.
+
+    `folders` are the first parts of paths, and what lies below them; `made` are paths whose bytes are made anew for
+    each request.
+    """
     answers: list[tuple[str, int]] = []
 
     class Handler(SimpleHTTPRequestHandler):
         extensions_map = SimpleHTTPRequestHandler.extensions_map | TYPES
+
+        def do_GET(self) -> None:
+            make = (made or {}).get(urlsplit(self.path).path)
+            if make is None:
+                return super().do_GET()
+            data = make()
+            self.send_response(200)
+            self.send_header("Content-Type", self.guess_type(urlsplit(self.path).path))
+            self.send_header("Content-Length", str(len(data)))
+            self.end_headers()
+            self.wfile.write(data)
 
         def translate_path(self, path: str) -> str:
             first, _, rest = unquote(urlsplit(path).path).lstrip("/").partition("/")

@@ -1,18 +1,31 @@
 """dash.js and shaka-player in a real browser: the MPD says to them what the tables say, and the pictures play."""
 
 from collections import defaultdict
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from functools import cached_property
 from urllib.parse import urlencode, urlsplit
 
 import numpy as np
 import pytest
 
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.package.mpd import LiveClock, write_mpd
 from airgs_codec.package.paths import INIT_NAME, MPD_NAME
 from airgs_codec.package.store import open_package
+from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import WEB, missing, serve, visit
 from tests.support.paths import GOLDEN
+from tests.support.scenes import moving_frames, write_sequence
 
 PLAYERS = ("dashjs", "shaka")
-KNOWN = ("internal Manifest structure is NOT covered",)  # shaka says so to everybody who looks at what it parsed
+KNOWN = (
+    "internal Manifest structure is NOT covered",  # shaka says so to everybody who looks at what it parsed
+    "Dropped frame ratio", "No alternate stream found",  # and so where the machine is slow
+)  # fmt: skip
+GROUPS = 5  # of a growing package, a second each
+JOINED = 2  # groups that are there when a player comes
 TIGHT_S = 1e-5  # players take the MPD's decimals and float ticks
 GREY = 2  # largest difference of two channels of 8 bits
 
@@ -25,11 +38,14 @@ def package(request):
     return open_package(GOLDEN / request.param)
 
 
-def look(package, player, **query):
-    """What a player reports of a package's MPD; it must have found every file and said nothing."""
-    with serve({"web": WEB, "package": package.path}) as site:
-        page = f"{site.url}/web/test/{player}.html?{urlencode({'mpd': f'/package/{MPD_NAME}', **query})}"
-        seen = visit(page)
+def look(folder, player, mpd=None, **query):
+    """What a player reports of the MPD in a folder, or of what `mpd` makes at each request.
+
+    The player must have found every file and complained of nothing.
+    """
+    path = f"/package/{MPD_NAME}"
+    with serve({"web": WEB, "package": folder}, {path: mpd} if mpd else {}) as site:
+        seen = visit(f"{site.url}/web/test/{player}.html?{urlencode({'mpd': path, **query})}")
     assert seen.complaints(KNOWN) == []
     assert seen.report["errors"] == []
     assert [answer for answer in site.answers if answer[1] >= 400] == []
@@ -57,7 +73,7 @@ def paths(urls):
 
 
 def test_shaka_finds_what_the_tables_say(package):
-    report = look(package, "shaka")
+    report = look(package.path, "shaka")
     streams = expected(package.manifest)
     assert not report["live"]
     assert report["duration"] == pytest.approx(float(package.manifest.frames / package.manifest.fps), abs=TIGHT_S)
@@ -82,7 +98,7 @@ def sets_of(streams):
 
 
 def test_dashjs_finds_the_sets_and_plays_the_state(package):
-    report = look(package, "dashjs")
+    report = look(package.path, "dashjs")
     streams = expected(package.manifest)
     roles = {tuple(s["role"]): sorted(s["representations"]) for s in report["sets"]}
     tiers = range(package.manifest.tiers)
@@ -96,7 +112,7 @@ def test_dashjs_finds_the_sets_and_plays_the_state(package):
 @pytest.mark.parametrize("name", ["L0", "T0/Q0"])
 def test_a_representation_plays_as_grey_video_to_its_end(package, player, name):
     m = package.manifest
-    report = look(package, player, only=name)
+    report = look(package.path, player, only=name)
     files = expected(m)[name]
     played = report["played"]
     frames = sum(round((stop - start) * m.fps) for start, stop, _ in files) if name[0] == "L" else len(files)
@@ -110,3 +126,46 @@ def test_a_representation_plays_as_grey_video_to_its_end(package, player, name):
         times = [(f["start"], f["end"]) for f in media]
         assert np.array(times) == pytest.approx(np.array([span[:2] for span in files]), abs=TIGHT_S)
         assert set(paths(f["url"] for f in fragments if f["type"] == "InitializationSegment")) == {INIT_NAME}
+
+
+@pytest.fixture(scope="module")
+def growing(tmp_path_factory):
+    """A package of GROUPS groups, all that will ever be there."""
+    folder = tmp_path_factory.mktemp("growing")
+    keyframes = [*range(0, 2 * GROUPS, 2)]
+    scene = write_sequence(folder / "scene", moving_frames(200, 2 * GROUPS), fps=2, keyframes=keyframes)
+    settings = EncodeSettings(calibrate="none", preset="veryfast", measure_pictures=0, levels=(LevelSettings(0.0),))
+    encode(open_sequence(scene), folder / "growing.airgs", settings)
+    return open_package(folder / "growing.airgs")
+
+
+class Growth:
+    """The MPD of a package that gains a group a second from the first time that somebody asks, and is then closed."""
+
+    def __init__(self, package):
+        self.package = package
+
+    @cached_property
+    def start(self):
+        return datetime.now(UTC) - timedelta(seconds=JOINED)
+
+    def mpd(self):
+        m, now = self.package.manifest, datetime.now(UTC)
+        groups = int((now - self.start).total_seconds())
+        if groups >= GROUPS:
+            return write_mpd(m)
+        text = write_mpd(replace(m, live=True), LiveClock(self.start, now)).decode()
+        run = f' r="{GROUPS - 1}"'
+        assert text.count(run) == text.count("<S ")  # every timeline is one run
+        return text.replace(run, f' r="{groups - 1}"').encode()
+
+
+@pytest.mark.parametrize("player", PLAYERS)
+def test_a_growing_package_is_joined_late_and_plays_on_to_its_end(growing, player):
+    report = look(growing.path, player, Growth(growing).mpd, only="L0")
+    assert report["live"]
+    assert report["played"]["stopped"] == report["played"]["duration"] == pytest.approx(GROUPS, abs=TIGHT_S)
+    assert report["played"]["colour"] <= GREY
+    if player == "dashjs":
+        media = [f["url"] for f in report["fragments"] if f["type"] == "MediaSegment"]
+        assert paths(media)[-1] == f"state/L0/{GROUPS}.m4s"

@@ -8,6 +8,11 @@ const video = document.querySelector("video");
 const { MediaPlayer, Debug } = dashjs;
 const { ERROR, FRAGMENT_LOADING_COMPLETED, STREAM_INITIALIZED } = MediaPlayer.events;
 
+const SETTINGS = {
+  debug: { logLevel: Debug.LOG_LEVEL_WARNING },
+  streaming: { utcSynchronization: { enabled: false } }, // it would ask a server on the internet for the time
+};
+
 const listed = (track) => ({
   set: track.id,
   role: track.supplementalProperties.map(({ value }) => value),
@@ -20,16 +25,19 @@ function fragment({ request }) {
 }
 
 async function report() {
-  const [errors, fragments, sets] = [[], [], []];
+  const [errors, fragments] = [[], []];
+  let first = null; // what the first MPD says: later ones of a live presentation may differ
   const player = MediaPlayer().create();
-  player.updateSettings({ debug: { logLevel: Debug.LOG_LEVEL_WARNING } });
+  player.updateSettings(SETTINGS);
   player.on(ERROR, ({ error }) => errors.push(`${error.code}: ${error.message}`));
   player.on(FRAGMENT_LOADING_COMPLETED, (event) => fragments.push(fragment(event)));
-  player.on(STREAM_INITIALIZED, () => sets.push(...player.getTracksFor("video").map(listed)));
+  player.on(STREAM_INITIALIZED, () => {
+    first ??= { live: player.isDynamic(), sets: player.getTracksFor("video").map(listed) };
+  });
   if (query.has("only")) player.registerCustomCapabilitiesFilter(({ id }) => id === query.get("only"));
   player.initialize(video, mpd, true);
   await ended(video);
-  const result = { live: player.isDynamic(), duration: player.duration(), sets, fragments, played: shown(video), errors };
+  const result = { ...first, duration: player.duration(), fragments, played: shown(video), errors };
   player.destroy();
   return result;
 }

@@ -16,30 +16,29 @@ async function listed(stream) {
   return { id: stream.originalId, set: stream.groupId, segments };
 }
 
-/** Loads the MPD again with one Representation alone. */
-async function play(player, id) {
-  const { bandwidth } = player.getVariantTracks().find((track) => track.originalVideoId === id);
-  player.configure({ restrictions: { minBandwidth: bandwidth, maxBandwidth: bandwidth } });
-  await player.load(mpd);
-  await video.play();
-  await ended(video);
-  return shown(video);
+/** Restrictions that leave one Representation. */
+async function alone(id) {
+  const document = new DOMParser().parseFromString(await (await fetch(mpd)).text(), "text/xml");
+  const bandwidth = Number(document.querySelector(`Representation[id="${id}"]`).getAttribute("bandwidth"));
+  return { minBandwidth: bandwidth, maxBandwidth: bandwidth };
 }
 
 async function report() {
   const errors = [];
+  const id = query.get("only");
   shaka.polyfill.installAll();
   shaka.log.setLevel(shaka.log.Level.WARNING);
   const player = new shaka.Player();
   player.addEventListener("error", (event) => errors.push(`${event.detail.code}: ${event.detail.message}`));
+  if (id) player.configure({ restrictions: await alone(id) });
   await player.attach(video);
   await player.load(mpd);
-  const representations = await Promise.all(player.getManifest().variants.map(({ video }) => listed(video)));
-  const duration = player.seekRange().end;
   const live = player.isLive();
-  const played = query.has("only") ? await play(player, query.get("only")) : null;
+  const representations = await Promise.all(player.getManifest().variants.map(({ video }) => listed(video)));
+  if (id) await video.play().then(() => ended(video));
+  const result = { live, duration: player.seekRange().end, representations, played: id && shown(video), errors };
   await player.destroy();
-  return { live, duration, representations, played, errors };
+  return result;
 }
 
 window.report = report();
