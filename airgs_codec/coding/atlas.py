@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.package.tables import BLOCK, Atlas, plane_height
+from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, Atlas, plane_height
 
 CELLS = BLOCK * BLOCK
 MIN_SIDE = 64  # smaller pictures trip encoders
@@ -19,18 +19,24 @@ GREY = 128
 
 
 def choose_layout(rows: int, planes: int) -> tuple[int, int]:
-    """The plane width in samples and the columns of planes that make the picture nearly square."""
+    """The plane width in samples and the columns of planes that make the atlas nearly square, if not too wide."""
     blocks = -(-rows // CELLS)
-    wide = max(1, round(float(np.sqrt(blocks))))
+    widest = MAX_PICTURE_SIDE // BLOCK
+    wide = min(widest, max(1, round(float(np.sqrt(blocks)))))
     high = -(-blocks // wide)
-    columns = max(1, min(planes, round(float(np.sqrt(planes * high / wide)))))
+    columns = max(1, min(planes, widest // wide, round(float(np.sqrt(planes * high / wide)))))
     return wide * BLOCK, columns
 
 
-def picture_size(atlas: Atlas) -> tuple[int, int]:
-    """Width and height in samples of the smallest picture that holds the atlas and that encoders take."""
-    width, height = atlas.size
-    return max(MIN_SIDE, width), max(MIN_SIDE, height)
+def picture_size(atlas: Atlas, macroblocks: int = MAX_MACROBLOCKS) -> tuple[int, int]:
+    """Width and height in samples of the smallest pictures that hold the atlas and that encoders and decoders take.
+
+    An atlas of more than `macroblocks`, or taller than a picture may be, takes several pages of that size.
+    """
+    width, lines = (max(MIN_SIDE, side) for side in atlas.size)
+    most = max(MIN_SIDE, min(MAX_PICTURE_SIDE, macroblocks * BLOCK // width * BLOCK))
+    pages = -(-lines // most)
+    return width, max(MIN_SIDE, -(-lines // (pages * BLOCK)) * BLOCK)
 
 
 def fit_atlas(codes: NDArray[np.int32], limit: float, omitted: NDArray[np.bool_] | None = None) -> Atlas:
@@ -76,15 +82,16 @@ def sample_index(rows: int, plane_width: int, columns: int, planes: int, stride:
 
 
 def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) -> NDArray[np.uint8]:
-    """(T, P, N) samples -> (T, height, width) pictures; cells that no sample has are 128."""
+    """(T, P, N) samples -> (T, pages * height, width) pictures; cells that no sample has are 128."""
     index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), width)
-    pictures = np.full((len(samples), height * width), GREY, np.uint8)
+    lines = -(-atlas.size[1] // height) * height
+    pictures = np.full((len(samples), lines * width), GREY, np.uint8)
     pictures[:, index.ravel()] = samples.reshape(len(samples), -1)
-    return pictures.reshape(-1, height, width)
+    return pictures.reshape(-1, lines, width)
 
 
 def extract(picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
-    """(height, width) picture -> (P, N) samples."""
+    """(pages * height, width) picture -> (P, N) samples."""
     index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), picture.shape[1])
     return np.ascontiguousarray(picture).ravel().take(index)
 

@@ -11,7 +11,7 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import assemble, centre_codes, fit_atlas, picture_size, read_codes
 from airgs_codec.coding.quantize import from_codes, to_codes
 from airgs_codec.coding.rangecoder import encode_columns
-from airgs_codec.media.h264 import ClosedGop, CodecSettings, decode_pictures, encode_stream, open_segment, qp_step
+from airgs_codec.media.h264 import ClosedGop, CodecSettings, decode_pictures, encode_gop, open_segment, qp_step
 
 
 def encode_and_decode(
@@ -26,9 +26,9 @@ def encode_and_decode(
         return [0] * len(codes), np.broadcast_to(from_codes(centres, steps, gain), values.shape).astype(np.float64)
     luma, bases = escapes.split(centre_codes(codes, atlas))
     size = picture_size(atlas)
-    stream = encode_stream([ClosedGop(assemble(luma, atlas, *size), 0, 1)], size, Fraction(30), 30, codec)
-    sizes = list(stream.picture_bytes[0])
+    coded = encode_gop(ClosedGop(assemble(luma, atlas, *size), 0, 1), size, Fraction(30), codec)
+    sizes = list(coded.picture_bytes)
     sizes[0] += len(encode_columns(escapes.columns(bases)))
-    pictures = decode_pictures(open_segment(stream.media[0], "a trial").samples, "a trial")
+    pictures = decode_pictures(open_segment(coded.media, "a trial").samples, "a trial", coded.pages)
     decoded = [from_codes(read_codes(p, atlas, b), steps, gain) for p, b in zip(pictures, bases, strict=True)]
     return sizes, np.stack(decoded).astype(np.float64)

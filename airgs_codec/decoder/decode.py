@@ -105,10 +105,10 @@ def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[N
     grid, coarser, coarsest = m.groups[group].grid, m.qualities[quality].coarser, m.qualities[-1].coarser
     shared = unpack_key_sidecar(package.read(sidecar_path), unit.count, grid, coarsest, sidecar_path)
     segment = open_segment(package.read(media), media)
-    picture = next(decode_pictures(segment.samples, media), None)
+    atlas = unit.qualities[quality]
+    picture = next(decode_pictures(segment.samples, media, atlas.pages), None)
     if picture is None:
         raise FormatError("bad_picture", media, "expected one picture, got none")
-    atlas = unit.qualities[quality]
     _expect_size(picture, atlas, media)
     reader = ColumnReader(segment.columns, media)
     sidecar = read_detail(reader, shared, grid, coarser, coarsest)
@@ -130,7 +130,7 @@ def decode_state(package: Package, index: int, level: int, first: int, last: int
     file = open_segment(package.read(media), media)
     jumps = escapes.unpack(file.columns, shape, media)
     shown = 0
-    for shown, picture in enumerate(decode_pictures(file.samples, media), 1):
+    for shown, picture in enumerate(decode_pictures(file.samples, media, atlas.pages), 1):
         if shown > first:
             _expect_size(picture, atlas, media)
             yield read_codes(picture, atlas, jumps.bases(shown - 1))
@@ -176,7 +176,7 @@ def _varies(atlas: Atlas, channels: slice) -> bool:
     return any(p in places for p in atlas.planes) or any(atlas.centres[channels])
 
 
-def _expect_size(picture: NDArray[np.uint8], size: Atlas, where: str) -> None:
-    if picture.shape != (size.height, size.width):
-        got = f"{picture.shape[1]}x{picture.shape[0]}"
-        raise FormatError("bad_picture", where, f"expected {size.width}x{size.height}, got {got}")
+def _expect_size(picture: NDArray[np.uint8], atlas: Atlas, where: str) -> None:
+    if picture.shape != (atlas.pages * atlas.height, atlas.width):
+        got = f"{picture.shape[1]}x{picture.shape[0] // atlas.pages}"
+        raise FormatError("bad_picture", where, f"expected {atlas.width}x{atlas.height}, got {got}")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import assemble, centre_codes, choose_layout, fit_atlas, read_codes
+from airgs_codec.coding.atlas import centre_codes, choose_layout, fit_atlas, read_codes
 from airgs_codec.coding.channels import Canonical, dequantise_key
 from airgs_codec.coding.grid import coarse_codes
 from airgs_codec.coding.quantize import from_codes, to_codes
@@ -24,10 +24,10 @@ from airgs_codec.encoder.leave_out import KeyOmissions
 from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.representation import (
     EMPTY,
+    AtlasPictures,
     Clock,
     Done,
     Representation,
-    checked_size,
     encode_checked,
     encode_parallel,
 )
@@ -110,10 +110,9 @@ def encode_keys(
     def encode(part: CodedAtlas) -> Representation:
         if not part.atlas.rows:
             return EMPTY
-        size = checked_size(part.atlas)
-        picture = assemble(part.samples[None], part.atlas, *size)
-        gop = ClosedGop(picture, layout.span.start * ticks, layout.span.frames * ticks)
-        return encode_checked(lambda: [gop], size, clock, codec)
+        pictures = AtlasPictures.of(part.samples[None], part.atlas)
+        gop = ClosedGop(pictures, layout.span.start * ticks, layout.span.frames * ticks)
+        return encode_checked([gop], pictures.size, clock, codec)
 
     tasks = [functools.partial(encode, part) for tier in keys.tiers for part in tier]
     coded = iter(encode_parallel(tasks, settings.jobs, done))
@@ -134,11 +133,11 @@ def decode_base(
     steps = KEY.steps(layout.key_steps, layout.colours) * settings.key_factors[quality]
     channels, sidecars = [], []
     for tier, of_quality in enumerate(pictures):
-        stream, coded = of_quality[quality].stream, keys.tiers[tier][quality]
-        if stream is None:
+        gops, coded = of_quality[quality].gops, keys.tiers[tier][quality]
+        if not gops:
             continue
         where = f"key tier {tier} of frames {layout.span.start}-{layout.span.stop - 1}"
-        picture = next(decode_pictures(open_segment(stream.media[0], where).samples, where))
+        picture = next(decode_pictures(open_segment(gops[0].media, where).samples, where, gops[0].pages))
         reader = ColumnReader(coded.detail or None, where)
         sidecars.append(_read_positions(reader, layout, tier, keys.coarser[quality], keys.coarser[-1]))
         jumps = escapes.read_columns(reader, (1, len(coded.atlas.planes), coded.atlas.rows))

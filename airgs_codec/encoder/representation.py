@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -10,18 +10,18 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.atlas import picture_size
-from airgs_codec.errors import CodecError, SceneError
+from airgs_codec.coding.atlas import assemble, picture_size
+from airgs_codec.errors import CodecError
 from airgs_codec.media.h264 import (
     BRIGHTEST,
     DARKEST,
     ClosedGop,
     CodecSettings,
-    Stream,
-    check_stream,
-    encode_stream,
+    CodedGop,
+    check_gop,
+    encode_gop,
 )
-from airgs_codec.package.tables import MAX_SIDE, Atlas
+from airgs_codec.package.tables import Atlas
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,41 +40,60 @@ class Clock:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class AtlasPictures:
+    """The pictures of an atlas, made as they are asked for."""
+
+    samples: NDArray[np.uint8]  # (T, P, n)
+    atlas: Atlas
+    size: tuple[int, int]  # width and height of a page
+
+    @staticmethod
+    def of(samples: NDArray[np.uint8], atlas: Atlas) -> AtlasPictures:
+        """Pictures of the size that the atlas asks for."""
+        return AtlasPictures(samples, atlas, picture_size(atlas))
+
+    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
+        """(pages * H, W) each."""
+        for picture in self.samples:
+            yield assemble(picture[None], self.atlas, *self.size)[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Representation:
     """The coded pictures of a key tier in a key quality, or of a level, of one group."""
 
-    stream: Stream | None  # None: there is nothing to show
+    gops: tuple[CodedGop, ...]  # none: there is nothing to show
     size: tuple[int, int]  # width and height of its pictures, samples
-    differences: tuple[NDArray[np.uint8], ...]  # (H, W) largest luma error of each closed GOP, see `h264.check_stream`
+    differences: tuple[NDArray[np.uint8], ...]  # (pages * H, W) largest luma error of each closed GOP
 
 
 Done = Callable[[], None]  # called when a representation is finished
-EMPTY = Representation(None, (0, 0), ())
+EMPTY = Representation((), (0, 0), ())
 
 
 def encode_checked(
-    gops: Callable[[], Iterable[ClosedGop]], size: tuple[int, int], clock: Clock, codec: CodecSettings
+    gops: Iterable[ClosedGop], size: tuple[int, int], clock: Clock, codec: CodecSettings
 ) -> Representation:
-    """Encode pictures, then decode them again and compare; `gops` is called for each of the two.
+    """Encode closed GOPs one by one, decode each again and compare. Raises CodecError."""
+    checked = [_encode_checked(gop, size, clock, codec) for gop in gops]
+    return Representation(tuple(coded for coded, _ in checked), size, tuple(decoded for _, decoded in checked))
+
+
+def _encode_checked(
+    gop: ClosedGop, size: tuple[int, int], clock: Clock, codec: CodecSettings
+) -> tuple[CodedGop, NDArray[np.uint8]]:
+    """A coded GOP and its (pages * H, W) largest luma error. Raises CodecError.
 
     Where decoded luma leaves its range the pictures are coded once more with a finer quantiser, which errs by less;
-    the steps of an atlas and its escapes stay as they are. Raises CodecError.
+    the steps of the atlas and its escapes stay as they are.
     """
     for qp in range(codec.qp, 0, -1):
         codec = replace(codec, qp=qp)
-        stream = encode_stream(gops(), size, clock.fps, clock.timescale, codec)
-        decoded = check_stream(stream, gops(), codec)
-        if all(gop.in_range for gop in decoded):
-            return Representation(stream, size, tuple(gop.difference for gop in decoded))
+        coded = encode_gop(gop, size, clock.fps, codec)
+        decoded = check_gop(coded, gop, codec)
+        if decoded.in_range:
+            return coded, decoded.difference
     raise CodecError(f"decoded luma leaves {DARKEST}-{BRIGHTEST} at every QP")
-
-
-def checked_size(atlas: Atlas) -> tuple[int, int]:
-    """Width and height of the picture of an atlas. Raises SceneError for one that is too large."""
-    size = picture_size(atlas)
-    if max(size) > MAX_SIDE:
-        raise SceneError(f"pictures of {size[0]}x{size[1]} exceed {MAX_SIDE}: too many Gaussians for one atlas")
-    return size
 
 
 def encode_parallel(tasks: Sequence[Callable[[], Representation]], jobs: int, done: Done) -> list[Representation]:

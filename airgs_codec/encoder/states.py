@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import assemble, centre_codes, fit_atlas
+from airgs_codec.coding.atlas import centre_codes, fit_atlas
 from airgs_codec.coding.channels import Canonical, state_channels
 from airgs_codec.coding.quantize import to_codes
 from airgs_codec.encoder.error_bounds import ErrorModel
@@ -25,10 +25,10 @@ from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.rank import rank_updates
 from airgs_codec.encoder.representation import (
     EMPTY,
+    AtlasPictures,
     Clock,
     Done,
     Representation,
-    checked_size,
     encode_checked,
     encode_parallel,
 )
@@ -179,17 +179,15 @@ def encode_states(
     def encode(level: CodedLevel) -> Representation:
         if level.samples is None:
             return EMPTY
-        size = checked_size(level.atlas)
-        return encode_checked(lambda: _level_gops(layout, level, size, clock.frame_ticks), size, clock, codec)
+        pictures = AtlasPictures.of(level.samples.open(), level.atlas)
+        return encode_checked(_level_gops(layout, level, pictures, clock.frame_ticks), pictures.size, clock, codec)
 
     return encode_parallel([functools.partial(encode, level) for level in states.levels], settings.jobs, done)
 
 
-def _level_gops(layout: GroupLayout, level: CodedLevel, size: tuple[int, int], ticks: int) -> Iterator[ClosedGop]:
-    """The segments of a level that are fetched; `ticks` a frame."""
-    assert level.samples
-    samples = level.samples.open()
+def _level_gops(layout: GroupLayout, level: CodedLevel, pictures: AtlasPictures, ticks: int) -> Iterator[ClosedGop]:
+    """The segments of a level that are fetched; `pictures` of all frames of the group, `ticks` a frame."""
     for (start, stop), escaped in zip(layout.segments, level.escapes, strict=True):
         if escaped is not None:
-            shown = samples[start - layout.span.start : stop - layout.span.start]
-            yield ClosedGop((assemble(p[None], level.atlas, *size)[0] for p in shown), start * ticks, ticks)
+            shown = pictures.samples[start - layout.span.start : stop - layout.span.start]
+            yield ClosedGop(replace(pictures, samples=shown), start * ticks, ticks)

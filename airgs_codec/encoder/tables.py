@@ -60,18 +60,17 @@ def _key_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
         sidecar = layout.sidecar(layout.tier_rows(t), group.states.depths)
         yield paths.key_sidecar_path(t, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
         for q, (atlas, representation) in enumerate(zip(keys.tiers[t], pictures, strict=True)):
-            assert representation.stream
-            media = with_columns(representation.stream.media[0], atlas.detail)
+            media = with_columns(representation.gops[0].media, atlas.detail)
             yield paths.key_media_path(t, q, group.number), media
 
 
 def _state_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
     """Path and bytes of every segment that is fetched."""
     for j, (level, representation) in enumerate(zip(group.states.levels, group.state_pictures, strict=True)):
-        media = iter(representation.stream.media if representation.stream else [])
+        gops = iter(representation.gops)
         for place, escapes in enumerate(level.escapes, group.first_segment):
             if escapes is not None:
-                yield paths.state_media_path(j, place + 1), with_columns(next(media), escapes)
+                yield paths.state_media_path(j, place + 1), with_columns(next(gops).media, escapes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,13 +157,13 @@ def _bounded(
 
 
 def _segment_tables(group: CodedGroup, files: Files) -> list[Segment]:
-    sizes = [iter(r.stream.picture_bytes if r.stream else []) for r in group.state_pictures]
+    gops = [iter(representation.gops) for representation in group.state_pictures]
     return [
         Segment(
             *span,
             [
-                SegmentLevel(file, next(sizes[j]) if file.bytes else [], [], [], [], [])
-                for j in range(len(sizes))
+                SegmentLevel(file, next(gops[j]).picture_bytes if file.bytes else [], [], [], [], [])
+                for j in range(len(gops))
                 for file in [files.get(paths.state_media_path(j, index + 1), NO_FILE)]
             ],
         )

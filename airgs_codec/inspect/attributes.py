@@ -57,7 +57,7 @@ def _of_states(package: Package) -> Iterator[tuple[str, float]]:
 
 def _samples(package: Package, media: str, atlas: Atlas) -> Iterator[NDArray[np.int16]]:
     """(P, N) of each picture."""
-    for picture in decode_pictures(open_segment(package.read(media), media).samples, media):
+    for picture in decode_pictures(open_segment(package.read(media), media).samples, media, atlas.pages):
         yield extract(picture, atlas).astype(np.int16)
 
 

@@ -18,6 +18,7 @@ from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.packing import MAX_ROOT_BYTES
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path
 from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.tables import Atlas
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -139,10 +140,10 @@ def _decode_key(package: Package, group: int, quality: int) -> None:
     with np.errstate(all="ignore"):  # _expect_finite says it better
         base = decode_canonical(package, group, quality)
         _expect_finite(base.to_gaussians(), f"group {group} Q{quality}")
-    for t in range(package.manifest.tiers):
+    for t, tier in enumerate(package.manifest.groups[group].tiers):
         files = package.manifest.key_files(group, t, quality)
         if files:
-            _expect_pictures(package, files[1], 1)
+            _expect_pictures(package, files[1], tier.qualities[quality], 1)
 
 
 def _decode_state(package: Package, index: int, level: int, base: Canonical) -> None:
@@ -153,12 +154,13 @@ def _decode_state(package: Package, index: int, level: int, base: Canonical) -> 
         with np.errstate(all="ignore"):
             for frame in decode_segment(package, index, base, level, range(length)):
                 _expect_finite(frame, files[0])
-        _expect_pictures(package, files[0], length)
+        atlas = package.manifest.groups[package.manifest.group_of(index)].levels[level]
+        _expect_pictures(package, files[0], atlas, length)
 
 
-def _expect_pictures(package: Package, media: str, count: int) -> None:
+def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int) -> None:
     samples = open_segment(package.read(media), media).samples
-    inside = [in_range(picture) for picture in decode_pictures(samples, media)]
+    inside = [in_range(picture) for picture in decode_pictures(samples, media, atlas.pages)]
     if len(inside) != count:
         raise FormatError("bad_picture", media, f"expected {count} pictures, got {len(inside)}")
     if not all(inside):

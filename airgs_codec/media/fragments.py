@@ -10,7 +10,7 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from airgs_codec.media.mp4 import COLUMNS, COMPOSITION_OFFSET, DATA_OFFSET, FIRST_SAMPLE_FLAGS, HEADER, SIZE
+from airgs_codec.media.mp4 import COLUMNS, COMPOSITION_OFFSET, DATA_OFFSET, DURATION, FIRST_SAMPLE_FLAGS, HEADER, SIZE
 
 PROFILE, CONSTRAINTS, LEVEL = 100, 0, 51  # High at 5.1: the most that a picture of a package may ask for
 CODECS = f"avc3.{PROFILE:02X}{CONSTRAINTS:02X}{LEVEL:02X}"  # RFC 6381
@@ -25,8 +25,9 @@ class CodedPicture:
     """One picture of a closed GOP."""
 
     data: bytes  # its parameter sets and slices: NAL units, each after its length in 4 bytes
-    time: int  # when it is shown, ticks
+    number: int  # its place in display order
     bytes: int  # of its slices with their lengths
+    idr: bool
 
 
 def init_segment(timescale: int, width: int, height: int) -> bytes:
@@ -76,13 +77,22 @@ def _sample_table(width: int, height: int) -> bytes:
 
 
 def media_segment(pictures: Sequence[CodedPicture], start: int, ticks: int) -> bytes:
-    """moof and mdat of pictures in decoding order, the first an IDR; the GOP starts at `start`, each lasts `ticks`."""
-    offsets = [picture.time - start - number * ticks for number, picture in enumerate(pictures)]
-    flags = DATA_OFFSET | FIRST_SAMPLE_FLAGS | SIZE | (COMPOSITION_OFFSET if any(offsets) else 0)
-    rows = [
-        _word(len(picture.data)) + (struct.pack(">i", offset) if any(offsets) else b"")
-        for picture, offset in zip(pictures, offsets, strict=True)
-    ]
+    """moof and mdat of pictures in decoding order, from an IDR on, which begin at `start` and last `ticks` each.
+
+    Every further IDR begins the next page of the same pictures: together the pages of a picture last as long as one
+    would.
+    """
+    pages = sum(picture.idr for picture in pictures)
+    durations = [ticks // pages] * (len(pictures) - len(pictures) // pages)
+    durations += [ticks - ticks // pages * (pages - 1)] * (len(pictures) // pages)
+    offsets = [(p.number - place) * lasts for place, (p, lasts) in enumerate(zip(pictures, durations, strict=True))]
+    columns = {
+        DURATION: (durations if pages > 1 else []),
+        SIZE: [len(picture.data) for picture in pictures],
+        COMPOSITION_OFFSET: (offsets if any(offsets) else []),
+    }
+    flags = DATA_OFFSET | FIRST_SAMPLE_FLAGS | sum(flag for flag, column in columns.items() if column)
+    rows = [struct.pack(f">{len(row)}i", *row) for row in zip(*filter(None, columns.values()), strict=True)]
     traf = _DEFAULT_BASE_IS_MOOF | _DURATION_AND_FLAGS
     head = full_box(b"tfhd", traf, struct.pack(">3I", 1, ticks, _OTHER))
     head += full_box(b"tfdt", 1 << 24, struct.pack(">Q", start))

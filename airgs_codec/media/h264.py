@@ -5,7 +5,6 @@ Luma carries the samples, chroma is 128, the full-range flag is set, and no fram
 
 from __future__ import annotations
 
-import itertools
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -35,7 +34,8 @@ _LEVEL = "5.1"  # the highest that every phone decodes, and its limits (ISO/IEC 
 _LEVEL_BUFFER = 184_320  # macroblocks of the pictures that a decoder holds
 _LEVEL_RATE = 983_040  # macroblocks a second
 _MOST_REFERENCES = 16  # that any preset asks for
-_SLICES = (1, 5)  # types of NAL units: of other pictures and of an IDR
+_IDR = 5  # type of the NAL units of an IDR picture
+_SLICES = (1, _IDR)  # of all pictures
 _SEI = 6  # type of the NAL unit in which x264 repeats its version and options in every stream
 
 
@@ -46,19 +46,24 @@ def qp_step(qp: int) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClosedGop:
-    """Pictures that are decoded together and without any others: one IDR, then P and B."""
+    """Pictures that are decoded together and without any others: one IDR, then P and B.
 
-    pictures: Iterable[NDArray[np.uint8]]  # (H, W) each
+    Pictures that are taller than those of the stream are coded in pages: their first H lines as such a sequence, then
+    their next H lines as another, and so on.
+    """
+
+    pictures: Iterable[NDArray[np.uint8]]  # (pages * H, W) each; may be iterated over more than once
     start: int  # presentation time of the first, ticks
     ticks: int  # duration of each, ticks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stream:
-    """A coded representation: the media segment of each closed GOP, which decodes by itself."""
+class CodedGop:
+    """A closed GOP as a media segment, which decodes by itself."""
 
-    media: list[bytes]
-    picture_bytes: list[list[int]]  # of the slices of each picture of each segment, in display order
+    media: bytes
+    pages: int
+    picture_bytes: list[int]  # of the slices of each picture, all pages together, in display order
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,55 +110,56 @@ def state_codec(preset: str) -> CodecSettings:
     return CodecSettings(STATE_QP, STATE_IP_RATIO, STATE_PB_RATIO, preset)
 
 
-def encode_stream(
-    gops: Iterable[ClosedGop], size: tuple[int, int], rate: Fraction, timescale: int, settings: CodecSettings
-) -> Stream:
-    """Code closed GOPs of `size` = (width, height) pictures as one representation, a media segment each.
+def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: CodecSettings) -> CodedGop:
+    """Code a closed GOP as pictures of `size` = (width, height).
 
-    `rate`: pictures a second, from which x264 derives the level; `timescale`: ticks a second. Parameter sets stand
-    in front of every IDR.
+    `rate`: pictures a second, from which x264 derives the level. Parameter sets stand in front of every IDR.
 
-    Raises CodecError when FFmpeg refuses or a GOP did not become one segment.
+    Raises CodecError when FFmpeg refuses or loses a picture.
     """
     coded: list[CodedPicture] = []
-    spans: list[tuple[int, int, int]] = []  # of each GOP: its start, the duration of a picture, how many there are
+    number = 0
     try:
-        encoder = _Encoder(size, rate, timescale, settings)
-        for gop in gops:
-            count = 0
-            for count, picture in enumerate(gop.pictures, 1):
-                coded += encoder.encode(picture, gop.start + (count - 1) * gop.ticks, idr=count == 1)
-            spans.append((gop.start, gop.ticks, count))
+        encoder = _Encoder(size, rate, settings)
+        for page in _cut(gop.pictures, size[1]):
+            for place, picture in enumerate(page):
+                coded += encoder.encode(picture, number, idr=place == 0)
+                number += 1
         coded += encoder.finish()
     except av.FFmpegError as error:
         raise CodecError(f"H.264 encoder refused {size[0]}x{size[1]} pictures: {error}") from error
-    rest = iter(coded)
-    if len(coded) != (wanted := sum(count for *_, count in spans)):
-        raise CodecError(f"expected {wanted} coded pictures, got {len(coded)}")
-    parts = [list(itertools.islice(rest, count)) for *_, count in spans]
-    media = [media_segment(part, start, ticks) for part, (start, ticks, _) in zip(parts, spans, strict=True)]
-    shown = [sorted(part, key=lambda picture: picture.time) for part in parts]
-    return Stream(media, [[picture.bytes for picture in part] for part in shown])
+    if len(coded) != number:
+        raise CodecError(f"expected {number} coded pictures, got {len(coded)}")
+    pages = sum(picture.idr for picture in coded)
+    shown = [picture.bytes for picture in sorted(coded, key=lambda picture: picture.number)]
+    frame_bytes = [sum(shown[place :: number // pages]) for place in range(number // pages)]
+    return CodedGop(media_segment(coded, gop.start, gop.ticks), pages, frame_bytes)
+
+
+def _cut(pictures: Iterable[NDArray[np.uint8]], height: int) -> Iterator[Iterator[NDArray[np.uint8]]]:
+    """The pages of pictures, `height` lines each: all pictures of the first page, then all of the next."""
+    lines = len(next(iter(pictures)))
+    for top in range(0, lines, height):
+        yield (picture[top : top + height] for picture in pictures)
 
 
 class _Encoder:
-    """x264 at work on one representation."""
+    """x264 at work; its time counts pictures."""
 
-    def __init__(self, size: tuple[int, int], rate: Fraction, timescale: int, settings: CodecSettings) -> None:
-        self._time_base = Fraction(1, timescale)
+    def __init__(self, size: tuple[int, int], rate: Fraction, settings: CodecSettings) -> None:
         context = av.CodecContext.create("libx264", "w")
         assert isinstance(context, av.VideoCodecContext)
         context.width, context.height, context.pix_fmt = *size, "yuv420p"
         context.color_range = FULL_RANGE
-        context.framerate, context.time_base = rate, self._time_base
+        context.framerate, context.time_base = rate, 1 / rate
         context.options = settings.options(size, rate)
         context.thread_count = 1
         self._context = context
 
-    def encode(self, picture: NDArray[np.uint8], time: int, idr: bool) -> list[CodedPicture]:
-        """Code an (H, W) picture that is shown from `time` on; gives what is finished, in decoding order."""
+    def encode(self, picture: NDArray[np.uint8], number: int, idr: bool) -> list[CodedPicture]:
+        """Code an (H, W) picture that is the `number`-th shown; gives what is finished, in decoding order."""
         frame = _frame(picture)
-        frame.pts, frame.time_base = time, self._time_base
+        frame.pts, frame.time_base = number, self._context.time_base
         kinds = av.video.frame.PictureType
         frame.pict_type = kinds.I if idr else kinds.NONE
         return self._coded(self._context.encode(frame))
@@ -169,7 +175,8 @@ class _Encoder:
                 raise CodecError("a packet has no presentation time")
             units = [(unit[0] & 31, struct.pack(">I", len(unit)) + unit) for unit in _units(bytes(packet))]
             data = b"".join(unit for kind, unit in units if kind != _SEI)
-            out.append(CodedPicture(data, packet.pts, sum(len(unit) for kind, unit in units if kind in _SLICES)))
+            size = sum(len(unit) for kind, unit in units if kind in _SLICES)
+            out.append(CodedPicture(data, packet.pts, size, any(kind == _IDR for kind, _ in units)))
         return out
 
 
@@ -189,11 +196,26 @@ def _frame(picture: NDArray[np.uint8]) -> av.VideoFrame:
     return frame
 
 
-def decode_pictures(samples: Sequence[bytes], where: str) -> Iterator[NDArray[np.uint8]]:
-    """(H, W) luma of each picture of the samples of a media segment, in display order; stop iterating to stop decoding.
+def decode_pictures(samples: Sequence[bytes], where: str, pages: int = 1) -> Iterator[NDArray[np.uint8]]:
+    """(pages * H, W) luma of each picture of a media segment, in display order; stop iterating to stop decoding.
 
-    `where` names the segment in errors. Raises FormatError(bad_picture) when the bytes do not decode.
+    `samples` are those of its first page, then those of the next; a picture is its pages one below another. `where`
+    names the segment in errors. Raises FormatError(bad_picture) when the bytes do not decode, or pages differ.
     """
+    if pages == 1:
+        yield from _decode_page(samples, where)
+        return
+    length = -(-len(samples) // pages)
+    decoders = [_decode_page(samples[page * length :][:length], where) for page in range(pages)]
+    try:
+        for parts in zip(*decoders, strict=True):
+            yield np.concatenate(parts)
+    except ValueError as error:
+        raise FormatError("bad_picture", where, f"expected {pages} pages of equal pictures: {error}") from error
+
+
+def _decode_page(samples: Sequence[bytes], where: str) -> Iterator[NDArray[np.uint8]]:
+    """(H, W) luma of each picture of one page. Raises FormatError(bad_picture)."""
     try:
         context = av.CodecContext.create("h264", "r")
         context.thread_count = 1
@@ -229,35 +251,30 @@ def in_range(picture: NDArray[np.uint8]) -> bool:
 class DecodedGop:
     """What became of the pictures of a closed GOP."""
 
-    difference: NDArray[np.uint8]  # (H, W) largest of any picture, luma levels
+    difference: NDArray[np.uint8]  # (pages * H, W) largest of any picture, luma levels
     in_range: bool  # see `in_range`; all samples count, also those that carry nothing
 
 
-def check_stream(stream: Stream, gops: Iterable[ClosedGop], settings: CodecSettings) -> list[DecodedGop]:
+def check_gop(coded: CodedGop, gop: ClosedGop, settings: CodecSettings) -> DecodedGop:
     """Decode what was encoded and compare it with the pictures it was made of, before anything is published.
 
     Encoders have returned wrong pixels at odd sizes: the root mean square error over a GOP was measured at 0.3 steps of
     its QP; a whole step means that something else was decoded. Raises CodecError.
     """
-    segments = enumerate(zip(gops, stream.media, strict=True))
-    return [_check_gop(media, gop, settings.qp, f"segment {i}") for i, (gop, media) in segments]
-
-
-def _check_gop(media: bytes, gop: ClosedGop, qp: int, where: str) -> DecodedGop:
-    """Decode and compare one GOP. Raises CodecError as `check_stream` does."""
+    where = f"the segment at {gop.start} ticks"
     squared, count = 0.0, 0
     largest, inside = np.zeros((1, 1), np.uint8), True
     try:
-        pictures = decode_pictures(read_segment(media).samples, where)
+        pictures = decode_pictures(read_segment(coded.media).samples, where, coded.pages)
         for picture, shown in zip(gop.pictures, pictures, strict=True):
             difference = np.maximum(picture, shown) - np.minimum(picture, shown)
             squared += float(np.mean(np.square(difference, dtype=np.float32)))
             largest = np.maximum(largest, difference)
             inside = inside and in_range(shown)
             count += 1
-    except ValueError as error:  # another number of pictures, or pictures of another size
+    except (ValueError, FormatError) as error:  # another number of pictures, or pictures of another size
         raise CodecError(f"{where} does not decode to the pictures it was made of: {error}") from error
-    if (squared / count) ** 0.5 > qp_step(qp):
+    if (squared / count) ** 0.5 > qp_step(settings.qp):
         raise CodecError(f"{where} decodes {(squared / count) ** 0.5:.1f} levels off the pictures encoded")
     return DecodedGop(largest, inside)
 

@@ -17,7 +17,9 @@ from airgs_codec.package.tables import (
     BLOCK,
     DIGEST,
     MAX_BITS,
-    MAX_SIDE,
+    MAX_MACROBLOCKS,
+    MAX_PAGES,
+    MAX_PICTURE_SIDE,
     PAGE,
     Atlas,
     FileEntry,
@@ -163,12 +165,15 @@ def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Ite
     for i, plane in enumerate(atlas.planes):
         yield f"{where}.planes[{i}]", plane, atlas.planes[i - 1] + 1 if i else 0, channels - 1
     if atlas.planes:
-        yield f"{where}.plane_width", atlas.plane_width, BLOCK, MAX_SIDE
+        yield f"{where}.plane_width", atlas.plane_width, BLOCK, MAX_PICTURE_SIDE
         yield f"{where}.plane_width % {BLOCK}", atlas.plane_width % BLOCK, 0, 0
         yield f"{where}.columns", atlas.columns, 1, len(atlas.planes)
-        width, height = atlas.size
-        yield f"{where} width", width, BLOCK, atlas.width
-        yield f"{where} height", height, BLOCK, atlas.height
+        yield f"{where}.height", atlas.height, BLOCK, MAX_PICTURE_SIDE
+        yield f"{where}.width % {BLOCK}", atlas.width % BLOCK, 0, 0
+        yield f"{where}.height % {BLOCK}", atlas.height % BLOCK, 0, 0
+        yield f"{where} macroblocks", atlas.width * atlas.height // BLOCK**2, 1, MAX_MACROBLOCKS
+        yield f"{where} width of the planes", atlas.size[0], BLOCK, atlas.width
+        yield f"{where} pages", atlas.pages, 1, MAX_PAGES
 
 
 def _check_tier(where: str, tier: GroupTier) -> None:

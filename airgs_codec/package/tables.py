@@ -25,7 +25,10 @@ VERSION = 2
 
 MAX_COUNT = 1 << 24  # Gaussians a group
 MAX_FRAMES = 1_000_000
-MAX_SIDE = 16384  # samples, either side of a picture
+MAX_SIDE = 16384  # pixels, either side of a view
+MAX_PICTURE_SIDE = 4096  # samples
+MAX_MACROBLOCKS = 36_864  # of 16x16 samples, in a picture: H.264 level 5.1
+MAX_PAGES = 128
 MAX_FILE_BYTES = 1 << 31
 MAX_CHOICES = 64  # tiers, qualities, levels
 MAX_PLACES = 64
@@ -47,7 +50,7 @@ FrameNumber = Annotated[int, Range(0, MAX_FRAMES)]
 FrameCount = Annotated[int, Range(1, MAX_FRAMES)]
 FileBytes = Annotated[int, Range(0, MAX_FILE_BYTES)]
 PictureBytes = Annotated[int, Range(1, MAX_FILE_BYTES)]
-Side = Annotated[int, Range(0, MAX_SIDE)]
+Side = Annotated[int, Range(0, MAX_PICTURE_SIDE)]
 Ticks = Annotated[int, Range(1, 1 << 31)]
 Share = Annotated[float, Range(0, 1)]
 Factor = Annotated[float, Range(1e-6, 1e6)]
@@ -185,6 +188,11 @@ class Atlas:
         """Width and height in samples of what the planes cover together."""
         height = plane_height(self.rows, self.plane_width) * -(-len(self.planes) // self.columns)
         return self.plane_width * self.columns, height
+
+    @property
+    def pages(self) -> int:
+        """How many pictures show it together, each the next `height` lines."""
+        return -(-self.size[1] // self.height)
 
 
 def plane_height(rows: int, plane_width: int) -> int:

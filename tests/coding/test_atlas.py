@@ -1,5 +1,7 @@
 """Atlases: every sample finds its cell and comes back from it."""
 
+from dataclasses import replace
+
 import hypothesis.extra.numpy as npst
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.coding.atlas import assemble, choose_layout, extract, fit_atlas, picture_size, sample_index
-from airgs_codec.package.tables import Atlas
+from airgs_codec.package.tables import MAX_PAGES, Atlas
 
 
 @pytest.mark.parametrize("rows", [1, 2, 255, 256, 257, 511, 4096, 5000])
@@ -49,3 +51,27 @@ def test_three_codes_apart_need_a_plane_where_the_limit_is_one_and_a_half():
     codes = np.array([[[0, 3, 1, 2]], [[0, 2, 1, 1]]], np.int32)
     assert fit_atlas(codes[:1], 1.59).planes == [0]
     assert fit_atlas(codes[1:], 1.59).planes == []
+
+
+@pytest.mark.parametrize(("rows", "planes"), [(1, 1), (500_000, 55), (1 << 24, 1), (1 << 24, 58), (9_437_185, 1)])
+def test_pictures_stay_within_what_decoders_take(rows, planes):
+    """36,864 macroblocks and 4096 samples a side; what is more becomes pages."""
+    width, columns = choose_layout(rows, planes)
+    layout = Atlas(rows, [0] * planes, list(range(planes)), width, columns)
+    size = picture_size(layout)
+    layout = replace(layout, width=size[0], height=size[1])
+    assert max(size) <= 4096 and size[0] * size[1] <= 36_864 * 256
+    assert layout.pages <= MAX_PAGES
+    assert layout.pages == 1 or layout.size[0] * layout.size[1] > 36_864 * 256
+    assert layout.pages * size[0] * size[1] < 1.3 * planes * rows + 64 * 64
+
+
+@pytest.mark.parametrize("macroblocks", [16, 40])
+def test_samples_come_back_from_pages(macroblocks):
+    layout = Atlas(5000, [0] * 3, [0, 1, 2], *choose_layout(5000, 3))
+    size = picture_size(layout, macroblocks)
+    samples = np.random.default_rng(0).integers(0, 256, (1, 3, 5000)).astype(np.uint8)
+    (picture,) = assemble(samples, layout, *size)
+    pages = replace(layout, width=size[0], height=size[1]).pages
+    assert pages > 1 and picture.shape == (pages * size[1], size[0])
+    np.testing.assert_array_equal(extract(picture, layout), samples[0])

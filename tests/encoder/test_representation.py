@@ -1,22 +1,33 @@
 """Representations: what is published decodes to what every decoder and screen leaves alone."""
 
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 import pytest
 
+from airgs_codec.coding.atlas import picture_size
 from airgs_codec.coding.escapes import LIMIT
+from airgs_codec.encoder import representation
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.representation import Clock, encode_checked
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.inspect.errors import measure_errors
+from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import (
     ClosedGop,
-    check_stream,
+    check_gop,
     decode_pictures,
-    encode_stream,
+    encode_gop,
     in_range,
     open_segment,
     state_codec,
 )
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.scenes import moving_frames, write_sequence
 
+SIZE = (128, 128)
 CODEC = state_codec("veryfast")
 
 
@@ -30,15 +41,31 @@ def noise(reach, kind, count=6):
 
 @pytest.mark.parametrize("kind", ["ends", "even"])
 def test_the_limit_of_escapes_leaves_room_for_the_error_of_the_codec(kind):
-    closed = [ClosedGop(noise(LIMIT, kind), 0, 1)]
-    stream = encode_stream(closed, (128, 128), Fraction(24), 24, CODEC)
-    assert check_stream(stream, closed, CODEC)[0].in_range
+    closed = ClosedGop(noise(LIMIT, kind), 0, 1)
+    assert check_gop(encode_gop(closed, SIZE, Fraction(24), CODEC), closed, CODEC).in_range
 
 
 def test_pictures_that_would_leave_the_range_are_coded_finer():
-    closed = [ClosedGop(noise(106, "ends"), 0, 1)]
-    coarse = encode_stream(closed, (128, 128), Fraction(24), 24, CODEC)
-    assert not check_stream(coarse, closed, CODEC)[0].in_range
-    coded = encode_checked(lambda: closed, (128, 128), Clock.of(Fraction(24)), CODEC)
-    shown = list(decode_pictures(open_segment(coded.stream.media[0], "x").samples, "x"))
+    """They alone: the segments beside them keep their bytes."""
+    bright, calm = (ClosedGop(noise(reach, "ends"), 0, 1) for reach in (106, 60))
+    coarse = [encode_gop(gop, SIZE, Fraction(24), CODEC) for gop in (bright, calm)]
+    assert not check_gop(coarse[0], bright, CODEC).in_range
+    coded = encode_checked([bright, calm], SIZE, Clock.of(Fraction(24)), CODEC).gops
+    shown = list(decode_pictures(open_segment(coded[0].media, "x").samples, "x"))
     assert len(shown) == 6 and all(in_range(picture) for picture in shown)
+    assert len(coded[0].media) > len(coarse[0].media) and coded[1].media == coarse[1].media
+
+
+def test_an_atlas_that_is_too_large_for_a_picture_is_decoded_from_pages(tmp_path, monkeypatch):
+    """Every key and level is, here, and every value keeps to its `max_error`."""
+    monkeypatch.setattr(representation, "picture_size", partial(picture_size, macroblocks=16))
+    sequence = open_sequence(write_sequence(tmp_path / "scene", moving_frames(600, 5)))
+    settings = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", jobs=2, segment_s=0.1)
+    encode(sequence, tmp_path / "out", settings)
+    assert validate(tmp_path / "out") == []
+    package = open_package(tmp_path / "out")
+    assert all(found.error <= found.bound for found in measure_errors(package, sequence))
+    m = package.manifest
+    atlases = [*m.groups[0].tiers[0].qualities, m.groups[0].levels[0]]
+    assert all(atlas.pages > 1 and atlas.height == 64 for atlas in atlases)
+    assert len(m.segments) > 1

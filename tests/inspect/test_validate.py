@@ -13,7 +13,7 @@ import pytest
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.fragments import with_columns
-from airgs_codec.media.h264 import ClosedGop, encode_stream, key_codec
+from airgs_codec.media.h264 import ClosedGop, encode_gop, key_codec
 from airgs_codec.media.mp4 import read_segment
 from airgs_codec.package.paths import JSON_NAME, FileKind, file_kind
 from airgs_codec.package.store import open_package
@@ -105,9 +105,9 @@ def test_cells_that_the_files_do_not_have_are_refused(package, coarser):
 def test_luma_outside_the_limited_range_is_refused(package):
     picture = open_package(package).manifest.groups[0].tiers[0].qualities[0]
     bright = ClosedGop([np.full((picture.height, picture.width), 240, np.uint8)], 0, 1000)
-    stream = encode_stream([bright], (picture.width, picture.height), Fraction(24), 24000, key_codec("veryfast"))
+    coded = encode_gop(bright, (picture.width, picture.height), Fraction(24), key_codec("veryfast"))
     columns = read_segment((package / "key/T0/Q0/1.m4s").read_bytes()).columns or b""
-    replace_file(package, "key/T0/Q0/1.m4s", with_columns(stream.media[0], columns))
+    replace_file(package, "key/T0/Q0/1.m4s", with_columns(coded.media, columns))
     (finding,) = validate(package)
     assert finding.reason == "bad_picture" and "16 to 235" in str(finding)
 

@@ -12,9 +12,9 @@ from airgs_codec.media.h264 import (
     STATE_QP,
     ClosedGop,
     CodecSettings,
-    check_stream,
+    check_gop,
     decode_pictures,
-    encode_stream,
+    encode_gop,
     in_range,
     key_codec,
     open_segment,
@@ -22,6 +22,8 @@ from airgs_codec.media.h264 import (
     state_codec,
 )
 from tests.support.bitstream import trace_headers
+
+SIZE = (96, 64)
 
 
 def pictures(count, seed=0, width=96, height=64):
@@ -33,35 +35,28 @@ def pictures(count, seed=0, width=96, height=64):
 @pytest.mark.parametrize("preset", ["ultrafast", "veryslow"])
 def test_every_closed_gop_decodes_alone_and_completely(preset):
     gops = [pictures(12), pictures(7, 1), pictures(1, 2)]
-    starts = [0, 12000, 30000]  # a gap before the last
-    coded = encode_stream(
-        [ClosedGop(g, s, 1000) for g, s in zip(gops, starts, strict=True)],
-        (96, 64),
-        Fraction(24),
-        24000,
-        CodecSettings(STATE_QP, 1.4, 1.3, preset),
-    )
-    assert len(coded.media) == 3
-    for gop, media, sizes in zip(gops, coded.media, coded.picture_bytes, strict=True):
-        decoded = [luma.copy() for luma in decode_pictures(open_segment(media, "x").samples, "x")]
-        assert len(decoded) == len(gop) == len(sizes)
-        assert sum(sizes) <= len(media)
+    codec = CodecSettings(STATE_QP, 1.4, 1.3, preset)
+    for gop in gops:
+        coded = encode_gop(ClosedGop(gop, 12000, 1000), SIZE, Fraction(24), codec)
+        decoded = [luma.copy() for luma in decode_pictures(open_segment(coded.media, "x").samples, "x")]
+        assert len(decoded) == len(gop) == len(coded.picture_bytes)
+        assert sum(coded.picture_bytes) <= len(coded.media)
         for a, b in zip(decoded, gop, strict=True):
             error = np.abs(a.astype(int) - b)
             assert error.max() <= 4 * qp_step(STATE_QP) and error.mean() <= qp_step(STATE_QP) / 2
 
 
 def test_the_stream_carries_no_encoder_banner():
-    coded = encode_stream([ClosedGop(pictures(2), 0, 1)], (96, 64), Fraction(24), 24, CodecSettings(KEY_QP, 1.0, 1.0))
-    assert b"x264" not in coded.media[0]
+    coded = encode_gop(ClosedGop(pictures(2), 0, 1), SIZE, Fraction(24), CodecSettings(KEY_QP, 1.0, 1.0))
+    assert b"x264" not in coded.media
 
 
 def test_broken_bytes_are_refused():
-    coded = encode_stream([ClosedGop(pictures(3), 0, 1)], (96, 64), Fraction(24), 24, CodecSettings(KEY_QP, 1.0, 1.0))
+    coded = encode_gop(ClosedGop(pictures(3), 0, 1), SIZE, Fraction(24), CodecSettings(KEY_QP, 1.0, 1.0))
     with pytest.raises(FormatError) as caught:
         open_segment(b"moof?", "x")
     assert caught.value.reason == "bad_picture"
-    whole = open_segment(coded.media[0], "x").samples
+    whole = open_segment(coded.media, "x").samples
     for samples in (whole[1:], [whole[0][:-1]], [b"\0\0\0\1\x65"]):
         with pytest.raises(FormatError) as caught:
             if len(list(decode_pictures(samples, "x"))) < len(whole):
@@ -72,19 +67,19 @@ def test_broken_bytes_are_refused():
 def test_a_stream_that_decodes_to_something_else_is_not_published():
     codec = CodecSettings(STATE_QP, 1.2, 1.3, "veryfast")
     right, wrong = pictures(4), pictures(4, 5)
-    stream = encode_stream([ClosedGop(right, 0, 1)], (96, 64), Fraction(24), 24, codec)
-    check_stream(stream, [ClosedGop(right, 0, 1)], codec)
+    coded = encode_gop(ClosedGop(right, 0, 1), SIZE, Fraction(24), codec)
+    check_gop(coded, ClosedGop(right, 0, 1), codec)
     for other in (wrong, right[:3], [*right, right[0]], [p[:32] for p in right]):
-        with pytest.raises(CodecError, match="segment 0"):
-            check_stream(stream, [ClosedGop(other, 0, 1)], codec)
+        with pytest.raises(CodecError, match="segment at 7 ticks"):
+            check_gop(coded, ClosedGop(other, 7, 1), codec)
 
 
 @pytest.mark.parametrize(("codec", "reordered"), [(key_codec("veryslow"), 0), (state_codec("veryslow"), 2)])
 def test_the_stream_says_what_a_decoder_must_hold(codec, reordered):
     """Without that in the VUI some decoders hold 16 pictures back."""
     gop = ClosedGop(pictures(1 if codec.stills else 9), 0, 1000)
-    stream = encode_stream([gop], (96, 64), Fraction(24), 24000, codec)
-    sps = trace_headers(init_segment(24000, 64, 64) + stream.media[0])
+    coded = encode_gop(gop, SIZE, Fraction(24), codec)
+    sps = trace_headers(init_segment(24000, 64, 64) + coded.media)
     assert sps["bitstream_restriction_flag"] == 1
     assert sps["max_num_reorder_frames"] == reordered
     assert reordered <= sps["max_dec_frame_buffering"] == sps["max_num_ref_frames"] <= (1 if codec.stills else 16)
@@ -96,8 +91,8 @@ def test_the_stream_says_what_a_decoder_must_hold(codec, reordered):
 def test_no_level_is_higher_than_decoders_have(codec, size, rate):
     """16 reference pictures of 36,864 macroblocks would be level 6, 120 pictures of 2048x2048 a second level 5.2."""
     grey = np.full(size[::-1], 128, np.uint8)
-    stream = encode_stream([ClosedGop([grey], 0, 1000)], size, Fraction(rate), rate * 1000, codec)
-    sps = trace_headers(init_segment(24000, 64, 64) + stream.media[0])
+    coded = encode_gop(ClosedGop([grey], 0, 1000), size, Fraction(rate), codec)
+    sps = trace_headers(init_segment(24000, 64, 64) + coded.media)
     assert sps["level_idc"] <= 51
     assert sps["max_dec_frame_buffering"] * size[0] * size[1] // 256 <= 184_320
 
@@ -108,10 +103,8 @@ def test_samples_outside_the_limited_range_are_noticed_wherever_they_are():
     for corner, inside in ((128, True), (5, False), (250, False)):
         gop = [np.full((64, 96), 128, np.uint8) for _ in range(3)]
         gop[1][-8:, -8:] = corner
-        closed = [ClosedGop(gop, 0, 1)]
-        stream = encode_stream(closed, (96, 64), Fraction(24), 24, codec)
-        (decoded,) = check_stream(stream, closed, codec)
-        assert decoded.in_range == inside
+        closed = ClosedGop(gop, 0, 1)
+        assert check_gop(encode_gop(closed, SIZE, Fraction(24), codec), closed, codec).in_range == inside
 
 
 def test_the_range_is_that_of_limited_pictures():

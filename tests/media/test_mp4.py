@@ -8,26 +8,27 @@ import pytest
 
 from airgs_codec.errors import CodecError
 from airgs_codec.media.fragments import box, init_segment, with_columns
-from airgs_codec.media.h264 import ClosedGop, CodecSettings, decode_pictures, encode_stream
+from airgs_codec.media.h264 import ClosedGop, CodecSettings, decode_pictures, encode_gop
 from airgs_codec.media.mp4 import read_boxes, read_segment, start_codes
 
 
 @pytest.fixture(scope="module")
-def stream():
+def gops():
     pictures = [np.full((64, 64), level, np.uint8) for level in (90, 100, 110)]
     codec = CodecSettings(20, 1.2, 1.3, "ultrafast")
-    return encode_stream([ClosedGop(pictures, 0, 1), ClosedGop(pictures[:1], 3, 1)], (64, 64), Fraction(24), 24, codec)
+    closed = (ClosedGop(pictures, 0, 1), ClosedGop(pictures[:1], 3, 1))
+    return [encode_gop(gop, (64, 64), Fraction(24), codec) for gop in closed]
 
 
-def test_samples_fill_the_segment(stream):
-    for media, sizes in zip(stream.media, stream.picture_bytes, strict=True):
-        samples = read_segment(media).samples
-        assert b"".join(samples) == dict(read_boxes(media))[b"mdat"][8:]
-        assert 0 < sum(map(len, samples)) - sum(sizes) < 100  # the parameter sets
+def test_samples_fill_the_segment(gops):
+    for gop in gops:
+        samples = read_segment(gop.media).samples
+        assert b"".join(samples) == dict(read_boxes(gop.media))[b"mdat"][8:]
+        assert 0 < sum(map(len, samples)) - sum(gop.picture_bytes) < 100  # the parameter sets
 
 
-def test_columns_stand_in_front_of_a_segment(stream):
-    media = stream.media[0]
+def test_columns_stand_in_front_of_a_segment(gops):
+    media = gops[0].media
     assert read_segment(media).columns is None and with_columns(media, b"") == media
     whole = read_segment(with_columns(media, b"columns"))
     assert whole.columns == b"columns" and whole.samples == read_segment(media).samples
@@ -37,17 +38,17 @@ def test_columns_stand_in_front_of_a_segment(stream):
         read_segment(media + box(b"uuid", bytes(20)))
 
 
-def test_any_cut_of_a_segment_is_refused(stream):
-    media = with_columns(stream.media[0], b"columns")
+def test_any_cut_of_a_segment_is_refused(gops):
+    media = with_columns(gops[0].media, b"columns")
     for end in range(len(media)):
         with pytest.raises(CodecError):
             read_segment(media[:end])
 
 
 @pytest.mark.parametrize("field", [b"traf", b"tfhd", b"trun"])
-def test_a_segment_without_its_track_fragment_is_refused(stream, field):
+def test_a_segment_without_its_track_fragment_is_refused(gops, field):
     with pytest.raises(CodecError, match=field.decode()):
-        read_segment(stream.media[0].replace(field, b"skip"))
+        read_segment(gops[0].media.replace(field, b"skip"))
 
 
 def test_units_of_a_sample_are_told_apart_by_start_codes():
@@ -57,13 +58,13 @@ def test_units_of_a_sample_are_told_apart_by_start_codes():
             start_codes(cut)
 
 
-def test_another_reader_finds_the_same_pictures(stream, tmp_path):
+def test_another_reader_finds_the_same_pictures(gops, tmp_path):
     """ffmpeg, behind the init segment that is shared by all: times, sizes and the pictures themselves."""
-    (tmp_path / "x.mp4").write_bytes(init_segment(24, 64, 64) + b"".join(stream.media))
+    (tmp_path / "x.mp4").write_bytes(init_segment(24, 64, 64) + b"".join(gop.media for gop in gops))
     with av.open(str(tmp_path / "x.mp4")) as container:
         assert container.streams.video[0].codec_context.codec_tag == "avc3"
         frames = list(container.decode(video=0))
-    ours = [p for media in stream.media for p in decode_pictures(read_segment(media).samples, "x")]
+    ours = [p for gop in gops for p in decode_pictures(read_segment(gop.media).samples, "x")]
     assert len(frames) == len(ours) == 4
     for frame, picture in zip(frames, ours, strict=True):
         assert (frame.width, frame.height) == (64, 64)

@@ -98,12 +98,13 @@ def test_places_in_a_plane():
 
 @pytest.mark.parametrize("case", cases("planes"), ids=label)
 def test_pictures(case):
-    fields = ("rows", "centres", "planes", "plane_width", "columns")
+    fields = ("rows", "centres", "planes", "plane_width", "columns", "width", "height")
     atlas = Atlas(**{name: case[name] for name in fields})
-    luma = np.frombuffer(data(case["luma"]), np.uint8).reshape(case["height"], case["width"])
+    luma = np.frombuffer(data(case["luma"]), np.uint8)
     bases = np.array([numbers(line) for line in case["bases"]], np.int32).reshape(len(atlas.planes), atlas.rows)
     expected = [numbers(line) for line in case["codes"]]
     if atlas.planes:
-        assert read_codes(luma, atlas, bases).tolist() == expected
+        pages = luma.reshape(atlas.pages * atlas.height, atlas.width)
+        assert read_codes(pages, atlas, bases).tolist() == expected
     else:  # there is no picture to read
         assert [[centre] * atlas.rows for centre in atlas.centres] == expected

@@ -23,6 +23,7 @@ class Layout:
     planes: tuple[int, ...]  # channels that have a plane
     channels: int
     picture: tuple[int, int]  # width and height in samples
+    pages: int = 1
 
 
 def cell(row: int, plane_width: int) -> tuple[int, int]:
@@ -35,7 +36,7 @@ def cell(row: int, plane_width: int) -> tuple[int, int]:
 
 
 def sample(layout: Layout, plane: int, row: int) -> tuple[int, int]:
-    """Column and line of a sample in the picture."""
+    """Column and line of a sample in the picture, its pages one below another."""
     blocks = -(-layout.rows // 256)
     high = 16 * -(-blocks // (layout.plane_width // 16))
     column, line = cell(row, layout.plane_width)
@@ -46,10 +47,12 @@ LAYOUTS = {
     "one row, one plane": Layout(1, 16, 1, (2,), 4, (16, 16)),
     "no planes": Layout(3, 0, 0, (), 4, (0, 0)),
     "one block a plane": Layout(256, 16, 2, (0, 1, 3), 4, (48, 32)),
-    "a row more than a block": Layout(257, 16, 2, (0, 2), 3, (32, 40)),
-    "two blocks side by side": Layout(300, 32, 1, (1, 2), 3, (40, 32)),
+    "a row more than a block": Layout(257, 16, 2, (0, 2), 3, (32, 48)),
+    "two blocks side by side": Layout(300, 32, 1, (1, 2), 3, (48, 32)),
     "planes three blocks wide, the last line of blocks not full": Layout(770, 48, 2, (0, 3, 4), 5, (96, 64)),
     "five planes in two lines": Layout(40, 16, 3, (0, 1, 2, 4, 5), 6, (64, 64)),
+    "a plane across three pages, the last not full": Layout(1300, 16, 1, (1,), 2, (16, 32), 3),
+    "two lines of planes, each across pages": Layout(700, 16, 2, (0, 1, 3), 4, (32, 64), 2),
 }
 
 
@@ -63,7 +66,7 @@ def table() -> Table:
 
 def _case(name: str, layout: Layout, rng: np.random.Generator) -> dict[str, Any]:
     width, height = layout.picture
-    luma = rng.choice(LUMA, (height, width))
+    luma = rng.choice(LUMA, (layout.pages * height, width))
     centres = rng.integers(-300, 300, layout.channels).tolist()
     bases = rng.choice([0] * 40 + [-3, -1, 1, 2, 1000], (len(layout.planes), layout.rows)).tolist()
     codes = [[centre] * layout.rows for centre in centres]
