@@ -23,7 +23,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 _Compared = tuple[int, Camera, Reference]  # number of the frame, view, the original's picture
 
 OFF_LADDER = 5  # one picture in so many measures key qualities that are not those of a level
-UNSURE = 0.06  # relative standard error of the top rung's mean squared error from which more pictures are measured
+UNSURE = 0.08  # relative standard error of the top rung's mean squared error from which more pictures are measured
 ROUNDS = 4  # of pictures, at most
 
 
