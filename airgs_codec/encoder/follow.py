@@ -48,7 +48,7 @@ class _Publisher:
     settings: EncodeSettings  # nothing is left to calibrate
     views: ViewPlan
     sh_degree: int  # bands above it are not worth their bytes
-    rounds: int  # of pictures that measure a segment
+    rounds: Rounds  # of pictures that measure a segment
 
     def publish(self, sequence: GaussianSequence, start: int, stop: int) -> None:
         """Encode, measure and publish one more group."""
@@ -59,10 +59,9 @@ class _Publisher:
             task = GroupTask(coded_as, survey, len(m.segments), Path(scratch))
             coded = code_group(task, self.settings, lambda: None)
         group = publish_group(self.package.folder, coded)
-        if self.settings.measure_pictures:
+        if self.rounds.count:
             package = Package(self.package.folder, self.package.expect(group), 0)
-            rounds = Rounds(self.settings.measure_pictures, self.rounds, self.rounds)
-            [group], _ = measure_groups(package, sequence, self.views, [len(m.groups)], rounds)
+            [group], _ = measure_groups(package, sequence, self.views, [len(m.groups)], self.rounds)
         self.package.add(group)
 
 
@@ -130,16 +129,19 @@ def _begin(
     survey = survey_group(part, GroupSpan(0, 0, stop), views)
     credit = read_attribution(sequence.folder) if attribution is None else attribution
     found = calibrate_job(EncodeJob(part, [survey], views, (), credit), settings, progress)
+    rounds = Rounds(settings.measure_pictures)
     given = settings.levels != DEFAULT_LEVELS
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
     with staged(path) as stage:
-        verified = encode_verified(Attempt(found.job, part, found.settings, found.expected, given), stage, progress)
+        verified = encode_verified(
+            Attempt(found.job, part, found.settings, found.expected, rounds, given), stage, progress
+        )
         decisions = [*verified.manifest.decisions, *found.decisions, *verified.stories]
         manifest = replace(verified.manifest, live=True, decisions=decisions)
         write_tables(stage, manifest, LiveClock(available, datetime.now(UTC)))
-    rounds = manifest.views.measured // max(1, views.measured(settings.measure_pictures))
+    turns = manifest.views.measured // max(1, views.measured(rounds.count))
     package = GrowingPackage(path, manifest, available)
-    return _Publisher(package, verified.settings, views, found.job.sequence.sh_degree, rounds)
+    return _Publisher(package, verified.settings, views, found.job.sequence.sh_degree, rounds.again(turns))
 
 
 def _published(m: Manifest, sequence: GaussianSequence) -> PublishedGroup:

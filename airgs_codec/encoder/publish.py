@@ -12,6 +12,7 @@ from airgs_codec.encoder.calibration.calibrate import calibrate
 from airgs_codec.encoder.encoder import EncodeJob
 from airgs_codec.encoder.group_length import compare_lengths
 from airgs_codec.encoder.leave_out import omit_bands
+from airgs_codec.encoder.quality import Rounds
 from airgs_codec.encoder.rate_target import Goal
 from airgs_codec.encoder.search import search_quality
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
@@ -78,12 +79,14 @@ def encode(
         calibrated = calibrate_job(EncodeJob(sequence, surveys, views, groups.notes, credit), settings, progress)
         calibrate_s = watch.lap()
         wanted, job, settings = settings, calibrated.job, calibrated.settings
+        rounds, expected = Rounds(settings.measure_pictures), calibrated.expected
         if goal:
-            settings = settings.at(search_quality(job, sequence, settings, goal, stage, progress))
+            factor, found = search_quality(job, sequence, settings, goal, stage, progress)
+            settings, expected = settings.at(factor), None
+            rounds = found if rounds.count else rounds
         search_s = watch.lap()
-        expected = None if goal else calibrated.expected
         given = wanted.levels != DEFAULT_LEVELS
-        attempt = encode_verified(Attempt(job, sequence, settings, expected, given), stage, progress)
+        attempt = encode_verified(Attempt(job, sequence, settings, expected, rounds, given), stage, progress)
         decisions = [*attempt.manifest.decisions, *calibrated.decisions, *attempt.stories]
         manifest = replace(attempt.manifest, decisions=decisions)
         size = write_tables(stage, manifest)

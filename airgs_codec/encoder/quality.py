@@ -23,7 +23,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 _Compared = tuple[int, Camera, Reference]  # number of the frame, view, the original's picture
 
 OFF_LADDER = 5  # one picture in so many measures key qualities that are not those of a level
-UNSURE = 0.08  # relative standard error of the top rung's mean squared error from which more pictures are measured
+UNSURE = 0.06  # relative standard error of the top rung's mean squared error from which more pictures are measured
 ROUNDS = 4  # of pictures, at most
 
 
@@ -48,24 +48,6 @@ class QualitySums:
         return Quality(mean, worst, self.similarity / count, self.difference / count)
 
 
-def measure_quality(
-    package: Package, sequence: GaussianSequence, views: ViewPlan, count: int, progress: Progress = silent
-) -> Manifest:
-    """The package's tables with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
-
-    PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
-    `count` pictures a segment; again and again in so many others, at most ROUNDS times, until the standard error of
-    the top rung is at most UNSURE. Errors are heavy-tailed: a large Gaussian close to one view outweighs many others.
-
-    Key qualities that are not the level's own are measured in one of OFF_LADDER of the pictures. Their squared errors
-    are scaled by what the level's own error in all pictures is to its error in these (a ratio estimator; Cochran,
-    Sampling Techniques, 1977, chapter 6), since a view that is hard for one rung is hard for all.
-    """
-    m = package.manifest
-    groups, measured = measure_groups(package, sequence, views, range(len(m.groups)), Rounds(count), progress)
-    return replace(m, groups=Groups.of(groups), views=replace(m.views, measured=measured))
-
-
 @dataclass(frozen=True, slots=True)
 class Rounds:
     """How many pictures of a segment are measured."""
@@ -73,6 +55,28 @@ class Rounds:
     count: int  # in a round, at least
     least: int = 1  # rounds
     most: int = ROUNDS
+
+    def again(self, rounds: int) -> Rounds:
+        """So many rounds, whatever their errors."""
+        return Rounds(self.count, rounds, rounds)
+
+
+def measure_quality(
+    package: Package, sequence: GaussianSequence, views: ViewPlan, rounds: Rounds, progress: Progress = silent
+) -> Manifest:
+    """The package's tables with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
+
+    PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
+    `rounds.count` pictures a segment; again and again in so many others, until the standard error of the top rung is at
+    most UNSURE. Errors are heavy-tailed: a large Gaussian close to one view outweighs many others.
+
+    Key qualities that are not the level's own are measured in one of OFF_LADDER of the pictures. Their squared errors
+    are scaled by what the level's own error in all pictures is to its error in these (a ratio estimator; Cochran,
+    Sampling Techniques, 1977, chapter 6), since a view that is hard for one rung is hard for all.
+    """
+    m = package.manifest
+    groups, measured = measure_groups(package, sequence, views, range(len(m.groups)), rounds, progress)
+    return replace(m, groups=Groups.of(groups), views=replace(m.views, measured=measured))
 
 
 def measure_groups(

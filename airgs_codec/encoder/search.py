@@ -9,7 +9,7 @@ from pathlib import Path
 
 from airgs_codec.encoder.encoder import EncodeJob, encode_sequence
 from airgs_codec.encoder.limits import find_limit
-from airgs_codec.encoder.quality import measure_quality
+from airgs_codec.encoder.quality import Rounds, measure_quality
 from airgs_codec.encoder.rate_target import PSNR, Goal, OutOfReachError, find_quality
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
@@ -30,29 +30,32 @@ def search_quality(
     goal: Goal,
     folder: Path,
     progress: Progress,
-) -> float:
-    """The quality factor that brings the top rung to its goal. Raises ConfigError for a goal out of reach.
+) -> tuple[float, Rounds]:
+    """The quality factor that brings the top rung to its goal, and the pictures that it was measured with.
 
-    The error then names what keeps pictures from a higher PSNR. PSNR is measured against `original`, which has all SH
+    Raises ConfigError for a goal out of reach. The error then names what keeps pictures from a higher PSNR. PSNR is measured against `original`, which has all SH
     bands. Trials are written into `folder` and removed.
     """
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
-    pictures = settings.measure_pictures or TRIAL_PICTURES
+    rounds = Rounds(settings.measure_pictures or TRIAL_PICTURES)
     numbers = itertools.count(1)
 
     def trial(factor: float) -> float:
+        nonlocal rounds
         progress(f"trial {next(numbers)}: quality factor {factor:.3g}", 0, 1)
         with tempfile.TemporaryDirectory(prefix=".trial", dir=folder) as name:
             manifest = encode_sequence(job, top.at(factor), Path(name), progress).manifest
             if goal.kind != PSNR:
                 return kilobytes_a_frame(manifest, settings)
             package = Package(Path(name), manifest, 0)
-            measured = pooled_quality(measure_quality(package, original, job.views, pictures, progress), 0, 0)
+            tables = measure_quality(package, original, job.views, rounds, progress)
+        rounds = rounds.again(tables.views.measured // job.views.measured(rounds.count))  # the same pictures for all
+        measured = pooled_quality(tables, 0, 0)
         assert measured is not None
         return measured.psnr
 
     try:
-        return find_quality(goal, trial, settings.quality)
+        return find_quality(goal, trial, settings.quality), rounds
     except OutOfReachError as error:
         if goal.kind != PSNR or error.got > goal.value:
             raise

@@ -7,6 +7,8 @@ import math
 import os
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from airgs_codec._settings import computed_setting, documented, setting
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.coding.steps import StepSettings
@@ -181,8 +183,12 @@ class EncodeSettings:
         return replace(self, quality=quality, levels=tuple(levels))
 
     def _share(self, factor: float) -> float:
-        """The share of updates to withhold at a factor on the steps: that of the nearest one, as a ratio."""
-        return min(self.shares, key=lambda entry: abs(math.log(entry[0] / factor)))[1]
+        """The share of updates to withhold at a factor on the steps, between those of the nearest two factors.
+
+        A share that jumped would make quality jump, and a target in the gap could not be reached.
+        """
+        factors, shares = np.array(self.shares).T
+        return float(np.interp(math.log(factor), np.log(factors), shares))
 
     def tiers_of(self, level: LevelSettings) -> int:
         """Number of key tiers that viewers of a level fetch."""

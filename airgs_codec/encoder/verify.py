@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence
-from airgs_codec.encoder.quality import measure_quality
+from airgs_codec.encoder.quality import Rounds, measure_quality
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.manifest import Manifest, pooled_quality
@@ -43,6 +43,7 @@ class Attempt:
     original: GaussianSequence  # with all SH bands
     settings: EncodeSettings  # nothing is left to calibrate
     expected: float | None  # mean squared error of pictures of the top rung; None: any is taken
+    rounds: Rounds  # of pictures that measure it; a count of 0: none do
     given: bool = False  # levels were asked for by hand: they stay as they are
 
 
@@ -77,10 +78,10 @@ def encode_verified(attempt: Attempt, folder: Path, progress: Progress = silent)
         encoded = encode_sequence(attempt.job, attempt.settings, folder, progress)
         encode_s += watch.lap()
         manifest = encoded.manifest
-        if not attempt.settings.measure_pictures:
+        if not attempt.rounds.count:
             return Verified(manifest, attempt.settings, (), encode_s, 0.0)
-        package, count = Package(folder, manifest, 0), attempt.settings.measure_pictures
-        manifest = measure_quality(package, attempt.original, attempt.job.views, count, progress)
+        package = Package(folder, manifest, 0)
+        manifest = measure_quality(package, attempt.original, attempt.job.views, attempt.rounds, progress)
         repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
         measure_s += watch.lap()
         if repair is None:

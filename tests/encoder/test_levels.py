@@ -1,6 +1,7 @@
 """Tiers and levels are nested, and hold what is used most."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
@@ -66,3 +67,12 @@ def test_levels_of_one_tier_do_with_the_first_tier(tmp_path):
     for a, b in zip(alone, beside, strict=True):
         np.testing.assert_array_equal(a.means, b.means[:core])
         np.testing.assert_array_equal(a.opacity_logits, b.opacity_logits[:core])
+
+
+def test_the_share_withheld_follows_the_steps_without_a_jump():
+    settings = EncodeSettings(
+        calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.0, 2.0)), shares=((0.5, 0.2), (2.0, 0.6))
+    )
+    assert [level.pruned for level in settings.at(1.0).levels] == pytest.approx([0.4, 0.6])
+    assert [level.pruned for level in settings.at(0.25).levels] == pytest.approx([0.2, 0.2])
+    assert settings.at(1.001).levels[0].pruned == pytest.approx(0.4, abs=0.001)

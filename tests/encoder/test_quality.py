@@ -5,7 +5,7 @@ import pytest
 
 from airgs_codec.encoder import quality
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.quality import OFF_LADDER, ROUNDS, QualitySums, measure_quality
+from airgs_codec.encoder.quality import OFF_LADDER, ROUNDS, QualitySums, Rounds, measure_quality
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.media.metrics import Reference, psnr
@@ -55,7 +55,9 @@ def measured_sums(small, monkeypatch, unsure):
 
     monkeypatch.setattr(quality, "QualitySums", Kept)
     monkeypatch.setattr(quality, "UNSURE", unsure)
-    return sums, measure_quality(package, sequence, ViewPlan.of(sequence, 24), 12)  # small pictures: twice as many
+    return sums, measure_quality(
+        package, sequence, ViewPlan.of(sequence, 24), Rounds(12)
+    )  # small pictures: twice as many
 
 
 def test_rungs_of_the_ladder_are_measured_with_all_pictures_and_others_with_fewer(small, monkeypatch):

@@ -8,6 +8,7 @@ import pytest
 from airgs_codec.encoder import verify
 from airgs_codec.encoder.encoder import EncodeJob, encode_sequence
 from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.quality import Rounds
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import survey_groups
 from airgs_codec.encoder.verify import Attempt, encode_verified, find_repair
@@ -39,7 +40,7 @@ def attempt(tmp_path_factory):
     sequence = open_sequence(write_sequence(tmp_path_factory.mktemp("verify") / "scene", moving_frames(200, 4)))
     views = ViewPlan.of(sequence, SETTINGS.decide_pictures, region=SETTINGS.region)
     surveys = survey_groups(sequence, [(0, 4)], views, lambda *_: None)
-    return Attempt(EncodeJob(sequence, surveys, views), sequence, SETTINGS, None)
+    return Attempt(EncodeJob(sequence, surveys, views), sequence, SETTINGS, None, Rounds(SETTINGS.measure_pictures))
 
 
 @pytest.fixture(scope="module")
