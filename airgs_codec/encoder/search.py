@@ -33,8 +33,8 @@ def search_quality(
 ) -> tuple[float, Rounds]:
     """The quality factor that brings the top rung to its goal, and the pictures that it was measured with.
 
-    Raises ConfigError for a goal out of reach. The error then names what keeps pictures from a higher PSNR. PSNR is measured against `original`, which has all SH
-    bands. Trials are written into `folder` and removed.
+    Raises ConfigError for a goal out of reach. The error then names what keeps pictures from a higher PSNR. PSNR is
+    measured against `original`, which has all SH bands. Trials are written into `folder` and removed.
     """
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
     rounds = Rounds(settings.measure_pictures or TRIAL_PICTURES)
