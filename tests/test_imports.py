@@ -23,6 +23,7 @@ MAY_IMPORT = {
     "colour": {"media/color.py"},
     "numba": {"coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "train/loss/kernels.py"},
     "matplotlib": {"_report.py"},
+    "aiohttp": {"play/http.py", "play/http_files.py"},
     "hypercorn": {"serve/server.py"},
     "starlette": {"serve/answers.py", "serve/app.py", "serve/server.py"},
 }

@@ -1,12 +1,15 @@
-"""airgs-play: a package over a bandwidth trace, one session or a study of many."""
+"""airgs-play: a package over a bandwidth trace or over HTTP, one session or a study of many."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import math
 import os
+import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from airgs_codec._files import to_json
@@ -17,17 +20,20 @@ from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
 from airgs_codec.package.region import checking_views
+from airgs_codec.package.staging import write_file
 from airgs_codec.package.store import Package, find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.closed_loop import ClosedLoopSettings, adaptive, closed_loop_table, run_closed_loop
 from airgs_codec.play.frame_mode import CHOOSERS, frame_table, simulate_frames
+from airgs_codec.play.http import HttpDownloader, fetch_beside
+from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.link import DEFAULT_RTT_S, Link
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report.film import film, still
 from airgs_codec.play.report.session import format_metrics, place_record, write_report
 from airgs_codec.play.report.study import format_study, frame_lines, write_study
 from airgs_codec.play.report.viewer import Viewer
-from airgs_codec.play.session import SessionLog, simulate
+from airgs_codec.play.session import SessionLog, play, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import ENDS, open_trace
@@ -41,9 +47,10 @@ COMPARED = ("robust-mpc", "paper", "paper-literal", "throughput", "bola", "oracl
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="airgs-play",
-        description="Simulate a viewer of a package over a bandwidth trace, or compare policies over many.",
+        description="Simulate a viewer of a package over a bandwidth trace, compare policies over many, or play it "
+        "from a web server.",
     )
-    parser.add_argument("package", type=Path)
+    parser.add_argument("package", metavar="PACKAGE|URL", help="a folder, or where a web server has it")
     traces = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
     parser.add_argument("--trace", metavar="TRACE", help=traces)
     parser.add_argument("--mode", choices=MODES, default="segments", help="frames, closed-loop: as the paper streams")
@@ -56,6 +63,10 @@ def _parser() -> argparse.ArgumentParser:
     link.add_argument("--scale", type=float, default=1.0, help="factor on the trace's rates (default: 1, as measured)")
     link.add_argument("--end", choices=ENDS, default="loop", help="what follows the trace's last second")
     _add_player_options(parser)
+    http = parser.add_argument_group("http, for a URL")
+    http.add_argument("--as-fast", action="store_true", help=about(HttpSettings, "as_fast"))
+    words = f"{about(HttpSettings, 'timeout_s')} (default: %(default)g)"
+    http.add_argument("--timeout", type=float, default=HttpSettings().timeout_s, metavar="S", help=words)
     study = parser.add_argument_group("study")
     study.add_argument("--compare", action="store_true", help="policies against each other on --traces")
     study.add_argument("--traces", nargs="+", default=[], metavar="DIR|TRACE", help="folders of traces, or traces")
@@ -99,6 +110,10 @@ def _run(args: argparse.Namespace) -> int:
         require_matplotlib("--report")
         if args.report.exists() and not args.report.is_dir():
             raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
+    if args.package.startswith(("http://", "https://")):
+        return _over_http(args)
+    if args.as_fast:
+        raise ConfigError(f"--as-fast: expected a URL, got {args.package}; a simulated session takes no time")
     package = open_package(args.package)
     if args.compare:
         return _compare(package, args)
@@ -117,8 +132,27 @@ def _run(args: argparse.Namespace) -> int:
     return _session(package, link, args)
 
 
-def _settings(package: Package, args: argparse.Namespace) -> SessionSettings:
+def _over_http(args: argparse.Namespace) -> int:
+    if args.trace or args.compare or args.mode != "segments":
+        raise ConfigError("a URL is played over the real connection: expected no --trace, --compare and --mode")
+    pictures = args.report or args.video
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="airgs-")))
+        keep = partial(write_file, folder) if pictures else None
+        http = HttpSettings(timeout_s=args.timeout, as_fast=args.as_fast)
+        downloader = stack.enter_context(HttpDownloader(args.package, http, keep))
+        settings = _settings(None, args)
+        log = play(downloader.open(), downloader, args.policy, settings)
+        if pictures:
+            fetch_beside(log, downloader)
+        _present(Package(folder, log.catalogue.manifest, log.catalogue.root_bytes), log, args)
+    return 0
+
+
+def _settings(package: Package | None, args: argparse.Namespace) -> SessionSettings:
     if args.decode_ms == "measure":
+        if package is None:
+            raise ConfigError("--decode-ms measure: expected a folder, got a URL")
         decode_s = measure_decoding(package)
     else:
         try:
@@ -130,9 +164,14 @@ def _settings(package: Package, args: argparse.Namespace) -> SessionSettings:
 
 
 def _session(package: Package, link: Link, args: argparse.Namespace) -> int:
-    original = open_sequence(args.original) if args.original else None
     settings, faults = _settings(package, args), find_faults(package)
-    log = simulate(package, link, args.policy, settings, faults)
+    _present(package, simulate(package, link, args.policy, settings, faults), args)
+    return 0
+
+
+def _present(package: Package, log: SessionLog, args: argparse.Namespace) -> None:
+    """Make the pictures and print the figures that were asked for."""
+    original = open_sequence(args.original) if args.original else None
     viewer = _viewer(log, args) if args.report or args.video else None
     if args.report and viewer:
         args.report.mkdir(parents=True, exist_ok=True)
@@ -142,9 +181,9 @@ def _session(package: Package, link: Link, args: argparse.Namespace) -> int:
         bar = Bar(args.json)
         film(package, log, viewer, args.video, original, bar)
         bar.close()
-    record = dataclasses.asdict(log.metrics) | {"policy": log.policy} | place_record(log, viewer)
+    said = {"policy": log.policy, "lost": log.lost, "retried": log.retried}
+    record = dataclasses.asdict(log.metrics) | said | place_record(log, viewer)
     print(to_json(record) if args.json else _as_words(log, viewer, args))
-    return 0
 
 
 def _viewer(log: SessionLog, args: argparse.Namespace) -> Viewer:

@@ -7,7 +7,7 @@ quality by quality. A position is a segment of a session, which may play the seq
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -53,19 +53,27 @@ class Rows:
         return self._kept[row][tuple(rest)] if rest else self._kept[row]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Catalogue:
-    """What a package offers. Wire bytes are those of files with `header_bytes` for each."""
+    """What a package offers. Wire bytes are those of files with `header_bytes` for each.
+
+    A session over a growing package (`live`) begins with its newest group and goes on while `grow` is called.
+    """
 
     manifest: Manifest
     header_bytes: int = HEADER_BYTES
     root_bytes: int = 0  # of airgs.json
-    received: dict[str, bytes] = field(default_factory=dict)  # pages and tables that came over a connection
+    live: bool = False  # more groups may come in this session
+    first: int = 0  # the segment that a session begins with
 
     @staticmethod
     def of(package: Package) -> Catalogue:
         """The catalogue of an open package."""
         return Catalogue(package.manifest, root_bytes=package.root_bytes)
+
+    def grow(self, manifest: Manifest, root_bytes: int) -> None:
+        """Go on with the tables of the same package, to which groups were added."""
+        self.manifest, self.root_bytes, self.live = manifest, root_bytes, manifest.live
 
     @cached_property
     def _options(self) -> dict[tuple[int, tuple[tuple[int, int], ...]], tuple[Option, ...]]:
@@ -102,6 +110,12 @@ class Catalogue:
         """Whether every rung of every segment has a quality."""
         return self.manifest.measured
 
+    @property
+    def newest_seconds(self) -> float:
+        """Seconds of play of the last group so far."""
+        entry = self.manifest.groups.places.entry(len(self.manifest.groups) - 1)
+        return (entry.stop - entry.start) / self.fps
+
     def span(self, segment: int) -> tuple[int, int]:
         """Frames [start, stop) of a segment; where its table cannot be had, as if its neighbours were of one length."""
         try:
@@ -132,16 +146,17 @@ class Catalogue:
     @cached_property
     def state_bytes(self) -> Rows:
         """(S, L) wire bytes of a state segment; 0 where there is nothing to fetch."""
-        m = self.manifest
-        return Rows(lambda s: np.array([self._wire(m.state_files(s, j)) for j in range(len(m.levels))]))
+        levels = range(len(self.manifest.levels))
+        return Rows(lambda s: np.array([self._wire(self.manifest.state_files(s, j)) for j in levels]))
 
     @cached_property
     def key_bytes(self) -> Rows:
         """(G, Q, T) wire bytes of a key unit; 0 for a tier without rows."""
-        m = self.manifest
-        shape = (len(m.qualities), m.tiers)
+        shape = (len(self.manifest.qualities), self.manifest.tiers)
         return Rows(
-            lambda g: np.array([self._wire(m.key_files(g, t, q)) for q, t in np.ndindex(*shape)]).reshape(shape)
+            lambda g: np.array([self._wire(self.manifest.key_files(g, t, q)) for q, t in np.ndindex(*shape)]).reshape(
+                shape
+            )
         )
 
     @cached_property
@@ -186,11 +201,19 @@ class Catalogue:
 
     def index(self, position: int) -> int:
         """The segment of the package that a session plays at a position."""
-        return position % self.segments
+        return self.place(position)[1]
+
+    def place(self, position: int) -> tuple[int, int]:
+        """(loop, segment) that a session plays at a position."""
+        return divmod(self.first + position, self.segments)
+
+    def end(self, loops: int) -> int:
+        """How many positions a session has that plays the sequence so often, as far as is known."""
+        return loops * self.segments - self.first
 
     def group(self, position: int) -> tuple[int, int]:
         """(loop, group) that a position belongs to; its keys are fetched once."""
-        loop, index = divmod(position, self.segments)
+        loop, index = self.place(position)
         return loop, self.manifest.group_of(index)
 
     def seconds_at(self, position: int) -> float:
@@ -208,8 +231,8 @@ class Catalogue:
         return segment == self.manifest.segments_of(self.manifest.group_of(segment))[0]
 
     def loops(self, wanted: int | None = None) -> int:
-        """How often the sequence is played: as wanted, else for about SESSION_S."""
-        return wanted or max(1, round(SESSION_S / self.duration_s))
+        """How often the sequence is played: as wanted, else for about SESSION_S; once while it grows."""
+        return 1 if self.live else wanted or max(1, round(SESSION_S / self.duration_s))
 
     def file_bytes(self, path: str) -> int:
         """Bytes of a file without headers."""

@@ -75,7 +75,7 @@ class SimulatedDownloader:
         if stopped is not None:
             end_s, passed = stopped.at_s, stopped.bytes
         self._free_s = end_s
-        came = [f for f, end in zip(files, itertools.accumulate(sizes), strict=True) if end <= passed]
+        came = [f for f, size in zip(files, sizes, strict=True) if sum(min(size, other) for other in sizes) <= passed]
         return Arrival(
             request=request,
             first_byte_s=first_s,

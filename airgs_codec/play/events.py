@@ -36,6 +36,15 @@ class Request:
 
 
 @dataclass(frozen=True, slots=True)
+class Retry:
+    """A faulty answer, after which a file was asked for again."""
+
+    path: str
+    why: str
+    bytes: int  # of the answer, headers included
+
+
+@dataclass(frozen=True, slots=True)
 class Arrival:
     """What came of a request."""
 
@@ -46,6 +55,7 @@ class Arrival:
     whole: tuple[str, ...]  # files that came whole and are what the tables say, in order
     refused: Mapping[str, FormatError]  # files that came and cannot be used
     abandoned: bool  # given up before the last byte
+    retries: tuple[Retry, ...] = ()
 
     @property
     def complete(self) -> bool:
@@ -86,6 +96,14 @@ class Lost:
 
 
 @dataclass(frozen=True, slots=True)
+class Cut:
+    """A session ends before its package says so."""
+
+    at_s: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
 class Shown:
     """A segment's time on the screen; rung None: it was lost, the last picture stands."""
 
@@ -99,4 +117,4 @@ class Shown:
     psnr: float | None  # dB; None: lost or not measured
 
 
-Event = Arrived | Replaced | Lost | Shown
+Event = Arrived | Replaced | Lost | Cut | Shown

@@ -1,222 +1,222 @@
-"""Batches over a real HTTP/1.1 connection, by the real clock.
+"""Batches over a real HTTP connection, by the real clock: the other Downloader.
 
-The requests of a batch are sent together (pipelined), so that its files share a round trip and arrive one after
-another, as on the simulated link. What arrives is checked against the tables before it counts.
+The files of a batch are requested at once, each over a connection of its own (HTTP/1.1, kept open), so that they share
+a round trip and then the link, as on the simulated one. What arrives is checked against the tables before it counts.
 """
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import math
-import select
-import socket
 import time
-import urllib.request
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from urllib.parse import quote, urlsplit
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from types import TracebackType
+from typing import Self
+from urllib.parse import urlsplit
 
-from airgs_codec.errors import ConfigError, FormatError, TransportError
-from airgs_codec.package.packing import MAX_ROOT_BYTES
-from airgs_codec.package.parse import parse_root
-from airgs_codec.package.paths import JSON_NAME, locate
-from airgs_codec.package.store import check_digest, open_manifest
-from airgs_codec.package.tables import PAGE, FileEntry
-from airgs_codec.play.catalogue import Catalogue
+import aiohttp
+
+from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.package.paths import JSON_NAME, page_path
+from airgs_codec.package.tables import PAGE
+from airgs_codec.play.catalogue import Batch, Catalogue
 from airgs_codec.play.downloader import CHECK_S, GiveUp, Partial
-from airgs_codec.play.events import Arrival, Request
-from airgs_codec.play.http_responses import Response, ResponseReader
+from airgs_codec.play.events import Arrival, BatchKind, Request
+from airgs_codec.play.http_files import FileClient, HttpSettings, Transfer
+from airgs_codec.play.remote import RemoteTables
+from airgs_codec.play.session import SessionLog
 
-TIMEOUT_S = 30.0  # without a byte: the link has failed
-CHUNK_BYTES = 1 << 16
-Receive = Callable[[str, bytes], None]
-
-
-def open_catalogue(url: str, timeout_s: float = TIMEOUT_S) -> Catalogue:
-    """The catalogue of the package at a URL, from its airgs.json; `HttpDownloader` adds the tables that it fetches.
-
-    Raises TransportError, FormatError.
-    """
-    try:
-        with urllib.request.urlopen(f"{url.rstrip('/')}/{JSON_NAME}", timeout=timeout_s) as response:
-            data = response.read(MAX_ROOT_BYTES + 1)
-    except OSError as error:
-        raise TransportError(f"{url}: cannot read {JSON_NAME}: {error}") from error
-    if len(data) > MAX_ROOT_BYTES:
-        raise FormatError("too_large", f"{url}/{JSON_NAME}", f"expected at most {MAX_ROOT_BYTES} bytes")
-    received: dict[str, bytes] = {}
-
-    def read(path: str, entry: FileEntry) -> bytes:
-        if path not in received:
-            raise FormatError("missing_file", path, "it has not been fetched")
-        return received[path]
-
-    return Catalogue(open_manifest(parse_root(data), read), root_bytes=len(data), received=received)
-
-
-def _discard(path: str, data: bytes) -> None:
-    """Do nothing with a file."""
-
-
-@dataclass(slots=True, eq=False)
-class _Transfer:
-    """A batch under way."""
-
-    request: Request
-    expected_bytes: int
-    waiting: list[str]  # files still to come, in the order of their requests
-    first_byte_s: float | None = None
-    bytes: int = 0
-    whole: list[str] = field(default_factory=list)
-    refused: dict[str, FormatError] = field(default_factory=dict)
-    looks: int = 0
-
-    def next_look_s(self, now_s: float) -> float:
-        """When the transfer is looked at next."""
-        return now_s + CHECK_S if self.first_byte_s is None else self.first_byte_s + CHECK_S * (self.looks + 1)
-
-    def partial(self, now_s: float) -> Partial:
-        """What is known of it at a moment after its first byte."""
-        return Partial(now_s, now_s - (self.first_byte_s or 0.0), float(self.bytes), self.expected_bytes)
+CONNECTIONS = 16  # at once
+Receive = Callable[[str, bytes], object]
 
 
 class HttpDownloader:
     """Fetches a package from a server; `received` is given every file that came whole and is what the tables say.
 
-    Time is seconds from the first request. Raises ConfigError for a URL that is not http.
+    Time is seconds from the first request. With `as_fast`, waiting for room in the buffer takes none; a package that
+    grows is played in real time. Raises ConfigError for a URL that is not http or https.
     """
 
     pipelines = False  # batches follow each other: the player knows that one is over only when it is
 
-    def __init__(self, url: str, catalogue: Catalogue, received: Receive = _discard) -> None:
-        parts = urlsplit(url)
-        if parts.scheme != "http" or not parts.hostname:
-            raise ConfigError(f"URL: expected http://HOST[:PORT]/PATH, got {url}")
-        self._url, self._folder = url, quote(parts.path.rstrip("/"), safe="/%")
-        self._address = parts.hostname, parts.port or 80
-        self._catalogue, self._received = catalogue, received
-        self._socket: socket.socket | None = None
+    def __init__(self, url: str, settings: HttpSettings | None = None, received: Receive | None = None) -> None:
+        self._url, self._settings, self._received = _checked(url), settings or HttpSettings(), received
+        self._tables = RemoteTables()
+        self._runner = asyncio.Runner()
+        self._files = self._runner.run(self._connect())
         self._zero: float | None = None  # of the clock
+        self._skipped_s = 0.0
         self._rtt_s = math.inf
+        self._root: Arrival | None = None  # until the player asks for it
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     @property
     def rtt_s(self) -> float:
         """The shortest wait for a first byte so far, in seconds; 0 before there is any."""
         return self._rtt_s if self._rtt_s < math.inf else 0.0
 
+    def open(self) -> Catalogue:
+        """Fetch airgs.json, which the player's first request then finds there. The catalogue grows with the tables.
+
+        Raises FormatError, TransportError where there is no server.
+        """
+        self._root = self._runner.run(self._fetch(_for_tables(JSON_NAME), None))
+        for error in self._root.refused.values():
+            raise FormatError(error.reason, f"{self._url}/{error.where}", error.detail)
+        self._join(self._catalogue)
+        return self._catalogue
+
+    def _join(self, c: Catalogue) -> None:
+        """A session over a growing package begins with its newest group."""
+        places = c.manifest.groups.places
+        if not c.live:
+            return
+        if len(c.manifest.groups) == PAGE * places.pages:  # a page says where that is; the player fetches it again
+            self._runner.run(self._fetch(_for_tables(page_path(places.pages)), None))
+        c.first = places.entry(len(c.manifest.groups) - 1).first_segment
+
     def fetch(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
-        """See Downloader. Raises TransportError when the server cannot be reached, stays silent or is no HTTP/1.1."""
-        time.sleep(max(0.0, request.sent_s - self._now_s()))
-        files = list(request.batch.files)
-        expected = self._catalogue.wire_bytes([self._catalogue.file_bytes(path) for path in files])
-        transfer, abandoned = _Transfer(request, expected, files), False
-        try:
-            while transfer.waiting and not abandoned:
-                abandoned = self._listen(self._ask(transfer), transfer, give_up)
-        except OSError as error:
-            self.close()
-            raise TransportError(f"{self._url}: {error}") from error
-        now_s = self._now_s()
-        first_s = now_s if transfer.first_byte_s is None else transfer.first_byte_s
-        size = max(1, transfer.bytes)
-        return Arrival(request, first_s, now_s, size, tuple(transfer.whole), transfer.refused, abandoned)
+        """See Downloader. Raises TransportError for a server that is away for too long."""
+        if self._root is not None:
+            opened, self._root = self._root, None
+            return replace(opened, request=request)
+        return self._runner.run(self._fetch(request, give_up))
+
+    def complete(self, paths: Sequence[str]) -> None:
+        """Fetch files after a session, for pictures of it; what cannot be had is left out."""
+        if paths:
+            request = Request(BatchKind.TABLES, 0, 0, Batch(tables=tuple(paths)), 0.0, 0.0)
+            self._runner.run(self._fetch(request, None))
 
     def close(self) -> None:
-        """Close the connection; the next request opens another."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        """Close the connections."""
+        self._runner.run(self._files.session.close())
+        self._runner.close()
 
-    def _now_s(self) -> float:
-        self._zero = time.monotonic() if self._zero is None else self._zero
-        return time.monotonic() - self._zero
+    @property
+    def _catalogue(self) -> Catalogue:
+        if self._tables.catalogue is None:
+            raise ConfigError("expected open() before fetch()")
+        return self._tables.catalogue
 
-    def _ask(self, transfer: _Transfer) -> socket.socket:
-        """Send the requests of all files that are waited for."""
-        if self._socket is not None and select.select([self._socket], [], [], 0.0)[0]:
-            self.close()  # the server has ended a connection that was idle for too long
-        if self._socket is None:
-            self._socket = socket.create_connection(self._address, TIMEOUT_S)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        host = f"Host: {self._address[0]}:{self._address[1]}"
-        lines = [f"GET {self._folder}/{path} HTTP/1.1\r\n{host}\r\n\r\n" for path in transfer.waiting]
-        self._socket.sendall("".join(lines).encode("ascii"))
-        return self._socket
+    async def _connect(self) -> FileClient:
+        """Bodies as they are, not inflated: the tables list the digests of what is on the server."""
+        patience = aiohttp.ClientTimeout(
+            total=None, sock_connect=self._settings.timeout_s, sock_read=self._settings.timeout_s
+        )
+        session = aiohttp.ClientSession(
+            connector=aiohttp.TCPConnector(limit=CONNECTIONS),
+            timeout=patience,
+            auto_decompress=False,
+            headers={"Accept-Encoding": "identity"},
+        )
+        return FileClient(session, self._url, self._settings, self._accept)
 
-    def _listen(self, connection: socket.socket, transfer: _Transfer, give_up: GiveUp | None) -> bool:
-        """Take in answers until the batch is there or the server ends the connection; True: it is given up."""
-        reader = ResponseReader(1 + max(self._catalogue.file_bytes(path) for path in transfer.waiting))
-        asked_s = heard_s = self._now_s()
-        count = len(transfer.waiting)
-        while transfer.waiting:
-            data = self._receive(connection, transfer.next_look_s(self._now_s()))
-            now_s = self._now_s()
-            if data:
-                heard_s = now_s
-                self._count(transfer, len(data), now_s - asked_s)
-                for response in reader.feed(data):
-                    self._judge(transfer, response)
-            if reader.closed or data == b"":
-                self.close()
-                if len(transfer.waiting) == count:
-                    raise TransportError(f"the server closed the connection with {count} files to come")
-                return False
-            if now_s - heard_s > TIMEOUT_S:
-                raise TransportError(f"no answer for {TIMEOUT_S:g} s")
-            if give_up and transfer.waiting and now_s >= transfer.next_look_s(now_s):
-                transfer.looks += 1
-                if give_up(transfer.partial(now_s)):
-                    self.close()
+    def _accept(self, path: str, data: bytes) -> None:
+        self._tables.accept(path, data)
+        if self._received is not None:
+            self._received(path, data)
+
+    async def _fetch(self, request: Request, give_up: GiveUp | None) -> Arrival:
+        await self._wait_until(request.sent_s)
+        transfer = Transfer()
+        opened = self._tables.catalogue is not None
+        outage_s = self._settings.outage_s if opened else 0.0
+        gets = [self._files.get(path, self._tables.limit(path), transfer, outage_s) for path in request.batch.files]
+        tasks = [asyncio.create_task(get) for get in gets]
+        try:
+            abandoned = await self._watch(tasks, transfer, self._expected_bytes(request) if give_up else 0, give_up)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+        self._rtt_s = min(self._rtt_s, transfer.wait_s)
+        return self._arrival(request, transfer, abandoned)
+
+    def _expected_bytes(self, request: Request) -> int:
+        c = self._catalogue
+        return c.wire_bytes([c.file_bytes(path) for path in request.batch.files])
+
+    async def _watch(
+        self, tasks: list[asyncio.Task[None]], transfer: Transfer, expected: int, give_up: GiveUp | None
+    ) -> bool:
+        """Wait for all files, looking every CHECK_S from the first byte on; True: they are given up."""
+        waiting, look_s = set(tasks), CHECK_S
+        while waiting:
+            since_s = 0.0 if transfer.first_byte_at is None else time.monotonic() - transfer.first_byte_at
+            limit_s = max(0.0, look_s - since_s) if give_up else None
+            done, waiting = await asyncio.wait(waiting, timeout=limit_s, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+            if give_up is None or not waiting or transfer.first_byte_at is None:
+                continue
+            elapsed_s = time.monotonic() - transfer.first_byte_at
+            if elapsed_s >= look_s:
+                look_s += CHECK_S
+                if give_up(Partial(self._now_s(), elapsed_s, float(transfer.bytes), expected)):
                     return True
         return False
 
-    def _receive(self, connection: socket.socket, until_s: float) -> bytes | None:
-        """What has come, b"" at the end of the connection, None if nothing comes until then."""
-        ready, _, _ = select.select([connection], [], [], max(0.0, until_s - self._now_s()))
-        return connection.recv(CHUNK_BYTES) if ready else None
+    def _arrival(self, request: Request, transfer: Transfer, abandoned: bool) -> Arrival:
+        now_s = self._now_s()
+        first_s = now_s if transfer.first_byte_at is None else self._at_s(transfer.first_byte_at)
+        return Arrival(
+            request=request,
+            first_byte_s=first_s,
+            at_s=now_s,
+            bytes=max(1, transfer.bytes),
+            whole=tuple(path for path in request.batch.files if path in transfer.whole),
+            refused=transfer.refused,
+            abandoned=abandoned,
+            retries=tuple(transfer.retries),
+        )
 
-    def _count(self, transfer: _Transfer, size: int, waited_s: float) -> None:
-        if transfer.first_byte_s is None:
-            transfer.first_byte_s = self._now_s()
-            self._rtt_s = min(self._rtt_s, waited_s)
-        transfer.bytes += size
+    def _now_s(self) -> float:
+        return self._at_s(time.monotonic())
 
-    def _judge(self, transfer: _Transfer, response: Response) -> None:
-        """The oldest request is answered: keep the file if it is what the tables say."""
-        path = transfer.waiting.pop(0)
-        error = self._fault(path, response) or self._table_fault(path, response)
-        if error is None:
-            transfer.whole.append(path)
-            self._received(path, bytes(response.body))
+    def _at_s(self, clock: float) -> float:
+        self._zero = clock if self._zero is None else self._zero
+        return clock - self._zero + self._skipped_s
+
+    async def _wait_until(self, at_s: float) -> None:
+        left_s = at_s - self._now_s()
+        if left_s <= 0:
+            return
+        if self._settings.as_fast and not self._catalogue.live:
+            self._skipped_s += left_s
         else:
-            transfer.refused[path] = error
+            await asyncio.sleep(left_s)
 
-    def _fault(self, path: str, response: Response) -> FormatError | None:
-        """Why a file cannot be used, None if it can."""
-        if response.status != 200:
-            return FormatError("missing_file", path, f"expected a file, got status {response.status}")
-        if path == JSON_NAME:
-            return None
-        entry = self._catalogue.manifest.entry(path)
-        if response.length != entry.bytes:
-            return FormatError("size_mismatch", path, f"expected {entry.bytes} bytes, got {response.length}")
-        try:
-            check_digest(path, response.body, entry)
-        except FormatError as error:
-            return error
-        return None
 
-    def _table_fault(self, path: str, response: Response) -> FormatError | None:
-        """Add a page or a table to the catalogue. Why it cannot be read, None if it can, and for other files."""
-        what, numbers = locate(path)
-        groups = self._catalogue.manifest.groups
-        if what not in ("group", "page"):
-            return None
-        self._catalogue.received[path] = bytes(response.body)
-        try:
-            if what == "group":
-                groups[numbers[0] - 1]
-            else:
-                groups.places.entry(PAGE * (numbers[0] - 1))
-        except FormatError as error:
-            return error
-        return None
+def fetch_beside(log: SessionLog, downloader: HttpDownloader) -> None:
+    """Fetch what a report or a film of a session shows beside what was played: all tables, and the best rungs."""
+    c = log.catalogue
+    downloader.complete(c.manifest.table_files())
+    for segment in dict.fromkeys(shown.segment for shown in log.shown):
+        with contextlib.suppress(FormatError):  # its table cannot be had
+            downloader.complete(c.batch(segment, 0, {}).files)
+
+
+def _for_tables(path: str) -> Request:
+    return Request(BatchKind.TABLES, 0, 0, Batch(tables=(path,)), 0.0, 0.0)
+
+
+def _checked(url: str) -> str:
+    """The URL of a package's folder without the slash at its end."""
+    try:
+        parts = urlsplit(url)
+        known = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
+    except ValueError:
+        known = False
+    if not known or parts.query or parts.fragment:
+        raise ConfigError(f"URL: expected http://HOST[:PORT]/PATH or https, got {url}")
+    return url.rstrip("/")

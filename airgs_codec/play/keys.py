@@ -29,6 +29,13 @@ class TableStore:
         wanted = dict.fromkeys(self._next(self.catalogue.index(position)) for position in positions)
         return tuple(path for path in wanted if path not in self._paths)
 
+    def missing_pages(self) -> tuple[str, ...]:
+        """Pages of the index with segments of the session."""
+        places = self.catalogue.manifest.groups.places
+        first = places.page_of_segment(self.catalogue.first)
+        numbers = range(places.pages if first is None else first, places.pages)
+        return tuple(path for path in (page_path(n + 1) for n in numbers) if path not in self._paths)
+
     def _next(self, segment: int) -> str:
         m = self.catalogue.manifest
         page = m.groups.places.page_of_segment(segment)

@@ -13,7 +13,7 @@ DEFAULT_RTT_S = 0.08  # median ping of LTE driving measurements
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Link:
-    """Files of one batch are requested together: they share a round trip and arrive one after another.
+    """Files of one batch are requested together: they share a round trip, and then the link in equal parts.
 
     Raises ConfigError for a round trip that is negative, infinite or no number.
     """

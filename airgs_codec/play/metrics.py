@@ -27,6 +27,7 @@ class Fetch:
     position: int  # of the segment in the session
     rung: int
     files: int  # that came, or were refused
+    retries: int  # requests of theirs that got faulty answers
     bytes: int  # with headers; of an abandoned batch, what had passed
     wasted: int  # of them: abandoned, broken, too late or replaced later
     request_s: float
@@ -46,8 +47,9 @@ class SessionMetrics:
     frames: int
     played_s: float
     startup_s: float  # from the first request to the first picture
-    startup_files: int  # requested up to those of the first picture
-    startup_table_bytes: int  # of them with headers, those of tables
+    startup_requests: int  # up to those of the files of the first picture
+    startup_bytes: int  # of the answers to them, with headers
+    startup_table_bytes: int  # of them, those of tables
     stalls: int
     stall_s: float  # waited after the first picture
     stall_ratio: float  # of the time from the first picture to the last
@@ -64,6 +66,7 @@ class SessionMetrics:
     utilisation: float | None  # wire_bytes as a share of what could have passed; None over a real connection
     replaced: int  # replacements that were fetched
     abandoned: int
+    retries: int  # requests that got faulty answers, and were made again
     late: float  # share of segments that were waited for
     infeasible: float  # share of choices for which no rung fitted
     lost_frames: int
@@ -135,7 +138,8 @@ def session_metrics(
         frames=frames,
         played_s=played,
         startup_s=shown[0].start_s,
-        startup_files=sum(f.files for f in first),
+        startup_requests=sum(f.files + f.retries for f in first),
+        startup_bytes=sum(f.bytes for f in first),
         startup_table_bytes=sum(f.bytes for f in first if f.kind is BatchKind.TABLES),
         stalls=len(stalls),
         stall_s=stall,
@@ -153,6 +157,7 @@ def session_metrics(
         utilisation=wire / max(1.0, link.bytes_between(0.0, end_s)) if link else None,
         replaced=sum(f.kind is BatchKind.REPLACEMENT for f in fetches),
         abandoned=sum(f.abandoned for f in fetches),
+        retries=sum(f.retries for f in fetches),
         late=len(stalls) / len(shown),
         infeasible=sum(not fits for fits in choices) / max(1, len(choices)),
         lost_frames=sum(s.frames for s in shown if s.rung is None),

@@ -9,8 +9,9 @@ last picture stands for its time, and the session goes on.
 What a batch offers stands in the table of its group: those of the first segments that the policy looks at are fetched
 before the first batch, later ones with the batch before. A segment whose table cannot be had is lost.
 
-The sequence may be played several times, as if it were longer: keys and states are fetched again, tables are not. Times
-are seconds from the first request.
+The sequence may be played several times, as if it were longer: keys and states are fetched again, tables are not. One
+that grows is played as it grows: airgs.json is fetched again a group's length after the last time, until it says that
+nothing will follow, or nothing has followed for SILENCE_S. Times are seconds from the first request.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field, replace
 
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.play.catalogue import Batch, Catalogue
 from airgs_codec.play.downloader import Downloader, GiveUp, Partial
-from airgs_codec.play.events import Arrival, Arrived, BatchKind, Event, Lost, Replaced, Request, Shown
+from airgs_codec.play.events import Arrival, Arrived, BatchKind, Cut, Event, Lost, Replaced, Request, Shown
 from airgs_codec.play.keys import KeyStore, TableStore
 from airgs_codec.play.ladder import Decision, Option
 from airgs_codec.play.playout import Playout, Slot
@@ -39,6 +40,8 @@ from airgs_codec.play.settings import SessionSettings
 REPLACE_GAIN_DB = 0.5  # least gain that a replacement must bring
 REMEMBERED = 24  # downloads that policies know
 SHORTEST_S = 1e-9  # a download that rounds to no time still has a rate
+POLL_S = 0.2  # airgs.json of a growing package is fetched no more often
+SILENCE_S = 60.0  # without a new group: whoever added groups has gone
 
 
 def run(
@@ -69,17 +72,19 @@ class _Player:
     now_s: float = 0.0  # when the last batch was over, or when there was room for the next
     downloads: list[tuple[float, Download]] = field(default_factory=list)  # with their arrivals
     unusable: set[str] = field(default_factory=set)  # files found missing or corrupt
+    root_s: float = 0.0  # when airgs.json was asked for
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for there again
 
     @staticmethod
     def new(c: Catalogue, downloader: Downloader, policy: Policy, settings: SessionSettings) -> _Player:
-        end = c.loops(settings.loops) * c.segments
+        end = c.end(c.loops(settings.loops))
         return _Player(c, downloader, policy, settings, TableStore(c), KeyStore(c), Playout(c, settings, end))
 
     def play(self) -> Iterator[Event]:
         """All events of the session, in the order in which they happen."""
-        yield self._fetch_tables((JSON_NAME,), 0)
-        for position in range(self.playout.end):
+        yield from self._fetch_root(0)
+        position = 0
+        while position < self.playout.end or (yield from self._grow(position)):
             while wanted := self._wanted_tables(position):
                 yield self._fetch_tables(wanted, position)
             self.playout.make_room(position)
@@ -91,9 +96,38 @@ class _Player:
             while not (yield from self._fetch_next(position, latency_s)):
                 latency_s = self.downloader.rtt_s
             yield from self._shown(self.playout.started(self.now_s))
+            position += 1
         while (yield from self._replace_best()):
             pass
         yield from self._shown(self.playout.started())
+
+    def _grow(self, position: int) -> Generator[Event, None, bool]:
+        """Wait until a growing package has a segment for a position; False: it has ended before."""
+        c, since_s = self.catalogue, self.now_s
+        while c.live and c.end(1) <= position:
+            if self.now_s >= since_s + SILENCE_S:
+                yield Cut(self.now_s, f"no group has followed for {SILENCE_S:g} s")
+                break
+            ask_s = max(self.now_s, self.root_s + max(POLL_S, c.newest_seconds))
+            while self.now_s < ask_s and (yield from self._replace_best()):
+                pass
+            self.now_s = max(self.now_s, ask_s)
+            yield from self._shown(self.playout.started(self.now_s))
+            yield from self._fetch_root(position)
+        if c.end(1) > position:
+            self.playout.end = c.end(1)
+            return True
+        self.playout.finish(self.now_s)
+        return False
+
+    def _fetch_root(self, position: int) -> Iterator[Event]:
+        """Fetch airgs.json, and, as a package grows, the pages that now say what the root said before."""
+        self.root_s = self.now_s
+        yield self._fetch_tables((JSON_NAME,), position)
+        while (position or self.catalogue.live) and (pages := self.tables.missing_pages()):
+            yield self._fetch_tables(pages, position)
+            if not self.unusable.isdisjoint(pages):
+                raise TransportError(f"{', '.join(pages)}: expected the index of the growing package")
 
     def _wanted_tables(self, position: int) -> tuple[str, ...]:
         """Tables that the policy needs to choose at a position and that can be had."""
@@ -262,7 +296,7 @@ class _Player:
     def _shown(self, slots: Iterator[Slot]) -> Iterator[Shown]:
         c = self.catalogue
         for slot in slots:
-            loop, index = divmod(slot.position, c.segments)
+            loop, index = c.place(slot.position)
             start, stop = c.span(index)
             yield Shown(
                 segment=index,

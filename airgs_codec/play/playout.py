@@ -27,7 +27,7 @@ class Slot:
 
 @dataclass(slots=True, eq=False)
 class Playout:
-    """The timeline of a session of `end` positions."""
+    """The timeline of a session of `end` positions, so far where the package grows."""
 
     catalogue: Catalogue
     settings: SessionSettings
@@ -89,13 +89,19 @@ class Playout:
             self._first_waiting += 1
             return
         wanted = self.settings.resume_s if self._first_waiting else self.settings.startup_s
-        if position == self.end - 1 or self._waiting_s() >= wanted:
+        is_last = position == self.end - 1 and not self.catalogue.live
+        if is_last or self._waiting_s() >= wanted:
             self.resume()
 
-    def resume(self) -> None:
+    def finish(self, now_s: float) -> None:
+        """Nothing will follow."""
+        if self._first_waiting < len(self.timeline):
+            self.resume(now_s)
+
+    def resume(self, earliest_s: float = -math.inf) -> None:
         """Show what waits, one segment after another, from the moment all of it is ready."""
         waiting, due_s = self.timeline[self._first_waiting :], self.scheduled_end_s
-        at_s = max(due_s, *(slot.ready_s for slot in waiting))
+        at_s = max(due_s, earliest_s, *(slot.ready_s for slot in waiting))
         waiting[0].stall_s = at_s - due_s if self._first_waiting else 0.0
         for slot in waiting:
             slot.start_s = at_s

@@ -14,8 +14,8 @@ from airgs_codec.errors import FormatError
 from airgs_codec.package.paths import FileKind, file_kind
 from airgs_codec.package.store import Package
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.downloader import SimulatedDownloader
-from airgs_codec.play.events import Arrival, Arrived, BatchKind, Event, Lost, Replaced, Shown
+from airgs_codec.play.downloader import Downloader, SimulatedDownloader
+from airgs_codec.play.events import Arrival, Arrived, BatchKind, Cut, Event, Lost, Replaced, Shown
 from airgs_codec.play.link import Link
 from airgs_codec.play.metrics import (
     Fetch,
@@ -44,6 +44,7 @@ class SessionLog:
     shown: tuple[Shown, ...]  # one for each position
     bytes_by_kind: Mapping[FileKind, int]  # of files that were of use, without headers
     lost: tuple[str, ...]  # what could not be had, one line each
+    retried: tuple[str, ...]  # what was asked for again, one line each
 
     @staticmethod
     def of(
@@ -66,6 +67,7 @@ class SessionLog:
             shown=tuple(fold.shown),
             bytes_by_kind=dict(fold.bytes_by_kind),
             lost=tuple(fold.lost),
+            retried=tuple(fold.retried),
         )
 
     @cached_property
@@ -89,6 +91,23 @@ class SessionLog:
         return mean_quality(self.shown)
 
 
+def play(
+    catalogue: Catalogue,
+    downloader: Downloader,
+    policy: Policy | str = DEFAULT_POLICY,
+    settings: SessionSettings | None = None,
+    link: Link | None = None,
+) -> SessionLog:
+    """Play a package from wherever the downloader fetches it; `link` is what a simulated one is of.
+
+    `policy` is a value or one of the names that `make_policy` takes. Raises ConfigError for an unknown policy and for
+    one that needs what is not known, TransportError when the link fails.
+    """
+    rule = make_policy(policy, catalogue, link) if isinstance(policy, str) else policy
+    rules = settings or SessionSettings()
+    return SessionLog.of(run(catalogue, downloader, rule, rules), catalogue, rule.name, rules, link)
+
+
 def simulate(
     package: Package | Catalogue,
     trace: Trace | Link,
@@ -104,10 +123,7 @@ def simulate(
     """
     catalogue = Catalogue.of(package) if isinstance(package, Package) else package
     link = Link.over(trace) if isinstance(trace, Trace) else trace
-    rule = make_policy(policy, catalogue, link) if isinstance(policy, str) else policy
-    rules = settings or SessionSettings()
-    events = run(catalogue, SimulatedDownloader(link, catalogue, faults or {}), rule, rules)
-    return SessionLog.of(events, catalogue, rule.name, rules, link)
+    return play(catalogue, SimulatedDownloader(link, catalogue, faults or {}), policy, settings, link)
 
 
 @dataclass(slots=True, eq=False)
@@ -118,6 +134,7 @@ class _Fold:
     arrived: list[Arrived] = field(default_factory=list)
     shown: list[Shown] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
+    retried: list[str] = field(default_factory=list)
     bytes_by_kind: Counter[FileKind] = field(default_factory=Counter)
     on_timeline: set[int] = field(default_factory=set)  # batches, by their place in `arrived`
     replaced_bytes: Counter[int] = field(default_factory=Counter)  # state that a batch brought in vain
@@ -133,6 +150,8 @@ class _Fold:
             start, stop = self.catalogue.span(self.catalogue.index(event.position))
             frames = f"frames {start}-{stop - 1}"
             self.lost.append(f"{frames} at {event.at_s:.2f} s: no rung can be had, the last picture stands")
+        elif isinstance(event, Cut):
+            self.lost.append(f"at {event.at_s:.2f} s: {event.why}")
         else:
             self.shown.append(event)
 
@@ -142,6 +161,7 @@ class _Fold:
         for path in arrival.kept:
             self.bytes_by_kind[file_kind(path)] += self.catalogue.file_bytes(path)
         self.lost += [f"{path} at {arrival.at_s:.2f} s: {why.detail}" for path, why in arrival.refused.items()]
+        self.retried += [f"{retry.path} before {arrival.at_s:.2f} s: {retry.why}" for retry in arrival.retries]
         if arrival.complete and arrival.request.kind in (BatchKind.GROUP, BatchKind.STATE):
             self.on_timeline.add(number)
             self.state_source[arrival.request.position] = number
@@ -166,6 +186,7 @@ class _Fold:
             position=request.position,
             rung=request.rung,
             files=len(arrival.whole) + len(arrival.refused),
+            retries=len(arrival.retries),
             bytes=arrival.bytes,
             wasted=self._useless_bytes(number, arrival) + self.replaced_bytes[number],
             request_s=request.sent_s,
@@ -184,5 +205,7 @@ class _Fold:
         """
         if arrival.request.kind is BatchKind.REPLACEMENT:
             return 0 if number in self.on_timeline else arrival.bytes
+        if arrival.complete:
+            return sum(retry.bytes for retry in arrival.retries)
         kept = self.catalogue.wire_bytes([self.catalogue.file_bytes(path) for path in arrival.kept])
-        return 0 if arrival.complete else max(0, arrival.bytes - kept)
+        return max(0, arrival.bytes - kept)

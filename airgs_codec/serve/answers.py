@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
+from airgs_codec.play.repr_digest import REPR_DIGEST, repr_digest
 from airgs_codec.serve.files import Snapshot
 
 LASTING = "public, max-age=31536000, immutable"
@@ -39,6 +40,8 @@ def answer(snapshot: Snapshot, asked: Mapping[str, str]) -> Response:
     data = snapshot.data if zipped is None else zipped
     tag = f'"{snapshot.sha256}"' if zipped is None else f'"{snapshot.sha256}-gzip"'
     headers = {"ETag": tag, "Cache-Control": LASTING if snapshot.lasting else CHECKED, "Accept-Ranges": "bytes"}
+    if not snapshot.lasting:  # no table says what its bytes are
+        headers[REPR_DIGEST] = repr_digest(bytes(data))
     if snapshot.zipped is not None:
         headers["Vary"] = "Accept-Encoding"
     if _is_known(asked.get("if-none-match", ""), tag):

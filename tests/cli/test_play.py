@@ -9,6 +9,7 @@ from airgs_codec.cli.play import main
 from airgs_codec.play.settings import SessionSettings
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX, VALID
+from tests.support.servers import plainly_serving
 from tests.support.views import ring
 
 PACKAGE = VALID / "two-groups-sh1"
@@ -19,6 +20,45 @@ def play(capsys, *options, package=PACKAGE, trace=TRACE):
     status = main([str(package), "--trace", str(trace), *map(str, options)])
     captured = capsys.readouterr()
     return status, captured.out, captured.err
+
+
+def test_a_url_is_played_over_http(capsys, tmp_path):
+    film, report = tmp_path / "seen.mp4", tmp_path / "report"
+    with plainly_serving(PACKAGE) as port:
+        url = f"http://127.0.0.1:{port}/"
+        options = [
+            "--as-fast",
+            "--policy",
+            "fixed:Q1+L0",
+            "--loops",
+            "1",
+            "--video",
+            str(film),
+            "--report",
+            str(report),
+        ]
+        status = main([url, *options, "--json"])
+    result = json.loads(capsys.readouterr().out)
+    assert status == 0 and film.read_bytes()[4:8] == b"ftyp" and (report / "screen.png").exists()
+    assert result["startup_requests"] == 7 and result["startup_bytes"] > result["startup_table_bytes"] > 0
+    assert (result["lost"], result["retried"], result["trace"]) == ([], [], None)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["http://127.0.0.1:1/x"], "cannot be reached"),
+        (["http://127.0.0.1:1/x", "--trace", "const:1"], "no --trace"),
+        (["http://127.0.0.1:1/x", "--compare"], "--compare"),
+        (["http://127.0.0.1:1/x", "--timeout", "0"], "time-out"),
+        (["http://127.0.0.1:1/x", "--decode-ms", "measure"], "got a URL"),
+        ([str(PACKAGE), "--trace", "const:1", "--as-fast"], "--as-fast"),
+    ],
+)
+def test_what_a_url_cannot_be_played_with_is_one_line_and_2(capsys, options, words):
+    assert main(options) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("airgs-play: ") and words in err and err.count("\n") == 1
 
 
 def test_json_repeats_exactly(capsys):

@@ -1,173 +1,225 @@
-"""The player over real HTTP on loopback: the same events, by the clock."""
+"""The player over real HTTP on loopback: the same events, by the clock, also on bad days."""
 
+import contextlib
+import shutil
 import socket
 import threading
+import time
+from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
 
-from airgs_codec.errors import ConfigError, TransportError
+from airgs_codec.errors import ConfigError, FormatError, TransportError
+from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.store import open_package
-from airgs_codec.play.catalogue import Batch, Catalogue
+from airgs_codec.play.catalogue import Batch
 from airgs_codec.play.events import BatchKind, Request
-from airgs_codec.play.http import HttpDownloader, open_catalogue
-from airgs_codec.play.http_responses import ResponseReader
+from airgs_codec.play.http import HttpDownloader, fetch_beside
+from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.link import Link
-from airgs_codec.play.player import run
-from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.report.session import format_metrics
-from airgs_codec.play.session import SessionLog, simulate
+from airgs_codec.play.repr_digest import check_repr_digest, repr_digest
+from airgs_codec.play.session import play, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.serve.server import ServerSettings
+from airgs_codec.serve.shaping import Shape
+from tests.support.faulty import FAULTS, Weather, faultily_serving
 from tests.support.paths import VALID
-from tools.check_link import ShapedServer, compare, play_really
+from tests.support.servers import plainly_serving, serving
+from tools.check_link import compare
 
 PACKAGE = VALID / "two-groups-sh1"
 RULES = SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0, loops=1)
+FAST = HttpSettings(as_fast=True, backoff_s=0.001)
 
 
-class Quiet(SimpleHTTPRequestHandler):
-    def log_message(self, format, *args):
-        pass
+def play_url(url, policy="fixed:0", rules=RULES, http=FAST, received=None):
+    with HttpDownloader(url, http, received) as downloader:
+        return play(downloader.open(), downloader, policy, rules)
+
+
+def local(port, name=""):
+    return f"http://127.0.0.1:{port}/{name}"
 
 
 @pytest.fixture
-def served():
-    """Serves a folder with the standard library; gives its URL."""
-    servers = []
-
-    def serve(folder, version="HTTP/1.1", timeout=None):
-        handler = type("Handler", (Quiet,), {"protocol_version": version, "timeout": timeout})
-        servers.append(ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=folder)))
-        servers[-1].daemon_threads = True
-        threading.Thread(target=servers[-1].serve_forever, daemon=True).start()
-        return f"http://127.0.0.1:{servers[-1].server_address[1]}"
-
-    yield serve
-    for server in servers:
-        server.shutdown()
-        server.server_close()
+def old_server():
+    """HTTP/1.0, which closes the connection after every file; gives its URL."""
+    handler = type("Handler", (SimpleHTTPRequestHandler,), {"log_message": lambda *_: None})
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=PACKAGE))
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+    yield local(server.server_address[1])
+    server.shutdown()
+    server.server_close()
 
 
-def play(url, policy="fixed:0", received=lambda path, data: None):
-    catalogue = open_catalogue(url)
-    downloader = HttpDownloader(url, catalogue, received)
-    log = SessionLog.of(run(catalogue, downloader, make_policy(policy, catalogue), RULES), catalogue, policy, RULES)
-    downloader.close()
-    return log
-
-
-@pytest.mark.parametrize("version", ["HTTP/1.1", "HTTP/1.0"])
-def test_a_package_is_played_from_a_plain_web_server(served, version):
-    """HTTP/1.0 closes the connection after every file: what is still to come is asked for again."""
+def check_played_like_a_simulation(url):
     package, files = open_package(PACKAGE), {}
-    log = play(served(PACKAGE, version), received=files.__setitem__)
-    simulated = simulate(log.catalogue, open_trace("const:100"), "fixed:0", RULES)
+    log = play_url(url, received=files.__setitem__)
+    simulated = simulate(package, open_trace("const:100"), "fixed:0", RULES)
     assert [(f.kind, f.position, f.rung) for f in log.fetches] == [
         (f.kind, f.position, f.rung) for f in simulated.fetches
     ]
-    assert log.bytes_by_kind == simulated.bytes_by_kind and not log.lost
+    assert log.bytes_by_kind == simulated.bytes_by_kind and not log.lost and not log.retried
     assert len(log.shown) == len(package.manifest.segments) and all(s.rung == 0 for s in log.shown)
     assert all(a.arrival_s <= b.arrival_s for a, b in zip(log.fetches, log.fetches[1:], strict=False))
-    del files["airgs.json"]
+    assert log.metrics.startup_requests == simulated.metrics.startup_requests
+    assert files.pop(JSON_NAME) == (PACKAGE / JSON_NAME).read_bytes()
     assert files and all(data == package.read(path) for path, data in files.items())
     assert log.metrics.trace is None and log.metrics.utilisation is None
     assert "a real connection" in format_metrics(log)
 
 
-def test_missing_and_altered_files_are_refused_as_they_come(served, tmp_path):
+def test_a_package_is_played_from_a_plain_web_server():
+    with plainly_serving(PACKAGE) as port:
+        check_played_like_a_simulation(local(port))
+
+
+def test_a_server_may_end_every_connection(old_server):
+    check_played_like_a_simulation(old_server)
+
+
+def test_missing_and_altered_files_are_refused_as_they_come(tmp_path):
     package = open_package(PACKAGE)
-    for path in ("airgs.json", *package.manifest.files()):
-        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / path).write_bytes((PACKAGE / path).read_bytes())
+    shutil.copytree(PACKAGE, tmp_path, dirs_exist_ok=True)
     state = package.manifest.state_files(0, 0)[0]
     (tmp_path / state).write_bytes(b"x" * package.manifest.entry(state).bytes)
     (tmp_path / package.manifest.key_files(1, 0, 0)[1]).unlink()  # the picture of one of two qualities
-    log = play(served(tmp_path))
+    with plainly_serving(tmp_path) as port:
+        log = play_url(local(port))
     assert any(state in line and "SHA-256" in line for line in log.lost)
+    assert sum(state in line for line in log.retried) == FAST.attempts - 1 == log.metrics.retries
     assert any("status 404" in line for line in log.lost)
     assert log.shown[0].rung is None and log.shown[-1].rung == 1  # one level; the other quality can be had
-
-
-def test_a_server_may_end_an_idle_connection(served):
-    """A player whose buffer is full asks for nothing for a while."""
-    catalogue = Catalogue(open_package(PACKAGE).manifest)
-    downloader = HttpDownloader(served(PACKAGE, timeout=0.1), catalogue)
-    batch = Batch(state=tuple(catalogue.manifest.state_files(0, 0)))
-    for sent_s in (0.0, 0.5):
-        arrival = downloader.fetch(Request(BatchKind.STATE, 0, 0, batch, sent_s, 0.0))
-        assert arrival.complete and arrival.at_s >= arrival.first_byte_s >= sent_s
-    downloader.close()
+    assert 0 < log.metrics.wasted < 1 and "asked for again" in format_metrics(log)
 
 
 def test_a_link_that_falls_silent_is_given_up():
     """A server that answers with half a file, then says nothing."""
-    catalogue = Catalogue(open_package(PACKAGE).manifest)
-    batch = Batch(state=tuple(catalogue.manifest.state_files(0, 0)[:1]))
-    size = catalogue.file_bytes(batch.files[0])
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        downloader = HttpDownloader(f"http://127.0.0.1:{server.getsockname()[1]}", catalogue)
-        answering = threading.Thread(target=_answer_half, args=(server, size))
-        answering.start()
+    package = open_package(PACKAGE)
+    path = package.manifest.state_files(0, 0)[0]
+    with faultily_serving(PACKAGE, Weather(share=0.0, stall_s=30.0)) as port, HttpDownloader(local(port)) as downloader:
+        catalogue = downloader.open()
+        tables = Batch(tables=("group/1.json.gz",))
+        for _ in range(2):  # the first is airgs.json, which is there
+            downloader.fetch(Request(BatchKind.TABLES, 0, 0, tables, 0.0, 0.0))
         looks = []
 
         def give_up(partial):
             looks.append(partial)
             return len(looks) == 2
 
-        arrival = downloader.fetch(Request(BatchKind.STATE, 0, 0, batch, 0.0, 0.0), give_up)
-        assert arrival.abandoned and not arrival.whole and not arrival.complete
-        assert arrival.at_s - arrival.first_byte_s >= 2 * 0.5
-        assert looks[0].elapsed_s >= 0.5 and size // 2 <= looks[0].bytes < looks[0].expected_bytes
-        answering.join()  # it ends as the connection is closed
+        with faultily_serving(PACKAGE, Weather(1.0, {"stall": 1.0}, stall_s=30.0)) as silent:
+            downloader._files = replace(downloader._files, url=local(silent))
+            arrival = downloader.fetch(Request(BatchKind.STATE, 0, 0, Batch(state=(path,)), 0.0, 0.0), give_up)
+    assert arrival.abandoned and not arrival.whole and not arrival.complete
+    assert arrival.at_s - arrival.first_byte_s >= 2 * 0.5
+    assert looks[0].elapsed_s >= 0.5 and looks[0].bytes < looks[0].expected_bytes
+    assert looks[0].expected_bytes == catalogue.wire_bytes([catalogue.file_bytes(path)])
 
 
-def _answer_half(server, size):
-    connection, _ = server.accept()
-    with connection:
-        connection.recv(1 << 16)
-        connection.sendall(f"HTTP/1.1 200 OK\r\nContent-Length: {size}\r\n\r\n".encode() + bytes(size // 2))
-        connection.recv(1)  # until the client goes
-
-
-def test_links_that_fail_are_one_error(served):
-    catalogue = Catalogue(open_package(PACKAGE).manifest)
+def test_links_that_fail_at_once_are_one_error():
     with socket.create_server(("127.0.0.1", 0)) as server:
         url = f"http://127.0.0.1:{server.getsockname()[1]}"
-    request = Request(BatchKind.STATE, 0, 0, Batch(state=("state/L0/1.m4s",)), 0.0, 0.0)
-    with pytest.raises(TransportError, match=url):
-        HttpDownloader(url, catalogue).fetch(request)
-    with pytest.raises(TransportError, match=r"airgs\.json"):
-        open_catalogue(url)
+    with HttpDownloader(url) as downloader, pytest.raises(TransportError, match=f"{url}.*refused"):
+        downloader.open()
+    with (
+        plainly_serving(VALID) as port,
+        HttpDownloader(local(port)) as downloader,
+        pytest.raises(FormatError, match=r"airgs\.json.*404"),
+    ):
+        downloader.open()
+
+
+@pytest.mark.parametrize("url", ["ftp://example.com/x", "http://", "http://a:b/", "http://[", "http://a/?x=1"])
+def test_what_is_no_url_of_a_package_is_refused(url):
     with pytest.raises(ConfigError, match="http://"):
-        HttpDownloader("ftp://example.com/x", catalogue)
+        HttpDownloader(url)
 
 
-def test_responses_may_be_cut_anywhere():
-    stream = b"".join(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % n + bytes(range(n)) for n in (3, 0, 5))
-    for step in (1, 2, 7, len(stream)):
-        reader = ResponseReader(100)
-        parts = [stream[i : i + step] for i in range(0, len(stream), step)]
-        bodies = [bytes(r.body) for part in parts for r in reader.feed(part)]
-        assert bodies == [bytes(range(3)), b"", bytes(range(5))]
-    assert [(bytes(r.body), r.length) for r in ResponseReader(2).feed(stream)][2] == (bytes(range(2)), 5)
+@pytest.mark.parametrize("wrong", [{"timeout_s": 0}, {"attempts": 0}, {"outage_s": -1}, {"backoff_s": float("nan")}])
+def test_impatience_that_cannot_work_is_refused(wrong):
+    with pytest.raises(ConfigError, match="expected"):
+        HttpSettings(**wrong)
 
 
-@pytest.mark.parametrize("head", [b"hello\r\n\r\n", b"HTTP/1.1 200 OK\r\n\r\n", b"x" * 70_000])
-def test_what_is_no_response_is_refused(head):
-    with pytest.raises(TransportError):
-        list(ResponseReader(100).feed(head))
+def test_waiting_for_room_takes_time_unless_as_fast():
+    rules = replace(RULES, buffer_s=0.3, loops=None)
+    with faultily_serving(PACKAGE, Weather(0.0)) as port:
+        began_s = time.monotonic()
+        log = play_url(local(port), rules=rules)
+        assert log.fetches[-1].arrival_s > log.metrics.played_s - 0.5 > time.monotonic() - began_s
+        began_s = time.monotonic()
+        real = play_url(local(port), rules=replace(rules, loops=2), http=HttpSettings())
+        assert time.monotonic() - began_s >= real.fetches[-1].arrival_s > real.metrics.played_s - 0.5
+
+
+def test_a_thousand_faults_bring_no_wrong_file():
+    """Of every kind, on files of every kind; what cannot be had is lost, never used."""
+    package, weather = open_package(PACKAGE), Weather(0.6, dict.fromkeys(FAULTS, 1.0) | {"stall": 0.05}, stall_s=5.0)
+    http = replace(FAST, timeout_s=0.1, outage_s=5.0)
+    lost, retried, sessions = 0, 0, 0
+
+    def check(path, data):
+        assert data == (PACKAGE / path).read_bytes()
+
+    with faultily_serving(PACKAGE, weather) as port:
+        while weather.done.total() < 1000:
+            sessions += 1
+            try:
+                log = play_url(local(port), "paper", replace(RULES, loops=20), http, check)
+            except (FormatError, TransportError):
+                continue  # not even airgs.json came
+            assert len(log.shown) == 20 * len(package.manifest.segments)
+            lost, retried = lost + len(log.lost), retried + len(log.retried)
+    assert set(weather.done) == set(FAULTS) and retried > 500 and sessions > 1
+
+
+def test_a_server_that_dies_and_comes_back_is_waited_for():
+    """In the middle of a session; when it stays away, that is one error."""
+    dead_s, impatient = 0.3, replace(FAST, backoff_s=0.02, outage_s=0.1)
+    with contextlib.ExitStack() as stack:
+        with faultily_serving(PACKAGE, Weather(0.0)) as port:
+            patient = stack.enter_context(HttpDownloader(local(port), replace(impatient, outage_s=30.0)))
+            hasty = stack.enter_context(HttpDownloader(local(port), impatient))
+            catalogues = patient.open(), hasty.open()
+        with pytest.raises(TransportError, match="cannot be reached"):
+            play(catalogues[1], hasty, "fixed:0", RULES)
+        back = threading.Timer(dead_s, lambda: stack.enter_context(faultily_serving(PACKAGE, Weather(0.0), port)))
+        back.start()
+        log = play(catalogues[0], patient, "fixed:0", RULES)
+        back.join()
+    assert not log.lost and all(shown.rung == 0 for shown in log.shown)
+    assert any("cannot be reached" in line for line in log.retried) and log.shown[0].start_s >= dead_s
+
+
+def test_what_pictures_show_beside_a_session_is_fetched_after_it():
+    files = {}
+    with plainly_serving(PACKAGE) as port, HttpDownloader(local(port), FAST, files.__setitem__) as downloader:
+        log = play(downloader.open(), downloader, "fixed:Q1+L0", RULES)
+        before = set(files)
+        fetch_beside(log, downloader)
+    assert {path.split("/")[-2] for path in set(files) - before} == {"Q0"}
+
+
+def test_a_digest_in_the_headers_covers_airgs_json():
+    check_repr_digest("airgs.json", b"abc", f"sha-512=:AAAA:, {repr_digest(b'abc')}")
+    check_repr_digest("airgs.json", b"abc", "")
+    with pytest.raises(FormatError, match="SHA-256"):
+        check_repr_digest("airgs.json", b"abd", repr_digest(b"abc"))
 
 
 def test_the_real_link_is_never_faster_than_the_simulated_one():
     """Part of a second of play; how close it comes is measured by tools/check_link, not here."""
-    link = Link(Trace("t", np.array([0.0, 0.2, 0.4]), np.array([4e5, 0.0, 8e6]), 10.0), 0.02)
+    trace = Trace("t", np.array([0.0, 0.2, 0.4]), np.array([4e5, 0.0, 8e6]), 10.0)
     rules = SessionSettings(loops=1, pipelined=False, abandon=False, startup_s=0.0, buffer_s=2.0)
-    server = ShapedServer(PACKAGE)
-    real = play_really(server, link, "fixed:0", rules)
-    server.close()
-    simulated = simulate(real.catalogue, link, "fixed:0", rules)
+    with serving(PACKAGE, settings=ServerSettings(Shape(trace, 0.02))) as port:
+        real = play_url(local(port, PACKAGE.name), rules=rules)
+    simulated = simulate(real.catalogue, Link(trace, 0.02), "fixed:0", rules)
     assert compare(real, simulated)[0] == len(simulated.fetches) == len(real.fetches)
     assert all(a.arrival_s >= b.arrival_s - 0.005 for a, b in zip(real.fetches, simulated.fetches, strict=True))

@@ -70,7 +70,7 @@ def test_a_session_by_hand():
     assert [s.start_s for s in log.shown] == pytest.approx([0.74, 1.74])
     result = log.metrics
     assert result.startup_s == pytest.approx(0.74)
-    assert (result.startup_files, result.startup_table_bytes) == (1 + 1 + 5, 1100)
+    assert (result.startup_requests, result.startup_table_bytes) == (1 + 1 + 5, 1100)
     assert (result.stalls, result.stall_s, result.switches, result.frames) == (0, 0, 0, 20)
     assert result.bytes == {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 4200}
     assert result.wire_bytes == 13_800

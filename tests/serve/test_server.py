@@ -14,10 +14,9 @@ import pytest
 from airgs_codec._files import write_bytes
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import digest
-from airgs_codec.play.http import HttpDownloader, open_catalogue
-from airgs_codec.play.player import run
-from airgs_codec.play.policies.named import make_policy
-from airgs_codec.play.session import SessionLog
+from airgs_codec.play.http import HttpDownloader
+from airgs_codec.play.http_files import HttpSettings
+from airgs_codec.play.session import play
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen
 from tests.support.mutations import read_files
@@ -225,15 +224,11 @@ def test_a_growing_package_is_never_served_in_parts_of_two_versions(tmp_path):
 
 @pytest.mark.parametrize("serve", [serving, plainly_serving], ids=["airgs-serve", "http.server"])
 def test_the_player_reads_from_this_server_as_from_any_other(serve):
-    """It pipelines: many requests are sent before the first answer."""
     with serve(PACKAGE) as port:
+        files = {}
         url = f"http://127.0.0.1:{port}" + (f"/{NAME}" if serve is serving else "")
-        catalogue, files = open_catalogue(url), {}
-        downloader = HttpDownloader(url, catalogue, files.__setitem__)
-        log = SessionLog.of(
-            run(catalogue, downloader, make_policy("fixed:0", catalogue), RULES), catalogue, "fixed:0", RULES
-        )
-        downloader.close()
+        with HttpDownloader(url, HttpSettings(as_fast=True), files.__setitem__) as downloader:
+            log = play(downloader.open(), downloader, "fixed:0", RULES)
     assert not log.lost and log.shown and all(shown.rung == 0 for shown in log.shown)
     assert files and all(data == (PACKAGE / path).read_bytes() for path, data in files.items())
 

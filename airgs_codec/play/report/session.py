@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import html
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from airgs_codec.play.report.region_map import plot_region
 from airgs_codec.play.report.viewer import Viewer
 from airgs_codec.play.session import SessionLog
 
+MOST_LINES = 10  # of what went wrong
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
 
 
@@ -212,7 +214,7 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
         ("policy", log.policy),
         ("trace", _trace_words(log.metrics)),
         ("played", f"{r['frames']} frames, {r['played_s']:.2f} s"),
-        ("start-up", f"{r['startup_s']:.3f} s"),
+        ("start-up", _startup_words(log.metrics)),
         ("stalls", f"{r['stalls']}, {r['stall_s']:.3f} s, {100 * r['stall_ratio']:.2f} %"),
         ("PSNR on screen", quality),
         ("rungs", ", ".join(f"{name} x{count}" for name, count in r["rungs"].items())),
@@ -231,8 +233,15 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
         regret = f"regret {bound - log.mean_quality:.2f} dB"
         rows.append(("best possible", f"at most {bound:.2f} dB at the same moments, mean of segments: {regret}"))
     if log.lost:
-        rows.append(("lost", f"{r['lost_frames']} frames; {'; '.join(log.lost)}"))
+        rows.append(("lost", f"{r['lost_frames']} frames; {_some(log.lost)}"))
+    if log.retried:
+        rows.append(("asked for again", f"{len(log.retried)} files; {_some(log.retried)}"))
     return rows
+
+
+def _some(lines: Sequence[str]) -> str:
+    more = len(lines) - MOST_LINES
+    return "; ".join(lines[:MOST_LINES]) + (f"; and {more} more" if more > 0 else "")
 
 
 def _trace_words(m: SessionMetrics) -> str:
@@ -242,6 +251,11 @@ def _trace_words(m: SessionMetrics) -> str:
     notes += [f"rates x{m.trace_scale:g}"] * (m.trace_scale != 1)
     notes += [{"loop": "repeated", "hold": "last rate held", "error": ""}[m.trace_end or "loop"]] * bool(m.trace_ended)
     return ", ".join([f"{m.trace}, mean {m.trace_mean_bps / 1e6:.2f} Mbit/s", *notes])
+
+
+def _startup_words(m: SessionMetrics) -> str:
+    tables = f"{m.startup_table_bytes / 1e3:.1f} of them tables"
+    return f"{m.startup_s:.3f} s: {m.startup_requests} requests, {m.startup_bytes / 1e3:.1f} kB, {tables}"
 
 
 def _page(log: SessionLog, directory: Path, viewer: Viewer | None) -> str:

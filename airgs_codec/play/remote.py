@@ -1,0 +1,86 @@
+"""The tables of a package that come over a connection: nothing counts before it is checked from the root down."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from airgs_codec.errors import FormatError
+from airgs_codec.package.packing import MAX_ROOT_BYTES
+from airgs_codec.package.parse import parse_root
+from airgs_codec.package.paths import JSON_NAME, locate
+from airgs_codec.package.store import check_digest, open_manifest
+from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
+from airgs_codec.play.catalogue import Catalogue
+
+GROWS = ("frames", "live")  # what of the header changes while a package grows
+
+
+class RemoteTables:
+    """A catalogue that grows with the tables that are accepted."""
+
+    def __init__(self) -> None:
+        self.catalogue: Catalogue | None = None  # None: airgs.json has not come yet
+        self._root: Root | None = None
+        self._files: dict[str, bytes] = {}  # pages and tables of groups
+
+    def limit(self, path: str) -> int:
+        """The most bytes that a file may have. Raises FormatError for one that no table lists."""
+        if path == JSON_NAME or self.catalogue is None:
+            return MAX_ROOT_BYTES
+        return self.catalogue.manifest.entry(path).bytes
+
+    def accept(self, path: str, data: bytes) -> None:
+        """Take in a file that came. Raises FormatError for one that is not what the tables say."""
+        if path == JSON_NAME:
+            self._accept_root(data)
+            return
+        if self.catalogue is None:
+            raise FormatError("missing_entry", path, f"{JSON_NAME} has not come yet")
+        entry = self.catalogue.manifest.entry(path)
+        if len(data) != entry.bytes:
+            raise FormatError("size_mismatch", path, f"expected {entry.bytes} bytes, got {len(data)}")
+        check_digest(path, data, entry)
+        self._read_table(self.catalogue, path, data)
+
+    def _accept_root(self, data: bytes) -> None:
+        root = parse_root(data)
+        if self._root is not None:
+            _check_growth(self._root, root)
+        manifest = open_manifest(root, self._find)
+        if self.catalogue is None:
+            self.catalogue = Catalogue(manifest, root_bytes=len(data), live=root.live)
+        else:
+            self.catalogue.grow(manifest, len(data))
+        self._root = root
+
+    def _find(self, path: str, entry: FileEntry) -> bytes:
+        """A table that came, if it is still what the root leads to."""
+        if path not in self._files:
+            raise FormatError("missing_file", path, "it has not been fetched")
+        check_digest(path, self._files[path], entry)
+        return self._files[path]
+
+    def _read_table(self, c: Catalogue, path: str, data: bytes) -> None:
+        what, numbers = locate(path)
+        if what not in ("group", "page"):
+            return
+        self._files[path] = data
+        if what == "group":
+            c.manifest.groups[numbers[0] - 1]
+        else:
+            c.manifest.groups.places.entry(PAGE * (numbers[0] - 1))
+
+
+def _check_growth(before: Root, after: Root) -> None:
+    """Raise FormatError(bad_value) unless a root can follow another while groups are added."""
+    same = all(
+        getattr(before, field.name) == getattr(after, field.name)
+        for field in dataclasses.fields(Header)
+        if field.name not in GROWS
+    )
+    pages = len(before.index.pages)
+    kept = before.index.pages.sha256 == after.index.pages.sha256[: len(before.index.pages.sha256)]
+    if pages == len(after.index.pages):
+        kept = kept and after.index.groups.sha256.startswith(before.index.groups.sha256)
+    if not (same and kept and after.frames >= before.frames and before.live >= after.live):
+        raise FormatError("bad_value", JSON_NAME, "expected the package of before with more groups, got another")
