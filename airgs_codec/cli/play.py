@@ -264,7 +264,7 @@ def _compare(package: Package, args: argparse.Namespace) -> int:
         args.jobs,
     )
     bar = Bar(args.json)
-    study = run_study(args.package, settings, bar)
+    study = run_study(Path(args.package), settings, bar)
     bar.close()
     if args.report:
         write_study(study, args.report)
