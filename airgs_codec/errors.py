@@ -13,7 +13,7 @@ class AirgsError(Exception):
     + FormatError (ValueError)      a package that is refused; has .reason, .where and .detail
     + TrainingError (RuntimeError)  a fit went wrong: its loss is not finite
     + CodecError (RuntimeError)     FFmpeg refused, or decoded something else than it encoded
-    + TransportError (OSError)      a segment did not arrive, a trace cannot be used
+    + TransportError (OSError)      a segment did not arrive, a store refused, a trace cannot be used
     """
 
 
@@ -47,4 +47,4 @@ class CodecError(AirgsError, RuntimeError):
 
 
 class TransportError(AirgsError, OSError):
-    """A segment did not arrive, or a trace of a link cannot be used."""
+    """A segment did not arrive, an object store refused, or a trace of a link cannot be used."""

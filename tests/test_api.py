@@ -91,7 +91,7 @@ def test_a_sequence_is_encoded_with_its_attribution_and_decoded_by_names_or_numb
     airgs.encode(airgs.open_sequence(str(scene)), str(tmp_path / "scene.airgs"), settings)
     package = airgs.open_package(str(tmp_path / "scene.airgs"))
     assert package.manifest.attribution == "points by nobody"
-    assert airgs.validate(str(package.path)) == []
+    assert airgs.validate(str(package.files.path)) == []
     by_name, by_number = (airgs.decode(package, 1, level=j, key_quality=q) for j, q in (("L2", "Q1"), (2, 1)))
     assert isinstance(by_name, airgs.Gaussians)
     assert (by_name.means == by_number.means).all()

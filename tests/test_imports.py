@@ -25,6 +25,7 @@ MAY_IMPORT = {
     "matplotlib": {"_report.py"},
     "aiohttp": {"play/http.py", "play/http_files.py"},
     "hypercorn": {"serve/server.py"},
+    "obstore": {"package/bucket.py"},
     "starlette": {"serve/answers.py", "serve/app.py", "serve/server.py"},
 }
 MODULES = {path.relative_to(PACKAGE).as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}

@@ -16,6 +16,9 @@ from airgs_codec.errors import AirgsError, ConfigError
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 
+PACKAGE = "a package: its folder, or its address, s3://, gs:// or az://"
+
+
 def run_command(name: str, work: Callable[[], int]) -> int:
     """Exit status of a command: bad input or a failing disk is one line on stderr and 2, a bug keeps its traceback."""
     try:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from airgs_codec._files import atomic_path
-from airgs_codec.cli.common import Bar, parse_range, run_command
+from airgs_codec.cli.common import PACKAGE, Bar, parse_range, run_command
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.store import open_package
@@ -17,7 +17,7 @@ from airgs_codec.scene.ply import write_ply
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="airgs-decode", description="Decode a package to INRIA .ply frames.")
-    parser.add_argument("package", type=Path, help="folder with manifest.mpd and airgs.json")
+    parser.add_argument("package", help=PACKAGE)
     parser.add_argument("-o", "--output", type=Path, required=True, help="folder for the frames, 000000.ply and on")
     parser.add_argument("--level", default="L0", help="state level: L0, L1, … or its number (default: L0)")
     parser.add_argument("--key-quality", default="Q0", help="key quality: Q0, Q1, … or its number (default: Q0)")

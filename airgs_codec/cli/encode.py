@@ -55,7 +55,11 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="a folder of .ply frames, optionally with sequence.json and cameras; or of multi-view pictures",
     )
-    parser.add_argument("-o", "--output", type=Path, help="package folder (default: SCENE with .airgs appended)")
+    parser.add_argument(
+        "-o",
+        "--output",
+        help="package folder, or s3://, gs://, az:// and a prefix (default: SCENE with .airgs appended)",
+    )
     parser.add_argument("--fps", type=Fraction, help="frames a second (default: what sequence.json says, else 30)")
     add_views(
         parser, "cameras that usage and quality are measured with", "those beside the frames, else cameras on an orbit"
@@ -209,7 +213,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.fps is not None and not 0 < args.fps <= 1000:
         raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
     scene = args.scene.resolve()  # "." has no name of its own
-    target = args.output or scene.with_name(scene.name + ".airgs")
+    target: str = args.output or str(scene.with_name(scene.name + ".airgs"))
     if args.follow:
         return _follow(args, settings, target)
     folder = train_by_default(args.scene, args.fps, quiet=args.json) if is_multiview(args.scene) else args.scene
@@ -229,7 +233,7 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _follow(args: argparse.Namespace, settings: EncodeSettings, target: Path) -> int:
+def _follow(args: argparse.Namespace, settings: EncodeSettings, target: str) -> int:
     """Encode a sequence that somebody still writes."""
     for name in ("target_psnr", "target_mb", "target_mbps", "contact_sheet"):
         if getattr(args, name) is not None:
@@ -267,10 +271,10 @@ def _goal(args: argparse.Namespace, sequence: GaussianSequence) -> Goal | None:
     return None
 
 
-def _as_json(report: EncodeReport, target: Path) -> dict[str, object]:
+def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
     m = report.manifest
     return {
-        "package": str(target),
+        "package": target,
         "frames": m.frames,
         "bytes": m.bytes_of([path for g in range(len(m.groups)) for path in m.group_files(g)])
         + m.init.bytes
@@ -282,7 +286,7 @@ def _as_json(report: EncodeReport, target: Path) -> dict[str, object]:
     }
 
 
-def _as_words(report: EncodeReport, target: Path) -> str:
+def _as_words(report: EncodeReport, target: str) -> str:
     m = report.manifest
     times = ", ".join(f"{name} {value:.1f} s" for name, value in _times(report).items() if value >= 0.05)
     kept = " (calibration kept from before)" if report.cached else ""

@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable
-from pathlib import Path
 
 from airgs_codec.encoder.follow import PublishedGroup
 
@@ -49,7 +48,7 @@ def _until_idle(idle_s: float) -> Callable[[int], bool]:
     return more
 
 
-def report_groups(groups: Iterable[PublishedGroup], target: Path, as_json: bool) -> None:
+def report_groups(groups: Iterable[PublishedGroup], target: str, as_json: bool) -> None:
     """Print a line for each group as it is published, and one when the package is closed."""
     count = frames = 0
     for published in groups:

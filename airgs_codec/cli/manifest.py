@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec._report import require_matplotlib
-from airgs_codec.cli.common import Bar, add_views, parse_range, run_command
+from airgs_codec.cli.common import PACKAGE, Bar, add_views, parse_range, run_command
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
 from airgs_codec.inspect.compare import (
@@ -33,6 +33,7 @@ from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.manifest import Quality
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, checking_views
+from airgs_codec.package.storage import is_address
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.render import read_cameras
 from airgs_codec.scene.gaussians import Gaussians
@@ -51,7 +52,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_inspect(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("package", type=Path)
+    parser.add_argument("package", help=PACKAGE)
     parser.add_argument("--json", action="store_true", help="the same as JSON")
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="picture of the ladder and of bytes over time")
     parser.add_argument("--ladder", action="store_true", help="measure the dense level space (minutes)")
@@ -60,13 +61,13 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_validate(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("package", type=Path)
+    parser.add_argument("package", help=PACKAGE)
     parser.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original: measure the errors again")
     parser.add_argument("--json", action="store_true", help="findings as JSON")
 
 
 def _add_compare(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("decoded", type=Path, help="a package, or a folder of decoded .ply frames")
+    parser.add_argument("decoded", help=f"{PACKAGE}, or of decoded .ply frames")
     parser.add_argument("original", type=Path, help="the sequence that it was made of")
     parser.add_argument("--level", help="of a package: one level, L0, L1, … or its number (default: all)")
     parser.add_argument("--key-quality", help="of a package: one key quality, Q0, Q1, … or its number (default: all)")
@@ -154,7 +155,7 @@ def _compare(args: argparse.Namespace) -> int:
     frames = range(*parse_range(args.frames, len(original)), args.every)
     cameras = list(read_cameras(args.views) if args.views else original.cameras)
     claimed: dict[str, Quality | None] = {}
-    if (args.decoded / JSON_NAME).is_file():
+    if is_address(args.decoded) or Path(args.decoded, JSON_NAME).is_file():
         package = open_package(args.decoded)
         _expect_frames(args.decoded, package.manifest.frames, len(original))
         streams = rung_streams(package, frames, args.level, args.key_quality)
@@ -182,13 +183,13 @@ def _sequence_stream(args: argparse.Namespace, frames: range, count: int) -> dic
         raise ConfigError(f"{args.decoded}: expected a package for --level and --key-quality")
     decoded = open_sequence(args.decoded)
     _expect_frames(args.decoded, len(decoded), count)
-    return {args.decoded.name: (decoded.read(number) for number in frames)}
+    return {Path(args.decoded).name: (decoded.read(number) for number in frames)}
 
 
 def _plain(qualities: Mapping[str, Quality | None]) -> dict[str, Any]:
     return {name: quality and dataclasses.asdict(quality) for name, quality in qualities.items()}
 
 
-def _expect_frames(path: Path, got: int, expected: int) -> None:
+def _expect_frames(path: str | Path, got: int, expected: int) -> None:
     if got != expected:
         raise ConfigError(f"{path}: expected {expected} frames, got {got}")

@@ -9,18 +9,17 @@ import math
 import os
 import tempfile
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 from airgs_codec._files import to_json
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
-from airgs_codec.cli.common import Bar, add_views, run_command
+from airgs_codec.cli.common import PACKAGE, Bar, add_views, run_command
 from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.region import checking_views
-from airgs_codec.package.staging import write_file
 from airgs_codec.package.store import Package, find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.closed_loop import ClosedLoopSettings, adaptive, closed_loop_table, run_closed_loop
@@ -50,7 +49,7 @@ def _parser() -> argparse.ArgumentParser:
         description="Simulate a viewer of a package over a bandwidth trace, compare policies over many, or play it "
         "from a web server.",
     )
-    parser.add_argument("package", metavar="PACKAGE|URL", help="a folder, or where a web server has it")
+    parser.add_argument("package", metavar="PACKAGE|URL", help=f"{PACKAGE}, or where a web server has it")
     traces = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
     parser.add_argument("--trace", metavar="TRACE", help=traces)
     parser.add_argument("--mode", choices=MODES, default="segments", help="frames, closed-loop: as the paper streams")
@@ -138,14 +137,14 @@ def _over_http(args: argparse.Namespace) -> int:
     pictures = args.report or args.video
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="airgs-")))
-        keep = partial(write_file, folder) if pictures else None
+        keep = Folder(folder).write if pictures else None
         http = HttpSettings(timeout_s=args.timeout, as_fast=args.as_fast)
         downloader = stack.enter_context(HttpDownloader(args.package, http, keep))
         settings = _settings(None, args)
         log = play(downloader.open(), downloader, args.policy, settings)
         if pictures:
             fetch_beside(log, downloader)
-        _present(Package(folder, log.catalogue.manifest, log.catalogue.root_bytes), log, args)
+        _present(Package(Folder(folder), log.catalogue.manifest, log.catalogue.root_bytes), log, args)
     return 0
 
 
@@ -264,7 +263,7 @@ def _compare(package: Package, args: argparse.Namespace) -> int:
         args.jobs,
     )
     bar = Bar(args.json)
-    study = run_study(Path(args.package), settings, bar)
+    study = run_study(args.package, settings, bar)
     bar.close()
     if args.report:
         write_study(study, args.report)

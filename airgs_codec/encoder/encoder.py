@@ -24,9 +24,9 @@ from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.tables import CodedGroup, Provenance, build_manifest, publish_group
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.media.fragments import init_segment
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.paths import INIT_NAME
-from airgs_codec.package.staging import write_file
 from airgs_codec.package.tables import Group
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.sequence import GaussianSequence
@@ -79,10 +79,10 @@ def encode_sequence(job: EncodeJob, settings: EncodeSettings, folder: Path, prog
             first = sum(len(group.segments) for group in groups)
             task = GroupTask(job.sequence, survey, first, Path(scratch))
             coded = code_group(task, settings, lambda: progress("encoding", next(finished), most))
-            groups.append(publish_group(folder, coded))
+            groups.append(publish_group(Folder(folder), coded))
             layouts.append(coded.layout)
             depths.append(coded.states.depths)
-    init = write_file(folder, INIT_NAME, init_segment(clock.timescale, *largest_picture(groups)))
+    init = Folder(folder).write(INIT_NAME, init_segment(clock.timescale, *largest_picture(groups)))
     return Encoded(build_manifest(job.about(settings), clock, init, Groups.of(groups)), layouts, depths)
 
 

@@ -18,9 +18,10 @@ from airgs_codec.encoder.survey import GroupSpan, survey_group
 from airgs_codec.encoder.tables import publish_group
 from airgs_codec.encoder.verify import Attempt, encode_verified
 from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.staging import staged
+from airgs_codec.package.storage import Storage, open_storage
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Group
 from airgs_codec.package.writing import GrowingPackage, write_tables
@@ -58,9 +59,9 @@ class _Publisher:
         with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
             task = GroupTask(coded_as, survey, len(m.segments), Path(scratch))
             coded = code_group(task, self.settings, lambda: None)
-        group = publish_group(self.package.folder, coded)
+        group = publish_group(self.package.files, coded)
         if self.rounds.count:
-            package = Package(self.package.folder, self.package.expect(group), 0)
+            package = Package(self.package.files, self.package.expect(group), 0)
             [group], _ = measure_groups(package, sequence, self.views, [len(m.groups)], self.rounds)
         self.package.add(group)
 
@@ -82,13 +83,13 @@ def follow(
 
     Raises SceneError, CodecError and ConfigError as `publish.encode` does.
     """
-    path = Path(path)
+    storage = open_storage(path)
     publisher: _Publisher | None = None
     group_frames = settings.group_frames or DEFAULT_GROUP_FRAMES
     try:
         for sequence, start, stop in _whole_groups(folder, group_frames, more):
             if publisher is None:
-                publisher = _begin(sequence, stop, path, settings, attribution, progress)
+                publisher = _begin(sequence, stop, storage, settings, attribution, progress)
             else:
                 publisher.publish(sequence, start, stop)
             yield _published(publisher.package.manifest, sequence)
@@ -118,7 +119,7 @@ def _whole_groups(
 def _begin(
     sequence: GaussianSequence,
     stop: int,
-    path: Path,
+    storage: Storage,
     settings: EncodeSettings,
     attribution: str | None,
     progress: Progress,
@@ -132,15 +133,15 @@ def _begin(
     rounds = Rounds(settings.measure_pictures)
     given = settings.levels != DEFAULT_LEVELS
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
-    with staged(path) as stage:
+    with storage.staged() as stage:
         verified = encode_verified(
             Attempt(found.job, part, found.settings, found.expected, rounds, given), stage, progress
         )
         decisions = [*verified.manifest.decisions, *found.decisions, *verified.stories]
         manifest = replace(verified.manifest, live=True, decisions=decisions)
-        write_tables(stage, manifest, LiveClock(available, datetime.now(UTC)))
+        write_tables(Folder(stage), manifest, LiveClock(available, datetime.now(UTC)))
     turns = manifest.views.measured // max(1, views.measured(rounds.count))
-    package = GrowingPackage(path, manifest, available)
+    package = GrowingPackage(storage, manifest, available)
     return _Publisher(package, verified.settings, views, found.job.sequence.sh_degree, rounds.again(turns))
 
 

@@ -19,8 +19,9 @@ from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, Encod
 from airgs_codec.encoder.survey import Survey, survey_groups
 from airgs_codec.encoder.verify import Attempt, encode_verified
 from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.staging import staged
+from airgs_codec.package.storage import open_storage
 from airgs_codec.package.writing import write_tables
 from airgs_codec.progress import Progress, Stopwatch, silent
 from airgs_codec.scene.sequence import GaussianSequence, read_attribution
@@ -60,18 +61,19 @@ def encode(
     attribution: str | None = None,
     progress: Progress = silent,
 ) -> EncodeReport:
-    """Encode a sequence and publish it as the package at `path`, whole or not at all.
+    """Encode a sequence and publish it as the package at `path`, a folder or an address, whole or not at all.
 
     `goal`: a quality factor is searched for that brings the top rung to this PSNR or size; `settings.quality` is where
     the search starts. `attribution`: who made the scene, by default what ATTRIBUTION.txt in its folder says. A package
     that is at `path` already is replaced.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails, and ConfigError for a
-    margin below 0, a goal out of reach or a `path` with other files in it; then `path` is as it was.
+    margin below 0, a goal out of reach or a `path` with other files in it; then `path` is as it was. TransportError for
+    an object store that does not answer.
     """
     watch = Stopwatch()
     views = ViewPlan.of(sequence, settings.decide_pictures, margin=settings.margin, region=settings.region)
-    with staged(Path(path)) as stage:
+    with open_storage(path).staged() as stage:
         groups = _plan_groups(sequence, views, settings)
         surveys = survey_groups(sequence, groups.spans, views, progress)
         credit = read_attribution(sequence.folder) if attribution is None else attribution
@@ -89,7 +91,7 @@ def encode(
         attempt = encode_verified(Attempt(job, sequence, settings, expected, rounds, given), stage, progress)
         decisions = [*attempt.manifest.decisions, *calibrated.decisions, *attempt.stories]
         manifest = replace(attempt.manifest, decisions=decisions)
-        size = write_tables(stage, manifest)
+        size = write_tables(Folder(stage), manifest)
         seconds = (survey_s, calibrate_s, search_s, attempt.encode_s, attempt.measure_s)
         return EncodeReport(manifest, size, *seconds, calibrated.cached)
 

@@ -12,6 +12,7 @@ from airgs_codec.encoder.limits import find_limit
 from airgs_codec.encoder.quality import Rounds, measure_quality
 from airgs_codec.encoder.rate_target import PSNR, Goal, OutOfReachError, find_quality
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.packing import pack_json
@@ -47,7 +48,7 @@ def search_quality(
             manifest = encode_sequence(job, top.at(factor), Path(name), progress).manifest
             if goal.kind != PSNR:
                 return kilobytes_a_frame(manifest, settings)
-            package = Package(Path(name), manifest, 0)
+            package = Package(Folder(Path(name)), manifest, 0)
             tables = measure_quality(package, original, job.views, rounds, progress)
         rounds = rounds.again(tables.views.measured // job.views.measured(rounds.count))  # the same pictures for all
         measured = pooled_quality(tables, 0, 0)
@@ -61,7 +62,7 @@ def search_quality(
             raise
         with tempfile.TemporaryDirectory(prefix=".trial", dir=folder) as name:
             encoded = encode_sequence(job, top.at(error.factor), Path(name), progress)
-            part, reached = find_limit(Package(Path(name), encoded.manifest, 0), encoded, original, job.views)
+            part, reached = find_limit(Package(Folder(Path(name)), encoded.manifest, 0), encoded, original, job.views)
         why = f"; what holds it back most: {part}, without whose error it would be {reached:.4g} dB"
         raise OutOfReachError(goal, error.got, error.factor, why) from None
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from airgs_codec import __version__
 from airgs_codec.coding.sidecar import pack_key_sidecar
@@ -20,7 +19,7 @@ from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
 from airgs_codec.package import paths, tables
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.package.staging import write_file
+from airgs_codec.package.storage import Storage
 from airgs_codec.package.tables import NO_FILE, STATIC, FileEntry, Group, GroupTier, Segment, SegmentLevel
 
 
@@ -44,10 +43,10 @@ class CodedGroup:
 Files = Mapping[str, FileEntry]  # by path
 
 
-def publish_group(folder: Path, group: CodedGroup) -> Group:
+def publish_group(storage: Storage, group: CodedGroup) -> Group:
     """Write the pictures and sidecars of a group; gives its table, without measured quality."""
     contents = itertools.chain(_key_files(group), _state_files(group))
-    files = {path: write_file(folder, path, data) for path, data in contents}
+    files = {path: storage.write(path, data) for path, data in contents}
     return _group_table(group, files)
 
 

@@ -19,6 +19,7 @@ from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence
 from airgs_codec.encoder.quality import Rounds, measure_quality
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import Package
@@ -80,7 +81,7 @@ def encode_verified(attempt: Attempt, folder: Path, progress: Progress = silent)
         manifest = encoded.manifest
         if not attempt.rounds.count:
             return Verified(manifest, attempt.settings, (), encode_s, 0.0)
-        package = Package(folder, manifest, 0)
+        package = Package(Folder(folder), manifest, 0)
         manifest = measure_quality(package, attempt.original, attempt.job.views, attempt.rounds, progress)
         repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
         measure_s += watch.lap()

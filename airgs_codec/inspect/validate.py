@@ -35,11 +35,11 @@ class Finding:
 
 
 def validate(path: str | Path) -> list[Finding]:
-    """Everything that is wrong with the package in the folder `path`: an empty list for a good one.
+    """Everything that is wrong with the package at `path`, a folder or an address: an empty list for a good one.
 
     Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
     key unit and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
-    for a bad package.
+    for a bad package; TransportError where a store does not answer.
     """
     try:
         package = open_package(path)
@@ -80,10 +80,10 @@ def _attempt(where: str, work: Callable[[], object]) -> list[Finding]:
 
 
 def _check_mpd(package: Package) -> None:
-    path = package.path / MPD_NAME
-    if path.stat().st_size > MAX_ROOT_BYTES:
+    size, read = package.files.open(MPD_NAME)
+    if size > MAX_ROOT_BYTES:
         raise FormatError("too_large", MPD_NAME, f"expected at most {MAX_ROOT_BYTES} bytes")
-    check_mpd(path.read_bytes(), package.manifest)
+    check_mpd(read(), package.manifest)
 
 
 def _check_tables(package: Package) -> Iterator[Finding]:
@@ -103,13 +103,19 @@ def _check_files(package: Package) -> Iterator[Finding]:
             package.read(relative)
         except FormatError as error:
             yield _finding(error)
-    for file in sorted(package.path.rglob("*")):
-        relative = file.relative_to(package.path).as_posix()
-        if file.is_symlink():
-            if relative not in listed:
-                yield Finding("unsafe_path", relative, "expected plain files and folders, got a link")
-        elif not file.is_dir() and relative not in listed | {JSON_NAME, MPD_NAME}:
-            yield Finding("foreign_file", relative, "not listed in the tables")
+    for relative in package.files.paths():
+        if relative not in listed | {JSON_NAME, MPD_NAME}:
+            yield _check_stranger(package, relative)
+
+
+def _check_stranger(package: Package, relative: str) -> Finding:
+    """A file that is not listed, or a link, or what is neither."""
+    try:
+        package.files.open(relative)
+    except FormatError as error:
+        if error.reason == "unsafe_path":
+            return _finding(error)
+    return Finding("foreign_file", relative, "not listed in the tables")
 
 
 def _check_measures(package: Package) -> Iterator[Finding]:

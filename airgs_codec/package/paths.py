@@ -8,6 +8,15 @@ from enum import StrEnum
 JSON_NAME = "airgs.json"
 MPD_NAME = "manifest.mpd"
 INIT_NAME = "init.mp4"
+ROOTS = (JSON_NAME, MPD_NAME)  # what changes while a package grows; all other files are written once
+MEDIA_TYPES = {  # by how the name of a file ends
+    ".bin": "application/octet-stream",
+    ".json": "application/json",
+    ".json.gz": "application/gzip",
+    ".m4s": "video/mp4",
+    ".mp4": "video/mp4",
+    ".mpd": "application/dash+xml",
+}
 
 _ORDINAL, _NUMBER = r"(0|[1-9]\d?)", r"([1-9]\d{0,6})"
 _PATTERNS = {  # how a path is built -> what `locate` calls it
@@ -45,6 +54,11 @@ def locate(path: str) -> tuple[str, list[int]]:
         if match := re.fullmatch(pattern, path, re.ASCII):
             return what, [int(number) for number in match.groups()]
     return "", []
+
+
+def belongs(path: str) -> bool:
+    """Whether a file of a package can have this path."""
+    return path in (JSON_NAME, MPD_NAME, INIT_NAME) or locate(path)[0] != ""
 
 
 def key_sidecar_path(tier: int, number: int) -> str:

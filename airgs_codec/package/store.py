@@ -1,4 +1,4 @@
-"""Packages on disk: opening one, and reading its files with checks."""
+"""Opening a package, and reading its files with checks."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.packing import MAX_ROOT_BYTES
 from airgs_codec.package.parse import parse_group, parse_page, parse_root
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path, locate, page_path
+from airgs_codec.package.storage import Storage, open_storage
 from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest
 
 Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -> its bytes
@@ -21,7 +22,7 @@ Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -
 class Package:
     """An open package: its tables, and its files by their relative paths."""
 
-    path: Path
+    files: Storage
     manifest: Manifest
     root_bytes: int  # of airgs.json
     mpd_bytes: int = 0  # of manifest.mpd
@@ -37,22 +38,15 @@ class Package:
         Raises FormatError: missing_entry, missing_file, unsafe_path (a link), size_mismatch, hash_mismatch, and what
         is wrong with the table of the group that it belongs to.
         """
-        return read_file(self.path, relative, self.manifest.entry(relative))
+        return read_file(self.files, relative, self.manifest.entry(relative))
 
 
-def read_file(folder: Path, relative: str, entry: FileEntry) -> bytes:
+def read_file(files: Storage, relative: str, entry: FileEntry) -> bytes:
     """A file of a package whose length and digest are known; `Package.read` says what is raised."""
-    path = folder
-    for part in Path(relative).parts:
-        path = path / part
-        if path.is_symlink():
-            raise FormatError("unsafe_path", relative, "expected a plain file, got a link")
-    if not path.is_file():
-        raise FormatError("missing_file", relative, "expected a file, got nothing")
-    size = path.stat().st_size
+    size, read = files.open(relative)
     if size != entry.bytes:
         raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {size}")
-    data = path.read_bytes()
+    data = read()
     check_digest(relative, data, entry)
     return data
 
@@ -84,20 +78,27 @@ def root_of(m: Manifest) -> Root:
 
 
 def open_package(path: str | Path) -> Package:
-    """Open the package in the folder `path`: read and check airgs.json; other files are read when they are needed.
+    """Open the package at `path`, a folder or an address: read and check airgs.json; other files are read when needed.
 
-    Raises FormatError: missing_file, too_large, or one of the reasons of `parse_root`.
+    Raises FormatError: missing_file, too_large, or one of the reasons of `parse_root`; what `open_storage` raises, and
+    TransportError where a store does not answer.
     """
-    path = Path(path)
-    mpd, tables = path / MPD_NAME, path / JSON_NAME
-    for file in (mpd, tables):
-        if file.is_symlink() or not file.is_file():
-            raise FormatError("missing_file", str(file), "expected a package with manifest.mpd and airgs.json")
-    if tables.stat().st_size > MAX_ROOT_BYTES:
-        raise FormatError("too_large", str(tables), f"expected at most {MAX_ROOT_BYTES} bytes")
-    data = tables.read_bytes()
-    manifest = open_manifest(parse_root(data), lambda name, entry: read_file(path, name, entry))
-    return Package(path, manifest, len(data), mpd.stat().st_size)
+    files = open_storage(path)
+    mpd_bytes, _ = _open_root(files, MPD_NAME)
+    size, read = _open_root(files, JSON_NAME)
+    if size > MAX_ROOT_BYTES:
+        raise FormatError("too_large", f"{files.name}/{JSON_NAME}", f"expected at most {MAX_ROOT_BYTES} bytes")
+    data = read()
+    manifest = open_manifest(parse_root(data), lambda name, entry: read_file(files, name, entry))
+    return Package(files, manifest, len(data), mpd_bytes)
+
+
+def _open_root(files: Storage, relative: str) -> tuple[int, Callable[[], bytes]]:
+    try:
+        return files.open(relative)
+    except FormatError:
+        expected = "expected a package with manifest.mpd and airgs.json"
+        raise FormatError("missing_file", f"{files.name}/{relative}", expected) from None
 
 
 def find_faults(package: Package) -> dict[str, FormatError]:

@@ -6,6 +6,7 @@ Bandwidth is taken as given whatever a policy does (replay), so cross traffic th
 from __future__ import annotations
 
 import math
+import multiprocessing
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
@@ -95,7 +96,7 @@ def is_feasible(c: Catalogue, link: Link, settings: SessionSettings, loops: int)
     return True
 
 
-def run_study(package: Path, settings: StudySettings, progress: Progress = silent) -> Study:
+def run_study(package: str | Path, settings: StudySettings, progress: Progress = silent) -> Study:
     """Play every policy on every link, `settings.jobs` traces at a time.
 
     Raises TransportError for a trace that cannot be read or ends too soon, ConfigError, FormatError.
@@ -106,15 +107,16 @@ def run_study(package: Path, settings: StudySettings, progress: Progress = silen
     frame_rows: list[Row] = []
     tasks = [(package, trace, settings) for trace in settings.traces]
     progress("sessions", 0, len(tasks))
-    with ProcessPoolExecutor(settings.jobs) as pool:
+    context = multiprocessing.get_context("spawn")  # a fork has no threads, and clients of object stores live on them
+    with ProcessPoolExecutor(settings.jobs, context) as pool:
         for done, (some, frames) in enumerate(pool.map(_one_trace, tasks), 1):
             rows += some
             frame_rows += frames
             progress("sessions", done, len(tasks))
-    return Study(settings, package.name, tuple(rows), tuple(frame_rows))
+    return Study(settings, Path(package).name, tuple(rows), tuple(frame_rows))
 
 
-def _one_trace(task: tuple[Path, str, StudySettings]) -> tuple[list[Row], list[Row]]:
+def _one_trace(task: tuple[str | Path, str, StudySettings]) -> tuple[list[Row], list[Row]]:
     """Rows of the sessions and of the frame-mode runs on one trace."""
     path, name, settings = task
     c = Catalogue.of(open_package(path))

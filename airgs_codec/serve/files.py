@@ -19,25 +19,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME
+from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MEDIA_TYPES, ROOTS
 from airgs_codec.package.tables import digest
 
 CACHE_BYTES = 64 << 20
 SETTLED_NS = 2_000_000_000  # a younger file may change without a new time stamp (the coarsest are 2 s apart)
 LEAST_ZIPPED_BYTES = 1024  # what fits one packet gains nothing
 ATTEMPTS, PAUSE_S = 5, 0.02  # to read a file that is being written
-ROOTS = (JSON_NAME, MPD_NAME)  # what changes while a package grows; all other files are written once
 _BELOW = r"(?:group|index|key|state)/(?:[A-Za-z0-9_-]+/){0,3}[A-Za-z0-9_-]+(?:\.[a-z0-9]+){1,2}"
 _PATH = re.compile("|".join([*map(re.escape, (*ROOTS, INIT_NAME)), _BELOW]), re.ASCII)
 _ABSENT = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.EACCES, errno.ENAMETOOLONG, errno.ENXIO}
-_TYPES = {
-    ".bin": "application/octet-stream",
-    ".json": "application/json",
-    ".json.gz": "application/gzip",
-    ".m4s": "video/mp4",
-    ".mp4": "video/mp4",
-    ".mpd": "application/dash+xml",
-}
 _TEXT = (".json", ".mpd")  # the only files that are not compressed already
 
 Stamp = tuple[int, ...]  # device, inode, bytes, ns of the last change of the bytes and of the inode
@@ -59,7 +50,7 @@ def media_type(path: str) -> str | None:
     if not _PATH.fullmatch(path):
         return None
     name = path.rpartition("/")[2]
-    return _TYPES.get(name[name.index(".") :])
+    return MEDIA_TYPES.get(name[name.index(".") :])
 
 
 class PackageFiles:

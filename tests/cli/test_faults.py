@@ -12,7 +12,7 @@ import pytest
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package.staging import staged
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.store import open_package
 from tests.makers.conformance import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
@@ -102,7 +102,7 @@ def test_a_kill_in_the_middle_leaves_the_old_package(scene, target, tmp_path):
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert validate(target) == [] and open_package(target).manifest.frames == 3
-    with staged(target):  # another run at work
+    with Folder(target).staged():  # another run at work
         command("encode", scene, "-o", target, *ENCODE, check=True)
         assert len(list(tmp_path.glob(".out.airgs.*.stage"))) == 1  # its folder stays, that of the killed run is gone
     assert not list(tmp_path.glob(".out.airgs.*"))

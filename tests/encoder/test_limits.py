@@ -10,6 +10,7 @@ from airgs_codec.encoder.limits import LEFT_OUT, find_limit
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import survey_groups
 from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.store import Package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.regions import place, region
@@ -43,5 +44,5 @@ def test_the_part_that_is_coarse_is_named(job, tmp_path, part):
         preset="ultrafast",
     )
     encoded = encode_sequence(job, settings, tmp_path)
-    package = Package(tmp_path, encoded.manifest, 0)
+    package = Package(Folder(tmp_path), encoded.manifest, 0)
     assert find_limit(package, encoded, job.sequence, job.views)[0] == part

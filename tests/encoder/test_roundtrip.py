@@ -18,8 +18,8 @@ from airgs_codec.errors import ConfigError, FormatError, SceneError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.staging import staged
 from airgs_codec.package.store import open_package, root_of
 from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians
@@ -295,30 +295,30 @@ def test_settings_that_cannot_work_are_refused(settings):
 
 def test_values_that_no_code_holds_are_refused_and_leave_the_old_package(tmp_path):
     good = encoded(tmp_path, moving_frames(20, 1))
-    before = {p.name: p.read_bytes() for p in good.path.iterdir() if p.is_file()}
+    before = {p.name: p.read_bytes() for p in good.files.path.iterdir() if p.is_file()}
     g = random_gaussians(20)
     wild = Gaussians(g.means, g.quaternions, g.log_scales, g.opacity_logits, g.sh_dc * np.float32(1e30), g.sh_rest)
     folder = write_sequence(tmp_path / "wild", [wild])
     with pytest.raises(SceneError, match="codes"):
-        encode(open_sequence(folder), good.path, FAST)
-    assert {p.name: p.read_bytes() for p in good.path.iterdir() if p.is_file()} == before
+        encode(open_sequence(folder), good.files.path, FAST)
+    assert {p.name: p.read_bytes() for p in good.files.path.iterdir() if p.is_file()} == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "scene", "wild"]  # no stage is left behind
 
 
 def test_a_folder_that_is_no_package_is_never_replaced(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("years of work")
-    with pytest.raises(ConfigError, match="other files"), staged(tmp_path / "out"):
+    with pytest.raises(ConfigError, match="other files"), Folder(tmp_path / "out").staged():
         raise AssertionError("unreachable")
     assert (tmp_path / "out" / "thesis.tex").exists()
 
 
 def test_a_linked_file_is_refused(tmp_path):
     package = encoded(tmp_path, moving_frames(20, 1))
-    path = package.path / "key/T0/1.bin"
+    path = package.files.path / "key/T0/1.bin"
     outside = tmp_path / "outside.bin"
     path.rename(outside)
     path.symlink_to(outside)
     with pytest.raises(FormatError, match="link"):
         decode(package, 0)
-    assert "unsafe_path" in {f.reason for f in validate(package.path)}
+    assert "unsafe_path" in {f.reason for f in validate(package.files.path)}

@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
 from airgs_codec.errors import AirgsError, FormatError
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.parse import parse_root
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, FileKind, file_kind
@@ -83,7 +84,7 @@ def decode_all(files: Files) -> bytes:
     """Open, check and decode a package in memory; the digest of all codes. Raises AirgsError for a bad one."""
     manifest = open_manifest(parse_root(files[JSON_NAME]), partial(read_from, files))
     check_mpd(files[MPD_NAME], manifest)
-    package = Memory(VALID, manifest, 0, 0, files)
+    package = Memory(Folder(VALID), manifest, 0, 0, files)
     digest = hashlib.sha256()
     with np.errstate(all="ignore"):
         for codes in itertools.chain(_key_codes(package), _state_codes(package)):

@@ -23,11 +23,11 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.media.fragments import box, with_columns
 from airgs_codec.media.mp4 import read_boxes
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.parse import parse_root
 from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME
-from airgs_codec.package.staging import write_file
 from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import Grid, digest
 from airgs_codec.package.writing import write_tables
@@ -184,10 +184,11 @@ def write_live() -> None:
     package = open_package(VALID / "two-groups-sh1")
     m = package.manifest
     first = replace(m, frames=m.groups[0].stop, live=True, groups=Groups.of(m.groups[:1]))
+    live = Folder(VALID / "live")
     for path in (INIT_NAME, *first.group_files(0)):
-        write_file(VALID / "live", path, package.read(path))
+        live.write(path, package.read(path))
     moment = datetime(2026, 1, 1, tzinfo=UTC)
-    write_tables(VALID / "live", first, LiveClock(moment, moment))
+    write_tables(live, first, LiveClock(moment, moment))
 
 
 if __name__ == "__main__":

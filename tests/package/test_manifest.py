@@ -247,7 +247,7 @@ def test_ffmpeg_reads_the_mpd_and_decodes_every_state_frame(name):
     package = open_package(CORPUS / "valid" / name)
     m = package.manifest
     for level in range(len(m.levels)):
-        command = ["ffmpeg", "-v", "error", "-i", str((package.path / "manifest.mpd").resolve())]
+        command = ["ffmpeg", "-v", "error", "-i", str((package.files.path / "manifest.mpd").resolve())]
         command += ["-map", f"0:v:{level}", "-f", "framemd5", "-"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
         pictures = [line for line in done.stdout.splitlines() if not line.startswith("#")]

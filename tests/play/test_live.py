@@ -8,11 +8,11 @@ from itertools import pairwise
 import pytest
 
 from airgs_codec.errors import TransportError
+from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.packing import build_index, pack_group, pack_json
 from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.package.staging import write_file
 from airgs_codec.package.store import open_package
 from airgs_codec.package.writing import write_root
 from airgs_codec.play import player
@@ -37,7 +37,7 @@ class Growing:
     """The package `paged` with so many of its groups, published one step after another."""
 
     def __init__(self, folder, *counts):
-        shutil.copytree(PAGED.path, folder)
+        shutil.copytree(PAGED.files.path, folder)
         shutil.rmtree(folder / "index")
         self.folder, self.waiting = folder, list(counts)
         self.publish()
@@ -51,10 +51,10 @@ class Growing:
         groups = PAGED.manifest.groups[: self.count]
         _, pages = build_index(groups, [pack_group(group) for group in groups])
         for number, page in enumerate(pages, 1):
-            write_file(self.folder, f"index/{number}.json", pack_json(page))
+            Folder(self.folder).write(f"index/{number}.json", pack_json(page))
         m = replace(PAGED.manifest, live=count > 0, frames=groups[-1].stop, groups=Groups.of(groups))
         now = datetime.now(UTC)
-        write_root(self.folder, m, LiveClock(now, now))
+        write_root(Folder(self.folder), m, LiveClock(now, now))
 
     def received(self, path, data):
         """Whenever a client has read airgs.json, the package grows."""

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from urllib.request import Request, urlopen
 
 from airgs_codec.serve.app import make_app
 from airgs_codec.serve.files import PackageFiles
@@ -66,3 +67,20 @@ def say(port: int, data: bytes, wait_s: float = 10.0) -> bytes:
         while part := connection.recv(1 << 16):
             answer += part
         return answer
+
+
+@contextmanager
+def object_store(bucket: str) -> Iterator[dict[str, str]]:
+    """moto's S3 server with one empty bucket; gives the environment that leads to it."""
+    from moto.server import ThreadedMotoServer
+
+    server = ThreadedMotoServer("127.0.0.1", 0, verbose=False)
+    server.start()
+    try:
+        endpoint = "http://{}:{}".format(*server.get_host_and_port())
+        with urlopen(Request(f"{endpoint}/{bucket}", method="PUT"), timeout=10):
+            pass
+        secret = {"AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test", "AWS_REGION": "us-east-1"}
+        yield {"AWS_ENDPOINT": endpoint, "AWS_ALLOW_HTTP": "true", **secret}
+    finally:
+        server.stop()

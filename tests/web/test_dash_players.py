@@ -73,7 +73,7 @@ def paths(urls):
 
 
 def test_shaka_finds_what_the_tables_say(package):
-    report = look(package.path, "shaka")
+    report = look(package.files.path, "shaka")
     streams = expected(package.manifest)
     assert not report["live"]
     assert report["duration"] == pytest.approx(float(package.manifest.frames / package.manifest.fps), abs=TIGHT_S)
@@ -86,7 +86,7 @@ def test_shaka_finds_what_the_tables_say(package):
         assert {path for s in r["segments"] for path in paths(s["init"])} == {INIT_NAME}
         sets[r["set"]].append(r["id"])
     assert sorted(map(sorted, sets.values())) == sorted(map(sorted, sets_of(streams)))
-    assert all((package.path / files[0][2]).is_file() for files in streams.values())
+    assert all((package.files.path / files[0][2]).is_file() for files in streams.values())
 
 
 def sets_of(streams):
@@ -98,7 +98,7 @@ def sets_of(streams):
 
 
 def test_dashjs_finds_the_sets_and_plays_the_state(package):
-    report = look(package.path, "dashjs")
+    report = look(package.files.path, "dashjs")
     streams = expected(package.manifest)
     roles = {tuple(s["role"]): sorted(s["representations"]) for s in report["sets"]}
     tiers = range(package.manifest.tiers)
@@ -112,7 +112,7 @@ def test_dashjs_finds_the_sets_and_plays_the_state(package):
 @pytest.mark.parametrize("name", ["L0", "T0/Q0"])
 def test_a_representation_plays_as_grey_video_to_its_end(package, player, name):
     m = package.manifest
-    report = look(package.path, player, only=name)
+    report = look(package.files.path, player, only=name)
     files = expected(m)[name]
     played = report["played"]
     frames = sum(round((stop - start) * m.fps) for start, stop, _ in files) if name[0] == "L" else len(files)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec import __version__
+from airgs_codec._files import write_bytes
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.calibration.calibrate import REVISION, Calibration
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
@@ -20,7 +21,6 @@ from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.errors import AirgsError
 from airgs_codec.media.h264 import library_versions
-from airgs_codec.package.staging import write_file
 from airgs_codec.package.tables import KeySteps, StateSteps
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -76,4 +76,4 @@ def keep(name: str, calibration: Calibration) -> None:
     """Keep a calibration under a digest; a cache that cannot be written is no reason to fail."""
     with contextlib.suppress(OSError, AirgsError):
         folder().mkdir(parents=True, exist_ok=True)
-        write_file(folder(), f"{name}.json", json.dumps(dataclasses.asdict(calibration)).encode())
+        write_bytes(folder() / f"{name}.json", json.dumps(dataclasses.asdict(calibration)).encode())

@@ -1,0 +1,147 @@
+"""Every command takes the address of an object store where it takes the folder of a package."""
+
+import itertools
+import json
+import shutil
+
+import pytest
+
+pytest.importorskip("obstore", reason="obstore, the extra `cloud`, is not installed")
+pytest.importorskip("moto", reason="moto, a server for tests, is not installed")
+
+from airgs_codec.cli import decode, encode, manifest, play
+from airgs_codec.inspect.validate import validate
+from airgs_codec.package import storage
+from airgs_codec.package.store import open_package
+from tests.support.mutations import read_files
+from tests.support.paths import VALID
+from tests.support.scenes import moving_frames, write_sequence
+from tests.support.servers import object_store
+
+BUCKET = "scenes"
+ENCODE = ["--preset", "ultrafast", "--steps", "default", "--measure-pictures", "0"]
+
+
+@pytest.fixture(scope="session")
+def server():
+    """A server for all tests; each has a prefix of its own."""
+    with pytest.MonkeyPatch.context() as patch, object_store(BUCKET) as environment:
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        yield
+
+
+@pytest.fixture
+def place(server, request):
+    """A prefix with nothing below it."""
+    return f"s3://{BUCKET}/{request.node.name}/scene.airgs"
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """Four frames of 40 Gaussians."""
+    return write_sequence(tmp_path / "scene", moving_frames(40, 4))
+
+
+@pytest.fixture(scope="session")
+def package(server):
+    """An address with a package, which no test changes."""
+    address = f"s3://{BUCKET}/moving"
+    with storage.open_storage(address).staged() as stage:
+        shutil.copytree(VALID / "moving", stage, dirs_exist_ok=True)
+    return address
+
+
+def contents(address):
+    files = storage.open_storage(address)
+    return {name: files.open(name)[1]() for name in files.paths()}
+
+
+def test_a_package_is_encoded_there_and_replaced(place, scene, capsys):
+    assert encode.main([str(scene), "-o", place, *ENCODE, "--group", "2"]) == 0
+    assert f"{place}: " in capsys.readouterr().out and len(open_package(place).manifest.groups) == 2
+    assert encode.main([str(scene), "-o", place, *ENCODE, "--group", "4"]) == 0
+    assert len(open_package(place).manifest.groups) == 1 and validate(place) == []
+    assert manifest.main(["compare", place, str(scene), "--frames", "0", "--draws", "1", "--json"]) == 0
+
+
+def test_reading_is_as_from_the_folder(package, tmp_path, capsys):
+    trace, study = ["--trace", "const:5"], ["--policies", "throughput", "--offsets", "1", "--jobs", "1", "--json"]
+    commands = [
+        lambda place, out: manifest.main(["inspect", place, "--json"]),
+        lambda place, out: manifest.main(["validate", place]),
+        lambda place, out: decode.main([place, "-o", str(out / "frames"), "--frames", "1:3"]),
+        lambda place, out: play.main([place, *trace, "--json"]),
+        lambda place, out: play.main([place, "--compare", "--traces", "const:5", *study]),
+    ]
+    said = {}
+    for place in (package, str(VALID / "moving")):
+        out = tmp_path / place.partition(":")[0].strip("/").replace("/", "-")
+        out.mkdir()
+        assert [command(place, out) for command in commands] == [0] * len(commands)
+        said[place] = capsys.readouterr().out.replace(str(out), ""), read_files(out)
+    assert said[package] == said[str(VALID / "moving")]
+
+
+def test_a_growing_package_is_readable_after_every_group(place, scene, monkeypatch):
+    from airgs_codec.cli import encode as module
+
+    ticks = itertools.count()
+    monkeypatch.setattr(module, "frames_may_come", lambda idle: lambda frames: next(ticks) < 1)
+    seen, report = [], module.report_groups
+
+    def watched(groups, target, as_json):
+        def each():
+            for published in groups:
+                m = open_package(target).manifest
+                seen.append((m.live, len(m.groups), validate(target)))
+                yield published
+
+        report(each(), target, as_json)
+
+    monkeypatch.setattr(module, "report_groups", watched)
+    assert encode.main([str(scene), "-o", place, *ENCODE, "--follow", "--group", "1"]) == 0
+    m = open_package(place).manifest
+    assert [count for _, count, _ in seen] == list(range(1, len(m.groups) + 1)) and len(seen) > 1
+    assert all(live and not findings for live, _, findings in seen)
+    assert not m.live and validate(place) == []
+
+
+@pytest.mark.parametrize(
+    ("address", "environment", "expected"),
+    [
+        ("s3://nowhere/scene", {}, "bucket does not exist"),
+        (f"s3://{BUCKET}/nothing", {}, "expected a package"),
+        ("az://container/x", {}, "no credentials"),
+        ("ftp://host/x", {}, "expected a folder or an address of s3://"),
+    ],
+)
+def test_what_cannot_be_read_is_one_line(server, monkeypatch, capsys, address, environment, expected):
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert manifest.main(["inspect", address]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and address in error and expected in error
+
+
+def test_a_bucket_that_is_not_there_is_told_before_the_work(server, scene, capsys):
+    assert encode.main([str(scene), "-o", "s3://nowhere/scene", *ENCODE]) == 2
+    assert "bucket does not exist" in capsys.readouterr().err
+
+
+def test_a_missing_extra_is_named(monkeypatch, capsys):
+    monkeypatch.setattr(storage.importlib.util, "find_spec", lambda name: None)
+    assert manifest.main(["inspect", "s3://scenes/x"]) == 2
+    assert "airgs-codec[cloud]" in capsys.readouterr().err
+
+
+def test_a_changed_object_is_refused(place, capsys):
+    with storage.open_storage(place).staged() as stage:
+        shutil.copytree(VALID / "moving", stage, dirs_exist_ok=True)
+    files = storage.open_storage(place)
+    name = next(name for name in files.paths() if name.startswith("state/"))
+    files.write(name, b"of another package")
+    files.write("state/L0/999.m4s", b"of nobody")
+    assert manifest.main(["validate", place, "--json"]) == 1
+    reasons = {finding["reason"] for finding in json.loads(capsys.readouterr().out)}
+    assert {"size_mismatch", "foreign_file"} <= reasons
