@@ -158,10 +158,10 @@ class _Player:
         arrival = self.downloader.fetch(request, give_up)
         self.now_s = arrival.at_s
         took_s = max(arrival.at_s - arrival.first_byte_s, SHORTEST_S)
-        self.downloads.append((arrival.at_s, Download(arrival.bytes, took_s)))
         self.unusable.update(arrival.refused)
         self.tables.add(arrival)
-        if request.kind is not BatchKind.TABLES:
+        if request.kind is not BatchKind.TABLES:  # too small to tell the rate: they come in one burst
+            self.downloads.append((arrival.at_s, Download(arrival.bytes, took_s)))
             self.keys.add(arrival)
             self._use_keys(request)
         return arrival
@@ -251,7 +251,9 @@ class _Player:
         if not (self.settings.replace and self.policy.may_replace):
             return False
         estimate_bps = estimate_throughput(self._history(self.now_s))
-        best = max(self._replacements(SAFETY * estimate_bps), key=lambda r: r[0], default=None)
+        best = (
+            max(self._replacements(SAFETY * estimate_bps), key=lambda r: r[0], default=None) if estimate_bps else None
+        )
         if best is None:
             return False
         _, slot, option = best
