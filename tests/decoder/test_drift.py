@@ -111,7 +111,7 @@ def expected(package, index, quality, level, have):
 def damaged(package, tmp_path):
     """The same package without some of its files: states of every level, second tiers, and one first tier."""
     whole, _ = package
-    shutil.copytree(whole.path, tmp_path / "damaged")
+    shutil.copytree(whole.files.path, tmp_path / "damaged")
     chance = random.Random(3)
     m = whole.manifest
     states = [m.state_files(i, j)[0] for i in range(len(m.segments)) for j in range(len(m.levels))]

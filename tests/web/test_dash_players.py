@@ -162,7 +162,7 @@ class Growth:
 
 @pytest.mark.parametrize("player", PLAYERS)
 def test_a_growing_package_is_joined_late_and_plays_on_to_its_end(growing, player):
-    report = look(growing.path, player, Growth(growing).mpd, only="L0")
+    report = look(growing.files.path, player, Growth(growing).mpd, only="L0")
     assert report["live"]
     assert report["played"]["stopped"] == report["played"]["duration"] == pytest.approx(GROUPS, abs=TIGHT_S)
     assert report["played"]["colour"] <= GREY
