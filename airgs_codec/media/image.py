@@ -27,6 +27,12 @@ def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
     path.write_bytes(data.tobytes())
 
 
+def write_jpeg(path: Path, rgb: NDArray[np.uint8], quality: int = 90) -> None:
+    """Write (H, W, 3) RGB as JPEG of a `quality` up to 100."""
+    _, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    path.write_bytes(data.tobytes())
+
+
 def read_picture(path: Path) -> NDArray[np.uint8]:
     """Read (H, W, 3) RGB of 8 bits, or (H, W, 4) where the file has alpha; of 16 bits the upper 8 are kept.
 

@@ -7,8 +7,9 @@ from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.find import natural_key
 from airgs_codec.scene.ply import PlyHeader, is_whole, read_ply, read_ply_header
-from airgs_codec.scene.sequence import SETTINGS_NAME, GaussianSequence, natural_key, sequence_of
+from airgs_codec.scene.sequence import SETTINGS_NAME, GaussianSequence, sequence_of
 
 
 class GrowingFolder:

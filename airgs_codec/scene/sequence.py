@@ -1,9 +1,8 @@
-"""A Gaussian sequence on disk: a folder of .ply frames, optional sequence.json, cameras and usage.npz."""
+"""A Gaussian sequence on disk: a folder of frames or one file, optional sequence.json, cameras and usage.npz."""
 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -13,8 +12,10 @@ from typing import Any
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
+from airgs_codec.scene.formats.find import find_frames
+from airgs_codec.scene.formats.table import read_frame, read_frame_header
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import PlyHeader, read_ply, read_ply_header
+from airgs_codec.scene.ply import PlyHeader
 from airgs_codec.scene.repair import Repaired, repair
 from airgs_codec.scene.usage import Usage, load_usage
 
@@ -37,6 +38,7 @@ class GaussianSequence:
     cameras: tuple[Camera, ...]  # empty where none are given
     max_sh_degree: int = 3  # SH bands above it are not read
     cameras_path: Path | None = None  # the file or folder that the cameras are from
+    alone: bool = False  # one file, opened by its own name
 
     @property
     def sh_degree(self) -> int:
@@ -49,11 +51,11 @@ class GaussianSequence:
     def usage(self, start: int, stop: int) -> Usage | None:
         """What the trainer measured over all frames of the group [start, stop); None where it left no such group."""
         path = self.folder / USAGE_NAME
-        return load_usage(path, start, stop) if path.is_file() else None
+        return load_usage(path, start, stop) if path.is_file() and not self.alone else None
 
     def read(self, frame: int) -> Gaussians:
         """Read one frame as its file has it, unrepaired. Raises SceneError when the file is broken."""
-        return read_ply(self.paths[frame]).with_degree(self.sh_degree)
+        return read_frame(self.paths[frame]).with_degree(self.sh_degree)
 
     def load(self, frames: Iterable[int]) -> Repaired:
         """Read frames of one group and repair them together: a row that is dropped in one is dropped in all.
@@ -77,30 +79,26 @@ def read_attribution(folder: Path) -> str:
 def open_sequence(
     folder: str | Path, *, views: str | Path | None = None, fps: Fraction | float | None = None
 ) -> GaussianSequence:
-    """Open a folder of .ply frames; their headers are read, their rows only when they are asked for.
+    """Open a folder of frames, or one file as a scene of one frame; rows are read only when they are asked for.
 
-    Frames are INRIA Gaussian .ply files in natural order of their names (frame2 before frame10). Beside them may lie
+    Frames are of any format in `scene.formats.table.FORMATS`, all of the same, in natural order of their names (frame2
+    before frame10); of an INRIA model the newest iteration is taken. Beside them may lie
 
     - sequence.json: `{"fps": number, "keyframes": [first frame of each group, ...]}`; 30 frames a second without it;
     - cameras in a form that people have them in, the first of transforms.json, INRIA's cameras.json, COLMAP's sparse/
       and Panoptic's train_meta.json; they may also lie in the INRIA model whose point_cloud/ the frames are in;
     - usage.npz: how much each Gaussian contributes to the training views, as the trainer measured it.
 
-    `views` is another file or folder of cameras (`scene.cameras.read.read_cameras`), `fps` (frames a second, above 0
-    and at most 1000) another frame rate; both take precedence over what the folder says.
+    The first and the last are not looked for beside a file that is opened by its own name. `views` is another file or
+    folder of cameras (`scene.cameras.read.read_cameras`), `fps` (frames a second, above 0 and at most 1000) another
+    frame rate; both take precedence over what the folder says.
 
-    Raises SceneError when there is no such folder, it has no frames, a frame is not a Gaussian .ply, has no rows or
-    another SH degree than the first, or one of the files beside them is malformed.
+    Raises SceneError when there is nothing there, it has no frames, a frame is broken, has no rows or another SH degree
+    than the first, or one of the files beside them is malformed.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise SceneError(
-            f"{folder}: expected a folder of .ply frames, got {'a file' if folder.exists() else 'nothing'}"
-        )
-    paths = tuple(sorted(folder.glob("*.ply"), key=natural_key))
-    if not paths:
-        raise SceneError(f"{folder}: expected at least one .ply frame, got none")
-    return sequence_of(folder, [(path, read_ply_header(path)) for path in paths], views=views, fps=fps)
+    found = find_frames(Path(folder))
+    frames = [(path, read_frame_header(path)) for path in found.paths]
+    return sequence_of(found.folder, frames, views=views, fps=fps, alone=found.alone)
 
 
 def sequence_of(
@@ -109,8 +107,12 @@ def sequence_of(
     *,
     views: str | Path | None = None,
     fps: Fraction | float | None = None,
+    alone: bool = False,
 ) -> GaussianSequence:
-    """The sequence of frames whose headers are known, at least one, with what lies beside them; see `open_sequence`."""
+    """The sequence of frames whose headers are known, at least one, with what lies beside them; see `open_sequence`.
+
+    `alone`: it is one file, which others may lie beside.
+    """
     degree = frames[0][1].sh_degree
     for path, header in frames:
         if header.count == 0:
@@ -118,17 +120,12 @@ def sequence_of(
         if header.sh_degree != degree:
             expected = f"expected SH degree {degree} as in {frames[0][0].name}"
             raise SceneError(f"{path}: {expected}, got {header.sh_degree}")
-    own_fps, keyframes = _read_settings(folder / SETTINGS_NAME, len(frames))
+    own_fps, keyframes = (DEFAULT_FPS, None) if alone else _read_settings(folder / SETTINGS_NAME, len(frames))
     rate = own_fps if fps is None else _frame_rate(str(folder), fps)
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
     cameras = tuple(read_cameras(cameras_path)) if cameras_path else ()
     paths, headers = zip(*frames, strict=True)
-    return GaussianSequence(folder, paths, headers, rate, keyframes, cameras, cameras_path=cameras_path)
-
-
-def natural_key(path: Path) -> list[tuple[int, str]]:
-    """Sort key that puts frame2 before frame10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.stem) if part]
+    return GaussianSequence(folder, paths, headers, rate, keyframes, cameras, cameras_path=cameras_path, alone=alone)
 
 
 def _read_settings(path: Path, frames: int) -> tuple[Fraction, tuple[int, ...] | None]:

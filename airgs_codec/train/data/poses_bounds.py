@@ -8,7 +8,7 @@ from pathlib import Path
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.cameras import llff
-from airgs_codec.scene.sequence import natural_key
+from airgs_codec.scene.formats.find import natural_key
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
 from airgs_codec.train.data.videos import CameraFilm, find_videos, scene_from_films, video_size
 

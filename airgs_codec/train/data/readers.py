@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.find import has_frames
 from airgs_codec.scene.ply import read_points
 from airgs_codec.train.data.colmap_folder import has_colmap, read_colmap
 from airgs_codec.train.data.multiview import MultiviewScene, Points
@@ -39,7 +40,7 @@ FORMATS = (  # the first that recognises a folder reads it
 
 def is_multiview(folder: Path) -> bool:
     """Whether a folder looks like multi-view video rather than a Gaussian sequence."""
-    if any(path.name not in POINT_FILES for path in folder.glob("*.ply")):
+    if not folder.is_dir() or has_frames(folder, apart_from=POINT_FILES):
         return False
     return any(entry.recognise(folder) for entry in FORMATS)
 

@@ -1,0 +1,180 @@
+"""glTF 2.0 with KHR_gaussian_splatting, .glb or .gltf: points with attributes, floats or integers; SH 0 to 3.
+
+N rows. Sizes and opacities are stored as they are, without logarithm or logit; quaternions are x, y, z, w. Nodes may
+move, turn and scale splats alike in all directions; SH is not turned, so that a turn is refused where there is any.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.nodes import Placed, placed
+from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.ply import PlyHeader
+from airgs_codec.scene.rotations import multiply
+
+EXTENSION = "KHR_gaussian_splatting"
+_COLOURS = ("srgb_rec709_display", "BT.709")  # the second is of drafts
+_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+_MOST_JSON = 1 << 24  # bytes
+_LEAST_SCALE = 1e-9  # of a size of 0, whose logarithm is infinite
+_SATURATED = math.log(1019)  # the logit of an opacity of 0 or 1
+_BROKEN = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
+
+
+@dataclass(frozen=True, slots=True)
+class _Document:
+    """The JSON of a file, and its binary chunk; the chunk is empty where only the header was read."""
+
+    path: Path
+    json: dict[str, Any]
+    chunk: bytes
+
+
+def read_gltf_header(path: Path) -> PlyHeader:
+    """Count and SH degree of all splats together. Raises SceneError."""
+    document = _open(path, only_json=True)
+    try:
+        return _header(document, list(placed(document.json, EXTENSION)))
+    except _BROKEN as error:
+        raise _refusal(path, error) from error
+
+
+def read_gltf(path: Path) -> Gaussians:
+    """The splats of all nodes of the scene, one after another. Raises SceneError."""
+    document = _open(path)
+    try:
+        primitives = list(placed(document.json, EXTENSION))
+        degree = _header(document, primitives).sh_degree
+        buffers = [_buffer(document, i) for i in range(len(document.json["buffers"]))]
+        parts = [_read(document.json, buffers, p, degree) for p in primitives]
+    except _BROKEN as error:
+        raise _refusal(path, error) from error
+    return Gaussians(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Gaussians)))
+
+
+def _refusal(path: Path, error: Exception) -> SceneError:
+    words = f"no {error}" if isinstance(error, KeyError) else str(error)
+    return SceneError(f"{path}: expected glTF with {EXTENSION}: {words[:160]}")
+
+
+def _open(path: Path, *, only_json: bool = False) -> _Document:
+    """The JSON and, unless only that is asked for, the binary chunk."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(20)
+            if head[:4] != b"glTF":
+                text, chunk = head + file.read(_MOST_JSON), b""
+            else:
+                length = int.from_bytes(head[12:16], "little")
+                if head[4:8] != b"\2\0\0\0" or head[16:20] != b"JSON" or length > _MOST_JSON:
+                    raise ValueError(f"a header of GLB 2, got {head!r}")
+                text = file.read(length)
+                chunk = b"" if only_json else file.read()[8:]
+        return _Document(path, json.loads(text), chunk)
+    except (ValueError, RecursionError) as error:
+        raise _refusal(path, error) from error
+
+
+def _header(document: _Document, primitives: list[Placed]) -> PlyHeader:
+    """What the JSON promises. Raises SceneError, or one of _BROKEN."""
+    if not primitives:
+        raise ValueError("no node of its scene has splats")
+    degrees = set()
+    count = 0
+    for primitive in primitives:
+        names, extension = primitive.attributes, primitive.extension
+        if extension.get("extensions"):
+            raise ValueError(f"splats compressed by {', '.join(extension['extensions'])} are not read")
+        if extension.get("kernel", "ellipse") != "ellipse" or extension.get("colorSpace", _COLOURS[0]) not in _COLOURS:
+            raise ValueError(f"kernel ellipse in {_COLOURS[0]}, got {json.dumps(extension)[:120]}")
+        degrees.add(max(d for d in range(4) if all(name in names for name in _harmonics(d))))
+        if any(name.startswith(f"{EXTENSION}:SH_DEGREE_{max(degrees) + 1}") for name in names):
+            raise ValueError(f"some coefficients of SH degree {max(degrees) + 1}")
+        count += _whole(document.json["accessors"][names["POSITION"]]["count"])
+    if len(degrees) > 1:
+        raise ValueError(f"one SH degree, got {sorted(degrees)}")
+    if max(degrees) and any(abs(primitive.rotation[0]) < 1 - 1e-6 for primitive in primitives):
+        raise ValueError("splats with SH in a node that turns them")
+    if count > (most := sum(_whole(buffer["byteLength"]) for buffer in document.json["buffers"])):
+        raise ValueError(f"as many Gaussians as {most} bytes can hold, got {count}")
+    return PlyHeader(count, degrees.pop())
+
+
+def _harmonics(degree: int) -> Iterator[str]:
+    """The attributes of all bands up to a degree, in their order."""
+    for band in range(degree + 1):
+        yield from (f"{EXTENSION}:SH_DEGREE_{band}_COEF_{i}" for i in range(2 * band + 1))
+
+
+def _whole(value: Any) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise ValueError(f"a number of at least 0, got {value!r}"[:80])
+    return value
+
+
+def _buffer(document: _Document, index: int) -> bytes:
+    """The bytes of a buffer: the binary chunk, base64 in the JSON, or a file beside it."""
+    uri = document.json["buffers"][index].get("uri")
+    if uri is None:
+        return document.chunk
+    if uri.startswith("data:"):
+        return base64.b64decode(uri.partition(",")[2], validate=True)
+    if Path(uri).name != uri or "\0" in uri:
+        raise ValueError(f"a buffer beside it, got {uri[:80]!r}")
+    return (document.path.parent / uri).read_bytes()
+
+
+def _column(document: dict[str, Any], buffers: list[bytes], accessor: int, width: int) -> NDArray[np.float32]:
+    """(N, width) of an accessor; integers are divided by their largest where they are normalised."""
+    a = document["accessors"][accessor]
+    if "sparse" in a or _WIDTHS.get(a["type"]) != width:
+        raise ValueError(f"an accessor of {width} values, not sparse, got {json.dumps(a)[:100]}")
+    view = document["bufferViews"][_whole(a["bufferView"])]
+    kind, count = np.dtype(_TYPES[a["componentType"]]), _whole(a["count"])
+    stride = _whole(view.get("byteStride", 0)) or width * kind.itemsize
+    start = _whole(view.get("byteOffset", 0)) + _whole(a.get("byteOffset", 0))
+    data = buffers[_whole(view["buffer"])]
+    if stride < width * kind.itemsize or start + (count - 1) * stride + width * kind.itemsize > len(data):
+        raise ValueError(f"{count} rows of {stride} bytes from byte {start}, got a buffer of {len(data)}")
+    if not count:
+        return np.zeros((0, width), np.float32)
+    values = np.ndarray((count, width), kind, data, start, (stride, kind.itemsize)).astype(np.float32)
+    if a.get("normalized") and kind.kind != "f":
+        values = np.maximum(values / np.float32(np.iinfo(kind).max), np.float32(-1))
+    return values
+
+
+def _read(document: dict[str, Any], buffers: list[bytes], primitive: Placed, degree: int) -> Gaussians:
+    names = primitive.attributes
+
+    def column(name: str, width: int) -> NDArray[np.float32]:
+        return _column(document, buffers, _whole(names[name]), width)
+
+    means = column("POSITION", 3)
+    rotations = column(f"{EXTENSION}:ROTATION", 4)[:, [3, 0, 1, 2]]
+    scales = column(f"{EXTENSION}:SCALE", 3)
+    alpha = column(f"{EXTENSION}:OPACITY", 1)[:, 0].astype(np.float64)
+    dc, *rest = (column(name, 3) for name in _harmonics(degree))
+    lengths = {len(rotations), len(scales), len(alpha), *map(len, (dc, *rest))}
+    if lengths != {len(means)}:
+        raise ValueError(f"{len(means)} rows of every attribute")
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        logits = np.clip(np.log(alpha / (1 - alpha)), -_SATURATED, _SATURATED)
+        log_scales = np.log(np.maximum(scales, _LEAST_SCALE)) + math.log(primitive.scale)
+        placed_means = means @ primitive.matrix.T + primitive.translation
+    quaternions = multiply(np.broadcast_to(primitive.rotation, rotations.shape), rotations)
+    sh = np.stack(rest, axis=1) if rest else np.zeros((len(means), SH_REST[0], 3))
+    columns = (placed_means, quaternions, log_scales, logits, dc, sh)
+    return Gaussians(*(np.asarray(part, np.float32) for part in columns))

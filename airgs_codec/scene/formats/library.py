@@ -1,0 +1,69 @@
+"""Formats that gaussforge reads: the file through the library to Gaussians, the library's faults put right."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from airgs_codec.errors import SceneError
+from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.ply import PlyHeader, read_ply
+
+SATURATED_LOGIT = np.float32(math.log(1019))  # a quarter of a step of 1/255 off 0 and 1, whose logits are infinite
+SPARE_ROWS = 1 << 16  # that a file may have beyond one a byte: no format stores a Gaussian in less
+_PROGRAM = Path(__file__).with_name("convert.py")
+_BASE_BYTES = 4 << 30  # address space of the interpreter, its threads and the library
+_ROW_COPIES = 16  # of a row in float32, as input, in the library, as .ply
+_SECONDS = 120
+
+
+def check_count(path: Path, header: PlyHeader) -> PlyHeader:
+    """The header, if a file of this size can hold so many rows. Raises SceneError, before memory is taken."""
+    size = path.stat().st_size
+    if header.count > size + SPARE_ROWS:
+        raise SceneError(f"{path}: expected as many Gaussians as {size} bytes can hold, got {header.count}")
+    return header
+
+
+def convert(path: Path, form: str, data: bytes, header: PlyHeader) -> Gaussians:
+    """The Gaussians in the bytes of a file whose header has been read; `form` is the library's name of the format.
+
+    Raises SceneError when the library is not there, cannot read them, or finds others than the header promises.
+    """
+    if importlib.util.find_spec("gaussforge") is None:
+        raise SceneError(f"{path}: {form} files need gaussforge: pip install 'airgs-codec[formats]'")
+    limit = _BASE_BYTES + header.count * _ROW_COPIES * 4 * (14 + 3 * SH_REST[header.sh_degree])
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "frame.ply"
+        reason = _run([form, str(target), str(limit)], data)
+        try:
+            found = read_ply(target)
+        except SceneError:
+            raise SceneError(f"{path}: expected {form}, got what gaussforge cannot read: {reason}") from None
+    if len(found) != header.count or found.sh_degree < header.sh_degree:
+        expected = f"expected {header.count} Gaussians of SH degree {header.sh_degree} as its header says"
+        raise SceneError(f"{path}: {expected}, got {len(found)} of {found.sh_degree}")
+    infinite = np.isinf(found.opacity_logits)
+    logits = np.where(infinite, np.sign(found.opacity_logits) * SATURATED_LOGIT, found.opacity_logits)
+    return replace(found.with_degree(header.sh_degree), opacity_logits=logits.astype(np.float32))
+
+
+def _run(arguments: list[str], data: bytes) -> str:
+    """Run the program on a file; what it says at its end, empty where all went well."""
+    try:
+        command = [sys.executable, "-P", str(_PROGRAM), *arguments]
+        run = subprocess.run(command, input=data, capture_output=True, timeout=_SECONDS, check=False)
+    except subprocess.TimeoutExpired:
+        return f"no answer in {_SECONDS} seconds"
+    if run.returncode < 0:
+        return f"it ended with {signal.Signals(-run.returncode).name}"
+    lines = run.stderr.decode("utf-8", "replace").split("\n")
+    return next((line.strip()[:200] for line in reversed(lines) if line.strip()), "")

@@ -1,0 +1,70 @@
+"""Niantic's .spz: versions 2 and 3, one gzip stream, and 4, zstd streams behind a table; SH 0 to 3."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.library import check_count, convert
+from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.ply import PlyHeader
+
+_MAGIC = b"NGSP"
+_GZIP = b"\x1f\x8b"
+_HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, SH degree, fractional bits, flags, streams from version 4
+_TABLE = struct.Struct("<QQ")  # of a stream: bytes as it is stored, and as it unpacks
+_MAX_BITS = 24  # of a position
+_EXTENSIONS = 1 << 20  # bytes after the rows that are let pass
+
+
+def read_spz_header(path: Path) -> PlyHeader:
+    """Count and SH degree, from the first bytes. Raises SceneError."""
+    with path.open("rb") as file:
+        return _header(path, file.read(1 << 12))[0]
+
+
+def _header(path: Path, data: bytes) -> tuple[PlyHeader, int]:
+    """The header of a file of which at least the beginning is there, and the version."""
+    head = data[: _HEADER.size]
+    if data[:2] == _GZIP:
+        head = _unpack(path, data, _HEADER.size)
+    if len(head) < _HEADER.size or head[:4] != _MAGIC:
+        raise SceneError(f"{path}: expected an .spz file, got {data[:8]!r}")
+    _, version, count, degree, bits, _, _ = _HEADER.unpack(head)
+    if version not in ((2, 3) if data[:2] == _GZIP else (4,)):
+        raise SceneError(f"{path}: expected .spz of version 2 to 4, got {version}")
+    if degree >= len(SH_REST) or not 1 <= bits <= _MAX_BITS:
+        raise SceneError(f"{path}: expected SH degree 0 to 3 and 1 to {_MAX_BITS} bits, got {degree} and {bits}")
+    return check_count(path, PlyHeader(count, degree)), version
+
+
+def read_spz(path: Path) -> Gaussians:
+    """One frame. Raises SceneError; nothing is unpacked past what its header promises."""
+    data = path.read_bytes()
+    header, version = _header(path, data)
+    rotation = 4 if version >= 3 else 3
+    expected = header.count * (9 + 1 + 3 + 3 + rotation + 3 * SH_REST[header.sh_degree])
+    size = _table_size(path, data) if version >= 4 else len(_unpack(path, data, expected + _EXTENSIONS)) - _HEADER.size
+    if not expected <= size < expected + _EXTENSIONS - _HEADER.size:
+        raise SceneError(f"{path}: expected {expected} bytes of {header.count} Gaussians, got {size}")
+    return convert(path, "spz", data, header)
+
+
+def _unpack(path: Path, data: bytes, most: int) -> bytes:
+    try:
+        return zlib.decompressobj(zlib.MAX_WBITS | 16).decompress(data, most)
+    except zlib.error as error:
+        raise SceneError(f"{path}: expected an .spz file, got broken gzip: {error}") from error
+
+
+def _table_size(path: Path, data: bytes) -> int:
+    """What the streams of version 4 unpack to, as their table says."""
+    streams, start = data[15], int.from_bytes(data[16:20], "little")
+    if len(data) < start + streams * _TABLE.size:
+        raise SceneError(f"{path}: expected the table of {streams} streams, got a truncated file")
+    rows = [_TABLE.unpack_from(data, start + i * _TABLE.size) for i in range(streams)]
+    if (end := start + streams * _TABLE.size + sum(stored for stored, _ in rows)) > len(data):
+        raise SceneError(f"{path}: expected {end} bytes, got a truncated file of {len(data)}")
+    return sum(size for _, size in rows)

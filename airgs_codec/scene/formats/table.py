@@ -1,0 +1,71 @@
+"""The formats of a frame: which files are theirs, and what reads a header and the rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats import compressed_ply, gltf, sog, splat, spz
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.ply import PlyHeader, read_ply, read_ply_header
+from airgs_codec.scene.ply_elements import read_header
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A format of files that hold one frame; its functions raise SceneError."""
+
+    name: str
+    suffixes: tuple[str, ...]
+    read_header: Callable[[Path], PlyHeader]
+    read: Callable[[Path], Gaussians]
+
+
+INRIA = Format("INRIA .ply", (".ply",), read_ply_header, read_ply)
+COMPRESSED = Format("compressed .ply", (".ply",), compressed_ply.read_compressed_header, compressed_ply.read_compressed)
+SOG = Format("SOG", (".sog", ".zip"), sog.read_sog_header, sog.read_sog)
+FORMATS = (
+    INRIA,
+    COMPRESSED,
+    Format(".spz", (".spz",), spz.read_spz_header, spz.read_spz),
+    SOG,
+    Format(".splat", (".splat",), splat.read_splat_header, splat.read_splat),
+    Format("glTF", (".glb", ".gltf"), gltf.read_gltf_header, gltf.read_gltf),
+)
+_BY_SUFFIX = {suffix: form for form in FORMATS for suffix in form.suffixes}
+SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))
+
+
+def is_frame(path: Path) -> bool:
+    """Whether a name is that of a frame, or a folder is one (SOG)."""
+    return sog.is_sog_folder(path) if path.is_dir() else path.suffix.lower() in _BY_SUFFIX
+
+
+def format_of(path: Path) -> Format:
+    """The format of a file or folder. Raises SceneError when it is none of the table's."""
+    if path.is_dir():
+        return SOG
+    form = _BY_SUFFIX.get(path.suffix.lower())
+    if form is None:
+        raise SceneError(f"{path}: expected one of {', '.join(SUFFIXES)}, got {path.suffix or 'no suffix'}")
+    if form.suffixes == INRIA.suffixes:
+        return COMPRESSED if compressed_ply.is_compressed(read_header(path)) else INRIA
+    return form
+
+
+def read_frame_header(path: Path) -> PlyHeader:
+    """Count and SH degree of a frame of any format, without its rows. Raises SceneError."""
+    try:
+        return format_of(path).read_header(path)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
+
+
+def read_frame(path: Path) -> Gaussians:
+    """A frame of any format, as its file has it. Raises SceneError."""
+    try:
+        return format_of(path).read(path)
+    except OSError as error:
+        raise SceneError(f"{path}: cannot read: {error.strerror}") from error

@@ -1,0 +1,79 @@
+"""What `open_sequence` opens: single files, folders of any format, models with iterations."""
+
+import numpy as np
+import pytest
+
+from airgs_codec.decoder.decode import decode
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.errors import SceneError
+from airgs_codec.inspect.validate import validate
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.train.data.readers import is_multiview
+from tests.support.scenes import moving_frames, random_gaussians
+from tests.support.splat_files import SUFFIXES, splat_bytes, write_sog_folder
+
+
+@pytest.mark.parametrize("names", [["time_00000", "time_00002", "time_00010"], ["frame-1", "frame-2", "frame-10"]])
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".v3.spz"])
+def test_a_folder_of_any_format_in_natural_order(tmp_path, names, suffix):
+    for name, g in zip(names, moving_frames(20, 3), strict=True):
+        path = tmp_path / f"{name}{suffix}"
+        write_ply(path, g) if suffix == ".ply" else path.write_bytes(splat_bytes(g, suffix))
+    sequence = open_sequence(tmp_path)
+    assert [path.name for path in sequence.paths] == [f"{name}{suffix}" for name in names]
+    assert len(sequence.load([0, 2]).frames[1]) == 20 and not is_multiview(tmp_path)
+
+
+def test_folders_of_sog_are_frames_and_one_is_a_scene(tmp_path):
+    for name in ("f2", "f10"):
+        write_sog_folder(tmp_path / name, random_gaussians(30))
+    assert [path.name for path in open_sequence(tmp_path).paths] == ["f2", "f10"]
+    for place in (tmp_path / "f2", tmp_path / "f2" / "meta.json"):
+        sequence = open_sequence(place)
+        assert len(sequence) == 1 and len(sequence.read(0)) == 30
+    assert not is_multiview(tmp_path) and not is_multiview(tmp_path / "f2")
+
+
+@pytest.mark.parametrize("inner", ["", "point_cloud"])
+def test_of_a_model_the_newest_iteration_is_taken(tmp_path, inner):
+    for number in (7000, 30000, 900):
+        folder = tmp_path / "point_cloud" / f"iteration_{number}"
+        folder.mkdir(parents=True)
+        write_ply(folder / "point_cloud.ply", random_gaussians(number // 100))
+    (tmp_path / "input.ply").write_bytes(b"ply\n")
+    assert len(open_sequence(tmp_path / inner).read(0)) == 300
+
+
+def test_one_file_is_a_scene_whatever_lies_beside_it(tmp_path):
+    for i, g in enumerate(moving_frames(20, 3)):
+        write_ply(tmp_path / f"{i}.ply", g)
+    (tmp_path / "sequence.json").write_text('{"fps": 12, "keyframes": [0, 2]}')
+    sequence = open_sequence(tmp_path / "1.ply")
+    assert (len(sequence), sequence.fps, sequence.keyframes) == (1, 30, None)
+
+
+def test_a_mixture_is_refused_and_ply_goes_first(tmp_path):
+    for suffix in (".splat", ".v3.spz"):
+        (tmp_path / f"a{suffix}").write_bytes(splat_bytes(random_gaussians(9), suffix))
+    with pytest.raises(SceneError, match=r"one format, got \.splat, \.spz"):
+        open_sequence(tmp_path)
+    write_ply(tmp_path / "a.ply", random_gaussians(9))
+    assert [path.name for path in open_sequence(tmp_path).paths] == ["a.ply"]
+    (tmp_path / "a.ksplat").write_bytes(b"x")
+    with pytest.raises(SceneError, match=r"a\.ksplat: expected one of \.ply, "):
+        open_sequence(tmp_path / "a.ksplat")
+
+
+@pytest.mark.parametrize("suffix", [".v4.spz", ".glb"])
+def test_one_static_file_is_encoded_to_a_package_that_decodes(tmp_path, suffix):
+    assert suffix in SUFFIXES
+    (tmp_path / f"a{suffix}").write_bytes(splat_bytes(random_gaussians(300, 1), suffix))
+    sequence = open_sequence(tmp_path / f"a{suffix}")
+    encode(sequence, tmp_path / "a.airgs", EncodeSettings(calibrate="none", measure_pictures=2, preset="veryfast"))
+    package = open_package(tmp_path / "a.airgs")
+    assert (package.manifest.frames, len(package.manifest.groups)) == (1, 1)
+    assert validate(tmp_path / "a.airgs") == []
+    assert np.isfinite(decode(package, 0).means).all()

@@ -1,0 +1,226 @@
+"""Every format: what the libraries write is read back, what is broken is refused in a line, nothing takes memory."""
+
+import gzip
+import importlib.util
+import io
+import json
+import random
+import struct
+import time
+import zipfile
+
+import numpy as np
+import pytest
+
+from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.table import format_of, read_frame, read_frame_header
+from airgs_codec.scene.gaussians import SH_C0, Gaussians, sigmoid
+from tests.support.mutations import edit_tables, random_bytes, random_tables
+from tests.support.scenes import random_gaussians
+from tests.support.splat_files import SUFFIXES, glb_bytes, splat_bytes, write_sog_folder
+
+TOLERANCE = {  # of means, log-scales, alpha, colour and SH, 12 bits and 8 at best
+    ".compressed.ply": (3e-3, 5e-3, 3e-3, 3e-2, 0.05),
+    ".sog": (3e-4, 0.1, 3e-3, 0.15, 0.5),
+    ".splat": (1e-6, 1e-5, 4e-3, 0.02, 0),
+    ".glb": (1e-6, 1e-5, 1e-5, 1e-6, 1e-6),
+}
+SPZ = (2e-4, 0.04, 3e-3, 0.02, 0.07)
+
+
+def small(count=700, degree=2):
+    """Colours that every format can hold, means that no two share."""
+    g = random_gaussians(count, degree)
+    unit = g.quaternions / np.linalg.norm(g.quaternions, axis=1, keepdims=True)  # as some writers expect them
+    return Gaussians(g.means, unit, g.log_scales, g.opacity_logits, np.clip(g.sh_dc, -1.7, 1.7), g.sh_rest)
+
+
+def matched(original, read):
+    """The original's rows in the order of those that were read: the nearest means."""
+    distance = ((original.means[None] - read.means[:, None]) ** 2).sum(axis=2)
+    order = distance.argmin(axis=1)
+    assert len(set(order.tolist())) == len(original)
+    return original.take(order)
+
+
+@pytest.fixture(params=SUFFIXES)
+def suffix(request):
+    return request.param
+
+
+def test_what_was_written_is_read_back(tmp_path, suffix):
+    g = small()
+    (tmp_path / f"a{suffix}").write_bytes(splat_bytes(g, suffix))
+    header, back = read_frame_header(tmp_path / f"a{suffix}"), read_frame(tmp_path / f"a{suffix}")
+    degree = 0 if suffix == ".splat" else 2
+    assert (header.count, header.sh_degree, len(back), back.sh_degree) == (700, degree, 700, degree)
+    g = matched(g, back).with_degree(degree)
+    means, scales, alpha, colour, harmonics = TOLERANCE.get(suffix, SPZ)
+    np.testing.assert_allclose(back.means, g.means, atol=means)
+    np.testing.assert_allclose(back.log_scales, g.log_scales, atol=scales)
+    np.testing.assert_allclose(sigmoid(back.opacity_logits), sigmoid(g.opacity_logits), atol=alpha)
+    np.testing.assert_allclose(back.sh_dc, g.sh_dc, atol=colour)
+    np.testing.assert_allclose(back.sh_rest, g.sh_rest, atol=harmonics)
+    a, b = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (back.quaternions, g.quaternions))
+    assert np.abs((a * b).sum(axis=1)).min() > 0.995
+    assert all(getattr(back, n).dtype == np.float32 for n in back.__slots__)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+@pytest.mark.parametrize("form", [".v3.spz", ".v4.spz", ".compressed.ply", ".sog", ".glb"])
+def test_no_harmonics_are_dropped(tmp_path, form, degree):
+    (tmp_path / f"a{form}").write_bytes(splat_bytes(small(300, degree), form))
+    assert read_frame(tmp_path / f"a{form}").sh_degree == read_frame_header(tmp_path / f"a{form}").sh_degree == degree
+
+
+def test_saturated_opacities_stay_finite(tmp_path, suffix):
+    g = small(300, 0)
+    logits = np.where(np.arange(300) % 2, np.float32(40), np.float32(-40))
+    (tmp_path / f"a{suffix}").write_bytes(splat_bytes(Gaussians(*(
+        logits if n == "opacity_logits" else getattr(g, n) for n in g.__slots__)), suffix))  # fmt: skip
+    back = read_frame(tmp_path / f"a{suffix}")
+    assert np.isfinite(back.opacity_logits).all() and 5 < np.abs(back.opacity_logits).max() < 41
+
+
+def test_the_library_writes_nothing_to_standard_output(tmp_path, capfd):
+    (tmp_path / "a.spz").write_bytes(splat_bytes(small(100), ".v3.spz"))
+    capfd.readouterr()
+    read_frame(tmp_path / "a.spz")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_splat_row_is_pinned(tmp_path):
+    row = struct.pack("<6f8B", 1, 2, 3, 1, 0, np.e, 255, 0, 51, 255, 255, 128, 128, 0)
+    (tmp_path / "a.splat").write_bytes(row)
+    g = read_frame(tmp_path / "a.splat")
+    assert g.means.tolist() == [[1, 2, 3]] and g.quaternions.tolist() == [[127 / 128, 0, 0, -1]]
+    np.testing.assert_allclose(g.log_scales[0], [0, np.log(1e-9), 1], atol=1e-6)
+    np.testing.assert_allclose(g.sh_dc[0] * SH_C0 + 0.5, [1, 0, 0.2], atol=1e-6)
+
+
+def test_a_node_moves_turns_and_scales_its_splats(tmp_path):
+    g = small(50, 0)
+    half = float(np.sqrt(0.5))
+    data = glb_bytes(g, translation=[1, 2, 3], rotation=[0, 0, half, half], scale=[2, 2, 2])
+    (tmp_path / "a.glb").write_bytes(data)
+    back = read_frame(tmp_path / "a.glb")
+    turned = np.stack([-g.means[:, 1], g.means[:, 0], g.means[:, 2]], axis=1)
+    np.testing.assert_allclose(back.means, 2 * turned + [1, 2, 3], atol=1e-5)
+    np.testing.assert_allclose(back.log_scales, g.log_scales + np.log(2), atol=1e-5)
+    for change, says in (({"scale": [1, 2, 1]}, "alike"), ({"rotation": [0, 0, 1, 0]}, "turns them")):
+        (tmp_path / "b.glb").write_bytes(glb_bytes(small(5, 1), **change))
+        with pytest.raises(SceneError, match=says):
+            read_frame_header(tmp_path / "b.glb")
+
+
+def repacked(data, change):
+    """A .sog whose meta.json was changed."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, content in edit_tables(change, "meta.json")(files).items():
+            archive.writestr(name, content)
+    return out.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda m: m.pop("version"), "version 2"),
+        (lambda m: m.update(count=10**12), "can hold"),
+        (lambda m: m["scales"].update(codebook=[0.0] * 3), "codebooks"),
+        (lambda m: m["quats"].update(files=["../../etc/passwd"]), "plain names"),
+        (lambda m: m["quats"].update(files=["none.webp"]), "none.webp"),
+        (lambda m: m.clear(), "version 2"),
+    ],
+)
+def test_a_broken_sog_is_refused(tmp_path, change, says):
+    (tmp_path / "a.sog").write_bytes(repacked(splat_bytes(small(300), ".sog"), change))
+    with pytest.raises(SceneError, match=says):
+        read_frame(tmp_path / "a.sog")
+
+
+def bombs():
+    head = struct.pack("<4sIIBBBB", b"NGSP", 3, 1000, 0, 12, 0, 0)
+    yield "rows.spz", gzip.compress(struct.pack("<4sIIBBBB", b"NGSP", 3, 2**32 - 1, 3, 12, 0, 0)), "can hold"
+    yield "gzip.spz", gzip.compress(head + bytes(1 << 24)), "expected 20000 bytes"
+    yield (
+        "four.spz",
+        struct.pack("<4sIIBBBBI12x", b"NGSP", 4, 100, 0, 12, 0, 1, 32) + struct.pack("<QQ", 0, 1 << 60),
+        "got",
+    )
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("meta.json", "{}")
+        archive.writestr("means_l.webp", bytes(1 << 24))
+    yield "zip.sog", out.getvalue(), "unpacks to"
+    packed = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
+    ends = [f"{e}_{w}{a}" for w in ("", "scale_") for e in ("min", "max") for a in "xyz"]
+    lines = ["ply", "format binary_little_endian 1.0", f"element chunk {10**9}", *(f"property float {n}" for n in ends)]
+    lines += [f"element vertex {256 * 10**9}", *(f"property uint {n}" for n in packed), "end_header", ""]
+    yield "rows.ply", "\n".join(lines).encode(), "truncated"
+    glb = glb_bytes(small(3, 0))
+    yield "rows.glb", glb.replace(b'"count":3', b'"count":9').replace(b'"count": 3', b'"count": 9'), "buffer of"
+
+
+@pytest.mark.parametrize(("name", "data", "says"), list(bombs()), ids=lambda v: v if isinstance(v, str) else "")
+def test_a_bomb_takes_no_time(tmp_path, name, data, says):
+    (tmp_path / name).write_bytes(data)
+    before = time.monotonic()
+    with pytest.raises(SceneError, match=says):
+        read_frame(tmp_path / name)
+    assert time.monotonic() - before < 5
+
+
+@pytest.mark.parametrize("name", ["a.spz", "a.sog", "a.splat", "a.glb", "a.gltf", "a.ply", "a.ksplat", "a"])
+@pytest.mark.parametrize("data", [b"", b"{}", b"\x1f\x8b", b"not a splat at all"])
+def test_what_is_none_of_them_is_refused_in_a_line(tmp_path, name, data):
+    (tmp_path / name).write_bytes(data)
+    for read in (read_frame_header, read_frame):
+        with pytest.raises(SceneError, match="expected") as caught:
+            read(tmp_path / name)
+        assert name in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_missing_file_and_a_missing_library_are_said(tmp_path, monkeypatch):
+    with pytest.raises(SceneError, match=r"none\.spz: cannot read"):
+        read_frame_header(tmp_path / "none.spz")
+    (tmp_path / "a.spz").write_bytes(splat_bytes(small(9), ".v3.spz"))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(SceneError, match=r"a\.spz: .*airgs-codec\[formats\]"):
+        read_frame(tmp_path / "a.spz")
+
+
+def test_mutated_files_are_read_or_refused(tmp_path, suffix):
+    """Bytes by chance; the library runs in a process of its own, whose crash is a refusal as well."""
+    chance, good = random.Random(1), splat_bytes(small(40, 1), suffix)
+    refused = 0
+    for _ in range(12 if suffix not in (".splat", ".glb") else 150):
+        (tmp_path / f"a{suffix}").write_bytes(random_bytes(chance, good, good))
+        try:
+            assert len(read_frame(tmp_path / f"a{suffix}")) > 0
+        except SceneError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert refused or suffix == ".splat"
+
+
+def test_mutated_tables_are_read_or_refused(tmp_path):
+    """What lies behind the container: the JSON of SOG and glTF."""
+    chance, folder = random.Random(2), write_sog_folder(tmp_path / "frame", small(40, 1))
+    good = json.loads((folder / "meta.json").read_text())
+    text = json.dumps(good).encode()
+    for _ in range(15):
+        (folder / "meta.json").write_bytes(random_tables(chance, "meta.json", text))
+        try:
+            read_frame(folder)
+        except SceneError as error:
+            assert "\n" not in str(error)
+
+
+def test_formats_are_told_apart(tmp_path):
+    for name in (".compressed.ply", ".sog"):
+        (tmp_path / f"a{name}").write_bytes(splat_bytes(small(9, 0), name))
+    assert format_of(tmp_path / "a.compressed.ply").name == "compressed .ply"
+    assert format_of(tmp_path / "a.sog").name == "SOG"

@@ -1,0 +1,49 @@
+"""A package that gains groups while somebody reads it."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from airgs_codec.package.folder import Folder
+from airgs_codec.package.manifest import Groups
+from airgs_codec.package.mpd import LiveClock
+from airgs_codec.package.packing import build_index, pack_group, pack_json
+from airgs_codec.package.paths import JSON_NAME
+from airgs_codec.package.store import open_package
+from airgs_codec.package.writing import write_root
+from tests.support.paths import VALID
+
+PAGED = open_package(VALID / "paged")  # 65 groups of a frame; a page holds 64
+
+
+class Growing:
+    """The package `paged` with so many of its groups, published one step after another."""
+
+    def __init__(self, folder: Path, *counts: int) -> None:
+        shutil.copytree(VALID / "paged", folder)
+        shutil.rmtree(folder / "index")
+        self.folder, self.waiting = folder, list(counts)
+        self.count = 0  # of the groups that are there
+        self.publish()
+
+    def publish(self) -> None:
+        """The next step: so many groups; 0 closes the package."""
+        count = self.waiting.pop(0) if self.waiting else None
+        if count is None:
+            return
+        self.count = count or self.count
+        groups = PAGED.manifest.groups[: self.count]
+        _, pages = build_index(groups, [pack_group(group) for group in groups])
+        for number, page in enumerate(pages, 1):
+            Folder(self.folder).write(f"index/{number}.json", pack_json(page))
+        m = replace(PAGED.manifest, live=count > 0, frames=groups[-1].stop, groups=Groups.of(groups))
+        now = datetime.now(UTC)
+        write_root(Folder(self.folder), m, LiveClock(now, now))
+
+    def received(self, path: str, data: bytes) -> None:
+        """Whenever a client has read airgs.json, the package grows."""
+        if path == JSON_NAME:
+            self.publish()
