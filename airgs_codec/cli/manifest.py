@@ -1,4 +1,4 @@
-"""airgs-manifest: look into a package, check it, compare it with the original."""
+"""airgs-manifest: look into a package, check it, compare it with the original, put it on a page."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import argparse
 import dataclasses
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec.cli.common import PACKAGE, Bar, add_views, parse_range, run_command
+from airgs_codec.cli.compare import add_compare, compare
+from airgs_codec.cli.export import add_export, export
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
 from airgs_codec.inspect.compare import (
@@ -31,23 +33,22 @@ from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.manifest import Quality
-from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, checking_views
-from airgs_codec.package.storage import is_address
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.render import read_cameras
-from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import open_sequence
 
 
 def _parser() -> argparse.ArgumentParser:
-    description = "Look into a package, check it, compare it with the original."
+    description = "Look into a package, check it, compare it with the original, put it on a page."
     parser = argparse.ArgumentParser(prog="airgs-manifest", description=description)
     commands = parser.add_subparsers(dest="command", required=True)
     _add_inspect(commands.add_parser("inspect", help="groups, tiers, levels, rungs, bytes, what was left out"))
     _add_validate(commands.add_parser("validate", help="exit 0, or 1 with one line a finding"))
-    _add_compare(commands.add_parser("compare", help="PSNR, SSIM and CIEDE2000 against the original, by rendering"))
+    add_compare(commands.add_parser("compare", help="two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures"))
+    _add_rungs(commands.add_parser("rungs", help="PSNR, SSIM and CIEDE2000 of every rung against the original"))
+    add_export(commands.add_parser("export-page", help="a folder for any static host: the player and packages"))
     return parser
 
 
@@ -66,11 +67,11 @@ def _add_validate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="findings as JSON")
 
 
-def _add_compare(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("decoded", help=f"{PACKAGE}, or of decoded .ply frames")
+def _add_rungs(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("package", help=PACKAGE)
     parser.add_argument("original", type=Path, help="the sequence that it was made of")
-    parser.add_argument("--level", help="of a package: one level, L0, L1, … or its number (default: all)")
-    parser.add_argument("--key-quality", help="of a package: one key quality, Q0, Q1, … or its number (default: all)")
+    parser.add_argument("--level", help="one level, L0, L1, … or its number (default: all)")
+    parser.add_argument("--key-quality", help="one key quality, Q0, Q1, … or its number (default: all)")
     parser.add_argument("--frames", default=":", metavar="A:B", help="frames A to B - 1 (default: all)")
     parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the frames (default: 1)")
     add_views(parser, "cameras to compare from", "the original's")
@@ -88,7 +89,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     work: dict[str, Callable[[argparse.Namespace], int]] = {
         "inspect": _inspect,
         "validate": _validate,
-        "compare": _compare,
+        "compare": compare,
+        "rungs": _rungs,
+        "export-page": export,
     }
     return run_command("airgs-manifest", lambda: work[args.command](args))
 
@@ -147,22 +150,17 @@ def _validate(args: argparse.Namespace) -> int:
     return 1 if findings else 0
 
 
-def _compare(args: argparse.Namespace) -> int:
-    original = open_sequence(args.original)
+def _rungs(args: argparse.Namespace) -> int:
+    package, original = open_package(args.package), open_sequence(args.original)
+    _expect_frames(args.original, len(original), package.manifest.frames)
     for name, least in (("every", 1), ("draws", 0), ("seed", 0)):
         if getattr(args, name) < least:
             raise ConfigError(f"--{name}: expected at least {least}, got {getattr(args, name)}")
     frames = range(*parse_range(args.frames, len(original)), args.every)
     cameras = list(read_cameras(args.views) if args.views else original.cameras)
-    claimed: dict[str, Quality | None] = {}
-    if is_address(args.decoded) or Path(args.decoded, JSON_NAME).is_file():
-        package = open_package(args.decoded)
-        _expect_frames(args.decoded, package.manifest.frames, len(original))
-        streams = rung_streams(package, frames, args.level, args.key_quality)
-        claimed = claimed_quality(package.manifest, streams)
-        cameras += region_views(package.manifest.region, args.draws, args.seed)
-    else:
-        streams = _sequence_stream(args, frames, len(original))
+    streams = rung_streams(package, frames, args.level, args.key_quality)
+    claimed = claimed_quality(package.manifest, streams)
+    cameras += region_views(package.manifest.region, args.draws, args.seed)
     cameras = compared_views(cameras or orbit_views(original.read(len(original) // 2)), args.split)
     bar = Bar(args.json)
     splits = compare_streams(streams, original, frames, cameras, bar)
@@ -173,17 +171,8 @@ def _compare(args: argparse.Namespace) -> int:
     else:
         views = ", ".join(f"{count} {split}" for split, count in splits_of(cameras).items())
         print(f"{len(frames)} frames; views: {views}; PSNR of the error pooled over pictures, and of the worst picture")
-        print(format_comparison({"claimed": claimed, **splits} if claimed else splits))
+        print(format_comparison({"claimed": claimed, **splits}))
     return 0
-
-
-def _sequence_stream(args: argparse.Namespace, frames: range, count: int) -> dict[str, Iterator[Gaussians]]:
-    """The frames of a decoded sequence, which is expected to have `count` of them."""
-    if args.level or args.key_quality:
-        raise ConfigError(f"{args.decoded}: expected a package for --level and --key-quality")
-    decoded = open_sequence(args.decoded)
-    _expect_frames(args.decoded, len(decoded), count)
-    return {Path(args.decoded).name: (decoded.read(number) for number in frames)}
 
 
 def _plain(qualities: Mapping[str, Quality | None]) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Decoded frames beside the original ones, as pictures: PSNR, SSIM and CIEDE2000 over views and frames.
 
-Whatever was decoded is a stream of frames with a name: the rungs of a package, or the frames of another sequence. It is
-seen by the cameras of several splits, one of which may be drawn from the viewing region of the package.
+Whatever was decoded is a stream of frames with a name, such as the rungs of a package. It is seen by the cameras of
+several splits, one of which may be drawn from the viewing region of the package.
 """
 
 from __future__ import annotations
@@ -36,10 +36,11 @@ def rung_streams(
     m = package.manifest
     levels = m.levels if level is None else [m.levels[m.level_index(level)]]
     qualities = m.qualities if key_quality is None else [m.qualities[m.quality_index(key_quality)]]
-    return {f"{q.id}+{v.id}": _rung(package, frames, v.id, q.id) for q in qualities for v in levels}
+    return {f"{q.id}+{v.id}": rung_frames(package, frames, v.id, q.id) for q in qualities for v in levels}
 
 
-def _rung(package: Package, frames: range, level: str, key_quality: str) -> Iterator[Gaussians]:
+def rung_frames(package: Package, frames: range, level: str, key_quality: str) -> Iterator[Gaussians]:
+    """These frames of one rung, at least one, decoded as they are asked for; `decode_frames` says what is raised."""
     for frame in decode_frames(package, frames[0], frames[-1] + 1, level=level, key_quality=key_quality):
         if frame.number in frames:
             yield frame.gaussians

@@ -156,7 +156,7 @@ def _level(m: Manifest, index: int) -> LevelSummary:
 
 
 def _rung(m: Manifest, quality: int, level: int, manifest_bytes: int) -> RungSummary:
-    total = manifest_bytes + m.bytes_of(m.rung_files(quality, level))
+    total = rung_bytes(m, quality, level, manifest_bytes)
     return RungSummary(
         key=m.qualities[quality].id,
         state=m.levels[level].id,
@@ -165,6 +165,11 @@ def _rung(m: Manifest, quality: int, level: int, manifest_bytes: int) -> RungSum
         **_quality(m, level, quality),
         best=False,
     )
+
+
+def rung_bytes(m: Manifest, quality: int, level: int, manifest_bytes: int) -> int:
+    """Everything that a viewer of one rung fetches: keys, states, and all tables with manifest.mpd."""
+    return manifest_bytes + m.bytes_of(m.rung_files(quality, level))
 
 
 def _quality(m: Manifest, level: int, quality: int) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Decoded against original pictures: every rung of a package, and one sequence beside another."""
+"""Decoded against original pictures: every rung of a package."""
 
 import json
 
@@ -28,7 +28,7 @@ def top(tmp_path_factory):
 
 def figures(capsys, *arguments):
     draws = [] if "--draws" in arguments else ["--draws", "2"]
-    assert main(["compare", *map(str, arguments), *draws, "--json"]) == 0
+    assert main(["rungs", *map(str, arguments), *draws, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -56,7 +56,7 @@ def test_cameras_and_draws_are_splits_of_their_own(top, tmp_path, capsys):
     others = figures(capsys, *rung, "--seed", "5", "--split", "region")["quality"]["region"]
     assert others != report["quality"]["region"]
     assert figures(capsys, *rung, "--draws", "0")["views"] == {"test": 1}
-    assert main(["compare", *map(str, rung), "--draws", "1"]) == 0
+    assert main(["rungs", *map(str, rung), "--draws", "1"]) == 0
     out = capsys.readouterr().out
     assert "claimed: dB" in out and "region: dB" in out and "test: dB" in out and "train" not in out
 
@@ -67,18 +67,6 @@ def test_one_rung_of_some_frames_is_that_of_all_rungs(top, capsys):
     one = figures(capsys, *part, "--level", "L1", "--key-quality", "1")
     assert every["frames"] == one["frames"] == [1, 3]
     assert one["quality"]["region"] == {"Q1+L1": every["quality"]["region"]["Q1+L1"]}
-
-
-def test_two_sequences_are_compared_without_a_package(top, tmp_path, capsys):
-    frames = [frame.gaussians for frame in decode_frames(open_package(PACKAGE), 0, 4, level=1, key_quality=1)]
-    other = write_sequence(tmp_path / "other", frames)
-    with_views = ["--views", write_cameras(tmp_path / "views.json", ring(2)), "--split", "train"]
-    report = figures(capsys, other, top, *with_views)
-    assert (
-        report["quality"]["train"]["other"] == figures(capsys, PACKAGE, top, *with_views)["quality"]["train"]["Q1+L1"]
-    )
-    assert main(["compare", str(other), str(top)]) == 0
-    assert "other" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -93,14 +81,14 @@ def test_two_sequences_are_compared_without_a_package(top, tmp_path, capsys):
     ],
 )
 def test_what_is_not_there_is_refused_in_one_line(top, options, capsys):
-    assert main(["compare", str(PACKAGE), str(top), *options]) == 2
+    assert main(["rungs", str(PACKAGE), str(top), *options]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_sequences_of_other_lengths_and_levels_of_a_sequence_are_refused(top, tmp_path, capsys):
+def test_sequences_of_other_lengths_and_what_is_no_package_are_refused(top, tmp_path, capsys):
     short = write_sequence(tmp_path / "short", moving_frames(20, 2))
-    for arguments in ([PACKAGE, short], [short, top], [top, top, "--level", "L0"]):
-        assert main(["compare", *map(str, arguments)]) == 2
+    for arguments in ([PACKAGE, short], [short, top]):
+        assert main(["rungs", *map(str, arguments)]) == 2
         assert capsys.readouterr().err.count("\n") == 1
 
 

@@ -1,0 +1,142 @@
+"""Either side of a comparison: a scene or a rung of a package, whose frames are read when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.compare import compared_views, region_views, rung_frames
+from airgs_codec.inspect.summary import rung_bytes
+from airgs_codec.package.manifest import Quality, pooled_quality
+from airgs_codec.package.paths import JSON_NAME
+from airgs_codec.package.region import CHECKING
+from airgs_codec.package.storage import is_address
+from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.tables import Region
+from airgs_codec.render import Camera
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.orbits import orbit_views
+from airgs_codec.scene.sequence import DEFAULT_FPS, SETTINGS_NAME, GaussianSequence, open_sequence
+
+DRAWS = 8  # views of a region
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """An open scene or package."""
+
+    name: str  # where it is
+    rung: str | None  # key quality and level, as Q0+L0; None for a scene
+    frames: int
+    fps: Fraction | None  # frames a second; None where nothing states them
+    sh_degree: int
+    bytes_per_frame: float  # of a package what a viewer of the rung fetches: keys, states and all tables
+    cameras: tuple[Camera, ...]
+    region: Region | None
+    claimed: Quality | None  # of the rung, as the tables have it
+    read: Callable[[range], Iterator[Gaussians]]  # frames, repaired; raises SceneError or FormatError
+
+    @property
+    def label(self) -> str:
+        """The last part of its name, and the rung."""
+        last = Path(self.name).name or self.name
+        return f"{last} {self.rung}" if self.rung else last
+
+
+def is_package(place: str) -> bool:
+    """Whether a package is expected at a place: addresses are those of packages."""
+    return is_address(place) or Path(place, JSON_NAME).is_file()
+
+
+def open_side(place: str, rung: str | None = None) -> Side:
+    """The scene or package at a place, a package in one `rung`, such as Q0+L0 (default: its top).
+
+    Raises ConfigError for a rung that it does not have, SceneError, FormatError and TransportError for what cannot be
+    opened.
+    """
+    if is_package(place):
+        return _of_package(place, open_package(place), rung or "Q0+L0")
+    if rung is not None:
+        raise ConfigError(f"{place}: expected a package for the rung {rung}, got a scene")
+    return _of_scene(place, open_sequence(place))
+
+
+def _of_package(name: str, package: Package, rung: str) -> Side:
+    m = package.manifest
+    key_quality, _, level = rung.partition("+")
+    q, j = m.quality_index(key_quality), m.level_index(level)
+    return Side(
+        name=name,
+        rung=f"{m.qualities[q].id}+{m.levels[j].id}",
+        frames=m.frames,
+        fps=m.fps,
+        sh_degree=m.sh_degree,
+        bytes_per_frame=rung_bytes(m, q, j, package.manifest_bytes) / m.frames,
+        cameras=(),
+        region=m.region,
+        claimed=pooled_quality(m, j, q),
+        read=lambda frames: rung_frames(package, frames, m.levels[j].id, m.qualities[q].id),
+    )
+
+
+def _of_scene(name: str, sequence: GaussianSequence) -> Side:
+    stated = (sequence.folder / SETTINGS_NAME).is_file() or sequence.fps != DEFAULT_FPS
+    return Side(
+        name=name,
+        rung=None,
+        frames=len(sequence),
+        fps=sequence.fps if stated else None,
+        sh_degree=sequence.sh_degree,
+        bytes_per_frame=sum(_size(path) for path in set(sequence.paths)) / len(sequence),
+        cameras=sequence.cameras,
+        region=None,
+        claimed=None,
+        read=lambda frames: (sequence.load([number]).frames[0] for number in frames),
+    )
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, or of all files of a frame that is a folder."""
+    return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
+
+
+def expect_same_rate(a: Side, b: Side) -> None:
+    """Raise ConfigError where both state frame rates that differ; a single frame has none that matters."""
+    if a.fps and b.fps and a.fps != b.fps and min(a.frames, b.frames) > 1:
+        raise ConfigError(f"{b.name}: expected {float(a.fps):g} frames a second as {a.name}, got {float(b.fps):g}")
+
+
+def left_out(a: Side, b: Side) -> list[str]:
+    """What one side has that the other lacks, for people."""
+    short, long = sorted((a, b), key=lambda side: side.frames)
+    if short.frames == long.frames:
+        return []
+    extra = range(short.frames, long.frames)
+    which = f"frame {extra[0]}" if len(extra) == 1 else f"frames {extra[0]} to {extra[-1]}"
+    return [f"{which} of {long.name}, which {short.name} does not have"]
+
+
+def shared_views(a: Side, b: Side) -> tuple[str, list[Camera]]:
+    """Where both are looked at from, and what these views are: the held-out cameras of A or B, or all that it has.
+
+    Without cameras they are drawn from the viewing region of B or A by the seed for checks, without a package they are
+    on an orbit around the first frame of A.
+    """
+    for side in (a, b):
+        if side.cameras:
+            return described(compared_views(side.cameras, None), side.name)
+    for side in (b, a):
+        if side.region:
+            views = region_views(side.region, DRAWS, CHECKING)
+            return f"{len(views)} views drawn from the viewing region of {side.name}, seed {CHECKING}", views
+    views = orbit_views(next(a.read(range(1))))
+    return f"{len(views)} views on an orbit around frame 0 of {a.name}", views
+
+
+def described(views: Sequence[Camera], source: str) -> tuple[str, list[Camera]]:
+    """Views that are the held-out cameras of some source, or all of them, after words that say so."""
+    kind = f"{'held-out ' * (views[0].split == 'test')}camera{'s' * (len(views) > 1)}"
+    return f"{len(views)} {kind} of {source}", list(views)
