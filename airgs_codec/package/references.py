@@ -152,6 +152,7 @@ def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
         for q, atlas in enumerate(tier.qualities):
             where = f"tiers[{t}].qualities[{q}]"
             yield f"{where}.rows", atlas.rows, tier.count, tier.count
+            yield f"len({where}.planes)", len(atlas.planes), min(1, tier.count), KEY.width(m.colour_channels)
             yield from _atlas_bounds(where, atlas, KEY, m.colour_channels)
     for j, atlas in enumerate(group.levels):
         yield f"levels[{j}].rows", atlas.rows, 0, group.count - group.static

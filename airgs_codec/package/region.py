@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 from airgs_codec.package.tables import Place, Region
 from airgs_codec.scene.camera import Camera, look_at, measured_views, training_views
 
+SLIGHTLY_DOWN, GIVE_OR_TAKE = 15.0, 10.0  # degrees; a scene is seen best by most people who look down so much
+AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
+LEVELLING = 100  # steps to what is upright: with more, rounding would speak where places say nothing
 DECIDING, MEASURING, CHECKING = 0, 1, 2  # seeds of draws: for an encoder, for its tables, for whoever checks them
 TRAINING_DRAWS, CHECKING_DRAWS = 8, 4
 Vector = NDArray[np.float64]
@@ -23,6 +26,40 @@ Vector = NDArray[np.float64]
 def place_view(region: Region, place: Place, name: str = "place") -> Camera:
     """What a viewer sees who stands at a place and looks where it says."""
     return view_from(region, np.array(place.position), np.array(place.focus), np.array(place.up), name)
+
+
+def upright(region: Region) -> Vector:
+    """(3,) where up is for all of a region, of length 1.
+
+    It is the mean of its places' (where they do not agree, that of the first), levelled: the sides of pictures are at
+    right angles to it.
+    """
+    ups = np.array([place.up for place in region.places])
+    ups /= np.linalg.norm(ups, axis=1, keepdims=True)
+    sides = np.cross([_ahead(place) for place in region.places], ups)
+    mean: Vector = ups.mean(axis=0)
+    length = np.linalg.norm(mean)
+    up = mean / length if length > AGREEMENT else ups[0]
+    for _ in range(LEVELLING):
+        up = up - sides.T @ (sides @ up) / len(sides)
+        up /= np.linalg.norm(up)
+    return up
+
+
+def first_place(region: Region) -> Place:
+    """Where a viewer begins: the first place, or, where nobody chose them, the first that looks down slightly."""
+    if region.source in ("cameras", "file"):
+        return region.places[0]
+    up = upright(region)
+    down = [float(np.degrees(np.arcsin(np.clip(-_ahead(place) @ up, -1, 1)))) for place in region.places]
+    off = [max(GIVE_OR_TAKE, abs(degrees - SLIGHTLY_DOWN)) for degrees in down]
+    return region.places[off.index(min(off))]
+
+
+def _ahead(place: Place) -> Vector:
+    """The direction (3,) of length 1 in which a viewer at a place looks."""
+    ahead = np.array(place.focus, np.float64) - place.position
+    return ahead / np.linalg.norm(ahead)
 
 
 def view_from(region: Region, position: Vector, target: Vector, up: Vector, name: str) -> Camera:

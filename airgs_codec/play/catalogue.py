@@ -221,10 +221,19 @@ class Catalogue:
         return self.seconds(self.index(position))
 
     def upcoming(self, position: int, count: int, end: int) -> Iterator[tuple[int, bool]]:
-        """(segment, whether it begins a group) of the next positions, before `end`."""
+        """(segment, whether it begins a group) of the next positions, before `end`, while tables are there."""
         for p in range(position, min(position + count, end)):
             segment = self.index(p)
+            if not self._knows(segment):
+                return
             yield segment, self.starts_group(segment)
+
+    def _knows(self, segment: int) -> bool:
+        """Whether the table of a segment's group can be had."""
+        try:
+            return bool(self.manifest.segments[segment])
+        except FormatError:
+            return False
 
     def starts_group(self, segment: int) -> bool:
         """Whether a segment begins a group, so that no key of it is decoded."""

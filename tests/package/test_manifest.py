@@ -129,6 +129,7 @@ def test_a_mutated_table_is_read_or_refused_never_a_crash(where, value):
         (("levels", 0, "plane_width"), 4096),
         (("tiers", 0, "qualities", 0, "width"), 4096 + 16),
         (("tiers", 0, "pictures"), []),
+        (("tiers", 0, "qualities", 0, "planes"), []),
         (("tiers", 0, "qualities", 0, "centres", 0), 2**31 - 1),
     ],
 )

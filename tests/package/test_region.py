@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.package.parse import read_region
-from airgs_codec.package.region import departure, draw_views, place_view, view_from
+from airgs_codec.package.region import departure, draw_views, first_place, place_view, upright, view_from
 from airgs_codec.package.tables import Place
 from tests.support.regions import place, region
 
@@ -147,3 +147,25 @@ def test_a_region_that_cannot_be_read_is_one_line(tmp_path):
     for path in (tmp_path / "none.json", tmp_path):
         with pytest.raises(SceneError, match="cannot read a viewing region"):
             read_region(path)
+
+
+def test_where_nobody_chose_the_places_a_viewer_begins_where_a_scene_is_looked_down_at_slightly():
+    above, _, slightly, _ = places = [
+        Place([x, y, 0.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 0.0) for x, y in [(0.1, 5), (5, -1), (5, 1.5), (5, 4)]
+    ]
+    assert first_place(replace(ROW, source="found", places=places)) is slightly
+    assert first_place(replace(ROW, source="cameras", places=places)) is above
+
+
+def test_up_is_level_in_the_pictures_of_all_places_whichever_way_they_look_down():
+    """As in regions that are found: what is up in a picture is at a right angle to its view."""
+    up = np.array([0.0, -0.6, 0.8])
+    sides = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, 0.6]])
+    places = []
+    for i, pitch in enumerate(np.radians([70.0, 50.0, 24.0, 16.0, -20.0])):
+        level = np.array([np.cos(2.4 * i), np.sin(2.4 * i)]) @ sides
+        view, tip = level * np.cos(pitch) - up * np.sin(pitch), level * np.sin(pitch) + up * np.cos(pitch)
+        places.append(Place((-3 * view).tolist(), [0.0, 0.0, 0.0], (2 * tip).tolist(), 0.5))
+    region = replace(ROW, source="found", places=places)
+    assert upright(region) == pytest.approx(up, abs=1e-3)
+    assert first_place(region) is places[2]

@@ -3,7 +3,7 @@
 from tests.makers.vectors.files import make
 from tests.support.paths import VECTORS
 
-MOST_BYTES = 400_000
+MOST_BYTES = 600_000
 PAGE = "README.md"
 
 

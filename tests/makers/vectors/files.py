@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
-from tests.makers.vectors import columns, escapes, keys, packages, planes, policies, positions, region, shown, states
+from tests.makers.vectors import (
+    columns,
+    escapes,
+    keys,
+    packages,
+    planes,
+    policies,
+    positions,
+    region,
+    sessions,
+    shown,
+    states,
+)
 from tests.makers.vectors.text import write
 
-MODULES = (columns, positions, escapes, planes, keys, states, shown, region, policies)
+MODULES = (columns, positions, escapes, planes, keys, states, shown, region, policies, sessions)
 
 
 def make() -> dict[str, bytes]:

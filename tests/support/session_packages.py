@@ -1,0 +1,126 @@
+"""Packages that are no more than numbers, of which the vectors of sessions tell: from numbers to a catalogue and back.
+
+T key tiers, Q key qualities, L levels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+from airgs_codec.package import tables as mf
+from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.play.catalogue import Catalogue
+from tests.support.manifests import HASH, tiny_manifest
+
+Numbers = Mapping[str, Any]
+
+
+def numbers_of(m: Manifest, name: str, root_bytes: int) -> dict[str, Any]:
+    """What a player sees of a package."""
+    return {
+        "name": name,
+        "frame_rate": list(m.frame_rate),
+        "header_bytes": 350,
+        "root_bytes": root_bytes,
+        "page_bytes": 0,
+        "qualities": [quality.id for quality in m.qualities],
+        "levels": [{"id": level.id, "tiers": level.tiers, "pruned": level.pruned} for level in m.levels],
+        "groups": [_group_numbers(group, m.groups.places.entry(n).file.bytes) for n, group in enumerate(m.groups)],
+    }
+
+
+def _group_numbers(group: mf.Group, table_bytes: int) -> dict[str, Any]:
+    return {
+        "table": table_bytes,
+        "sidecars": [tier.sidecar.bytes for tier in group.tiers],
+        "pictures": [[file.bytes for file in tier.pictures] for tier in group.tiers],
+        "segments": [
+            {
+                "frames": segment.stop - segment.start,
+                "bytes": [level.file.bytes for level in segment.levels],
+                "psnr": [list(level.psnr) for level in segment.levels],
+            }
+            for segment in group.segments
+        ],
+    }
+
+
+def manifest_of(numbers: Numbers, count: int | None = None, live: bool = False) -> Manifest:
+    """The tables of a package with its first `count` groups."""
+    parts = numbers["groups"][:count]
+    starts = [0]
+    for part in parts:
+        starts.append(starts[-1] + sum(segment["frames"] for segment in part["segments"]))
+    tables = [_group(part, span) for part, span in zip(parts, pairwise(starts), strict=True)]
+    tiny = tiny_manifest()
+    return replace(
+        tiny,
+        frame_rate=list(numbers["frame_rate"]),
+        frames=starts[-1],
+        live=live,
+        qualities=[replace(tiny.qualities[0], id=name) for name in numbers["qualities"]],
+        levels=[replace(tiny.levels[0], **level) for level in numbers["levels"]],
+        tiers=len(parts[0]["sidecars"]),
+        groups=_groups(tables, [part["table"] for part in parts], numbers["page_bytes"]),
+    )
+
+
+def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
+    some = tiny_manifest().groups[0]
+    segments: list[mf.Segment] = []
+    start = span[0]
+    for numbers in part["segments"]:
+        levels = [
+            replace(some.segments[0].levels[0], file=_file(size), psnr=psnr)
+            for size, psnr in zip(numbers["bytes"], numbers["psnr"], strict=True)
+        ]
+        segments.append(mf.Segment(start, start + numbers["frames"], levels))
+        start += numbers["frames"]
+    tiers = [
+        replace(some.tiers[0], count=int(sidecar > 0), sidecar=_file(sidecar), pictures=[_file(b) for b in pictures])
+        for sidecar, pictures in zip(part["sidecars"], part["pictures"], strict=True)
+    ]
+    return replace(some, start=span[0], stop=span[1], tiers=tiers, segments=segments)
+
+
+def _file(size: int) -> mf.FileEntry:
+    return mf.FileEntry(size, HASH) if size else mf.NO_FILE
+
+
+def _groups(tables: Sequence[mf.Group], table_bytes: Sequence[int], page_bytes: int) -> Groups:
+    frames = [group.stop - group.start for group in tables]
+    segments = [len(group.segments) for group in tables]
+    paged = len(tables) // mf.PAGE * mf.PAGE
+
+    def spans(start: int, stop: int) -> mf.Spans:
+        sizes = list(table_bytes[start:stop])
+        return mf.Spans(frames[start:stop], segments[start:stop], sizes, HASH * len(sizes))
+
+    pages = [spans(start, start + mf.PAGE) for start in range(0, paged, mf.PAGE)]
+    columns = [sum(page.frames) for page in pages], [sum(page.segments) for page in pages]
+    index = mf.Index(mf.Spans(*columns, [page_bytes] * len(pages), HASH * len(pages)), spans(paged, len(tables)))
+    return Groups(index, pages.__getitem__, lambda number, _: tables[number])
+
+
+def catalogue_of(numbers: Numbers) -> Catalogue:
+    """The catalogue of the whole package."""
+    return Catalogue(manifest_of(numbers), numbers["header_bytes"], numbers["root_bytes"])
+
+
+def growing_catalogue(numbers: Numbers, steps: Sequence[int]) -> tuple[Catalogue, Iterator[tuple[Manifest, int]]]:
+    """The catalogue of a package that grows, at the newest of `steps[0]` groups, and what it grows to each time that
+    airgs.json is read: so many groups, of which the last step closes the package.
+    """
+    counts = iter(steps)
+    first = manifest_of(numbers, next(counts), live=True)
+    catalogue = Catalogue(first, numbers["header_bytes"], numbers["root_bytes"], live=True)
+    catalogue.first = first.groups.places.entry(len(first.groups) - 1).first_segment
+
+    def later() -> Iterator[tuple[Manifest, int]]:
+        for number, count in enumerate(counts, 2):
+            yield manifest_of(numbers, count, live=number < len(steps)), numbers["root_bytes"] + count
+
+    return catalogue, later()
