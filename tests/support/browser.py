@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
 import json
 import os
 import shutil
+import socket
 import subprocess
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -50,28 +53,57 @@ class Site:
     answers: list[tuple[str, int]]  # path and status of every answer, in order
 
 
+@dataclass(frozen=True)
+class Answer:
+    """An answer that a server makes up."""
+
+    body: bytes = b""
+    status: int = 200
+    headers: Mapping[str, str] = field(default_factory=dict)
+    lost: int = 0  # bytes at the end of the body that never come: the connection ends before them
+    wait_s: float = 0.0  # before the last byte that comes
+    dropped: bool = False  # nothing comes at all: the connection ends
+
+
+Maker = Callable[[], bytes | Answer | None]  # None: the file as it is
+
+
 @contextmanager
-def serve(folders: Mapping[str, Path], made: Mapping[str, Callable[[], bytes]] | None = None) -> Iterator[Site]:
+def serve(folders: Mapping[str, Path], made: Mapping[str, Maker] | None = None) -> Iterator[Site]:
     """Python's own static server.
 
-    `folders` are the first parts of paths, and what lies below them; `made` are paths whose bytes are made anew for
+    `folders` are the first parts of paths, and what lies below them; `made` are paths whose answers are made anew for
     each request.
     """
     answers: list[tuple[str, int]] = []
+    ended = threading.Event()
 
     class Handler(SimpleHTTPRequestHandler):
         extensions_map = SimpleHTTPRequestHandler.extensions_map | TYPES
 
         def do_GET(self) -> None:
             make = (made or {}).get(urlsplit(self.path).path)
-            if make is None:
-                return super().do_GET()
-            data = make()
-            self.send_response(200)
-            self.send_header("Content-Type", self.guess_type(urlsplit(self.path).path))
-            self.send_header("Content-Length", str(len(data)))
+            answer = make() if make else None
+            if answer is None:
+                super().do_GET()
+            else:
+                self._give(answer if isinstance(answer, Answer) else Answer(answer))
+
+        def _give(self, answer: Answer) -> None:
+            if answer.dropped:
+                self.log_request(0)
+                self.connection.shutdown(socket.SHUT_RDWR)
+                return
+            self.send_response(answer.status)
+            usual = {"Content-Type": self.guess_type(urlsplit(self.path).path), "Content-Length": len(answer.body)}
+            for name, value in (usual | dict(answer.headers)).items():
+                self.send_header(name, str(value))
             self.end_headers()
-            self.wfile.write(data)
+            come = answer.body[: len(answer.body) - answer.lost]
+            self.wfile.write(come[:-1])
+            ended.wait(answer.wait_s)
+            with contextlib.suppress(OSError):  # nobody waited for it
+                self.wfile.write(come[-1:])
 
         def translate_path(self, path: str) -> str:
             first, _, rest = unquote(urlsplit(path).path).lstrip("/").partition("/")
@@ -89,8 +121,22 @@ def serve(folders: Mapping[str, Path], made: Mapping[str, Callable[[], bytes]] |
         try:
             yield Site(f"http://127.0.0.1:{server.server_port}", answers)
         finally:
+            ended.set()
             server.shutdown()
             thread.join()
+
+
+@cache
+def build_pages() -> None:
+    """Bundle the scripts of web/test/pages into web/out/pages; processes that want it at the same time take turns."""
+    folder = WEB / "out" / "pages"
+    folder.mkdir(parents=True, exist_ok=True)
+    with (WEB / "out" / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        sources = [path for part in ("src", "test", "scripts") for path in (WEB / part).rglob("*.*")]
+        built = [path.stat().st_mtime for path in folder.glob("*.js")]
+        if not built or min(built) < max(path.stat().st_mtime for path in sources):
+            subprocess.run(["node", "scripts/pages.mjs"], cwd=WEB, check=True)
 
 
 @dataclass(frozen=True)
@@ -107,10 +153,10 @@ class Visit:
         return [*self.failed, *(text for text in said if not any(part in text for part in known))]
 
 
-def visit(url: str) -> Visit:
-    """Open a page and wait for its report."""
+def visit(url: str, script: str = "") -> Visit:
+    """Open a page, with a script that runs on it before its own where one is given, and wait for its report."""
     environment = os.environ | {"CHROMIUM": str(_chromium())}
-    command = ["node", str(WEB / "test" / "open.mjs"), url]
+    command = ["node", str(WEB / "test" / "open.mjs"), url, *filter(None, [script])]
     done = subprocess.run(command, capture_output=True, text=True, timeout=180, env=environment)
     assert done.returncode == 0, done.stderr
     return Visit(**json.loads(done.stdout))

@@ -3,12 +3,14 @@
 import asyncio
 import socket
 import threading
-from collections.abc import Coroutine, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.request import Request, urlopen
+
+from starlette.types import ASGIApp
 
 from airgs_codec.serve.app import make_app
 from airgs_codec.serve.files import PackageFiles
@@ -16,11 +18,16 @@ from airgs_codec.serve.server import ServerSettings, listen, serve
 
 
 @contextmanager
-def serving(*folders: Path, settings: ServerSettings | None = None) -> Iterator[int]:
-    """The project's server; gives its port."""
-    app = make_app(PackageFiles(list(folders)))
+def serving(
+    *folders: Path,
+    settings: ServerSettings | None = None,
+    port: int = 0,
+    around: Callable[[ASGIApp], ASGIApp] = lambda app: app,
+) -> Iterator[int]:
+    """The project's server, its application in what stands around it; gives its port."""
+    app = around(make_app(PackageFiles(list(folders))))
     settings = settings or ServerSettings()
-    loop, stop, listening = asyncio.new_event_loop(), asyncio.Event(), listen("127.0.0.1", 0, settings.patience_s)
+    loop, stop, listening = asyncio.new_event_loop(), asyncio.Event(), listen("127.0.0.1", port, settings.patience_s)
     port = listening.getsockname()[1]
     work = serve(app, listening, settings, stop)
     thread = threading.Thread(target=lambda: _run(loop, work))

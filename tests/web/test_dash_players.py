@@ -116,7 +116,8 @@ def test_a_representation_plays_as_grey_video_to_its_end(package, player, name):
     files = expected(m)[name]
     played = report["played"]
     frames = sum(round((stop - start) * m.fps) for start, stop, _ in files) if name[0] == "L" else len(files)
-    assert (played["frames"], played["corrupted"]) == (frames, 0)
+    assert played["frames"] == frames or (played["seeks"] and played["frames"] > frames)
+    assert played["corrupted"] == 0
     assert played["stopped"] == pytest.approx(played["duration"], abs=TIGHT_S)
     assert played["colour"] <= GREY and played["brightest"] - played["darkest"] > 50
     if player == "dashjs":

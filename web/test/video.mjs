@@ -1,11 +1,17 @@
 // What a video element showed, for the pages of both DASH players.
 
+let seeks = 0; // of the page's video, by a player or by Chromium, which goes back where an MPD ends a tick early
+document.querySelector("video").addEventListener("seeking", () => (seeks += 1));
+
 /** Waits for the element to play to its end. Chromium now and then is at the end without an `ended` event. */
 export async function ended(video) {
   while (!video.ended) await new Promise((resolve) => setTimeout(resolve, 20));
 }
 
-/** Counts of frames, the size, and how grey the last picture is: largest difference of channels, range of luma. */
+/**
+ * Counts of frames that were decoded (after a seek some are decoded again), of corrupt ones and of seeks, the size, and
+ * how grey the last picture is: largest difference of channels, range of luma.
+ */
 export function shown(video) {
   const canvas = new OffscreenCanvas(video.videoWidth, video.videoHeight);
   const context = canvas.getContext("2d");
@@ -18,5 +24,5 @@ export function shown(video) {
   }
   const { totalVideoFrames: frames, corruptedVideoFrames: corrupted } = video.getVideoPlaybackQuality();
   const { videoWidth: width, videoHeight: height, duration, currentTime: stopped } = video;
-  return { frames, corrupted, width, height, duration, stopped, colour, darkest, brightest };
+  return { frames, corrupted, seeks, width, height, duration, stopped, colour, darkest, brightest };
 }

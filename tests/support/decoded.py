@@ -1,0 +1,175 @@
+"""Packages as pages get them that draw but do not decode: tables, luma, changes of bases, means, and true pictures.
+
+`write_decoded` makes two files: NAME.json, and NAME.bin, into which "references" in it point: type, byte, count.
+"""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.coding import escapes
+from airgs_codec.coding.atlas import GREY, sample_index
+from airgs_codec.coding.rangecoder import ColumnReader
+from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
+from airgs_codec.decoder.decode import decode_canonical, decode_frames
+from airgs_codec.media.h264 import decode_pictures, open_segment
+from airgs_codec.package.store import Package
+from airgs_codec.package.tables import Atlas
+from airgs_codec.render import cpu
+from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.gaussians import Gaussians
+
+ALIGNMENT = 8  # bytes
+BLOCK = 16  # samples either side
+Json = dict[str, Any]
+
+
+@dataclass
+class Blob:
+    """Arrays one after the other."""
+
+    data: bytearray = field(default_factory=bytearray)
+
+    def add(self, array: NDArray[Any]) -> list[str | int]:
+        """Append an array; gives its reference."""
+        self.data += bytes(-len(self.data) % ALIGNMENT)
+        at = len(self.data)
+        self.data += np.ascontiguousarray(array).tobytes()
+        return [array.dtype.name, at, array.size]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """What a viewer shows: indices of key quality and level, and how many key tiers it has; None: all it asks for."""
+
+    quality: int
+    level: int
+    tiers: int | None = None
+
+
+def write_decoded(
+    package: Package, where: Path, rungs: Sequence[Rung], cameras: Sequence[Camera], pages: int = 1
+) -> None:
+    """Write what `package` decodes to, with what every camera sees of each frame on black.
+
+    `pages`: cut every atlas into as many as that, or as near as whole blocks come to it.
+    """
+    blob, m = Blob(), package.manifest
+    folder = Path(package.files.name)
+    groups = [
+        json.loads(gzip.decompress((folder / f"group/{g + 1}.json.gz").read_bytes())) for g in range(len(m.groups))
+    ]
+    for group in groups:
+        for atlas in [*group["levels"], *(quality for tier in group["tiers"] for quality in tier["qualities"])]:
+            atlas["height"] = _page_height(Atlas(**atlas), pages)
+    table = {
+        "root": json.loads((folder / "airgs.json").read_bytes()),
+        "groups": groups,
+        "cameras": [_camera(camera) for camera in cameras],
+        "rungs": [_Writer(package, blob, rung, pages).table(cameras) for rung in rungs],
+    }
+    where.with_suffix(".json").write_text(json.dumps(table))
+    where.with_suffix(".bin").write_bytes(blob.data)
+
+
+@dataclass(frozen=True)
+class _Writer:
+    """Writes what viewers of one rung decode."""
+
+    package: Package
+    blob: Blob
+    rung: Rung
+    pages: int
+
+    @property
+    def tiers(self) -> int:
+        """How many key tiers the viewer has."""
+        asked = self.package.manifest.levels[self.rung.level].tiers
+        return asked if self.rung.tiers is None else self.rung.tiers
+
+    def table(self, cameras: Sequence[Camera]) -> Json:
+        """Groups -> segments -> frames."""
+        m = self.package.manifest
+        at = {"level": self.rung.level, "key_quality": self.rung.quality, "tiers": self.tiers}
+        shown = [self._shown(frame.gaussians, cameras) for frame in decode_frames(self.package, 0, m.frames, **at)]
+        groups = []
+        for g in range(len(m.groups)):
+            segments = []
+            for s in m.segments_of(g):
+                span = range(m.segments[s].start, m.segments[s].stop)
+                states = self._states(s) or [{"luma": None, "changes": None} for _ in span]
+                segments.append([state | shown[n] for n, state in zip(span, states, strict=True)])
+            groups.append({"canonical": self._canonical(g), "segments": segments})
+        return {"quality": self.rung.quality, "level": self.rung.level, "tiers": self.tiers, "groups": groups}
+
+    def _shown(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> Json:
+        pictures = [self.blob.add(picture.rgb) for picture in cpu.render_views(gaussians, cameras)]
+        return {"means": self.blob.add(gaussians.means), "pictures": pictures}
+
+    def _canonical(self, group: int) -> Json:
+        base = decode_canonical(self.package, group, self.rung.quality, self.tiers)
+        tiers = self.package.manifest.groups[group].tiers[: self.tiers]
+        return {
+            "means": self.blob.add(base.means.astype(np.float32)),
+            "units": self.blob.add(base.motion_units),
+            "depths": self.blob.add(base.depths),
+            "parts": [self._key(group, t) | {"tier": t} for t, tier in enumerate(tiers) if tier.count],
+        }
+
+    def _key(self, group: int, tier: int) -> Json:
+        m = self.package.manifest
+        unit, grid, quality = m.groups[group].tiers[tier], m.groups[group].grid, self.rung.quality
+        coarsest = m.qualities[-1].coarser
+        sidecar, media = m.key_files(group, tier, quality)
+        file, atlas = open_segment(self.package.read(media), media), unit.qualities[quality]
+        shared = unpack_key_sidecar(self.package.read(sidecar), unit.count, grid, coarsest, sidecar)
+        reader = ColumnReader(file.columns, media)
+        read_detail(reader, shared, grid, m.qualities[quality].coarser, coarsest)
+        jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
+        picture = next(decode_pictures(file.samples, media, atlas.pages))
+        return self._picture(picture, atlas, jumps, 0)
+
+    def _states(self, index: int) -> list[Json]:
+        """Every frame of a segment; none where there is nothing to fetch."""
+        m, level = self.package.manifest, self.rung.level
+        out = []
+        for media in m.state_files(index, level):
+            span, atlas = m.segments[index], m.groups[m.group_of(index)].levels[level]
+            file = open_segment(self.package.read(media), media)
+            jumps = escapes.unpack(file.columns, (span.stop - span.start, len(atlas.planes), atlas.rows), media)
+            for t, picture in enumerate(decode_pictures(file.samples, media, atlas.pages)):
+                out.append(self._picture(picture, atlas, jumps, t))
+        return out
+
+    def _picture(self, picture: NDArray[np.uint8], atlas: Atlas, jumps: escapes.Escapes, frame: int) -> Json:
+        """Luma cut into pages anew, and what changes of its bases."""
+        height = _page_height(atlas, self.pages)
+        lines = atlas.size[1]
+        luma = np.full((-(-lines // height) * height, atlas.width), GREY, np.uint8)
+        luma[:lines] = picture[:lines]
+        now = jumps.bases(frame)
+        changed = now != (jumps.bases(frame - 1) if frame else np.zeros_like(now))
+        places = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), atlas.width)
+        changes = {"texels": self.blob.add(places[changed].astype(np.uint32)), "bases": self.blob.add(now[changed])}
+        return {"luma": self.blob.add(luma), "changes": changes if changed.any() else None}
+
+
+def _page_height(atlas: Atlas, pages: int) -> int:
+    """The height of pictures when an atlas is cut into `pages`; 1: as it is."""
+    if pages == 1 or not atlas.planes:
+        return atlas.height
+    return BLOCK * -(-atlas.size[1] // (BLOCK * pages))
+
+
+def _camera(camera: Camera) -> Json:
+    """As web/src/format/types.ts has it."""
+    numbers = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy", "near")}
+    return numbers | {"worldToCamera": camera.world_to_camera.ravel().tolist()}

@@ -1,0 +1,42 @@
+"""A package that shows the groups of another one over and over, without encoding anything."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from airgs_codec.package.folder import Folder
+from airgs_codec.package.manifest import Groups
+from airgs_codec.package.paths import INIT_NAME, key_media_path, key_sidecar_path, state_media_path
+from airgs_codec.package.store import Package
+from airgs_codec.package.tables import Group
+from airgs_codec.package.writing import write_tables
+
+
+def write_repeated(package: Package, folder: Path, times: int, fps: int) -> Path:
+    """A package with the groups of another one, so often and at another speed."""
+    m, files = package.manifest, Folder(folder)
+    files.write(INIT_NAME, package.read(INIT_NAME))
+    groups: list[Group] = []
+    segments = 0
+    for n in range(times * len(m.groups)):
+        source = n % len(m.groups)
+        group = m.groups[source]
+        shift = (n // len(m.groups)) * m.frames
+        moved = [replace(s, start=s.start + shift, stop=s.stop + shift) for s in group.segments]
+        groups.append(replace(group, start=group.start + shift, stop=group.stop + shift, segments=moved))
+        for tier in range(m.tiers):
+            files.write(key_sidecar_path(tier, n + 1), package.read(key_sidecar_path(tier, source + 1)))
+            for quality in range(len(m.qualities)):
+                path = key_media_path(tier, quality, source + 1)
+                files.write(key_media_path(tier, quality, n + 1), package.read(path))
+        for s in m.segments_of(source):
+            segments += 1
+            for level in range(len(m.levels)):
+                if m.segments[s].levels[level].file.bytes:
+                    files.write(state_media_path(level, segments), package.read(state_media_path(level, s + 1)))
+    write_tables(
+        files,
+        replace(m, frame_rate=[fps, 1], timescale=1000 * fps, frames=groups[-1].stop, groups=Groups.of(groups)),
+    )
+    return folder

@@ -1,0 +1,190 @@
+"""The player on a page under conditions as people have them: links, servers, growing packages, undecided viewers."""
+
+import time
+from dataclasses import replace
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+
+from airgs_codec.package.manifest import Groups
+from airgs_codec.package.packing import pack_json
+from airgs_codec.package.store import open_package, root_of
+from airgs_codec.play.trace import Trace
+from airgs_codec.serve.server import ServerSettings
+from airgs_codec.serve.shaping import Shape
+from tests.support.browser import WEB, build_pages, missing, serve, visit
+from tests.support.moods import SILENT, WRONG, Moods, moodily_serving, outage
+from tests.support.paths import GOLDEN
+from tests.support.repeated import write_repeated
+
+PAGE = (
+    b'<!doctype html><link rel="icon" href="data:,"><script type="module" src="/web/out/pages/conditions.js"></script>'
+)
+FPS = 2  # a group a second
+AWAY = ("Failed to load resource", "ERR_")  # what browsers say of servers that are not there, and of what was given up
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _pages():
+    build_pages()
+
+
+@pytest.fixture(scope="module")
+def fox(tmp_path_factory):
+    """Makes the fox walk for some seconds; a group with one segment is a second."""
+    made = {}
+
+    def make(seconds):
+        if seconds not in made:
+            folder = tmp_path_factory.mktemp("fox") / f"{seconds}.airgs"
+            made[seconds] = write_repeated(open_package(GOLDEN / "fox"), folder, seconds // 2, FPS)
+        return made[seconds]
+
+    return make
+
+
+def look(folder, check, moods=None, settings=None, known=(), **query):
+    """What the page reports of a check on a package, and how often each file was asked for."""
+    moods = moods or Moods()
+    with moodily_serving(folder, moods, settings) as server:
+        told = {"/page.html": lambda: PAGE, "/end": server.end, "/begin": server.begin}
+        src = f"http://127.0.0.1:{server.port}/{folder.name}/"
+        with serve({"web": WEB}, told) as site:
+            seen = visit(f"{site.url}/page.html?{urlencode({'src': src, 'check': check, **query})}")
+    complaints = seen.complaints(known)
+    assert [line for line in complaints if not any(part in line for part in ("ERR_ABORTED", *known))] == []
+    assert seen.report["unhandled"] == []
+    assert seen.report.get("error", 0) == 0  # of WebGL
+    return seen.report
+
+
+def trace(*parts):
+    """A link by (seconds, bit/s); the last rate holds."""
+    lengths, rates = zip(*parts, strict=True)
+    starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
+    return ServerSettings(shape=Shape(Trace("test", starts, np.array(rates, float), sum(lengths), end="hold"), 0.03))
+
+
+class Growth:
+    """An airgs.json with a group more each second from the first time that somebody asks, up to all that there are."""
+
+    def __init__(self, folder, first):
+        self.manifest, self.first, self.start = open_package(folder).manifest, first, None
+
+    def root(self):
+        self.start = self.start or time.monotonic()
+        m, count = self.manifest, self.first + int(time.monotonic() - self.start)
+        if count >= len(m.groups):
+            return pack_json(root_of(m))
+        groups = m.groups[:count]
+        return pack_json(root_of(replace(m, live=True, frames=groups[-1].stop, groups=Groups.of(groups))))
+
+
+def test_a_growing_package_is_joined_at_its_newest_group_and_followed_to_its_end(fox):
+    folder, groups, first = fox(16), 16, 4
+    growth = Growth(folder, first)
+    made = {"/page.html": lambda: PAGE, "/package/airgs.json": growth.root}
+    with serve({"web": WEB, "package": folder}, made) as site:
+        seen = visit(f"{site.url}/page.html?{urlencode({'src': '/package/', 'check': 'live', 'back': 2})}")
+    report = seen.report
+    assert [line for line in seen.complaints() if "ERR_ABORTED" not in line] == [] and report["unhandled"] == []
+    assert report["problems"] == [] and report["error"] == 0
+    joined = report["joined"]
+    assert joined["live"] and first <= joined["duration"] < groups
+    assert joined["duration"] - 1 <= joined["time"] < joined["duration"]
+    begin, back, again, newest = report["times"]
+    assert (begin, back, again) == (0, 2, 2) and newest >= joined["duration"]
+    assert joined["duration"] < report["grown"] <= groups
+    assert report["duration"] == groups and not report["live"]
+    assert report["currentTime"] == groups - 1 / FPS
+
+
+def check_whole_pass(report, frames):
+    stats = report["stats"]
+    assert report["events"][-1] == "ended"
+    assert stats["framesShown"] + stats["framesDropped"] == frames
+    assert report["currentTime"] == pytest.approx((frames - 1) / FPS)
+
+
+def test_over_a_link_that_falls_and_rises_again_rungs_follow(fox):
+    folder = fox(20)
+    report = look(folder, "once", settings=trace((5, 2e6), (7, 7e4), (9, 2e6)), buffer=3)
+    assert report["problems"] == []
+    check_whole_pass(report, 20 * FPS)
+    quality = [info["psnr"] for info in report["rungInfo"]]
+    seen = [(one["atS"], quality[one["rung"]]) for one in report["looks"] if one["rung"] is not None]
+    best = max(quality)
+    slow = [q for at, q in seen if 7 < at < 12]
+    assert min(slow) < best
+    assert seen[0][1] and max(q for at, q in seen if at < 5) == best == seen[-1][1]
+
+
+def test_a_download_that_an_outage_cuts_is_given_up(fox):
+    report = look(fox(8), "once", Moods(outage("key/T0/6.bin", 3, SILENT)), buffer=3)
+    assert report["problems"] == []
+    check_whole_pass(report, 8 * FPS)
+    assert report["given"] > 0
+
+
+def test_a_server_that_is_away_is_waited_for(fox):
+    report = look(fox(6), "away", known=AWAY)
+    assert report["problems"] == []
+    check_whole_pass(report, 6 * FPS)
+    assert "stall" in report["events"] and "resume" in report["events"]
+
+
+def test_a_server_that_is_busy_is_waited_for(fox):
+    report = look(fox(6), "once", Moods(outage("key/T0/4.bin", 3, 503)), buffer=1.5, known=AWAY)
+    assert report["problems"] == []
+    check_whole_pass(report, 6 * FPS)
+    assert "stall" in report["events"] and "resume" in report["events"]
+
+
+def test_a_state_that_stays_corrupt_is_lost_or_shown_in_another_rung(fox):
+    bad = {f"state/L{level}/3.m4s": WRONG for level in range(2)} | {"state/L0/5.m4s": WRONG}
+    report = look(fox(8), "once", Moods(lambda path, _: bad.get(path)))
+    stats = report["stats"]
+    assert report["events"][-1] == "ended"
+    assert stats["framesShown"] + stats["framesDropped"] == 8 * FPS
+
+
+def test_a_quality_whose_keys_are_not_there_is_not_played(fox):
+    report = look(fox(6), "once", Moods(lambda path, _: 404 if path.startswith("key/T0/Q0/") else None), known=AWAY)
+    assert report["problems"] == []
+    check_whole_pass(report, 6 * FPS)
+    assert all(name.startswith("Q1") for name in report["rungs"])
+
+
+def test_wrong_bytes_that_come_once_are_asked_for_again(fox):
+    moods = Moods(lambda path, number: WRONG if number == 1 and path != "airgs.json" else None)
+    report = look(fox(4), "once", moods)
+    assert report["problems"] == []
+    check_whole_pass(report, 4 * FPS)
+    assert set(moods.asked.values()) >= {2}
+
+
+def test_speed_and_loop_may_change_at_any_time(fox):
+    report = look(fox(8), "speeds")
+    for one in report["rates"]:
+        assert one["rate"] == pytest.approx(one["speed"], abs=0.6)
+
+
+def test_the_last_of_many_seeks_counts(fox):
+    report = look(fox(12), "seeks")
+    assert report["problems"] == []
+    assert report["last"] == report["wanted"]
+    assert report["times"] == [0.5] and report["paused"]
+
+
+def test_a_pause_and_a_seek_in_a_stall_hold(fox):
+    report = look(fox(12), "stall", known=AWAY)
+    assert report["problems"] == []
+    assert report["sought"] == 6 and report["held"]
+
+
+def test_of_a_player_that_was_closed_nothing_is_left(fox):
+    report = look(fox(4), "close")
+    assert report == {"errors": [], "unhandled": [], "workers": 0}

@@ -1,0 +1,84 @@
+"""The examples for users of three.js and PlayCanvas in a real browser: they draw a package as we draw it, and go on."""
+
+import base64
+import subprocess
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+
+from airgs_codec.decoder.decode import decode
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.media.metrics import psnr
+from airgs_codec.package.store import open_package
+from airgs_codec.render import look_at, render
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.browser import WEB, missing, serve, visit
+from tests.support.paths import GOLDEN
+from tests.support.scenes import moving_frames, write_sequence
+
+SIZE = 192
+LEAST_DB = 40  # what docs/adapters.md says is more
+SHOWN = 3
+PAGE = b'<!doctype html><link rel="icon" href="data:," /><script type="module" src="/pages/examples.js"></script>'
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
+
+
+@pytest.fixture(scope="module")
+def built():
+    for script in ("examples.mjs", "pages.mjs"):
+        subprocess.run(["node", WEB / "scripts" / script], check=True)
+
+
+@pytest.fixture(scope="module")
+def harmonics(tmp_path_factory):
+    """Two groups with SH of degree 3."""
+    folder = tmp_path_factory.mktemp("harmonics")
+    scene = write_sequence(folder / "scene", moving_frames(300, 4, degree=3), fps=4, keyframes=[0, 2])
+    settings = EncodeSettings(calibrate="none", preset="veryfast", measure_pictures=0)
+    encode(open_sequence(scene), folder / "scene.airgs", settings)
+    return open_package(folder / "scene.airgs")
+
+
+@pytest.fixture(params=["fox", "harmonics"])
+def package(request):
+    return open_package(GOLDEN / "fox") if request.param == "fox" else request.getfixturevalue("harmonics")
+
+
+def look(package, example, wanted, **query):
+    """What an example shows of a package: its words, and its last picture (SIZE, SIZE, 3)."""
+    page = f"/examples/{example}/index.html?{urlencode({'src': '/package/', **query})}"
+    folders = {"examples": WEB / "out/examples", "pages": WEB / "out/pages", "package": package.files.path}
+    with serve(folders, {"/page.html": lambda: PAGE}) as site:
+        seen = visit(f"{site.url}/page.html?{urlencode({'page': page, 'size': SIZE, 'wanted': wanted})}")
+    assert seen.complaints(("GPU stall due to ReadPixels",)) == []
+    pixels = np.frombuffer(base64.b64decode(seen.report["picture"]), np.uint8).reshape(SIZE, SIZE, 4)
+    return seen.report["words"], pixels[..., :3]
+
+
+@pytest.mark.parametrize("example", ["spark", "playcanvas"])
+def test_an_example_draws_the_first_view_of_a_package_as_we_do(built, package, example):
+    words, picture = look(package, example, 1, frame=1)
+    assert words == [f"frame 2 of {package.manifest.frames}"]
+    region = package.manifest.region
+    place = region.places[0]
+    at = (np.array(v) for v in (place.position, place.focus, place.up))
+    camera = look_at(*at, size=SIZE, fov_y=np.radians(region.fov_y), name="first")
+    truth = np.round(render(decode(package, 1), camera).rgb.clip(0, 1) * 255)
+    assert truth.std() > 10
+    assert psnr(float(np.mean((picture - truth) ** 2)) / 255**2) >= LEAST_DB
+
+
+@pytest.mark.parametrize("example", ["spark", "playcanvas"])
+def test_an_example_plays_on(built, harmonics, example):
+    words, picture = look(harmonics, example, SHOWN)
+    assert len(words) == SHOWN and all(word.startswith("frame ") for word in words)
+    assert picture.std() > 10
+
+
+@pytest.mark.parametrize("example", ["spark", "playcanvas"])
+def test_an_example_says_what_is_wrong(built, harmonics, example):
+    words, _ = look(harmonics, example, 1, rung="Q9+L9")
+    assert len(words) == 1 and "Q9+L9" in words[0]

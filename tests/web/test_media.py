@@ -1,0 +1,420 @@
+"""The player's media part in a real browser: exact luma, frames as the decoder shows them, refusals, faults."""
+
+import json
+from dataclasses import replace
+from functools import partial
+from hashlib import sha256
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from airgs_codec.coding.atlas import picture_size
+from airgs_codec.coding.colour import colours
+from airgs_codec.decoder.decode import decode_frames
+from airgs_codec.encoder import representation
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.media.h264 import decode_pictures, open_segment
+from airgs_codec.package.store import open_package
+from airgs_codec.play.repr_digest import REPR_DIGEST, repr_digest
+from airgs_codec.scene.sequence import open_sequence
+from tests.makers import probe_clip
+from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit
+from tests.support.growing import Growing
+from tests.support.paths import GOLDEN, REPOSITORY, VALID
+from tests.support.scenes import moving_frames, write_sequence
+from tests.support.vectors import cases
+
+PAGE = b'<!doctype html><meta charset="utf-8"><script type="module" src="/web/out/pages/media.js"></script>'
+INVALID = REPOSITORY / "manifests" / "invalid"
+FOLDERS = {"golden": GOLDEN, "valid": VALID, "invalid": INVALID}
+PACKAGES = (
+    "golden/fox",
+    "golden/fox-fine",
+    "valid/moving",
+    "valid/one-gaussian",
+    "valid/paged",
+    "valid/two-groups-sh1",
+)
+FOX = open_package(GOLDEN / "fox")
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
+
+
+@pytest.fixture(scope="module")
+def encoded(tmp_path_factory):
+    """Folder of packages: `pages`, whose atlases are all cut into pages, and `long`, a segment of many frames."""
+    folder = tmp_path_factory.mktemp("encoded")
+    settings = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", segment_s=0.2)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(representation, "picture_size", partial(picture_size, macroblocks=16))
+        encode(open_sequence(write_sequence(folder / "paged", moving_frames(600, 7))), folder / "pages", settings)
+    settings = replace(settings, segment_s=1.0)
+    encode(open_sequence(write_sequence(folder / "scene", moving_frames(100, 20))), folder / "long", settings)
+    return folder
+
+
+def package(name):
+    first, _, rest = name.partition("/")
+    return open_package(FOLDERS[first] / rest)
+
+
+def look(steps, made=None, folders=None):
+    """What a page reports of steps, name -> (task, arguments); Chromium may say what it thinks of faults."""
+    build_pages()
+    plan = [{"name": name, "task": task} | arguments for name, (task, arguments) in steps.items()]
+    pages = {"/page.html": lambda: PAGE, "/plan.json": lambda: json.dumps(plan).encode()}
+    with serve(FOLDERS | {"web": WEB} | (folders or {}), pages | (made or {})) as site:
+        seen = visit(f"{site.url}/page.html")
+    assert [line for line in seen.failed if "net::" not in line] == []
+    assert seen.report.keys() == steps.keys()
+    return seen.report, site.answers
+
+
+# Exactness
+
+
+def frames_of(p, rung):
+    """Float32 of means, quaternions, log-scales, alpha and colours of every frame."""
+    for frame in decode_frames(p, 0, p.manifest.frames, **rung):
+        g = frame.gaussians
+        alpha = 1 / (1 + np.exp(-g.opacity_logits.astype(np.float64)))
+        parts = (g.means, g.quaternions, g.log_scales, alpha, colours(g.sh_dc, g.sh_rest))
+        yield np.concatenate([np.asarray(part, "<f4").ravel() for part in parts]).tobytes()
+
+
+RUNGS = [
+    (name, {"key_quality": q, "level": j, "tiers": tiers})
+    for name in PACKAGES
+    for m in [package(name).manifest]
+    for q, j, tiers in {
+        (0, 0, m.tiers),
+        (len(m.qualities) - 1, len(m.levels) - 1, m.levels[-1].tiers),
+        (0, len(m.levels) - 1, m.tiers),
+        (len(m.qualities) - 1, 0, 1),
+    }
+]
+
+
+@pytest.fixture(scope="module")
+def luma():
+    return look({name: ("luma", {"url": name}) for name in PACKAGES})[0]
+
+
+@pytest.fixture(scope="module")
+def frames(encoded):
+    steps, made = {}, {}
+    for number, (name, rung) in enumerate(RUNGS):
+        expected = f"/expected/{number}"
+        made |= {f"{expected}/{i}": lambda data=data: data for i, data in enumerate(frames_of(package(name), rung))}
+        asked = {"quality": rung["key_quality"], "level": rung["level"], "tiers": rung["tiers"]}
+        steps[f"{number}"] = ("frames", {"url": name, "expected": expected} | asked)
+    for number, data in enumerate(frames_of(open_package(encoded / "pages"), PAGED)):
+        made[f"/expected/pages/{number}"] = lambda data=data: data
+    asked = {"quality": 0, "level": 0, "tiers": PAGED["tiers"], "expected": "/expected/pages"}
+    steps["pages"] = "frames", {"url": "encoded/pages"} | asked
+    return look(steps, made, {"encoded": encoded})[0]
+
+
+PAGED = {"key_quality": 0, "level": 0, "tiers": 1}
+
+
+def test_atlases_in_pages_are_put_together(frames, encoded):
+    m = open_package(encoded / "pages").manifest
+    assert all(atlas.pages > 1 for atlas in (m.groups[0].tiers[0].qualities[0], m.groups[0].levels[0]))
+    assert frames["pages"]["frames"] == m.frames
+    assert all(error <= 1e-6 for error in frames["pages"]["worst"].values()), frames["pages"]
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_luma_of_every_picture_is_exact(luma, name):
+    report = luma[name]
+    assert report.get("luma") == "exact", report
+    p = package(name)
+    paths = [path for g in range(len(p.manifest.groups)) for path in p.manifest.group_files(g)]
+    assert set(report["found"]) == {path for path in paths if path.endswith(".m4s")}
+    for path, digests in report["found"].items():
+        pictures = decode_pictures(open_segment(p.read(path), path).samples, path)
+        assert digests == [sha(picture) for picture in pictures], path
+
+
+def test_luma_is_that_of_the_vectors(luma):
+    for case in cases("packages", "units"):
+        name = case["package"].removeprefix("tests/").removeprefix("manifests/")
+        assert luma[name]["found"][case["path"]] == case["luma"]
+
+
+@pytest.mark.parametrize("number", range(len(RUNGS)), ids=[f"{name} {rung}" for name, rung in RUNGS])
+def test_every_frame_is_the_decoders(frames, number):
+    report = frames[f"{number}"]
+    assert report["frames"] == package(RUNGS[number][0]).manifest.frames
+    assert all(error <= 1e-6 for error in report["worst"].values()), report
+
+
+def sha(picture):
+    return sha256(picture.tobytes()).hexdigest()
+
+
+# What browsers make of luma
+
+
+def test_the_probe_is_what_its_maker_makes():
+    """x264 may change what it writes; what it decodes to is checked in the browser."""
+    sample = probe_clip.encode_probe()
+    (decoded,) = decode_pictures([sample], "probe")
+    assert np.array_equal(decoded, probe_clip.picture())
+    assert probe_clip.text(sample).splitlines()[:8] == probe_clip.PATH.read_text().splitlines()[:8]
+
+
+MOCKS = {
+    ("NV12", "same"): "exact",
+    ("I420", "same"): "exact",
+    ("BGRX", "same"): "exact",
+    ("BGRX", "stretched"): "invertible",
+    ("RGBA", "stretched"): "invertible",
+    ("RGBX", "negative"): "invertible",
+    (None, "stretched"): "invertible",
+    ("NV12", "stretched"): "invertible",
+    ("BGRX", "squeezed"): None,
+    ("I420", "clipped"): None,
+    ("BGRX", "clipped"): None,
+    ("I444", "same"): None,
+}
+
+
+@pytest.fixture(scope="module")
+def probed():
+    steps = {"real": ("probe", {}), "uneven": ("uneven", {}), "unable": ("unable", {})}
+    steps |= {f"{format} {change}": ("probe", {"format": format, "change": change}) for format, change in MOCKS}
+    steps |= {f"hardware {helps}": ("hardware", {"helps": helps}) for helps in (True, False)}
+    steps |= {what: ("lacking", {"what": what}) for what in ("VideoDecoder", "isSecureContext")}
+    steps |= {f"watched {name}": ("watched", {"url": "golden/fox"} | harm) for name, harm in HARMS.items()}
+    return look({name: (task, {"url": ""} | arguments) for name, (task, arguments) in steps.items()})[0]
+
+
+HARMS = {
+    "unharmed": {},
+    "reclaimed": {"after": 1, "times": 1},
+    "reclaimed again": {"after": 1, "times": 2},
+    "broken": {"after": 0, "times": 99},
+    "given up": {"abortAt": 0},
+}
+
+
+def test_this_browser_is_exact(probed):
+    assert probed["real"] == {"luma": "exact", "layouts": ["planar"], "wrong": []}
+
+
+@pytest.mark.parametrize(("format", "change"), MOCKS)
+def test_luma_that_is_changed_is_undone_or_refused(probed, format, change):
+    report, luma = probed[f"{format} {change}"], MOCKS[format, change]
+    if luma is None:
+        assert report["error"]["name"] == "UnsupportedError"
+        assert "luma" in report["error"]["message"]
+    else:
+        layout = "planar" if format in ("NV12", "I420") else "rgb"
+        assert report == {"luma": luma, "layouts": [layout], "wrong": []}
+
+
+def test_software_decodes_what_hardware_gives_otherwise_than_the_probe(probed):
+    assert probed["hardware True"] == {"wrong": [], "asked": ["no-preference", "prefer-software"]}
+    assert probed["hardware False"]["error"]["name"] == "UnsupportedError"
+
+
+@pytest.mark.parametrize(
+    ("what", "words"),
+    [
+        ("uneven", "changes the luma"),
+        ("unable", "does not decode H.264"),
+        ("VideoDecoder", "no WebCodecs"),
+        ("isSecureContext", "https"),
+    ],
+)
+def test_what_a_browser_lacks_is_named(probed, what, words):
+    assert probed[what]["error"]["name"] == "UnsupportedError"
+    assert words in probed[what]["error"]["message"]
+
+
+FRAMES = FOX.manifest.segments[0].stop
+TIERS = sum(tier.count > 0 for tier in FOX.manifest.groups[0].tiers)
+
+
+def test_every_picture_is_closed_whatever_happens(probed):
+    for name in HARMS:
+        assert probed[f"watched {name}"]["unclosed"] == 0, name
+
+
+@pytest.mark.parametrize("name", ["unharmed", "reclaimed"])
+def test_a_decoder_that_was_taken_away_is_made_anew(probed, name):
+    report = probed[f"watched {name}"]
+    assert (report["came"], report["said"]) == (list(range(FRAMES)), "")
+    assert report["made"] == 2 + HARMS[name].get("times", 0)  # one for keys, one for states
+
+
+def test_a_decoder_that_breaks_down_again_counts(probed):
+    report = probed["watched broken"]
+    assert report["came"] == [] and "H.264 does not decode" in report["said"]
+    assert report["made"] == 2
+
+
+def test_decoding_that_is_given_up_ends(probed):
+    report = probed["watched given up"]
+    assert report["came"] == [0] and report["said"] == "given up"
+
+
+# Refusals
+
+
+LOCAL = ("bad_mpd", "doctype", "foreign_url", "mpd_mismatch", "foreign_file", "unsafe_path")  # not met over HTTP
+REFUSED = sorted(path.name for path in INVALID.iterdir() if path.name.split("-")[0] not in LOCAL)
+
+
+@pytest.fixture(scope="module")
+def refusals():
+    return look({name: ("luma", {"url": f"invalid/{name}"}) for name in REFUSED})[0]
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_broken_packages_are_refused(refusals, name):
+    error = refusals[name].get("error")
+    assert error is not None, refusals[name]
+    assert (error["name"], error.get("reason")) == ("FormatError", name.split("-")[0]), error
+
+
+# Faults of servers
+
+
+class Flaky:
+    """Answers in turn; once they are used up, the file as it is."""
+
+    def __init__(self, *answers):
+        self.answers = list(answers)
+        self.asked = 0
+
+    def __call__(self):
+        self.asked += 1
+        return self.answers.pop(0) if self.answers else None
+
+
+TABLE = "group/1.json.gz"
+TABLE_BYTES = FOX.files.path.joinpath(TABLE).read_bytes()
+OTHER = TABLE_BYTES[:-1] + bytes([TABLE_BYTES[-1] ^ 1])
+ROOT = FOX.files.path.joinpath("airgs.json").read_bytes()
+WRONG_ROOT = {REPR_DIGEST: repr_digest(b"another")}
+HEADERS = 350  # bytes of each answer, which pages are not told
+
+FAULTS = {  # answers for the table of the first group -> (answers that were not taken, why it cannot be had)
+    "none": ([], 0, None),
+    "wrong bytes": ([Answer(OTHER)], 1, None),
+    "wrong length": ([Answer(TABLE_BYTES + b"more")], 1, None),
+    "truncated": ([Answer(TABLE_BYTES, lost=40)] * 2, 2, None),
+    "500": ([Answer(b"", 500)], 1, None),
+    "404": ([Answer(b"", 404)], 0, "missing_file"),
+    "away: 503": ([Answer(b"", 503)] * 3, 3, None),
+    "always wrong bytes": ([Answer(OTHER)] * 9, 1, "hash_mismatch"),
+    "always short": ([Answer(TABLE_BYTES[:-1])] * 9, 1, "size_mismatch"),
+    "always 500": ([Answer(b"", 500)] * 9, 1, "missing_file"),
+    "away: no connection": ([Answer(dropped=True)] * 3, None, None),  # Chromium asks again itself, too
+}
+ATTEMPTS = 2  # of files that stay wrong, or of a server that is away more often; elsewhere as many as players make
+
+
+@pytest.fixture(scope="module")
+def faults(encoded, tmp_path_factory):
+    steps, made, folders = {}, {}, {"encoded": encoded}
+
+    def add(name, task, answers, **arguments):
+        folder = f"at{len(folders)}"
+        folders[folder] = FOX.files.path
+        made.update({f"/{folder}/{path}": answer for path, answer in answers.items()})
+        steps[name] = task, {"url": folder} | arguments
+
+    for name, (answers, *_) in FAULTS.items():
+        attempts = {"attempts": ATTEMPTS} if name.startswith(("always", "away")) else {}
+        add(name, "fetching", {f"{TABLE}": Flaky(*answers)}, paths=[TABLE], **attempts)
+    add(
+        "slow",
+        "fetching",
+        {TABLE: Flaky(Answer(TABLE_BYTES, wait_s=20))},
+        paths=[TABLE, "group/2.json.gz"],
+        abortMs=700,
+    )
+    keep = {"Cache-Control": "max-age=3600"}
+    add("kept", "fetching", {TABLE: lambda: Answer(TABLE_BYTES, headers=keep)}, paths=[TABLE], times=2)
+    add("root right", "opening", {"airgs.json": lambda: Answer(ROOT, headers={REPR_DIGEST: repr_digest(ROOT)})})
+    add("root wrong", "opening", {"airgs.json": lambda: Answer(ROOT, headers=WRONG_ROOT)})
+    add("root busy", "opening", {"airgs.json": lambda: Answer(b"", 503)})
+    add("root away", "opening", {"airgs.json": lambda: Answer(dropped=True)})
+    add("root missing", "opening", {"airgs.json": lambda: Answer(b"", 404)})
+    steps["ahead"] = "ahead", {"url": "encoded/long"}
+    add("mistakes", "mistakes", {})
+    folder = tmp_path_factory.mktemp("growing") / "package"
+    growth = Growing(folder, 1, 2, 65, 0)
+    folders["growing"] = folder
+    made["/growing/airgs.json"] = lambda: (folder.joinpath("airgs.json").read_bytes(), growth.publish())[0]
+    steps["growing"] = "growing", {"url": "growing"}
+    return look(steps, made, folders)[0]
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_are_gone_about_as_the_players_documentation_says(faults, name):
+    _, retries, reason = FAULTS[name]
+    (came,) = faults[name]["came"]
+    assert came["whole"] == ([] if reason else [TABLE])
+    assert [refused[0] for refused in came["refused"].values()] == ([reason] if reason else [])
+    assert retries is None or len(came["retries"]) == retries
+    assert {retry["path"] for retry in came["retries"]} <= {TABLE}
+    assert faults[name]["groups"][0] is not bool(reason)
+    assert came["inOrder"] and not came["cached"]
+    assert came["progress"] == sorted(came["progress"])
+    assert came["progress"][-1] == came["bytes"] if came["progress"] else came["bytes"] == 0
+    assert name != "none" or came["bytes"] == len(TABLE_BYTES) + HEADERS
+
+
+def test_a_batch_that_is_given_up_keeps_what_is_whole(faults):
+    (came,) = faults["slow"]["came"]
+    assert came["whole"] == ["group/2.json.gz"] and came["refused"] == {}
+    assert faults["slow"]["groups"] == [False, True]
+    assert came["bytes"] == 2 * HEADERS + len(TABLE_BYTES) - 1 + FOX.manifest.entry("group/2.json.gz").bytes
+
+
+def test_what_the_browser_had_kept_says_nothing_of_the_network(faults):
+    first, again = faults["kept"]["came"]
+    assert (first["cached"], again["cached"]) == (False, True)
+    assert first["bytes"] > 0 and again["bytes"] == 0
+    assert first["whole"] == again["whole"] == [TABLE]
+
+
+def test_the_root_is_checked_by_its_header(faults):
+    assert faults["root right"] == {"groups": 2, "bytes": len(ROOT) + HEADERS, "retries": []}
+    assert faults["root wrong"]["error"]["reason"] == "hash_mismatch"
+
+
+def test_a_server_that_is_not_there_is_named_at_once(faults):
+    for name in ("root busy", "root away"):
+        assert faults[name]["error"]["name"] == "TransportError"
+    assert faults["root missing"]["error"]["reason"] == "missing_file"
+
+
+def test_decoding_waits_for_the_screen(faults, encoded):
+    """Nothing but what the decoder holds, and one frame, comes before frames are taken."""
+    report, frames = faults["ahead"], open_package(encoded / "long").manifest.segments[0].stop
+    first, *later = report["counts"]
+    assert first <= frames // 2 and frames >= 16
+    assert all(before <= after for before, after in pairwise(report["counts"]))
+    assert later[-1] == report["total"] == report["again"] == frames
+    assert report["error"] == "AbortError"
+
+
+def test_files_that_are_not_at_hand_are_fetched_where_a_table_leads_to_them(faults):
+    unread, nothing, early, waiting, closed = faults["mistakes"]
+    assert [error["reason"] for error in (unread, nothing)] == ["missing_entry"] * 2
+    assert early == FOX.manifest.groups[0].tiers[0].count
+    assert [error["name"] for error in (waiting, closed)] == ["AbortError"] * 2
+
+
+def test_a_growing_package_is_followed_to_its_end(faults):
+    report = faults["growing"]
+    assert report["seen"] == [[1, True], [2, True], [65, True], [65, False]]
+    assert report["start"] == package("valid/paged").manifest.groups[64].start

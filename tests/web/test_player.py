@@ -1,0 +1,98 @@
+"""The player on a page: what it shows, and what it does when something goes wrong."""
+
+import base64
+import json
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+
+from airgs_codec.decoder.decode import decode
+from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.store import open_package
+from airgs_codec.render.cpu import render
+from airgs_codec.scene.camera import Camera
+from tests.support.browser import WEB, build_pages, missing, serve, visit
+from tests.support.paths import GOLDEN
+
+PAGE = b'<!doctype html><link rel="icon" href="data:,"><script type="module" src="/web/out/pages/player.js"></script>'
+KNOWN = ("GPU stall due to ReadPixels", "WebGL: CONTEXT_LOST")  # what tests do
+LEAST_DB = 55  # of pictures of 8 bits
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _pages():
+    build_pages()
+
+
+@pytest.fixture(scope="module")
+def fox():
+    """Two groups; each is one segment."""
+    return open_package(GOLDEN / "fox")
+
+
+def look(folder, check, **query):
+    """What the page reports of a check on a package in a folder."""
+    with serve({"web": WEB, "package": folder}, {"/player.html": lambda: PAGE}) as site:
+        seen = visit(f"{site.url}/player.html?{urlencode({'src': '/package/', 'check': check} | query)}")
+    assert [line for line in seen.complaints(KNOWN) if "ERR_ABORTED" not in line] == []  # what was given up
+    assert seen.report["error"] == 0  # of WebGL
+    return seen.report
+
+
+def test_every_frame_of_a_pass_is_shown_or_counted_as_dropped(fox):
+    report = look(fox.files.path, "once")
+    stats = report["stats"]
+    assert report["problems"] == []
+    assert stats["framesShown"] + stats["framesDropped"] == fox.manifest.frames
+    assert report["events"][-1] == "ended"
+    assert report["currentTime"] == pytest.approx((fox.manifest.frames - 1) / float(fox.manifest.fps))
+
+
+def test_a_loop_goes_on_over_changes_of_group_without_a_dark_picture(fox):
+    report = look(fox.files.path, "loop")
+    assert report["problems"] == []
+    assert report["stats"]["framesShown"] > fox.manifest.frames
+    assert report["pictures"] > 10
+    assert report["darkest"] > 0.8 * report["brightest"] > 10
+
+
+@pytest.mark.parametrize("rung", [(0, 0), (1, 1)])
+def test_a_frame_that_is_sought_is_what_the_cpu_renderer_draws(fox, rung):
+    quality, level = rung
+    m = fox.manifest
+    frames = [3, 0, 2, 1]
+    name = f"{m.qualities[quality].id}+{m.levels[level].id}"
+    report = look(fox.files.path, "seek", frames=json.dumps(frames), rung=name, fps=float(m.fps))
+    assert report["paused"] and [p["frame"] for p in report["pictures"]] == frames
+    lens = report["camera"]
+    sides = lens["width"], lens["height"]
+    matrix = np.array(lens["worldToCamera"]).reshape(4, 4)
+    camera = Camera("page", *sides, *(lens[k] for k in ("fx", "fy", "cx", "cy")), matrix, near=lens["near"])
+    for seen in report["pictures"]:
+        pixels = np.frombuffer(base64.b64decode(seen["picture"]), np.uint8).reshape(*sides[::-1], 4)[..., :3]
+        truth = render(decode(fox, seen["frame"], level=level, key_quality=quality), camera).rgb.clip(0, 1)
+        assert truth.std() > 0.05
+        assert psnr(mse(pixels / np.float32(255), np.round(255 * truth) / np.float32(255))) >= LEAST_DB
+
+
+def test_a_rung_from_the_menu_is_soon_on_the_screen(fox):
+    m = fox.manifest
+    names = [f"{m.qualities[q].id}+{m.levels[j].id}" for q, j in [(1, 1), (0, 0), (1, 0)]]
+    report = look(fox.files.path, "menu", names=json.dumps(names))
+    assert report["problems"] == []
+    assert report["rungs"][-1] == names[-1]
+
+
+def test_after_the_loss_of_the_webgl_context_it_goes_on(fox):
+    report = look(fox.files.path, "lost")
+    assert report["problems"] == []
+    assert report["brightness"] > 10
+
+
+def test_nothing_is_shown_while_the_page_is_hidden(fox):
+    report = look(fox.files.path, "hidden")
+    assert report["before"] == report["after"]
+    assert report["problems"] == []

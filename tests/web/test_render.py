@@ -1,0 +1,223 @@
+"""Pictures that the browser draws against those of the CPU renderer, from the same decoded luma."""
+
+import base64
+import json
+from dataclasses import replace
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+
+from airgs_codec.decoder.decode import decode
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.orbits import orbit_views
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.browser import WEB, build_pages, missing, serve, visit
+from tests.support.decoded import Rung, write_decoded
+from tests.support.paths import GOLDEN
+from tests.support.scenes import frozen, random_gaussians, write_sequence
+
+PAGE = b'<!doctype html><link rel="icon" href="data:,"><script type="module" src="/web/out/pages/render.js"></script>'
+LEAST_DB = {"rgba16f": 55.0, "rgb10_a2": 50.0}  # PSNR of pictures of 8 bits
+SIZE = 160  # pixels either side
+FAST = EncodeSettings(calibrate="none", preset="veryfast", measure_pictures=0)
+SHOTS = WEB / "out" / "shots"
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _pages():
+    """The page's script, built once."""
+    build_pages()
+
+
+def four_cameras(gaussians):
+    """Three around a scene and one from close by, where Gaussians are large and cut by the picture's edge."""
+    cameras = orbit_views(gaussians, 8, SIZE)[:3]
+    nearer = cameras[0].world_to_camera.copy()
+    nearer[2, 3] *= 0.45
+    return [*cameras, replace(cameras[0], name="close", world_to_camera=nearer)]
+
+
+def look(folder, check, **query):
+    """What the page reports of a check; nothing may go wrong on the way, least of all in WebGL."""
+    with serve({"web": WEB, "data": folder}, {"/page.html": lambda: PAGE}) as site:
+        seen = visit(f"{site.url}/page.html?{urlencode({'data': '/data/scene', 'check': check} | query)}")
+    assert seen.complaints(KNOWN) == []
+    assert seen.report["errors"] == []
+    return seen.report
+
+
+KNOWN = ("GPU stall due to ReadPixels",)  # Chromium says so of what only tests do
+
+
+def assert_near(report, rungs, frames, name):
+    """All pictures are there, and near; one is kept to be looked at."""
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    (SHOTS / f"{name}.png").write_bytes(base64.b64decode(report["shot"].partition(",")[2]))
+    places = {(p["rung"], p["frame"], p["camera"]) for p in report["pictures"]}
+    assert places == {(r, t, c) for r in range(rungs) for t in frames for c in range(4)}
+    bytes_db, floats_db = (np.array([p[kind] for p in report["pictures"]]) for kind in ("bytes", "floats"))
+    print(f"{name} {report['target']}: {bytes_db.min():.1f} dB at 8 bits, {floats_db.min():.1f} dB in floats")
+    assert min(bytes_db.min(), floats_db.min()) >= LEAST_DB[report["target"]]
+
+
+def swaying(count, degree, reach, frames=4):
+    """Rows that sway by up to `reach`, turn, grow, fade and change colour; each third one stands still."""
+    g = random_gaussians(count, degree, seed=degree)
+    moves = (np.arange(count) % 3 > 0)[:, None].astype(np.float32)
+    out = []
+    for t in range(frames):
+        swing = np.float32(np.sin(0.9 * t)) * moves
+        turned = g.quaternions + 0.4 * swing * np.roll(g.quaternions, 1, axis=1)
+        colours = (g.sh_dc + 0.3 * swing, g.sh_rest + 0.1 * swing[:, :, None])
+        shape = (g.means + reach * swing, turned, g.log_scales + 0.3 * swing, g.opacity_logits + swing[:, 0])
+        out.append(frozen(Gaussians(*(np.ascontiguousarray(a, np.float32) for a in (*shape, *colours)))))
+    return out
+
+
+def encoded(folder, frames, settings, **sequence):
+    encode(open_sequence(write_sequence(folder / "scene", frames, fps=4, **sequence)), folder / "a.airgs", settings)
+    return open_package(folder / "a.airgs")
+
+
+def ends(package):
+    """The finest rung and the coarsest."""
+    return [Rung(0, 0), Rung(len(package.manifest.qualities) - 1, len(package.manifest.levels) - 1)]
+
+
+@pytest.fixture(scope="module")
+def fox(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fox")
+    package = open_package(GOLDEN / "fox")
+    cameras = four_cameras(decode(package, 0))
+    write_decoded(package, folder / "scene", ends(package), cameras)
+    return folder
+
+
+@pytest.mark.parametrize("target", LEAST_DB)
+def test_the_fox_looks_as_the_cpu_renderer_draws_it(fox, target):
+    report = look(fox, "pictures", target=target)
+    assert report["target"] == target
+    assert_near(report, 2, range(4), f"fox-{target}")
+
+
+def two_groups(folder, degree):
+    """A package of two groups of two frames and two levels, and its cameras."""
+    frames = swaying(900, degree, 0.2)
+    settings = replace(FAST, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))
+    return encoded(folder, frames, settings, keyframes=[0, 2]), four_cameras(frames[0])
+
+
+@pytest.fixture(scope="module", params=range(len(SH_REST)))
+def synthetic(request, tmp_path_factory):
+    """A scene of every SH degree, in two groups, and of two levels."""
+    folder = tmp_path_factory.mktemp(f"degree{request.param}")
+    package, cameras = two_groups(folder, request.param)
+    write_decoded(package, folder / "scene", ends(package), cameras)
+    return folder, request.param
+
+
+@pytest.mark.parametrize("target", LEAST_DB)
+def test_every_degree_of_spherical_harmonics(synthetic, target):
+    folder, degree = synthetic
+    assert_near(look(folder, "pictures", target=target), 2, range(4), f"degree{degree}-{target}")
+
+
+@pytest.fixture(scope="module")
+def levels(tmp_path_factory):
+    """The same scene in both levels over one key quality."""
+    folder = tmp_path_factory.mktemp("levels")
+    package, cameras = two_groups(folder, 1)
+    write_decoded(package, folder / "scene", [Rung(0, 0), Rung(0, 1)], cameras)
+    return folder
+
+
+def test_levels_change_over_a_scene(levels):
+    pictures = look(levels, "levels")["pictures"]
+    assert len(pictures) == 6 * 2
+    assert min(p["bytes"] for p in pictures) >= LEAST_DB["rgba16f"]
+
+
+def test_the_old_group_is_drawn_until_the_new_one_has_an_order(levels):
+    report = look(levels, "change")
+    assert (report["early"], report["same"], report["freed"]) == (False, True, False)
+    assert min(report["between"]["bytes"], report["after"]["bytes"]) >= LEAST_DB["rgba16f"]
+
+
+def test_after_a_lost_context_nothing_happens_and_a_new_renderer_draws(levels):
+    report = look(levels, "lost")
+    assert report["idle"] == [True, False, False, False]
+    assert report["sizes"] == [0, 0]
+    assert report["picture"]["bytes"] >= LEAST_DB["rgba16f"]
+
+
+def test_a_canvas_of_any_size_and_a_background(levels):
+    report = look(levels, "sizes")
+    assert report["same"] and report["odd"] and not report["disposed"]
+    assert report["corner"] == [64, 128, 255, 255]  # nothing of the scene is there
+    assert report["length"] == 4 * 37 * 91
+
+
+def test_what_cannot_be_drawn_is_said(levels):
+    said = look(levels, "refusals")["messages"]
+    atlas = json.loads((levels / "scene.json").read_text())["groups"][0]["levels"][0]
+    samples = atlas["width"] * atlas["height"]
+    assert [line.removeprefix("RenderError: ") for line in said] == [
+        "a state: expected a level before it, got none",
+        f"luma: expected {samples} samples, got {samples - 1}",
+        "a state: expected the atlas of level 0, got another",
+        "an order: expected at most 900 rows, got 901",
+        "a browser: expected WebGL2, got none",
+    ]
+
+
+@pytest.fixture(scope="module")
+def far(tmp_path_factory):
+    """Rows that move so far for their steps that bases jump."""
+    folder = tmp_path_factory.mktemp("far")
+    frames = swaying(700, 1, 3.0, frames=8)
+    package = encoded(folder, frames, replace(FAST, quality=0.05, levels=(LevelSettings(0.0),)))
+    cameras = four_cameras(frames[0])
+    write_decoded(package, folder / "scene", [Rung(0, 0)], cameras)
+    write_decoded(package, folder / "paged", [Rung(0, 0)], cameras, pages=3)
+    return folder
+
+
+def jumping(folder):
+    """Frames of the segments in which a base changes, counted from the start of each."""
+    table = json.loads((folder / "scene.json").read_text())
+    segments = [s for group in table["rungs"][0]["groups"] for s in group["segments"]]
+    return {t for frames in segments for t, frame in enumerate(frames) if frame["changes"]}
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_bases_jump_in_frames_that_are_shown_and_in_dropped_ones(far, every):
+    assert jumping(far) >= {1, 2}
+    assert_near(look(far, "pictures", every=every), 1, range(every - 1, 8, every), f"far{every}")
+
+
+def test_an_atlas_of_several_pages_shows_the_same(far):
+    atlas = json.loads((far / "paged.json").read_text())["groups"][0]["levels"][0]
+    whole = json.loads((far / "scene.json").read_text())["groups"][0]["levels"][0]
+    assert atlas["height"] < whole["height"] / 2
+    assert_near(look(far, "pictures", data="/data/paged"), 1, range(8), "paged")
+
+
+def test_fewer_tiers_than_the_level_asks_for(tmp_path):
+    package = open_package(GOLDEN / "fox")
+    cameras = four_cameras(decode(package, 0))
+    write_decoded(package, tmp_path / "scene", [Rung(0, 0, tiers=1), Rung(1, 1, tiers=1)], cameras)
+    assert_near(look(tmp_path, "pictures"), 2, range(4), "one-tier")
+
+
+def test_a_segment_without_pictures_shows_the_canonical_space(tmp_path):
+    package = open_package(GOLDEN / "fox-fine")
+    assert package.manifest.state_files(1, 0) == []
+    cameras = four_cameras(decode(package, 0))
+    write_decoded(package, tmp_path / "scene", [Rung(0, 0)], cameras)
+    assert_near(look(tmp_path, "pictures"), 1, range(3), "static")

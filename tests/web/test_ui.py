@@ -1,0 +1,177 @@
+"""<airgs-player> with a player that pretends, driven by a mouse, fingers and keys (web/test/support/ui-cases.ts)."""
+
+import json
+from math import degrees
+from urllib.parse import urlencode
+
+import numpy as np
+import pytest
+
+from tests.support.browser import WEB, build_pages, missing, serve, visit
+
+PAGE = b'<!doctype html><link rel="icon" href="data:,"><body><script type="module" src="/web/out/pages/ui.js"></script>'
+FIRST = np.array([0, -0.6, -4])  # of the pretended region, which looks at 0
+REACH = 1.2
+GIVES = 0.15 * np.linalg.norm(FIRST)  # the most that the wall does
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
+
+
+@pytest.fixture(scope="module")
+def report():
+    """A function from the name of a case to what came of it; the page must not have complained."""
+    build_pages()
+    with serve({"web": WEB}, {"/ui.html": lambda: PAGE}) as site:
+
+        def run(case):
+            seen = visit(f"{site.url}/ui.html?{urlencode({'case': case})}")
+            assert seen.complaints() == []
+            return seen.report
+
+        yield run
+
+
+def azimuth(camera):
+    """Degrees that a camera has gone round the focus, to the right."""
+    x, _, z = camera["position"]
+    return degrees(np.arctan2(x, -z))
+
+
+def away(camera):
+    return float(np.linalg.norm(camera["position"]))
+
+
+def outside(camera):
+    """How far outside of the reach."""
+    return float(np.linalg.norm(np.array(camera["position"]) - FIRST)) - REACH
+
+
+def test_a_drag_turns_with_shift_it_moves_and_a_double_click_goes_back(report):
+    seen = report("drag")
+    assert seen["first"]["position"] == FIRST.tolist()
+    assert azimuth(seen["turned"]) < -5  # the scene goes to the right with the hand
+    assert away(seen["turned"]) == pytest.approx(away(seen["first"]), rel=1e-6)
+    step = np.subtract(seen["moved"]["position"], seen["turned"]["position"])
+    assert step @ np.array(seen["turned"]["up"]) > 0.1
+    assert seen["last"]["position"] == pytest.approx(FIRST.tolist(), abs=1e-6)
+    assert seen["paused"]  # neither a drag nor a double click plays
+
+
+def test_the_region_holds_a_viewer_softly_unless_he_may_leave(report):
+    seen = report("wall")
+    assert 0 < outside(seen["pulled"]) < GIVES
+    assert outside(seen["back"]) < 1e-6
+    assert outside(seen["free"]) > 2
+    assert "no quality is promised" in seen["note"]
+    assert seen["attribute"] == "free"
+
+
+def test_the_wheel_zooms_only_where_it_does_not_scroll_the_page(report):
+    seen = report("wheel")
+    assert seen["passing"] == [pytest.approx(seen["first"]), 20]
+    assert seen["captured"] == [pytest.approx(seen["first"] * np.exp(-0.18), rel=0.01), 0]
+    assert seen["clicked"] == [pytest.approx(seen["first"], rel=0.01), 0]
+
+
+def test_fingers_turn_pinch_and_show_the_controls(report):
+    seen = report("touch")
+    assert azimuth(seen["turned"]) < -5
+    assert away(seen["pinched"]) < 0.95 * away(seen["turned"])
+    assert seen["scrolled"]["by"] > 50  # one finger up and down is for the page
+    assert seen["scrolled"]["camera"] == seen["pinched"]
+    assert sorted(seen["there"]) == [False, True]
+
+
+def test_keys_look_around_play_and_seek(report):
+    seen = report("keys")
+    assert seen["focused"] == "scene"
+    assert azimuth(seen["ArrowRight"]) > 5
+    assert seen["ArrowUp"]["position"][1] < seen["ArrowRight"]["position"][1]  # y is down
+    assert away(seen["+"]) < 0.95 * away(seen["ArrowUp"])
+    assert seen["d"]["position"] != seen["+"]["position"]
+    assert seen["r"]["position"] == pytest.approx(FIRST.tolist(), abs=1e-6)
+    assert seen["plays"]
+    sought = [float(call.split()[1]) for call in seen["calls"] if call.startswith("seek")]
+    steps = np.diff([sought[0], *sought[1:]]).tolist()
+    assert steps == pytest.approx([5, -5, 1 / 24, -1 / 24, 5], abs=0.011)  # the calls have two decimals
+    assert seen["panel"]
+    assert seen["after"] == len(seen["calls"])  # numbers do nothing
+
+
+def test_the_time_line_is_dragged_and_has_keys(report):
+    seen = report("scrub")
+    assert seen["dragged"] == pytest.approx(42, abs=0.3)
+    assert seen["stepped"] - seen["dragged"] == pytest.approx(5, abs=0.01)
+    assert (seen["end"], seen["home"]) == (84, 0)
+    assert seen["aria"] == {
+        "ariaValueNow": "42.0",
+        "ariaValueMax": "84.0",
+        "ariaValueText": "42 seconds of 1 minute 24 seconds",
+    }
+
+
+def test_the_menu_chooses_a_rung_and_a_speed(report):
+    seen = report("menu")
+    roles = [role for role, _ in seen["items"]]
+    assert roles == ["menuitemradio"] * 5 + ["menuitem"]
+    assert [text for _, text in seen["items"]][1] == "43.1 dB5.2 Mbit/sQ0+L3"
+    assert seen["picked"] == "Q0+L3"
+    assert seen["closed"] and seen["focused"] == "Quality: 43.1 dB"
+    assert seen["second"] == seen["attribute"] == "Q1+L2"
+    assert seen["speed"] == 2
+
+
+def test_controls_hide_while_it_plays_and_come_back(report):
+    assert report("hide") == {"there": True, "gone": True, "back": True, "paused": True}
+
+
+def test_an_element_that_is_taken_away_leaves_nothing_and_comes_back_anew(report):
+    seen = report("life")
+    assert seen["told"] > 0 and seen["during"] > 0
+    assert seen["gone"] == {"closed": True, "listeners": 0, "loops": 0, "told": 0, "empty": 0}
+    assert seen["again"] == {"other": True, "open": True, "told": True}
+    assert seen["replaced"].endswith("/other.airgs/")
+
+
+def test_everything_has_a_name_and_its_place_in_the_order(report):
+    seen = report("names")
+    assert all(label for _, label in seen["named"]), seen["named"]
+    assert len({label for _, label in seen["named"]}) == len(seen["named"])
+    order = seen["order"]
+    start = ["3D view", "Play", "Seek", "Play", "Live: go to the newest"]
+    assert [label for label in order if label][: len(start)] == start
+    assert "Full screen" in order and seen["live"] == "polite"
+
+
+def test_trouble_is_said_in_words(report):
+    seen = report("trouble")
+    for name, words in {
+        "refused": ("group/3.json.gz is not what the package says", "Try again", "Copy details"),
+        "newer": ("Made for another player", "Copy details"),
+        "network": ("cannot be reached", "Try again"),
+    }.items():
+        assert seen[name]["role"] == "alert" and not seen[name]["controls"]
+        assert all(part in seen[name]["text"] for part in words), seen[name]
+    assert "Try again" not in seen["newer"]["text"]
+    assert "trying again" in seen["note"] and seen["cleared"] == ""
+    assert "gone for good" in seen["fatal"]
+
+
+def test_live_goes_to_the_newest(report):
+    seen = report("live")
+    assert (seen["behind"], seen["newest"]) == ("Live: go to the newest", "Live: this is the newest")
+    assert seen["time"] == pytest.approx(seen["duration"], abs=1)
+
+
+def test_a_page_without_a_package_asks_for_one():
+    """player.html asks nothing of other servers, whatever folder it is in."""
+    page = (WEB / "src" / "player.html").read_bytes()
+    script = b"export {}; window.report = Promise.resolve([document.title, !!document.querySelector('airgs-player')]);"
+    made = {"/a/b/player.html": lambda: page, "/a/b/airgs-player.js": lambda: script}
+    with serve({}, made) as site:
+        empty = visit(f"{site.url}/a/b/player.html")
+        scene = visit(f"{site.url}/a/b/player.html?src=../fox.airgs/")
+    assert json.dumps([empty.failed, scene.failed]) == "[[], []]"
+    assert {path for path, _ in site.answers} == set(made)
+    assert empty.report == ["airgs player", False]
+    assert scene.report == ["airgs player", False]  # asked for before the page's own script ran

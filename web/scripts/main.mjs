@@ -1,0 +1,18 @@
+// Builds the player: what pip installs and airgs-serve sends, into airgs_codec/serve/page/ (or the folder of the argument).
+//
+//     airgs.js          the player without controls, as a module: open, play, seek, on(…)
+//     airgs-frames.js   frames as Gaussians, for other engines
+//     airgs-player.js   <airgs-player>, with all of it
+//     player.html       a page with nothing but <airgs-player src="…">
+import { copyFile, mkdir } from "node:fs/promises";
+import { fileURLToPath } from "node:url";
+import { bundleOnce } from "./bundle.mjs";
+import "./tables.mjs";
+
+const here = (path) => fileURLToPath(new URL(path, import.meta.url));
+const folder = process.argv[2] ?? here("../../airgs_codec/serve/page");
+
+await mkdir(folder, { recursive: true });
+for (const name of ["airgs", "airgs-frames", "airgs-player"])
+  await bundleOnce(here(`../src/${name}.ts`), `${folder}/${name}.js`);
+await copyFile(here("../src/player.html"), `${folder}/player.html`);

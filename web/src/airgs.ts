@@ -1,0 +1,26 @@
+// The player as a module, without controls:
+//
+//     import { open } from "./airgs.js";
+//     const player = await open(document.querySelector("canvas"), "https://example.org/fox.airgs/");
+//     player.on("rung", () => console.log(player.rungs[player.rung].name));
+//     player.play();
+import { Player, type PlayerOptions } from "./play/player.ts";
+
+export { FormatError, type Reason } from "./format/errors.ts";
+export type { Place, Region, Root } from "./format/types.ts";
+export { TransportError, UnsupportedError } from "./media/errors.ts";
+export { Player, type PlayerOptions, type Problem } from "./play/player.ts";
+export type { PlayerStats } from "./play/statistics.ts";
+export type { ViewState } from "./play/view.ts";
+
+/** Opens a package for a canvas. Nothing moves until `play`. Throws what `Player.open` does. */
+export async function open(canvas: HTMLCanvasElement, src: string, options: PlayerOptions = {}): Promise<Player> {
+  const player = new Player(canvas, options);
+  try {
+    await player.open(src);
+  } catch (error) {
+    player.close();
+    throw error;
+  }
+  return player;
+}

@@ -1,0 +1,99 @@
+// Where samples lie in pictures: FORMAT.md, section 4. N rows, P planes.
+import { FormatError } from "./errors.ts";
+import type { Atlas, BaseChanges } from "./types.ts";
+
+/** Samples, either side of the blocks that a plane is made of. */
+export const BLOCK = 16;
+const CELLS = BLOCK * BLOCK;
+/** Luma of every decoded sample lies between these, both included. */
+export const DARKEST = 16;
+export const BRIGHTEST = 235;
+/** Codes that a base of 1 stands for. */
+const UNIT = 128;
+const GREY = 128;
+
+/** Lines of a plane of `rows` rows. */
+export function planeHeight(rows: number, planeWidth: number): number {
+  return BLOCK * Math.ceil((Math.ceil(rows / CELLS) * BLOCK) / planeWidth);
+}
+
+/** Lines of all planes of an atlas together; 0 without planes. */
+export function atlasLines(atlas: Atlas): number {
+  const { rows, planes, plane_width, columns } = atlas;
+  return planes.length ? planeHeight(rows, plane_width) * Math.ceil(planes.length / columns) : 0;
+}
+
+/** How many pictures show an atlas together, each the next `height` lines; 0 without planes. */
+export function pages(atlas: Atlas): number {
+  return atlas.planes.length ? Math.ceil(atlasLines(atlas) / atlas.height) : 0;
+}
+
+/** Samples of all pages together. */
+export function atlasSamples(atlas: Atlas): number {
+  return pages(atlas) * atlas.width * atlas.height;
+}
+
+/** The even bits of a number of 8 bits, next to each other. */
+const evenBits = (cell: number) => (cell & 1) | ((cell >> 1) & 2) | ((cell >> 2) & 4) | ((cell >> 3) & 8);
+
+/** (N) places of the samples of rows, from the corner of their plane on, in an atlas: line · width + column. */
+export function rowOffsets(atlas: Atlas): Uint32Array {
+  const blocks = atlas.plane_width / BLOCK;
+  const offsets = new Uint32Array(atlas.planes.length ? atlas.rows : 0);
+  const cells = Uint32Array.from({ length: CELLS }, (_, cell) => evenBits(cell >> 1) * atlas.width + evenBits(cell));
+  for (let first = 0, block = 0; first < offsets.length; first += CELLS, block++) {
+    const corner = BLOCK * (Math.floor(block / blocks) * atlas.width + (block % blocks));
+    const count = Math.min(CELLS, offsets.length - first);
+    for (let cell = 0; cell < count; cell++) offsets[first + cell] = corner + cells[cell]!;
+  }
+  return offsets;
+}
+
+/** Place of the first sample of plane p. */
+export function planeCorner(atlas: Atlas, plane: number): number {
+  const line = Math.floor(plane / atlas.columns) * planeHeight(atlas.rows, atlas.plane_width);
+  return line * atlas.width + (plane % atlas.columns) * atlas.plane_width;
+}
+
+/** Throws FormatError(bad_picture) unless every sample of decoded luma may stand; `where` names the file. */
+export function checkLuma(luma: Uint8Array, where: string): void {
+  let least = 255;
+  let most = 0;
+  for (let i = 0; i < luma.length; i++) {
+    const sample = luma[i]!;
+    if (sample < least) least = sample;
+    if (sample > most) most = sample;
+  }
+  if (luma.length && (least < DARKEST || most > BRIGHTEST)) {
+    throw new FormatError("bad_picture", where, `expected luma of ${DARKEST} to ${BRIGHTEST}, got ${least} to ${most}`);
+  }
+}
+
+/** Bases of all samples of an atlas, in which changes take effect one after the other. */
+export function applyBases(bases: Int32Array, changes: BaseChanges | null): void {
+  changes?.texels.forEach((texel, i) => {
+    bases[texel] = changes.bases[i]!;
+  });
+}
+
+/**
+ * (channels · N) codes of every channel, rows after one another: luma − 128 + 128 · base + centre.
+ *
+ * `luma` are the samples of all pages, `bases` those of the same places, null where all are 0.
+ */
+export function readCodes(atlas: Atlas, luma: Uint8Array, bases: Int32Array | null): Int32Array {
+  const { rows, centres, planes } = atlas;
+  const codes = new Int32Array(centres.length * rows);
+  centres.forEach((centre, channel) => {
+    codes.fill(centre, channel * rows, (channel + 1) * rows);
+  });
+  const offsets = rowOffsets(atlas);
+  planes.forEach((channel, plane) => {
+    const corner = planeCorner(atlas, plane);
+    for (let i = 0; i < rows; i++) {
+      const place = corner + offsets[i]!;
+      codes[channel * rows + i]! += luma[place]! - GREY + (bases ? UNIT * bases[place]! : 0);
+    }
+  });
+  return codes;
+}

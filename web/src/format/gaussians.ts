@@ -1,0 +1,204 @@
+// Codes to Gaussians on the CPU: FORMAT.md, section 5. It is what shaders are tested against, and what adapters to
+// other renderers feed. N rows of a group, n rows of a key tier or a level, C colour channels.
+import { applyBases, atlasSamples, readCodes } from "./atlas.ts";
+import { FormatError } from "./errors.ts";
+import {
+  colourChannels,
+  colourMatrix,
+  colourSteps,
+  KEY_CHANNELS,
+  keySteps,
+  STATE_CHANNELS,
+  stateSteps,
+} from "./steps.ts";
+import type { BaseChanges, Canonical, Gaussians, Group, Root } from "./types.ts";
+import { levelRows } from "./units.ts";
+
+const LEAST_ALPHA = 2 ** -20;
+const MOST_ALPHA = 1 - 2 ** -20;
+/** Below this angle, in radians, sin(a / 2) / a is 1/2 in float64. */
+const SMALL_ANGLE = 1e-8;
+
+/** What codes of a key or of a state count in. */
+export interface Coding {
+  /** Value of a code of each channel. */
+  steps: Float32Array;
+  /** (C · C) what a code of each colour channel adds to each colour. */
+  colours: Float64Array;
+}
+
+/** Throws FormatError(bad_value) for a broken colour transform. */
+export function keyCoding(root: Root, group: Group, quality: number): Coding {
+  return codingOf(root, group, keySteps(root, group, quality), group.key_steps);
+}
+
+/** The same of a level. */
+export function stateCoding(root: Root, group: Group, level: number): Coding {
+  return codingOf(root, group, stateSteps(root, group, level), group.state_steps);
+}
+
+function codingOf(root: Root, group: Group, steps: Float32Array, scales: { sh_dc: number; sh_rest: number }): Coding {
+  const channels = colourChannels(root.sh_degree);
+  const scale = colourSteps(scales, channels).map((step) => step * steps.at(-1)!); // of all colour channels
+  const colours = Float64Array.from(colourMatrix(group, channels), (entry, i) => entry * scale[i % channels]!);
+  return { steps, colours };
+}
+
+/** Bases of `size` samples after a change from bases of 0; null where nothing changes. */
+function basesOf(size: number, changes: BaseChanges | null): Int32Array | null {
+  if (!changes) return null;
+  const bases = new Int32Array(size);
+  applyBases(bases, changes);
+  return bases;
+}
+
+/** The canonical space of a group; α is not limited yet. Throws FormatError(bad_value) for numbers not finite. */
+export function canonicalGaussians(root: Root, group: Group, canonical: Canonical): Gaussians {
+  const coding = keyCoding(root, group, canonical.quality);
+  const gaussians = emptyGaussians(canonical.means, colourChannels(root.sh_degree));
+  let first = 0;
+  for (const { atlas, luma, bases } of canonical.parts) {
+    const codes = readCodes(atlas, luma, basesOf(atlasSamples(atlas), bases));
+    setKey(gaussians, first, codes, coding);
+    first += atlas.rows;
+  }
+  expectFinite(gaussians, "canonical space");
+  return gaussians;
+}
+
+/** N Gaussians of given means (3N) whose other values are 0. */
+function emptyGaussians(means: Float32Array, channels: number): Gaussians {
+  const rows = means.length / 3;
+  return {
+    means,
+    quaternions: new Float32Array(4 * rows),
+    logScales: new Float32Array(3 * rows),
+    alpha: new Float32Array(rows),
+    colours: new Float32Array(channels * rows),
+  };
+}
+
+/** Writes n rows from `first` on: what (7 + C · n) key codes decode to. */
+function setKey(gaussians: Gaussians, first: number, codes: Int32Array, { steps, colours }: Coding): void {
+  const rows = codes.length / steps.length;
+  const value = (channel: number, i: number) => codes[channel * rows + i]! * steps[channel]!;
+  for (let i = 0; i < rows; i++) {
+    const row = first + i;
+    for (let axis = 0; axis < 3; axis++) gaussians.logScales[3 * row + axis] = value(KEY_CHANNELS.logScales + axis, i);
+    gaussians.quaternions.set(rotation(value, KEY_CHANNELS.rotation, i), 4 * row);
+    gaussians.alpha[row] = value(KEY_CHANNELS.alpha, i);
+  }
+  addColours(gaussians.colours, (i) => first + i, codes.subarray(KEY_CHANNELS.colours * rows), { colours, rows });
+}
+
+/** A state to add: the picture of a frame, and the bases of its samples (null: all 0). */
+export interface State {
+  level: number;
+  luma: Uint8Array;
+  bases: Int32Array | null;
+}
+
+/**
+ * The Gaussians of a frame: `base` is what `canonicalGaussians` gave. `state` null: no state is added. Where
+ * `canonical` has fewer tiers than the level asks for, its rows are the first of the level.
+ *
+ * Throws FormatError(bad_value) for numbers not finite.
+ */
+export function shownGaussians(
+  root: Root,
+  group: Group,
+  base: Gaussians,
+  canonical: Canonical,
+  state: State | null,
+): Gaussians {
+  const shown = {
+    means: base.means.slice(),
+    quaternions: base.quaternions.slice(),
+    logScales: base.logScales.slice(),
+    alpha: base.alpha.slice(),
+    colours: base.colours.slice(),
+  };
+  if (state) {
+    const rows = levelRows(canonical.depths, state.level);
+    const codes = readCodes(group.levels[state.level]!, state.luma, state.bases);
+    addState(shown, rows, canonical.units, codes, stateCoding(root, group, state.level));
+  }
+  expectFinite(shown, "frame");
+  shown.alpha.forEach((alpha, row) => {
+    shown.alpha[row] = Math.min(Math.max(alpha, LEAST_ALPHA), MOST_ALPHA);
+  });
+  return shown;
+}
+
+/** Adds to (≤ n) rows what (10 + C · n) state codes decode to. `units` (N) are motion units. */
+function addState(
+  gaussians: Gaussians,
+  rows: Uint32Array,
+  units: Float32Array,
+  codes: Int32Array,
+  { steps, colours }: Coding,
+): void {
+  const count = codes.length / steps.length;
+  const value = (channel: number, i: number) => codes[channel * count + i]! * steps[channel]!;
+  rows.forEach((row, i) => {
+    for (let axis = 0; axis < 3; axis++) {
+      gaussians.means[3 * row + axis]! += value(STATE_CHANNELS.means + axis, i) * units[row]!;
+      gaussians.logScales[3 * row + axis]! += value(STATE_CHANNELS.logScales + axis, i);
+    }
+    const quaternion = gaussians.quaternions.subarray(4 * row, 4 * row + 4);
+    quaternion.set(product(rotation(value, STATE_CHANNELS.rotation, i), quaternion));
+    gaussians.alpha[row]! += value(STATE_CHANNELS.alpha, i);
+  });
+  const colourCodes = codes.subarray(STATE_CHANNELS.colours * count);
+  addColours(gaussians.colours, (i) => rows[i] ?? null, colourCodes, { colours, rows: count });
+}
+
+/** Adds what (C · n) colour codes decode to; `rowOf` says where the i-th of n rows stands, null: nowhere. */
+function addColours(
+  into: Float32Array,
+  rowOf: (i: number) => number | null,
+  codes: Int32Array,
+  { colours, rows }: { colours: Float64Array; rows: number },
+): void {
+  const channels = codes.length / rows;
+  const sums = new Float64Array(channels);
+  for (let i = 0; i < rows; i++) {
+    const row = rowOf(i);
+    if (row === null) return;
+    sums.fill(0);
+    for (let k = 0; k < channels; k++) {
+      const code = codes[k * rows + i]!;
+      if (code) for (let c = 0; c < channels; c++) sums[c]! += code * colours[k * channels + c]!;
+    }
+    for (let c = 0; c < channels; c++) into[channels * row + c]! += sums[c]!;
+  }
+}
+
+type Quaternion = [number, number, number, number];
+
+/** The unit quaternion w, x, y, z of the rotation vector that stands in three channels of the i-th row. */
+function rotation(value: (channel: number, i: number) => number, channel: number, i: number): Quaternion {
+  const [x, y, z] = [value(channel, i), value(channel + 1, i), value(channel + 2, i)];
+  const angle = Math.sqrt(x * x + y * y + z * z);
+  const factor = angle > SMALL_ANGLE ? Math.sin(angle / 2) / angle : 0.5;
+  return [Math.cos(angle / 2), factor * x, factor * y, factor * z];
+}
+
+/** The Hamilton product: the rotation by `b`, then by `a`. */
+function product([aw, ax, ay, az]: Quaternion, b: Float32Array): Quaternion {
+  const [bw, bx, by, bz] = b as unknown as Quaternion;
+  return [
+    aw * bw - ax * bx - ay * by - az * bz,
+    aw * bx + ax * bw + ay * bz - az * by,
+    aw * by - ax * bz + ay * bw + az * bx,
+    aw * bz + ax * by - ay * bx + az * bw,
+  ];
+}
+
+function expectFinite(gaussians: Gaussians, where: string): void {
+  for (const [name, values] of Object.entries(gaussians) as [string, Float32Array][]) {
+    let zero = 0;
+    for (let i = 0; i < values.length; i++) zero += values[i]! * 0; // NaN where a value is not finite
+    if (zero !== 0) throw new FormatError("bad_value", where, `${name} decode to numbers that are not finite`);
+  }
+}

@@ -1,0 +1,155 @@
+// Media segments: FORMAT.md, section 2. Boxes are those of ISO/IEC 14496-12 (8.8: fragments), with sizes of 32 bits.
+import { FormatError } from "./errors.ts";
+
+/** A coded picture. */
+export interface Sample {
+  /** NAL units, each after its length in 4 bytes. */
+  data: Uint8Array;
+  /** When it is shown, ticks. */
+  time: number;
+  /** How long, ticks. */
+  duration: number;
+}
+
+export interface Media {
+  /** The column file of the uuid box; null: there is none, every number in it is 0. */
+  columns: Uint8Array | null;
+  /** In decoding order. */
+  samples: Sample[];
+}
+
+interface Box {
+  kind: string;
+  /** Where its content begins. */
+  start: number;
+  stop: number;
+}
+
+const HEADER = 8;
+const COLUMNS = "3ecfa94eaae8510889ef0197dc29f025";
+const UUID = 16;
+// Flags of tfhd (8.8.7) and trun (8.8.8).
+const HAS_BASE = 0x1;
+const HAS_DESCRIPTION = 0x2;
+const HAS_DEFAULT_DURATION = 0x8;
+const HAS_DEFAULT_SIZE = 0x10;
+const HAS_OFFSET = 0x1;
+const HAS_FIRST_FLAGS = 0x4;
+const HAS_DURATION = 0x100;
+const HAS_SIZE = 0x200;
+const HAS_FLAGS = 0x400;
+const HAS_COMPOSITION = 0x800;
+
+/** The parts of a media segment; `where` names the file. Throws FormatError(bad_picture). */
+export function readMedia(data: Uint8Array, where: string): Media {
+  return new Reader(data, where).media();
+}
+
+class Reader {
+  #data: Uint8Array;
+  #view: DataView;
+  #where: string;
+
+  constructor(data: Uint8Array, where: string) {
+    this.#data = data;
+    this.#view = new DataView(data.buffer, data.byteOffset, data.byteLength);
+    this.#where = where;
+  }
+
+  media(): Media {
+    const boxes = this.#boxes(0, this.#data.length);
+    const own = boxes[0]?.kind === "uuid" ? boxes.shift()! : null;
+    const kinds = boxes.map((box) => box.kind).join(" ");
+    if (kinds !== "moof mdat") throw this.#bad(`expected one moof and one mdat, got ${kinds.slice(0, 80)}`);
+    const [moof, mdat] = boxes as [Box, Box];
+    return { columns: own && this.#columns(own), samples: this.#samples(moof, mdat) };
+  }
+
+  #columns({ start, stop }: Box): Uint8Array {
+    const type = [...this.#data.subarray(start, Math.min(start + UUID, stop))];
+    const text = type.map((byte) => byte.toString(16).padStart(2, "0")).join("");
+    if (text !== COLUMNS) throw this.#bad(`expected the uuid ${COLUMNS}, got ${text}`);
+    return this.#data.subarray(start + UUID, stop);
+  }
+
+  #samples(moof: Box, mdat: Box): Sample[] {
+    this.#child(moof, "mfhd");
+    const traf = this.#child(moof, "traf");
+    const defaults = this.#defaults(this.#child(traf, "tfhd"));
+    const samples: Sample[] = [];
+    let time = this.#start(this.#child(traf, "tfdt"));
+    let at = mdat.start;
+    for (const { duration, size, offset } of this.#run(this.#child(traf, "trun"), moof, defaults)) {
+      if (size <= 0 || size > mdat.stop - at) {
+        throw this.#bad(`sample ${samples.length} of ${size} bytes at ${at} of ${mdat.stop}`);
+      }
+      samples.push({ data: this.#data.subarray(at, at + size), time: time + offset, duration });
+      at += size;
+      time += duration;
+    }
+    return samples;
+  }
+
+  /** The default duration and size of samples, 0 where there is none. */
+  #defaults(tfhd: Box): { duration: number; size: number } {
+    const flags = this.#u32(tfhd, 0);
+    let at = 8 + (flags & HAS_BASE ? 8 : 0) + (flags & HAS_DESCRIPTION ? 4 : 0);
+    const duration = flags & HAS_DEFAULT_DURATION ? this.#u32(tfhd, at) : 0;
+    at += flags & HAS_DEFAULT_DURATION ? 4 : 0;
+    return { duration, size: flags & HAS_DEFAULT_SIZE ? this.#u32(tfhd, at) : 0 };
+  }
+
+  #start(tfdt: Box): number {
+    const long = this.#u32(tfdt, 0) >>> 24 === 1;
+    return long ? this.#u32(tfdt, 4) * 2 ** 32 + this.#u32(tfdt, 8) : this.#u32(tfdt, 4);
+  }
+
+  *#run(trun: Box, moof: Box, defaults: { duration: number; size: number }) {
+    const flags = this.#u32(trun, 0);
+    const count = this.#u32(trun, 4);
+    const expected = moof.stop - moof.start + 2 * HEADER;
+    if (!(flags & HAS_OFFSET) || this.#u32(trun, 8) !== expected) throw this.#bad("the samples do not follow the moof");
+    let at = 12 + (flags & HAS_FIRST_FLAGS ? 4 : 0);
+    const next = (flag: number, missing: number) => {
+      if (!(flags & flag)) return missing;
+      at += 4;
+      return this.#u32(trun, at - 4);
+    };
+    for (let i = 0; i < count; i++) {
+      const duration = next(HAS_DURATION, defaults.duration);
+      const size = next(HAS_SIZE, defaults.size);
+      next(HAS_FLAGS, 0);
+      const offset = next(HAS_COMPOSITION, 0);
+      yield { duration, size, offset: flags >>> 24 ? offset | 0 : offset };
+    }
+  }
+
+  /** The one box of a kind in another. */
+  #child(parent: Box, kind: string): Box {
+    const found = this.#boxes(parent.start, parent.stop).filter((box) => box.kind === kind);
+    if (found.length !== 1) throw this.#bad(`expected one box ${kind}, got ${found.length}`);
+    return found[0]!;
+  }
+
+  #boxes(start: number, stop: number): Box[] {
+    const boxes: Box[] = [];
+    for (let at = start; at < stop; ) {
+      const size = stop - at < HEADER ? 0 : this.#view.getUint32(at);
+      if (size < HEADER || size > stop - at) throw this.#bad(`a box of ${size} bytes at ${at} of ${stop}`);
+      const kind = String.fromCharCode(...this.#data.subarray(at + 4, at + HEADER));
+      boxes.push({ kind, start: at + HEADER, stop: at + size });
+      at += size;
+    }
+    return boxes;
+  }
+
+  /** The number `at` bytes into the content of a box. */
+  #u32({ kind, start, stop }: Box, at: number): number {
+    if (start + at + 4 > stop) throw this.#bad(`a box ${kind} ends after ${stop - start} bytes`);
+    return this.#view.getUint32(start + at);
+  }
+
+  #bad(detail: string): FormatError {
+    return new FormatError("bad_picture", this.#where, detail);
+  }
+}

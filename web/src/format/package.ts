@@ -1,0 +1,234 @@
+// The tables of a package as one value, which grows as they are read: FORMAT.md, section 2. Groups, segments, tiers,
+// qualities, levels and pages count from 0; numbers in paths from 1.
+import { group as groupSchema, page as pageSchema, root as rootSchema } from "../generated/schema.ts";
+import { checkTable } from "./check.ts";
+import { FormatError } from "./errors.ts";
+import { inflate } from "./gzip.ts";
+import { GroupIndex } from "./index.ts";
+import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, ROOT_PATH, stateMediaPath } from "./paths.ts";
+import { checkGroup, checkPage, checkRoot } from "./references.ts";
+import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
+
+const VERSION = 2;
+const MAX_ROOT_BYTES = 2 ** 24;
+const KEPT = 1024; // tables of groups
+const INIT_PATH = "init.mp4";
+/** What of the root may differ while a package grows. */
+const GROWS = new Set(["frames", "index", "decisions", "live"]);
+
+/** A question that only the table of a group can answer which has not been read, or is kept no longer. */
+export class MissingGroupError extends Error {
+  constructor(readonly group: number) {
+    super(`${groupPath(group + 1)} has not been read`);
+    this.name = "MissingGroupError";
+  }
+}
+
+/** The root, and the pages and tables of groups that were added to it. The tables last used are kept. */
+export class Tables {
+  #groups = new Map<number, Group>();
+  /** What pages must begin with, since it stood in a root before. */
+  #starts = new Map<number, Page>();
+
+  private constructor(
+    public root: Root,
+    public index: GroupIndex,
+    public rootBytes: number,
+  ) {}
+
+  /** The tables of an airgs.json. Throws FormatError. */
+  static parse(rootBytes: Uint8Array): Tables {
+    const root = parseRoot(rootBytes);
+    return new Tables(root, new GroupIndex(root.index), rootBytes.length);
+  }
+
+  /** Throws FormatError (size_mismatch, hash_mismatch) unless a file is what its entry says. */
+  static async check(path: string, entry: FileEntry, bytes: Uint8Array): Promise<void> {
+    if (bytes.length !== entry.bytes) {
+      throw new FormatError("size_mismatch", path, `expected ${entry.bytes} bytes, got ${bytes.length}`);
+    }
+    if ((await digest(bytes)) !== entry.sha256) {
+      throw new FormatError("hash_mismatch", path, "the SHA-256 differs from the one in the tables");
+    }
+  }
+
+  /** Takes in the bytes of a page, whose digest was checked. Throws FormatError. */
+  addPage(number: number, bytes: Uint8Array): void {
+    const where = pagePath(number + 1);
+    const page = parseTable(bytes, pageSchema, where) as Page;
+    checkPage(this.root, page, number);
+    const start = this.#starts.get(number);
+    if (start) expectStart(page, start, where);
+    this.index.addPage(number, page);
+  }
+
+  /** Takes in the bytes of a group's table, whose digest was checked. Throws FormatError; MissingPageError. */
+  async addGroup(number: number, bytes: Uint8Array): Promise<Group> {
+    const where = groupPath(number + 1);
+    const entry = this.index.entry(number);
+    const table = parseTable(await inflate(bytes, where), groupSchema, where) as Group;
+    checkGroup(this.root, entry, table, where);
+    this.#groups.delete(number);
+    this.#groups.set(number, table);
+    for (const oldest of this.#groups.keys()) {
+      if (this.#groups.size <= KEPT) break;
+      this.#groups.delete(oldest);
+    }
+    return table;
+  }
+
+  /** Takes in a page or the table of a group, whose digest it checks; other paths are left alone. */
+  async add(path: string, bytes: Uint8Array): Promise<void> {
+    const found = locate(path);
+    if (found?.what !== "page" && found?.what !== "group") return;
+    await Tables.check(path, this.entry(path), bytes);
+    if (found.what === "page") this.addPage(found.numbers[0]! - 1, bytes);
+    else await this.addGroup(found.numbers[0]! - 1, bytes);
+  }
+
+  /** Whether the table of a group is here. */
+  has(number: number): boolean {
+    return this.#groups.has(number);
+  }
+
+  /** The table of a group. Throws MissingGroupError. */
+  group(number: number): Group {
+    const found = this.#groups.get(number);
+    if (!found) throw new MissingGroupError(number);
+    this.#groups.delete(number); // the order of a Map is that of adding: the last used is the last
+    this.#groups.set(number, found);
+    return found;
+  }
+
+  /** The group that a segment belongs to. */
+  groupOf(segment: number): number {
+    return this.index.atSegment(segment);
+  }
+
+  segment(segment: number): Segment {
+    const group = this.groupOf(segment);
+    return this.group(group).segments[segment - this.index.entry(group).firstSegment]!;
+  }
+
+  /** The segments of a group, [start, stop). */
+  segmentsOf(group: number): { start: number; stop: number } {
+    const { firstSegment, segments } = this.index.entry(group);
+    return { start: firstSegment, stop: firstSegment + segments };
+  }
+
+  /** The segment that shows a frame. */
+  segmentAt(frame: number): number {
+    const group = this.index.atFrame(frame);
+    const { segments } = this.group(group);
+    return this.index.entry(group).firstSegment + segments.findIndex((segment) => frame < segment.stop);
+  }
+
+  /** Sidecar and picture of a key unit; empty when the tier has no rows in that group. */
+  keyFiles(group: number, tier: number, quality: number): string[] {
+    if (!this.group(group).tiers[tier]!.count) return [];
+    return [keySidecarPath(tier, group + 1), keyMediaPath(tier, quality, group + 1)];
+  }
+
+  /** The file of a segment; empty when there is nothing to fetch. */
+  stateFiles(segment: number, level: number): string[] {
+    return this.segment(segment).levels[level]!.file.bytes ? [stateMediaPath(level, segment + 1)] : [];
+  }
+
+  /** Length and digest of a file. Throws FormatError(missing_entry); MissingPageError, MissingGroupError. */
+  entry(path: string): FileEntry {
+    const found = path === INIT_PATH ? this.root.init : this.#find(path);
+    if (!found?.bytes) throw new FormatError("missing_entry", path, "no table has such a file");
+    return found;
+  }
+
+  #find(path: string): FileEntry | null | undefined {
+    const found = locate(path);
+    if (!found) return null;
+    const { what, numbers } = found;
+    const [first, number] = [numbers[0]!, numbers.at(-1)! - 1];
+    const { pages, segments, groups } = this.index;
+    if (number >= (what === "page" ? pages : what === "state" ? segments : groups)) return null;
+    if (what === "page") return this.index.pageFile(number);
+    if (what === "group") return this.index.entry(number).file;
+    if (what === "sidecar") return this.group(number).tiers[first]?.sidecar;
+    if (what === "key") return this.group(number).tiers[first]?.pictures[numbers[1]!];
+    return this.segment(number).levels[first]?.file;
+  }
+
+  /**
+   * Goes on with the airgs.json of the same package grown; pages that it has new are needed from then on.
+   *
+   * Throws FormatError(bad_value) for another package, and what `parse` throws.
+   */
+  grow(rootBytes: Uint8Array): void {
+    const root = parseRoot(rootBytes);
+    checkGrowth(this.root, root);
+    if (root.index.pages.frames.length > this.index.pages) this.#starts.set(this.index.pages, this.root.index.groups);
+    this.root = root;
+    this.rootBytes = rootBytes.length;
+    this.index = this.index.grown(root.index);
+  }
+}
+
+function parseRoot(bytes: Uint8Array): Root {
+  if (bytes.length > MAX_ROOT_BYTES) {
+    throw new FormatError("too_large", ROOT_PATH, `expected at most ${MAX_ROOT_BYTES} bytes`);
+  }
+  const data = parseJson(bytes, ROOT_PATH);
+  checkTable(data, { type: "object" }, ROOT_PATH);
+  const { version } = data as { version?: unknown };
+  if (version !== VERSION) {
+    throw new FormatError("unknown_version", ROOT_PATH, `expected version ${VERSION}, got ${JSON.stringify(version)}`);
+  }
+  checkTable(data, rootSchema, ROOT_PATH);
+  const root = data as Root;
+  checkRoot(root);
+  return root;
+}
+
+function parseTable(bytes: Uint8Array, schema: Record<string, unknown>, where: string): unknown {
+  const data = parseJson(bytes, where);
+  checkTable(data, schema, where);
+  return data;
+}
+
+function parseJson(bytes: Uint8Array, where: string): unknown {
+  try {
+    return JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(bytes));
+  } catch (error) {
+    throw new FormatError("not_json", where, `expected JSON: ${error}`);
+  }
+}
+
+const ANOTHER = "expected the package of before with more groups, got another";
+
+/** Throws FormatError(bad_value) unless columns begin as they were before. */
+function expectStart(columns: Page, start: Page, where: string): void {
+  const begins = (name: "frames" | "segments" | "bytes") => start[name].every((count, i) => count === columns[name][i]);
+  const same = begins("frames") && begins("segments") && begins("bytes") && columns.sha256.startsWith(start.sha256);
+  if (!same) throw new FormatError("bad_value", where, ANOTHER);
+}
+
+/** A value as text in which the fields of objects are in order. */
+const inOrder = (value: object) =>
+  JSON.stringify(value, (_, part: unknown) =>
+    part && typeof part === "object" && !Array.isArray(part) ? Object.fromEntries(Object.entries(part).sort()) : part,
+  );
+
+/** Throws FormatError(bad_value) unless a root can follow another while groups are added. */
+function checkGrowth(before: Root, after: Root): void {
+  const fixed = (root: Root) => inOrder(Object.fromEntries(Object.entries(root).filter(([name]) => !GROWS.has(name))));
+  if (fixed(before) !== fixed(after) || after.frames < before.frames || (after.live && !before.live)) {
+    throw new FormatError("bad_value", ROOT_PATH, ANOTHER);
+  }
+  const [was, is] = [before.index, after.index];
+  expectStart(is.pages, was.pages, ROOT_PATH);
+  if (is.pages.frames.length === was.pages.frames.length) expectStart(is.groups, was.groups, ROOT_PATH);
+}
+
+/** The first 24 bytes of the SHA-256 of a file as 32 characters of base64url. */
+async function digest(bytes: Uint8Array): Promise<string> {
+  const hash = await crypto.subtle.digest("SHA-256", bytes as Uint8Array<ArrayBuffer>);
+  const text = btoa(String.fromCharCode(...new Uint8Array(hash, 0, 24)));
+  return text.replaceAll("+", "-").replaceAll("/", "_");
+}

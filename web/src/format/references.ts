@@ -1,0 +1,199 @@
+// What no single field of the tables can tell: counts, spans, and fields that refer to each other. Each check relies on
+// those before it, and all on the schema. Every function throws FormatError (bad_value, missing_entry).
+import { BLOCK, pages, planeHeight } from "./atlas.ts";
+import { FormatError } from "./errors.ts";
+import { type GroupEntry, PAGE } from "./index.ts";
+import { pagePath, ROOT_PATH } from "./paths.ts";
+import { colourChannels, KEY_CHANNELS, STATE_CHANNELS } from "./steps.ts";
+import type { Atlas, FileEntry, Group, Page, Region, Root, Segment } from "./types.ts";
+
+const MAX_BITS = 21;
+const MAX_PICTURE_SIDE = 4096;
+const MAX_MACROBLOCKS = 36_864;
+const MAX_PAGES = 128;
+const DIGEST = 32;
+const KEY_ATTRIBUTES = 4;
+const STATE_ATTRIBUTES = 5;
+
+const bad = (where: string, detail: string) => new FormatError("bad_value", where, detail);
+const sum = (numbers: number[]) => numbers.reduce((total, number) => total + number, 0);
+
+/** The tables of one file, `where`. */
+class Place {
+  constructor(readonly where: string) {}
+
+  within(name: string, value: number, low: number, high: number): void {
+    if (!(value >= low && value <= high))
+      throw bad(`${this.where}.${name}`, `expected ${low} to ${high}, got ${value}`);
+  }
+
+  exactly(name: string, value: number, expected: number): void {
+    if (value !== expected) throw bad(`${this.where}.${name}`, `expected ${expected}, got ${value}`);
+  }
+
+  /** A file is there where one is wanted, and only there; a length and a digest come together. */
+  file(name: string, entry: FileEntry, wanted: boolean): void {
+    const where = `${this.where}.${name}`;
+    if (!wanted && entry.bytes) throw bad(where, "expected no file: nothing is to be fetched");
+    if (wanted && !entry.bytes) throw new FormatError("missing_entry", where, "expected a file");
+    if (!entry.bytes !== !entry.sha256) {
+      throw bad(where, `expected both a length and a digest or neither, got ${entry.bytes} and "${entry.sha256}"`);
+    }
+  }
+
+  columns(name: string, { frames, segments, bytes, sha256 }: Page): void {
+    const lengths = [frames.length, segments.length, bytes.length, sha256.length / DIGEST];
+    if (new Set(lengths).size > 1) throw bad(`${this.where}${name}`, `expected columns of one length, got ${lengths}`);
+  }
+}
+
+/** What airgs.json says fits together. */
+export function checkRoot(root: Root): void {
+  const place = new Place(ROOT_PATH);
+  const ids = [...root.qualities, ...root.levels].map((one) => one.id).join();
+  const expected = [...root.qualities.map((_, q) => `Q${q}`), ...root.levels.map((_, j) => `L${j}`)].join();
+  if (ids !== expected) throw bad(`${ROOT_PATH}.levels`, `expected ${expected}, got ${ids}`);
+  checkLadder(root, place);
+  checkRegion(root.region, `${ROOT_PATH}.region`);
+  if ((BigInt(root.timescale) * BigInt(root.frame_rate[1]!)) % BigInt(root.frame_rate[0]!)) {
+    throw bad(`${ROOT_PATH}.timescale`, "a frame is not a whole number of ticks");
+  }
+  place.file("init", root.init, true);
+  place.columns(".index.pages", root.index.pages);
+  place.columns(".index.groups", root.index.groups);
+  place.within("index.groups", root.index.groups.frames.length, 0, PAGE - 1);
+  place.exactly("index", sum(root.index.pages.frames) + sum(root.index.groups.frames), root.frames);
+}
+
+function checkLadder({ qualities, levels, tiers }: Root, place: Place): void {
+  qualities.forEach(({ coarser }, q) => {
+    place.within(`qualities[${q}].coarser`, coarser, q ? qualities[q - 1]!.coarser : 0, q ? MAX_BITS : 0);
+  });
+  levels.forEach((level, j) => {
+    const before = levels[j - 1];
+    place.within(`levels[${j}].tiers`, level.tiers, before ? 1 : tiers, before?.tiers ?? tiers);
+    place.within(`levels[${j}].quality`, level.quality, before?.quality ?? 0, qualities.length - 1);
+  });
+}
+
+/** Every place of a region has a direction to look in and one that is up. */
+function checkRegion(region: Region, where: string): void {
+  for (const [p, { position, focus, up }] of region.places.entries()) {
+    const equal = (one: number[], other: number[]) => one.every((value, axis) => value === other[axis]);
+    if (equal(focus, position)) throw bad(`${where}.places[${p}].focus`, `expected other than ${position}`);
+    if (equal(up, [0, 0, 0])) throw bad(`${where}.places[${p}].up`, "expected other than 0, 0, 0");
+  }
+}
+
+/** A page, counted from 0, holds what airgs.json says of it. */
+export function checkPage(root: Root, page: Page, number: number): void {
+  const place = new Place(pagePath(number + 1));
+  place.columns("", page);
+  place.exactly("groups", page.frames.length, PAGE);
+  place.exactly("frames", sum(page.frames), root.index.pages.frames[number]!);
+  place.exactly("segments", sum(page.segments), root.index.pages.segments[number]!);
+}
+
+/** The table of a group fits the package, the index and itself. */
+export function checkGroup(root: Root, entry: GroupEntry, group: Group, where: string): void {
+  const place = new Place(where);
+  place.exactly("start", group.start, entry.start);
+  place.exactly("stop", group.stop, entry.stop);
+  place.exactly("segments", group.segments.length, entry.segments);
+  checkShapes(root, group, place);
+  checkCounts(root, group, place);
+  checkAtlases(root, group, place);
+  group.tiers.forEach((tier, t) => {
+    place.file(`tiers[${t}].sidecar`, tier.sidecar, tier.count > 0);
+    for (const [q, picture] of tier.pictures.entries())
+      place.file(`tiers[${t}].pictures[${q}]`, picture, tier.count > 0);
+  });
+  let stop = group.start;
+  group.segments.forEach((segment, s) => {
+    const here = new Place(`${where}.segments[${s}]`);
+    here.exactly("start", segment.start, stop);
+    here.within("stop", segment.stop, stop + 1, group.stop);
+    stop = segment.stop;
+    checkSegment(root, group, segment, here);
+  });
+  place.exactly("stop of the segments", stop, group.stop);
+}
+
+function checkShapes(root: Root, group: Group, place: Place): void {
+  place.exactly("tiers", group.tiers.length, root.tiers);
+  place.exactly("levels", group.levels.length, root.levels.length);
+  group.tiers.forEach((tier, t) => {
+    place.exactly(`tiers[${t}].qualities`, tier.qualities.length, root.qualities.length);
+    place.exactly(`tiers[${t}].pictures`, tier.pictures.length, root.qualities.length);
+  });
+  group.segments.forEach((segment, s) => {
+    place.exactly(`segments[${s}].levels`, segment.levels.length, root.levels.length);
+  });
+}
+
+function checkCounts(root: Root, group: Group, place: Place): void {
+  const counts = group.tiers.map((tier) => tier.count);
+  const fewest = root.levels.at(-1)!.tiers;
+  place.within("static", group.static, 0, group.count);
+  place.exactly("sum of tier counts", sum(counts), group.count);
+  place.within(`rows of the first ${fewest} tiers`, sum(counts.slice(0, fewest)), 1, group.count);
+}
+
+function checkAtlases(root: Root, group: Group, place: Place): void {
+  const colours = colourChannels(root.sh_degree);
+  group.tiers.forEach((tier, t) => {
+    for (const [q, atlas] of tier.qualities.entries()) {
+      place.exactly(`tiers[${t}].qualities[${q}].rows`, atlas.rows, tier.count);
+      if (tier.count)
+        place.within(`planes of tiers[${t}].qualities[${q}]`, atlas.planes.length, 1, atlas.centres.length);
+      checkAtlas(
+        new Place(`${place.where}.tiers[${t}].qualities[${q}]`),
+        atlas,
+        KEY_CHANNELS.colours + colours,
+        KEY_ATTRIBUTES,
+      );
+    }
+  });
+  group.levels.forEach((atlas, j) => {
+    place.within(`levels[${j}].rows`, atlas.rows, 0, group.count - group.static);
+    checkAtlas(new Place(`${place.where}.levels[${j}]`), atlas, STATE_CHANNELS.colours + colours, STATE_ATTRIBUTES);
+  });
+}
+
+function checkAtlas(place: Place, atlas: Atlas, channels: number, attributes: number): void {
+  const { centres, max_error, planes, plane_width, columns, width, height } = atlas;
+  place.exactly("centres", centres.length, channels);
+  place.exactly("max_error", max_error.length, attributes);
+  planes.forEach((plane, i) => {
+    place.within(`planes[${i}]`, plane, i ? planes[i - 1]! + 1 : 0, channels - 1);
+  });
+  if (!planes.length) return;
+  place.within("plane_width", plane_width, BLOCK, MAX_PICTURE_SIDE);
+  place.exactly(`plane_width % ${BLOCK}`, plane_width % BLOCK, 0);
+  place.within("columns", columns, 1, planes.length);
+  place.within("height", height, BLOCK, MAX_PICTURE_SIDE);
+  place.exactly(`width % ${BLOCK}`, width % BLOCK, 0);
+  place.exactly(`height % ${BLOCK}`, height % BLOCK, 0);
+  place.within("macroblocks", (width * height) / BLOCK ** 2, 1, MAX_MACROBLOCKS);
+  place.within("width of the planes", plane_width * columns, BLOCK, width);
+  place.within("height of a plane", planeHeight(atlas.rows, plane_width), 0, MAX_PAGES * MAX_PICTURE_SIDE);
+  place.within("pages", pages(atlas), 1, MAX_PAGES);
+}
+
+/** A segment says as much of each level as there is to say. */
+function checkSegment(root: Root, group: Group, segment: Segment, place: Place): void {
+  const measured = root.views.reference === "none" ? 0 : root.qualities.length;
+  segment.levels.forEach((level, j) => {
+    const fetched = level.file.bytes > 0;
+    place.file(`levels[${j}].file`, level.file, fetched && group.levels[j]!.planes.length > 0);
+    const frames = fetched ? segment.stop - segment.start : 0;
+    place.exactly(`levels[${j}].frame_bytes`, level.frame_bytes.length, frames);
+    for (const name of ["psnr", "worst", "ssim", "delta_e"] as const) {
+      place.exactly(`levels[${j}].${name}`, level[name].length, measured);
+    }
+    if (sum(level.frame_bytes) > level.file.bytes) {
+      const detail = `frame_bytes add up to ${sum(level.frame_bytes)}, the file has ${level.file.bytes}`;
+      throw new FormatError("size_mismatch", `${place.where}.levels[${j}]`, detail);
+    }
+  });
+}

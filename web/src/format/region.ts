@@ -1,0 +1,120 @@
+// From where a scene may be looked at: FORMAT.md, section 8.
+import type { Place, Region } from "./types.ts";
+import { across, along, cross, dot, length, minus, scaled, unit, type Vector, vector } from "./vector.ts";
+
+/** Where a viewer is, world units, and the unit vector along which it looks. */
+export interface Viewer {
+  position: ArrayLike<number>;
+  forward: ArrayLike<number>;
+}
+
+/** How far a viewer is outside of a region. */
+export interface Departure {
+  /** World units beyond the reach of the nearest place. */
+  distance: number;
+  /** By which it looks further away from the focus than the region allows. */
+  degrees: number;
+  inside: boolean;
+}
+
+const DEGREES = 180 / Math.PI;
+const FORGIVEN_DEGREES = 1e-4;
+const FORGIVEN_LENGTH = 1e-9;
+
+const slack = (position: Vector) => FORGIVEN_LENGTH * (1 + Math.max(...position.map(Math.abs)));
+
+/** How far a viewer is outside, as seen from one place. */
+function departureFrom(place: Place, turn: number, { position, forward }: Viewer): Departure {
+  const at = vector(position);
+  const forgiven = slack(at);
+  const beyond = length(minus(at, place.position)) - place.reach;
+  const ahead = minus(place.focus, at);
+  const distant = length(ahead);
+  const cosine = distant <= forgiven ? 1 : dot(ahead, forward) / distant;
+  const past = Math.acos(Math.min(Math.max(cosine, -1), 1)) * DEGREES - turn;
+  const distance = beyond > forgiven ? beyond : 0;
+  const degrees = past > FORGIVEN_DEGREES ? past : 0;
+  return { distance, degrees, inside: distance === 0 && degrees === 0 };
+}
+
+/** The place from which a viewer departs the least, in distance and then in direction. */
+function nearest(region: Region, viewer: Viewer): { place: Place; departure: Departure } {
+  const all = region.places.map((place) => ({ place, departure: departureFrom(place, region.turn, viewer) }));
+  return all.reduce((best, one) => {
+    const nearer = one.departure.distance - best.departure.distance;
+    return nearer < 0 || (nearer === 0 && one.departure.degrees < best.departure.degrees) ? one : best;
+  });
+}
+
+/** How far a viewer is outside of a region. */
+export const departure = (region: Region, viewer: Viewer): Departure => nearest(region, viewer).departure;
+
+/** The nearest position that a region allows, and there the direction nearest to `forward`: a wall for cameras. */
+export function keepInside(
+  region: Region,
+  position: ArrayLike<number>,
+  forward: ArrayLike<number>,
+): { position: Vector; forward: Vector } {
+  const { place, departure } = nearest(region, { position, forward });
+  let at = vector(position);
+  if (departure.distance > 0) {
+    const away = minus(at, place.position);
+    at = along(place.position, away, place.reach / length(away));
+  }
+  const kept = { position: at, forward: vector(forward) };
+  if (departureFrom(place, region.turn, kept).degrees > 0) kept.forward = towards(place, region.turn, kept);
+  return kept;
+}
+
+/** The direction nearest to `forward` that is `turn` degrees off the focus of a place. */
+function towards(place: Place, turn: number, { position, forward }: { position: Vector; forward: Vector }): Vector {
+  const ahead = unit(minus(place.focus, position));
+  const angle = turn / DEGREES;
+  return along(scaled(ahead, Math.cos(angle)), across(forward, ahead), Math.sin(angle));
+}
+
+/** Directions whose mean is shorter do not agree on where up is. */
+const AGREEMENT = 0.1;
+/** Steps towards the direction that is level in all pictures: with more, rounding would speak where places say nothing. */
+const LEVELLING = 100;
+
+/**
+ * Where up is for all of a region, of length 1: the mean of its places' (where they do not agree, that of the first),
+ * levelled: the sides of pictures are at right angles to it.
+ */
+export function upright({ places }: Region): Vector {
+  const ups = places.map((place) => unit(vector(place.up)));
+  const sides = places.map((place, i) => cross(unit(minus(place.focus, place.position)), ups[i]!));
+  const sum = ups.reduce((all, one) => along(all, one));
+  let up = length(sum) > AGREEMENT * ups.length ? unit(sum) : ups[0]!;
+  for (let step = 0; step < LEVELLING; step++) {
+    const tilts = sides.map((side) => dot(side, up) / sides.length);
+    up = unit(sides.reduce((sum, side, i) => along(sum, side, -tilts[i]!), up));
+  }
+  return up;
+}
+
+/** Where a viewer looks down so much, give or take, a scene is seen best by most people: degrees. */
+const SLIGHTLY_DOWN = 15;
+const GIVE_OR_TAKE = 10;
+
+/** The place that a viewer begins at: the first one, or, where nobody chose them, the first that looks down slightly. */
+export function firstPlace(region: Region): Place {
+  const { places, source } = region;
+  if (source === "cameras" || source === "file") return places[0]!;
+  const up = upright(region);
+  const off = places.map(({ focus, position }) => {
+    const sine = -dot(unit(minus(focus, position)), up);
+    const degrees = Math.asin(Math.max(-1, Math.min(1, sine))) * DEGREES;
+    return Math.max(GIVE_OR_TAKE, Math.abs(degrees - SLIGHTLY_DOWN));
+  });
+  return places[off.indexOf(Math.min(...off))]!;
+}
+
+/** What a viewer sees at first, towards the focus of a place. `fovY` in degrees; `up` is across `forward`. */
+export function firstView(region: Region): { position: Vector; forward: Vector; up: Vector; fovY: number } {
+  const place = firstPlace(region);
+  const forward = unit(minus(place.focus, place.position));
+  const up = across(upright(region), forward);
+  return { position: vector(place.position), forward, up, fovY: region.fov_y };
+}

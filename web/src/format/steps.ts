@@ -1,0 +1,56 @@
+// What codes count in: FORMAT.md, section 5. C colour channels.
+import { FormatError } from "./errors.ts";
+import type { Group, Root } from "./types.ts";
+
+/** The runs of channels of a key, and how many each has; colour follows. */
+export const KEY_CHANNELS = { logScales: 0, rotation: 3, alpha: 6, colours: 7 };
+/** The same of a state. */
+export const STATE_CHANNELS = { means: 0, logScales: 3, rotation: 6, alpha: 9, colours: 10 };
+
+/** C: r, g, b of SH DC and of each of the coefficients past it. */
+export const colourChannels = (shDegree: number) => 3 * (shDegree + 1) ** 2;
+
+const three = (step: number) => [step, step, step];
+
+/** (7 + C) value of a code of each key channel. */
+export function keySteps(root: Root, group: Group, quality: number): Float32Array {
+  const { log_scales, quaternions, opacity } = group.key_steps;
+  const steps = [...three(log_scales), ...three(quaternions), opacity];
+  return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
+}
+
+/** (10 + C) value of a code of each state channel; of a mean in motion units of its row. */
+export function stateSteps(root: Root, group: Group, level: number): Float32Array {
+  const { means, log_scales, quaternions, opacity } = group.state_steps;
+  const steps = [...three(means), ...three(log_scales), ...three(quaternions), opacity];
+  return scaled(steps, root, root.levels[level]!.factor / root.state_gain);
+}
+
+function scaled(steps: number[], root: Root, scale: number): Float32Array {
+  const colours = new Array<number>(colourChannels(root.sh_degree)).fill(1);
+  return Float32Array.from([...steps, ...colours], (step) => step * scale);
+}
+
+/** (C) step of each colour, by which what the transform gives is multiplied. */
+export function colourSteps(steps: { sh_dc: number; sh_rest: number }, channels: number): Float32Array {
+  return Float32Array.from({ length: channels }, (_, i) => (i < 3 ? steps.sh_dc : steps.sh_rest));
+}
+
+/** (C · C) colour transform: row k is what colour channel k adds. Throws FormatError(bad_value). */
+export function colourMatrix(group: Group, channels: number): Float32Array {
+  const bytes = fromBase64(group.colour_transform);
+  if (bytes?.length !== 2 * channels * channels) {
+    const got = bytes ? `${bytes.length} bytes` : "no base64";
+    throw new FormatError("bad_value", "colour_transform", `expected ${channels} × ${channels} int16, got ${got}`);
+  }
+  const view = new DataView(bytes.buffer);
+  return Float32Array.from({ length: channels * channels }, (_, i) => view.getInt16(2 * i, true) / 32767);
+}
+
+function fromBase64(text: string): Uint8Array<ArrayBuffer> | null {
+  try {
+    return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  } catch {
+    return null;
+  }
+}

@@ -1,0 +1,82 @@
+// What decoded things look like on their way from files to pictures. N rows of a group, C colour channels.
+import type { Group, Root } from "../generated/tables.ts";
+
+export type { Group, Page, Root } from "../generated/tables.ts";
+export type Atlas = Group["levels"][number];
+export type Tier = Group["tiers"][number];
+export type Segment = Group["segments"][number];
+export type Region = Root["region"];
+export type Place = Region["places"][number];
+/** Length and digest of a file; 0 and "" where there is none. */
+export type FileEntry = Root["init"];
+
+/** Samples whose base changes with a picture (FORMAT.md, section 6), and what it is from then on. */
+export interface BaseChanges {
+  /** Places in the atlas: line · width + column, pages one after the other. */
+  texels: Uint32Array;
+  bases: Int32Array;
+}
+
+/** The key pictures of a tier. */
+export interface KeyPart {
+  atlas: Atlas;
+  /** Samples of all pages, one after the other, each `atlas.width` × `atlas.height`. */
+  luma: Uint8Array;
+  /** Samples with another base than 0; null: none. */
+  bases: BaseChanges | null;
+}
+
+/** The canonical space of a group in a key quality, as far as tiers were fetched. */
+export interface Canonical {
+  /** Group, counted from 0. */
+  group: number;
+  quality: number;
+  /** How many tiers it is made of. */
+  tiers: number;
+  /** (3N) canonical means, world units. */
+  means: Float32Array;
+  /** (N) motion unit 2^c of each row, world units. */
+  units: Float32Array;
+  /** (N) deepest level that carries a row's updates; 255: static. */
+  depths: Uint8Array;
+  /** One a tier that has rows, in order. */
+  parts: KeyPart[];
+}
+
+/** The picture of one frame of a state segment. */
+export interface StateFrame {
+  /** Samples of all pages, one after the other. */
+  luma: Uint8Array;
+  /** What changes from the frame before in the segment, or from bases of 0; null: nothing. */
+  bases: BaseChanges | null;
+  /** (3N) means of all rows in this frame, world units: what the depth order is made of. */
+  means: Float32Array;
+}
+
+/** N Gaussians as they are shown. */
+export interface Gaussians {
+  /** (3N) world units. */
+  means: Float32Array;
+  /** (4N) w, x, y, z, of length 1. */
+  quaternions: Float32Array;
+  /** (3N) ln of world units. */
+  logScales: Float32Array;
+  /** (N) 0 … 1. */
+  alpha: Float32Array;
+  /** (N · C) r, g, b of SH DC, then of each coefficient of SH rest. */
+  colours: Float32Array;
+}
+
+/** A view as OpenCV has it: x right, y down, z ahead; pixels are square. */
+export interface Camera {
+  width: number;
+  height: number;
+  fx: number;
+  fy: number;
+  cx: number;
+  cy: number;
+  /** What is nearer than this along z is not drawn. */
+  near: number;
+  /** (16) row by row. */
+  worldToCamera: Float64Array;
+}

@@ -1,0 +1,130 @@
+// Frames as Gaussians, for programs that draw with an engine of their own. N rows, C colours each.
+import { canonicalGaussians, shownGaussians } from "./format/gaussians.ts";
+import type { Canonical, Gaussians, Region, Root, StateFrame } from "./format/types.ts";
+import { Media } from "./media/client.ts";
+import { locate } from "./play/locate.ts";
+
+/** A segment that is decoded. */
+interface Decoded {
+  name: string;
+  start: number;
+  group: number;
+  level: number;
+  canonical: Canonical;
+  base: Gaussians;
+  frames: (StateFrame | null)[];
+}
+
+/** Reads frames of a package, in any order; one after the other is fastest, since a segment is decoded as a whole. */
+export class FrameReader {
+  #decoded: Promise<Decoded> | null = null;
+  #wanted = "";
+
+  private constructor(private readonly media: Media) {}
+
+  /** Opens a package as `Player.open` does, and throws what that does. */
+  static async open(src: string): Promise<FrameReader> {
+    return new FrameReader(await Media.open(src));
+  }
+
+  /** What is true of the whole package: airgs.json. */
+  get root(): Root {
+    return this.media.tables.root;
+  }
+
+  get frames(): number {
+    return this.root.frames;
+  }
+
+  /** Frames a second. */
+  get fps(): number {
+    return this.root.frame_rate[0] / this.root.frame_rate[1];
+  }
+
+  /** Where the quality of the package is promised. */
+  get region(): Region {
+    return this.root.region;
+  }
+
+  /** Names of all rungs, such as Q0+L0. */
+  get rungs(): string[] {
+    const { qualities, levels } = this.root;
+    return qualities.flatMap((quality) => levels.map((level) => `${quality.id}+${level.id}`));
+  }
+
+  /**
+   * A frame in a rung, by default the first one, which is the best.
+   *
+   * Throws RangeError for a frame or rung that there is not, FormatError and TransportError where a file cannot be had.
+   */
+  async gaussians(frame: number, rung = this.rungs[0]): Promise<Gaussians> {
+    const { start, group, level, canonical, base, frames } = await this.#segment(frame, rung);
+    const { tables } = this.media;
+    const state = frames[frame - start];
+    const bases = state && basesAt(frames, frame - start);
+    return shownGaussians(
+      tables.root,
+      tables.group(group),
+      base,
+      canonical,
+      state && { level, luma: state.luma, bases },
+    );
+  }
+
+  close(): void {
+    this.media.close();
+  }
+
+  async #segment(frame: number, rung: string): Promise<Decoded> {
+    const number = this.rungs.indexOf(rung);
+    if (number < 0) throw new RangeError(`rung: expected one of ${this.rungs.join(", ")}, got ${rung}`);
+    if (!(frame >= 0 && frame < this.frames))
+      throw new RangeError(`frame: expected 0 … ${this.frames - 1}, got ${frame}`);
+    const segment = await locate(this.media, frame, new AbortController().signal);
+    const name = `${segment} ${number}`;
+    if (name !== this.#wanted) {
+      this.#wanted = name;
+      const before = this.#decoded;
+      this.#decoded = this.#decode(segment, number, name, before);
+      this.#decoded.catch(() => {
+        if (this.#wanted === name) this.#wanted = ""; // another try fetches it again
+      });
+    }
+    return this.#decoded as Promise<Decoded>;
+  }
+
+  async #decode(segment: number, rung: number, name: string, before: Promise<Decoded> | null): Promise<Decoded> {
+    const { tables } = this.media;
+    const { levels } = tables.root;
+    const [quality, level] = [Math.floor(rung / levels.length), rung % levels.length];
+    const group = tables.groupOf(segment);
+    const { tiers } = levels[level];
+    const last = await before?.catch(() => null);
+    const kept = last?.group === group && last.canonical.quality === quality && last.canonical.tiers >= tiers;
+    const keys = kept ? [] : Array.from({ length: tiers }, (_, t) => tables.keyFiles(group, t, quality)).flat();
+    await this.#fetch([...keys, ...tables.stateFiles(segment, level)]);
+    const canonical = kept ? last.canonical : await this.media.canonical(group, quality, tiers);
+    const base = kept ? last.base : canonicalGaussians(tables.root, tables.group(group), canonical);
+    const frames: (StateFrame | null)[] = [];
+    const of = { group, quality, tiers: canonical.tiers };
+    await this.media.segment(segment, level, of, (t, frame) => {
+      frames[t] = frame;
+      this.media.taken(frame);
+    });
+    return { name, start: tables.segment(segment).start, group, level, canonical, base, frames };
+  }
+
+  async #fetch(paths: string[]): Promise<void> {
+    const { refused } = await this.media.fetch(paths);
+    for (const refusal of refused.values()) throw refusal;
+  }
+}
+
+/** Bases of all samples of the picture of frame `t` of a segment; null: they are 0. */
+function basesAt(frames: (StateFrame | null)[], t: number): Int32Array | null {
+  const changes = frames.slice(0, t + 1).flatMap((frame) => frame?.bases ?? []);
+  if (!changes.length) return null;
+  const bases = new Int32Array(frames[t]?.luma.length ?? 0);
+  for (const { texels, bases: values } of changes) for (const [i, at] of texels.entries()) bases[at] = values[i];
+  return bases;
+}

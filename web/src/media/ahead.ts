@@ -1,0 +1,54 @@
+// How far decoding may be ahead of the screen.
+import { Bell } from "./bell.ts";
+
+/** Counts what is decoded and not taken; ids stand for segments under way. */
+export class Ahead {
+  readonly #open = new Map<number, Map<number, number>>();
+  readonly #bell = new Bell();
+  #bytes = 0;
+
+  /** At most about `bytes`, and `segments` of which something is not taken. */
+  constructor(
+    readonly bytes: number,
+    readonly segments: number,
+  ) {}
+
+  /** Resolves when another segment may begin. */
+  async place(signal: AbortSignal): Promise<void> {
+    await this.#until(() => this.#open.size < this.segments, signal);
+  }
+
+  /** Resolves when another picture may be decoded. */
+  async room(signal: AbortSignal): Promise<void> {
+    await this.#until(() => this.#bytes < this.bytes, signal);
+  }
+
+  /** Frame `t` of a segment was given out. */
+  give(id: number, t: number, bytes: number): void {
+    const frames = this.#open.get(id) ?? new Map<number, number>();
+    this.#open.set(id, frames.set(t, bytes));
+    this.#bytes += bytes;
+  }
+
+  /** The frame was shown, or is not wanted. */
+  taken(id: number, t: number): void {
+    const frames = this.#open.get(id);
+    this.#bytes -= frames?.get(t) ?? 0;
+    frames?.delete(t);
+    if (frames?.size === 0) this.#open.delete(id);
+    this.#bell.ring();
+  }
+
+  /** No frame of the segment is wanted any more. */
+  drop(id: number): void {
+    for (const t of this.#open.get(id)?.keys() ?? []) this.taken(id, t);
+    this.#bell.ring();
+  }
+
+  async #until(condition: () => boolean, signal: AbortSignal): Promise<void> {
+    const stop = () => this.#bell.ring();
+    signal.addEventListener("abort", stop);
+    while (!signal.aborted && !condition()) await this.#bell.wait();
+    signal.removeEventListener("abort", stop);
+  }
+}

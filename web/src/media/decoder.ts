@@ -1,0 +1,231 @@
+// H.264 through WebCodecs: coded pictures in, samples of decoded pictures out, in the order in which they are shown.
+import { annexB, codecString } from "../format/avc.ts";
+import { FormatError } from "../format/errors.ts";
+import type { Sample } from "../format/mp4.ts";
+import { Bell } from "./bell.ts";
+import { aborted, UnsupportedError } from "./errors.ts";
+import { copySamples, LayoutError, type Samples, Scratch } from "./luma.ts";
+
+/** Pictures on their way out of a decoder, and chunks on their way in: unclosed pictures of about 20 block some decoders. */
+const MOST_UNDER_WAY = 4;
+
+/** Coded pictures that are decoded together. */
+export interface Clip {
+  /** In decoding order; pages one after the other, each of which begins with an IDR picture. */
+  samples: Sample[];
+  /** Of every picture. */
+  width: number;
+  height: number;
+  /** The file, for errors. */
+  where: string;
+}
+
+export interface DecodeOptions {
+  signal?: AbortSignal | undefined;
+  /** Resolves when another picture may be decoded. */
+  room?: (() => Promise<void>) | undefined;
+}
+
+/** What becomes of the n-th picture; its samples are good until the promise is kept. */
+export type TakeSamples = (samples: Samples, n: number) => void | Promise<void>;
+
+/**
+ * A video decoder that lives from file to file. One file is decoded at a time, others wait for their turn.
+ *
+ * A decoder that the browser took away, as it may when a page pauses, is made anew, and goes on where it was; one in
+ * software takes the place of one that gives pictures in a layout which is not known.
+ */
+export class LumaDecoder {
+  #acceleration: HardwareAcceleration;
+  readonly #scratch = new Scratch();
+  #decoder: VideoDecoder | null = null;
+  #configured = "";
+  #pass: Pass | null = null;
+  #turn: Promise<unknown> = Promise.resolve();
+
+  constructor(acceleration: HardwareAcceleration = "no-preference") {
+    this.#acceleration = acceleration;
+  }
+
+  /**
+   * Decodes a clip and gives each picture to `take`; resolves to how many there were.
+   *
+   * Throws FormatError(bad_picture) for what does not decode twice, AbortError, and what `take` throws.
+   */
+  decode(clip: Clip, take: TakeSamples, options: DecodeOptions = {}): Promise<number> {
+    const mine = this.#turn.then(() => this.#persist(clip, take, options));
+    this.#turn = mine.catch(() => {});
+    return mine;
+  }
+
+  close(): void {
+    this.#pass?.fail(aborted("the decoder was closed"));
+    this.#drop();
+  }
+
+  async #persist(clip: Clip, take: TakeSamples, options: DecodeOptions): Promise<number> {
+    for (let done = 0, failures = 0; ; ) {
+      const pass = new Pass(clip, take, done, this.#scratch);
+      const error = await this.#run(pass, options);
+      if (!error) return pass.shown;
+      failures = pass.done > done ? 1 : failures + 1;
+      done = pass.done;
+      if (error instanceof LayoutError && this.#acceleration !== "prefer-software") {
+        this.#acceleration = "prefer-software";
+        failures = 0;
+        continue;
+      }
+      if (isFinal(error)) throw error;
+      if (failures > 1) throw new FormatError("bad_picture", clip.where, `H.264 does not decode: ${error.message}`);
+    }
+  }
+
+  /** Decodes once; resolves to what went wrong, when no picture is open any more. */
+  async #run(pass: Pass, { signal, room }: DecodeOptions): Promise<Error | null> {
+    const stop = () => pass.fail(aborted());
+    signal?.addEventListener("abort", stop);
+    if (signal?.aborted) stop();
+    this.#pass = pass;
+    try {
+      if (!pass.error) await this.#feed(pass, room);
+    } catch (error) {
+      pass.fail(error as Error);
+    }
+    signal?.removeEventListener("abort", stop);
+    this.#pass = null;
+    if (pass.error) this.#drop(); // it may still hold pictures
+    await pass.copies;
+    return pass.error;
+  }
+
+  async #feed(pass: Pass, room: DecodeOptions["room"]): Promise<void> {
+    const { samples, where } = pass.clip;
+    const decoder = await this.#ready(pass);
+    for (const [i, sample] of samples.entries()) {
+      await pass.until(() => decoder.decodeQueueSize < MOST_UNDER_WAY && pass.open < MOST_UNDER_WAY);
+      await room?.();
+      if (pass.error) return;
+      const data = annexB(sample.data, where);
+      const { time: timestamp, duration } = sample;
+      decoder.decode(new EncodedVideoChunk({ type: i ? "delta" : "key", timestamp, duration, data }));
+    }
+    await Promise.race([decoder.flush(), pass.until(() => false)]);
+    await pass.copies;
+  }
+
+  /** The decoder, made or configured anew where that is necessary. */
+  async #ready({ clip }: Pass): Promise<VideoDecoder> {
+    const { width: codedWidth, height: codedHeight, where } = clip;
+    const codec = codecString(clip.samples[0].data, where);
+    const config = { codec, codedWidth, codedHeight, hardwareAcceleration: this.#acceleration };
+    const name = JSON.stringify(config);
+    if (this.#decoder?.state !== "configured") this.#make();
+    const decoder = this.#decoder as VideoDecoder;
+    if (name === this.#configured) return decoder;
+    const { supported } = await VideoDecoder.isConfigSupported(config);
+    if (!supported)
+      throw new UnsupportedError(`this browser does not decode H.264 (${codec}) of ${codedWidth}x${codedHeight}`);
+    decoder.configure(config);
+    this.#configured = name;
+    return decoder;
+  }
+
+  #make(): void {
+    this.#drop();
+    const decoder: VideoDecoder = new VideoDecoder({
+      output: (frame) => (this.#decoder === decoder && this.#pass ? this.#pass.show(frame) : frame.close()),
+      error: (error) => this.#decoder === decoder && this.#pass?.fail(error),
+    });
+    decoder.addEventListener("dequeue", () => this.#pass?.bell.ring());
+    this.#decoder = decoder;
+  }
+
+  #drop(): void {
+    if (this.#decoder && this.#decoder.state !== "closed") this.#decoder.close();
+    this.#decoder = null;
+    this.#configured = "";
+  }
+}
+
+/** Errors that decoding again cannot help. */
+function isFinal(error: Error): boolean {
+  return error instanceof FormatError || error instanceof UnsupportedError || error.name === "AbortError";
+}
+
+/** One pass of a clip through a decoder. */
+class Pass {
+  readonly bell = new Bell();
+  /** Pictures that came out, and those of them that were taken. */
+  shown = 0;
+  done: number;
+  /** Pictures that are not taken yet. */
+  open = 0;
+  error: Error | null = null;
+  /** Kept when every picture that came so far is closed, and taken unless something went wrong. */
+  copies: Promise<void> = Promise.resolve();
+  #last = Number.NEGATIVE_INFINITY;
+
+  /** The first `done` pictures were taken before. */
+  constructor(
+    readonly clip: Clip,
+    readonly take: TakeSamples,
+    done: number,
+    readonly scratch: Scratch,
+  ) {
+    this.done = done;
+  }
+
+  /** Nothing more is taken; the first error counts. */
+  fail(error: Error): void {
+    this.error ??= error;
+    this.bell.ring();
+  }
+
+  /** Waits for a condition, or an error. */
+  async until(condition: () => boolean): Promise<void> {
+    while (!this.error && !condition()) await this.bell.wait();
+  }
+
+  /** A picture came out of the decoder. */
+  show(frame: VideoFrame): void {
+    const n = this.shown++;
+    const bad = this.#complaint(frame, n);
+    if (bad) this.fail(new FormatError("bad_picture", this.clip.where, bad));
+    if (!this.error && n >= this.done) this.#copy(frame, n);
+    else frame.close();
+  }
+
+  /** What is wrong with the n-th picture. */
+  #complaint({ visibleRect, timestamp }: VideoFrame, n: number): string | null {
+    const { width, height, samples } = this.clip;
+    if (n >= samples.length) return `expected ${samples.length} pictures, got more`;
+    if (visibleRect?.width !== width || visibleRect.height !== height) {
+      return `expected ${width}x${height}, got ${visibleRect?.width}x${visibleRect?.height}`;
+    }
+    if (timestamp <= this.#last) return "pictures do not come in the order of their times";
+    this.#last = timestamp;
+    return null;
+  }
+
+  #copy(frame: VideoFrame, n: number): void {
+    this.open++;
+    const copy = copySamples(frame, this.scratch);
+    copy.catch(() => {}); // it is waited for below, when those before it are done
+    this.copies = this.copies.then(() => this.#hand(copy, n));
+  }
+
+  async #hand(copy: Promise<Samples>, n: number): Promise<void> {
+    try {
+      const samples = await copy;
+      if (!this.error) {
+        await this.take(samples, n);
+        this.done = n + 1;
+      }
+      this.scratch.give(samples.data);
+    } catch (error) {
+      this.fail(error as Error);
+    }
+    this.open--;
+    this.bell.ring();
+  }
+}

@@ -1,0 +1,223 @@
+// Everything between the network and the renderer, whatever thread it runs on: fetch, check, decode.
+import { FormatError } from "../format/errors.ts";
+import { MissingPageError } from "../format/index.ts";
+import { MissingGroupError, Tables } from "../format/package.ts";
+import { locate, ROOT_PATH } from "../format/paths.ts";
+import type { Canonical, StateFrame } from "../format/types.ts";
+import { Ahead } from "./ahead.ts";
+import { type FileAsk, fetchBatch } from "./batch.ts";
+import { ByteStore } from "./byte-store.ts";
+import { aborted, toWire } from "./errors.ts";
+import { FileClient } from "./http.ts";
+import type { Calls, CanonicalName, Opened, WireBatch } from "./messages.ts";
+import { PictureDecoder } from "./pictures.ts";
+import { type Probe, probeBrowser } from "./probe.ts";
+import { checkReprDigest } from "./repr-digest.ts";
+import { decodeCanonical, type Positions, readPositions } from "./spaces.ts";
+import { decodeStates } from "./states.ts";
+
+const MAX_ROOT_BYTES = 2 ** 24;
+const ATTEMPTS = 4; // to fetch a file again
+const STORED_BYTES = 64 * 2 ** 20;
+const MOST_SEGMENTS = 2; // of which something is decoded and not shown
+const KEPT_SPACES = 4; // whose positions are kept for the segments over them
+
+/** What goes with a call. */
+export interface Context<Event> {
+  id: number;
+  signal: AbortSignal;
+  emit: (event: Event) => void;
+}
+
+/** An open package. */
+export class Engine {
+  readonly #store = new ByteStore(STORED_BYTES);
+  readonly #spaces = new Map<string, Positions>();
+  readonly #ahead: Ahead;
+  readonly #keys: PictureDecoder;
+  readonly #states: PictureDecoder;
+  #segments: Promise<unknown> = Promise.resolve();
+
+  private constructor(
+    private readonly client: FileClient,
+    probe: Probe,
+    readonly tables: Tables,
+    aheadBytes: number,
+  ) {
+    this.#ahead = new Ahead(aheadBytes, MOST_SEGMENTS);
+    this.#keys = new PictureDecoder(probe);
+    this.#states = new PictureDecoder(probe);
+  }
+
+  /** Fetches airgs.json, and sees what the browser can do. Throws FormatError, TransportError, UnsupportedError. */
+  static async open(
+    { url, aheadBytes, attempts }: Calls["open"]["args"],
+    { signal }: Pick<Context<never>, "signal">,
+  ): Promise<{ engine: Engine; opened: Opened }> {
+    const probing = probeBrowser();
+    probing.catch(() => {}); // it is waited for below
+    const client = new FileClient(url);
+    let found: { tables: Tables; bytes: Uint8Array } | null = null;
+    const take = (bytes: Uint8Array) => {
+      found = { tables: Tables.parse(bytes), bytes };
+    };
+    const batch = await fetchBatch(client, [askRoot(attempts, false, take)], signal, () => {});
+    const probe = await probing;
+    for (const error of batch.refused.values()) throw error;
+    const { tables, bytes } = found ?? fail(aborted());
+    const engine = new Engine(client, probe, tables, aheadBytes);
+    const wire: WireBatch = { ...batch, refused: [], tables: [[ROOT_PATH, bytes]] };
+    return { engine, opened: { luma: probe.luma, batch: wire } };
+  }
+
+  async fetch({ paths, attempts }: Calls["fetch"]["args"], { signal, emit }: Context<number>): Promise<WireBatch> {
+    const tables: [string, Uint8Array][] = [];
+    const refused = new Map<string, FormatError>();
+    const asks: FileAsk[] = [];
+    for (const path of new Set(paths)) {
+      try {
+        asks.push(this.#ask(path, attempts, tables));
+      } catch (error) {
+        refused.set(path, asFormatError(path, error));
+      }
+    }
+    const batch = await fetchBatch(this.client, asks, signal, emit);
+    return { ...batch, refused: [...refused, ...batch.refused].map(([path, error]) => [path, toWire(error)]), tables };
+  }
+
+  /** Reads airgs.json of a growing package again. */
+  async refreshRoot({ attempts }: Calls["refreshRoot"]["args"], { signal }: Context<never>): Promise<WireBatch> {
+    const tables: [string, Uint8Array][] = [];
+    const take = (bytes: Uint8Array) => {
+      this.tables.grow(bytes);
+      tables.push([ROOT_PATH, bytes]);
+    };
+    const batch = await fetchBatch(this.client, [askRoot(attempts, true, take)], signal, () => {});
+    return { ...batch, refused: [...batch.refused].map(([path, error]) => [path, toWire(error)]), tables };
+  }
+
+  async canonical(name: CanonicalName, { signal }: Context<never>): Promise<Canonical> {
+    await this.#gather(this.#keyFiles(name), signal);
+    const found = await decodeCanonical(this.tables, this.#read, name, this.#keys, { signal });
+    const { means, units, depths } = found;
+    this.#keep(name, { means, units, depths });
+    return { ...found, means: means.slice(), units: units.slice(), depths: depths.slice() };
+  }
+
+  /** Segments are decoded one after the other, in the order in which they are asked for. */
+  segment(args: Calls["segment"]["args"], context: Context<Calls["segment"]["event"]>): Promise<number> {
+    const mine = this.#segments.then(() => this.#segment(args, context));
+    this.#segments = mine.catch(() => {});
+    return mine;
+  }
+
+  async #segment({ index, level, of }: Calls["segment"]["args"], context: Context<Calls["segment"]["event"]>) {
+    const { id, signal, emit } = context;
+    await this.#ahead.place(signal);
+    if (signal.aborted) throw aborted();
+    const { start, stop } = this.tables.segment(index);
+    const [where] = this.tables.stateFiles(index, level);
+    if (!where) {
+      for (let t = 0; t < stop - start; t++) emit({ t, frame: null });
+      return stop - start;
+    }
+    const { group, tiers } = of;
+    await this.#gather(this.#spaces.has(nameOf(of)) ? [where] : [where, ...this.#keyFiles(of)], signal);
+    const file = {
+      segment: index,
+      group,
+      level,
+      tiers,
+      positions: this.#positions(of),
+      bytes: this.#read(where),
+      where,
+    };
+    const give = (t: number, frame: StateFrame) => {
+      this.#ahead.give(id, t, frame.luma.length + frame.means.byteLength);
+      emit({ t, frame });
+    };
+    const options = { signal, room: () => this.#ahead.room(signal) };
+    await decodeStates(this.tables, file, this.#states, give, options);
+    return stop - start;
+  }
+
+  /** The page has shown a frame. */
+  taken(id: number, t: number): void {
+    this.#ahead.taken(id, t);
+  }
+
+  /** The page has no use for a segment any more. */
+  drop(id: number): void {
+    this.#ahead.drop(id);
+  }
+
+  close(): void {
+    this.#keys.close();
+    this.#states.close();
+  }
+
+  /** Throws FormatError, MissingGroupError, MissingPageError for a file that no table leads to. */
+  #ask(path: string, attempts: number, tables: [string, Uint8Array][]): FileAsk {
+    const entry = this.tables.entry(path);
+    const isTable = ["group", "page"].includes(locate(path)?.what ?? "");
+    const accept = async (bytes: Uint8Array) => {
+      if (isTable) await this.tables.add(path, bytes);
+      else await Tables.check(path, entry, bytes);
+      if (isTable) tables.push([path, bytes]);
+      else this.#store.put(path, bytes);
+    };
+    return { path, limit: entry.bytes, attempts, patient: true, changing: false, accept };
+  }
+
+  #keyFiles({ group, quality, tiers }: CanonicalName): string[] {
+    return Array.from({ length: tiers }, (_, t) => this.tables.keyFiles(group, t, quality)).flat();
+  }
+
+  /** Fetches files again that were fetched so long ago that others took their place. Throws FormatError. */
+  async #gather(paths: string[], signal: AbortSignal): Promise<void> {
+    const asks = paths.filter((path) => !this.#store.get(path)).map((path) => this.#ask(path, ATTEMPTS, []));
+    if (!asks.length) return;
+    const { refused } = await fetchBatch(this.client, asks, signal, () => {});
+    if (signal.aborted) throw aborted();
+    for (const refusal of refused.values()) throw refusal;
+  }
+
+  readonly #read = (path: string): Uint8Array => {
+    const bytes = this.#store.get(path);
+    if (!bytes) throw new FormatError("missing_file", path, "it has not been fetched");
+    return bytes;
+  };
+
+  #positions(name: CanonicalName): Positions {
+    const found = this.#spaces.get(nameOf(name)) ?? readPositions(this.tables, this.#read, name);
+    this.#keep(name, found);
+    return found;
+  }
+
+  #keep(name: CanonicalName, positions: Positions): void {
+    this.#spaces.delete(nameOf(name)); // the order of a Map is that of adding: the last used is the last
+    this.#spaces.set(nameOf(name), positions);
+    for (const oldest of [...this.#spaces.keys()].slice(0, -KEPT_SPACES)) this.#spaces.delete(oldest);
+  }
+}
+
+const nameOf = ({ group, quality, tiers }: CanonicalName) => `${group} ${quality} ${tiers}`;
+
+function askRoot(attempts: number, patient: boolean, take: (bytes: Uint8Array) => void): FileAsk {
+  const accept = async (bytes: Uint8Array, headers: Headers) => {
+    await checkReprDigest(ROOT_PATH, bytes, headers);
+    take(bytes);
+  };
+  return { path: ROOT_PATH, limit: MAX_ROOT_BYTES, attempts, patient, changing: true, accept };
+}
+
+function asFormatError(path: string, error: unknown): FormatError {
+  if (error instanceof FormatError) return error;
+  const known = error instanceof MissingGroupError || error instanceof MissingPageError || error instanceof RangeError;
+  if (!known) throw error;
+  return new FormatError("missing_entry", path, error.message);
+}
+
+function fail(error: Error): never {
+  throw error;
+}

@@ -1,0 +1,41 @@
+// What goes wrong between a server, a browser and a page, and how it crosses the border between worker and page.
+import { FormatError, type Reason } from "../format/errors.ts";
+
+/** A server that cannot be reached, or does not speak HTTP as it should. */
+export class TransportError extends Error {
+  override name = "TransportError";
+}
+
+/** A browser that cannot play packages, and why. */
+export class UnsupportedError extends Error {
+  override name = "UnsupportedError";
+}
+
+/** An error as a message between threads. */
+export type WireError =
+  | { name: "FormatError"; reason: Reason; where: string; detail: string }
+  | { name: string; message: string };
+
+/** An error, or anything else that was thrown, as a message. */
+export function toWire(error: unknown): WireError {
+  if (error instanceof FormatError) {
+    const { reason, where, detail } = error;
+    return { name: "FormatError", reason, where, detail };
+  }
+  if (error instanceof Error || error instanceof DOMException) return { name: error.name, message: error.message };
+  return { name: "Error", message: String(error) };
+}
+
+/** The error of a message, of the class that it had. */
+export function fromWire(wire: WireError): Error {
+  if ("reason" in wire) return new FormatError(wire.reason, wire.where, wire.detail);
+  const { name, message } = wire;
+  if (name === "TransportError") return new TransportError(message);
+  if (name === "UnsupportedError") return new UnsupportedError(message);
+  return name === "AbortError" ? aborted(message) : Object.assign(new Error(message), { name });
+}
+
+/** What is thrown where somebody gave up. */
+export function aborted(message = "given up"): DOMException {
+  return new DOMException(message, "AbortError");
+}

@@ -1,0 +1,66 @@
+// The pictures of an .m4s file, put together from their pages: FORMAT.md, sections 2 and 4.
+import { atlasSamples, checkLuma } from "../format/atlas.ts";
+import { FormatError } from "../format/errors.ts";
+import type { Sample } from "../format/mp4.ts";
+import type { Atlas } from "../format/types.ts";
+import { type DecodeOptions, LumaDecoder } from "./decoder.ts";
+import { readLuma, type Samples } from "./luma.ts";
+import type { Probe } from "./probe.ts";
+
+/** A file of pictures of an atlas. */
+export interface PictureFile {
+  /** Coded pictures of each page. */
+  pages: Sample[][];
+  atlas: Atlas;
+  /** Pictures of each page. */
+  frames: number;
+  where: string;
+}
+
+/** What becomes of picture `t`: samples of all its pages, one after the other. */
+export type TakeLuma = (t: number, luma: Uint8Array) => void;
+
+/** Decodes files of pictures one after the other, by what a probe of the browser found. */
+export class PictureDecoder {
+  readonly #decoder: LumaDecoder;
+
+  constructor(readonly probe: Probe) {
+    this.#decoder = new LumaDecoder(probe.acceleration);
+  }
+
+  /**
+   * Decodes a file, and gives its pictures in order, each when its last page is there.
+   *
+   * Throws FormatError(bad_picture) for pictures of another number or size, or with luma outside 16 to 235.
+   */
+  async decode(file: PictureFile, take: TakeLuma, options: DecodeOptions = {}): Promise<void> {
+    const { atlas, frames, where } = file;
+    const { width, height } = atlas;
+    const gather = this.#gatherer(file, take);
+    const got = await this.#decoder.decode({ samples: file.pages.flat(), width, height, where }, gather, options);
+    const expected = file.pages.length * frames;
+    if (got !== expected) throw new FormatError("bad_picture", where, `expected ${expected} pictures, got ${got}`);
+  }
+
+  close(): void {
+    this.#decoder.close();
+  }
+
+  /** Takes pages as they come: all of the first, then all of the next. */
+  #gatherer({ atlas, frames, pages, where }: PictureFile, take: TakeLuma): (samples: Samples, n: number) => void {
+    const { width, height } = atlas;
+    const gathered = new Map<number, Uint8Array>();
+    return (samples, n) => {
+      const t = n % frames;
+      const page = Math.floor(n / frames);
+      const luma = gathered.get(t) ?? new Uint8Array(atlasSamples(atlas));
+      const part = luma.subarray(page * width * height, (page + 1) * width * height);
+      readLuma(samples, width, height, this.probe.inverses, part);
+      checkLuma(part, where);
+      gathered.set(t, luma);
+      if (page < pages.length - 1) return;
+      gathered.delete(t);
+      take(t, luma);
+    };
+  }
+}

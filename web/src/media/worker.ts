@@ -1,0 +1,56 @@
+// The worker: calls of the page in, answers and events out.
+import { Engine } from "./engine.ts";
+import { toWire } from "./errors.ts";
+import { buffersOf, type Calls, type Note, type Reply, type Request } from "./messages.ts";
+
+let engine: Engine | null = null;
+const underWay = new Map<number, AbortController>();
+
+function say(reply: Reply): void {
+  postMessage(reply, { transfer: [...buffersOf(reply)] });
+}
+
+async function answer({ id, call, args }: Request): Promise<Calls[typeof call]["value"]> {
+  const stop = new AbortController();
+  underWay.set(id, stop);
+  const context = { id, signal: stop.signal, emit: (event: Calls[typeof call]["event"]) => say({ id, event }) };
+  try {
+    if (call === "open") {
+      const found = await Engine.open(args as Calls["open"]["args"], context);
+      engine = found.engine;
+      return found.opened;
+    }
+    if (!engine) throw new Error("expected open() before anything else");
+    if (call === "fetch") return await engine.fetch(args as Calls["fetch"]["args"], context);
+    if (call === "refreshRoot") return await engine.refreshRoot(args as Calls["refreshRoot"]["args"], context);
+    if (call === "canonical") return await engine.canonical(args as Calls["canonical"]["args"], context);
+    return await engine.segment(args as Calls["segment"]["args"], context);
+  } finally {
+    underWay.delete(id);
+  }
+}
+
+async function respond(request: Request): Promise<void> {
+  const { id } = request;
+  try {
+    say({ id, value: await answer(request) });
+  } catch (error) {
+    say({ id, error: toWire(error) });
+  }
+}
+
+function heed({ cancel, taken }: Note): void {
+  if (cancel !== undefined) {
+    underWay.get(cancel)?.abort();
+    engine?.drop(cancel);
+  }
+  if (taken) engine?.taken(taken.id, taken.t);
+}
+
+/** What the thread does from now on. */
+export function run(): void {
+  globalThis.onmessage = ({ data }: MessageEvent<Request | Note>) => {
+    if ("call" in data) respond(data);
+    else heed(data);
+  };
+}

@@ -1,0 +1,290 @@
+// What a package offers a viewer, as numbers: wire bytes and qualities of every choice.
+//
+// S segments, G groups, T key tiers, Q key qualities, L levels. A rung is a key quality with a level; rungs are
+// numbered quality by quality. A position is a segment of a session, which may play the sequence several times.
+import { ROOT_PATH } from "../format/paths.ts";
+import type { Root, Segment } from "../format/types.ts";
+import { Kept } from "./kept.ts";
+import type { Option } from "./ladder.ts";
+
+/** Seconds of play where nobody says how often the sequence is played. */
+export const SESSION_S = 30;
+/** HTTP response headers a file. */
+export const HEADER_BYTES = 350;
+/** Segments whose numbers are kept: more than a buffer holds and a policy looks at. */
+const KEPT_SEGMENTS = 512;
+const KEPT_OPTIONS = 4096;
+
+/** Key quality → how many of its tiers are decoded, from the first on. */
+export type DecodedTiers = ReadonlyMap<number, number>;
+
+/** Paths of the files that are requested together, in the order in which they arrive. */
+export interface Batch {
+  keys: readonly string[];
+  state: readonly string[];
+  tables: readonly string[];
+}
+
+/** All paths: key units tier by tier, then the state segment, then tables for what comes next. */
+export const filesOf = (batch: Batch): string[] => [...batch.keys, ...batch.state, ...batch.tables];
+
+/** A rung of the whole package, for people who choose one. */
+export interface RungInfo {
+  /** Such as Q1+L2. */
+  name: string;
+  /** dB, mean over the time of the segments whose tables are known; null: not measured. */
+  psnr: number | null;
+  /** Mean over the same segments, headers included. */
+  kbps: number;
+  /** Whether no other rung has more quality at no more bytes. */
+  onLadder: boolean;
+}
+
+/** The tables of a package, as far as a player looks at them: `Tables` of the format, or numbers alone.
+ *
+ * Groups, segments and files are counted from 0. Questions about a group whose table is not there (`has`) throw.
+ */
+export interface Offers {
+  readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "frames"> & {
+    readonly views: Pick<Root["views"], "reference">;
+    readonly qualities: readonly Pick<Root["qualities"][number], "id">[];
+    readonly levels: readonly Pick<Root["levels"][number], "id" | "tiers" | "pruned">[];
+  };
+  readonly rootBytes: number;
+  readonly index: {
+    readonly groups: number;
+    readonly segments: number;
+    readonly pages: number;
+    entry(group: number): { start: number; stop: number; firstSegment: number; segments: number };
+    pageOfSegment(segment: number): number | null;
+    hasPage(page: number): boolean;
+    guessSpan(segment: number): { start: number; stop: number };
+  };
+  has(group: number): boolean;
+  segment(segment: number): Pick<Segment, "start" | "stop"> & { levels: readonly { psnr: readonly number[] }[] };
+  groupOf(segment: number): number;
+  keyFiles(group: number, tier: number, quality: number): string[];
+  stateFiles(segment: number, level: number): string[];
+  entry(path: string): { bytes: number };
+}
+
+/** What a package offers. Wire bytes are those of files with `headerBytes` for each.
+ *
+ * A session over a growing package begins with its newest group (`first`), and its tables grow under it.
+ */
+export class Catalogue {
+  /** (key quality, level) of every rung. */
+  readonly rungs: readonly (readonly [number, number])[];
+  /** The name of every rung, such as Q1+L2. */
+  readonly names: readonly string[];
+  readonly fps: number;
+  /** The segment that a session begins with. */
+  first = 0;
+  private readonly kept = {
+    quality: new Kept<Float64Array>(KEPT_SEGMENTS),
+    state: new Kept<Float64Array>(KEPT_SEGMENTS),
+    key: new Kept<Float64Array>(KEPT_SEGMENTS),
+    after: new Kept<Float64Array>(KEPT_SEGMENTS),
+    scratch: new Kept<Float64Array>(KEPT_SEGMENTS),
+    options: new Kept<readonly Option[], string>(KEPT_OPTIONS),
+  };
+  private readonly held: readonly DecodedTiers[];
+
+  constructor(
+    readonly tables: Offers,
+    readonly headerBytes = HEADER_BYTES,
+  ) {
+    const { qualities, levels, frame_rate } = tables.root;
+    this.rungs = qualities.flatMap((_, q) => levels.map((_, j) => [q, j] as const));
+    this.names = this.rungs.map(([q, j]) => `${qualities[q].id}+${levels[j].id}`);
+    this.held = this.rungs.map(([q, j]) => new Map([[q, levels[j].tiers]]));
+    this.fps = frame_rate[0] / frame_rate[1];
+  }
+
+  /** How many segments there are, S. */
+  get segments(): number {
+    return this.tables.index.segments;
+  }
+
+  /** More groups may come in this session. */
+  get live(): boolean {
+    return this.tables.root.live;
+  }
+
+  /** Seconds of play of the whole sequence. */
+  get durationS(): number {
+    return this.tables.root.frames / this.fps;
+  }
+
+  /** Whether every rung of every segment has a quality. */
+  get measured(): boolean {
+    return this.tables.root.views.reference !== "none";
+  }
+
+  /** Seconds of play of the last group so far. */
+  get newestSeconds(): number {
+    const entry = this.tables.index.entry(this.tables.index.groups - 1);
+    return (entry.stop - entry.start) / this.fps;
+  }
+
+  /** Whether the table of a segment's group is there. */
+  knows(segment: number): boolean {
+    const page = this.tables.index.pageOfSegment(segment);
+    return (page === null || this.tables.index.hasPage(page)) && this.tables.has(this.tables.groupOf(segment));
+  }
+
+  /** Frames of a segment; where its table cannot be had, as if its neighbours were of one length. */
+  span(segment: number): { start: number; stop: number } {
+    return this.knows(segment) ? this.tables.segment(segment) : this.tables.index.guessSpan(segment);
+  }
+
+  /** Seconds of play of a segment. */
+  seconds(segment: number): number {
+    const { start, stop } = this.span(segment);
+    return (stop - start) / this.fps;
+  }
+
+  /** (Q L) PSNR in dB; 0 where it was not measured. */
+  quality(segment: number): Float64Array {
+    return this.kept.quality.get(segment, () => {
+      const { levels } = this.tables.segment(segment);
+      return Float64Array.from(this.rungs, ([q, j]) => levels[j].psnr[q] ?? 0);
+    });
+  }
+
+  /** (L) wire bytes of a state segment; 0 where there is nothing to fetch. */
+  stateBytes(segment: number): Float64Array {
+    const levels = this.tables.root.levels;
+    return this.kept.state.get(segment, () =>
+      Float64Array.from(levels, (_, j) => this.wire(this.tables.stateFiles(segment, j))),
+    );
+  }
+
+  /** (Q T) wire bytes of the key units of a group; 0 for a tier without rows. */
+  keyBytes(group: number): Float64Array {
+    const { tiers, qualities } = this.tables.root;
+    const unit = (i: number) => this.tables.keyFiles(group, i % tiers, Math.floor(i / tiers));
+    return this.kept.key.get(group, () =>
+      Float64Array.from({ length: qualities.length * tiers }, (_, i) => this.wire(unit(i))),
+    );
+  }
+
+  /** (Q L · Q L) wire bytes of rung c after rung p in the segment before, of the same group, at place p Q L + c. */
+  bytesAfter(segment: number): Float64Array {
+    return this.kept.after.get(segment, () => {
+      const after = new Float64Array(this.rungs.length ** 2);
+      this.held.forEach((decoded, p) => {
+        after.set(this.sizes(segment, decoded), p * this.rungs.length);
+      });
+      return after;
+    });
+  }
+
+  /** (Q L) wire bytes of a rung when no key of its group is decoded. */
+  bytesFromScratch(segment: number): Float64Array {
+    return this.kept.scratch.get(segment, () => this.sizes(segment, new Map()));
+  }
+
+  /** (Q L) wire bytes of the keys that are missing and the state. */
+  sizes(segment: number, decoded: DecodedTiers): Float64Array {
+    const { tiers, levels } = this.tables.root;
+    const keys = this.keyBytes(this.tables.groupOf(segment));
+    const states = this.stateBytes(segment);
+    return Float64Array.from(this.rungs, ([q, j]) => {
+      let size = states[j];
+      for (let tier = decoded.get(q) ?? 0; tier < levels[j].tiers; tier++) size += keys[q * tiers + tier];
+      return size;
+    });
+  }
+
+  /** Every rung of a segment, by number; kept, since a session asks for few combinations over and over. */
+  options(segment: number, decoded: DecodedTiers): readonly Option[] {
+    const held = [...decoded].sort(([a], [b]) => a - b).join(" ");
+    return this.kept.options.get(`${segment}: ${held}`, () => {
+      const quality = this.quality(segment);
+      const sizes = this.sizes(segment, decoded);
+      const { levels } = this.tables.root;
+      return this.rungs.map(([, j], index) => {
+        return { index, sizeBytes: sizes[index], quality: quality[index], pruned: levels[j].pruned };
+      });
+    });
+  }
+
+  /** The files that a rung of a segment needs beside the decoded tiers. */
+  batch(segment: number, rung: number, decoded: DecodedTiers): Batch {
+    const [q, j] = this.rungs[rung];
+    const group = this.tables.groupOf(segment);
+    const keys: string[] = [];
+    for (let tier = decoded.get(q) ?? 0; tier < this.tables.root.levels[j].tiers; tier++) {
+      keys.push(...this.tables.keyFiles(group, tier, q));
+    }
+    return { keys, state: this.tables.stateFiles(segment, j), tables: [] };
+  }
+
+  /** The segment of the package that a session plays at a position. */
+  index(position: number): number {
+    return this.place(position).segment;
+  }
+
+  /** The loop, from 0, and the segment that a session plays at a position. */
+  place(position: number): { loop: number; segment: number } {
+    const at = this.first + position;
+    const loop = Math.floor(at / this.segments);
+    return { loop, segment: at - loop * this.segments };
+  }
+
+  /** How many positions a session has that plays the sequence so often, as far as is known. */
+  end(loops: number): number {
+    return loops * this.segments - this.first;
+  }
+
+  /** The loop and the group that a position belongs to; its keys are fetched once. */
+  group(position: number): { loop: number; group: number } {
+    const { loop, segment } = this.place(position);
+    return { loop, group: this.tables.groupOf(segment) };
+  }
+
+  /** Seconds of play at a position. */
+  secondsAt(position: number): number {
+    return this.seconds(this.index(position));
+  }
+
+  /** The segments of the next positions before `end`, as far as their tables are there: (segment, whether it begins a
+   * group). */
+  upcoming(position: number, count: number, end: number): { segment: number; startsGroup: boolean }[] {
+    const found = [];
+    for (let p = position; p < Math.min(position + count, end); p++) {
+      const segment = this.index(p);
+      if (!this.knows(segment)) break;
+      found.push({ segment, startsGroup: this.startsGroup(segment) });
+    }
+    return found;
+  }
+
+  /** Whether a segment begins a group, so that no key of it is decoded. */
+  startsGroup(segment: number): boolean {
+    return segment === this.tables.index.entry(this.tables.groupOf(segment)).firstSegment;
+  }
+
+  /** How often the sequence is played: as wanted, else for about SESSION_S; once while it grows. */
+  loops(wanted: number | null): number {
+    if (this.live) return 1;
+    return wanted ?? Math.max(1, roundHalfEven(SESSION_S / this.durationS));
+  }
+
+  /** Bytes of a file without headers. */
+  fileBytes(path: string): number {
+    return path === ROOT_PATH ? this.tables.rootBytes : this.tables.entry(path).bytes;
+  }
+
+  /** Bytes of files with their headers. */
+  wire(paths: readonly string[]): number {
+    return paths.reduce((sum, path) => sum + this.fileBytes(path), this.headerBytes * paths.length);
+  }
+}
+
+/** The nearest whole number, of two the even one: as Python rounds. */
+export function roundHalfEven(value: number): number {
+  const whole = Math.round(value);
+  return whole - value === 0.5 && whole % 2 ? whole - 1 : whole;
+}

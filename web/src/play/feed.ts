@@ -1,0 +1,95 @@
+// What brings files: one session after another over the same playout and stores, each until its end, or until another
+// one is wanted.
+import type { Media } from "../media/client.ts";
+import { TransportError } from "../media/errors.ts";
+import type { Catalogue } from "./catalogue.ts";
+import type { SessionEvent } from "./events.ts";
+import { HttpDownloader } from "./http-downloader.ts";
+import type { Playout } from "./playout.ts";
+import { makePolicy } from "./policies/named.ts";
+import { Session } from "./session.ts";
+import type { SessionSettings } from "./settings.ts";
+import type { Stores } from "./stores.ts";
+
+/** A session that lost its server is begun again so much later, seconds, if the browser does not say that it is back. */
+const RETRY_S = 5;
+
+export interface FeedParts {
+  media: Media;
+  catalogue: Catalogue;
+  settings: SessionSettings;
+  playout: Playout;
+  stores: Stores;
+  /** The name of the policy of the next session. */
+  policy: () => string;
+  onEvent: (event: SessionEvent) => void;
+  /** Something went wrong; `fatal`: nothing more will come. */
+  onProblem: (error: unknown, fatal: boolean) => void;
+}
+
+/** Fetches for one package. */
+export class Feed {
+  readonly #parts: FeedParts;
+  readonly #downloader: HttpDownloader;
+  #stop = new AbortController();
+  #running: Promise<void> = Promise.resolve();
+  #from = 0;
+
+  constructor(parts: FeedParts) {
+    this.#parts = parts;
+    this.#downloader = new HttpDownloader(parts.media, parts.catalogue);
+  }
+
+  /** The position that the session under way began with. */
+  get from(): number {
+    return this.#from;
+  }
+
+  /** Ends the session that is under way; the signal of the next one, aborted if that is not wanted any more either. */
+  async next(): Promise<AbortSignal> {
+    this.#stop.abort();
+    this.#stop = new AbortController();
+    const { signal } = this.#stop;
+    await this.#running;
+    return signal;
+  }
+
+  /** Fetch from a position on; `signal` is that of `next`, or the first one. */
+  run(from: number, signal: AbortSignal = this.#stop.signal): void {
+    this.#from = from;
+    this.#running = this.#fetch(from, signal);
+  }
+
+  close(): void {
+    this.#stop.abort();
+  }
+
+  async #fetch(from: number, signal: AbortSignal): Promise<void> {
+    const { onEvent, onProblem, ...parts } = this.#parts;
+    try {
+      const policy = makePolicy(parts.policy(), parts.catalogue);
+      const session = new Session({ ...parts, downloader: this.#downloader, policy, from });
+      for await (const event of session.run(signal)) onEvent(event);
+    } catch (error) {
+      if (signal.aborted) return;
+      const away = error instanceof TransportError;
+      onProblem(error, !away);
+      if (away) this.#retry(signal);
+    }
+  }
+
+  async #retry(signal: AbortSignal): Promise<void> {
+    const done = new AbortController();
+    await new Promise<void>((resolve) => {
+      const timer = setTimeout(resolve, 1e3 * RETRY_S);
+      const end = () => {
+        clearTimeout(timer);
+        resolve();
+      };
+      signal.addEventListener("abort", end, { signal: done.signal });
+      addEventListener("online", end, { signal: done.signal });
+    });
+    done.abort();
+    if (!signal.aborted) this.run((this.#parts.playout.last?.position ?? this.#from - 1) + 1, signal);
+  }
+}

@@ -1,0 +1,146 @@
+// Batches over a real connection, by the clock of the page: the other Downloader is a simulated link of the tests.
+import { FormatError } from "../format/errors.ts";
+import { pagePath, ROOT_PATH } from "../format/paths.ts";
+import type { Fetched, Media } from "../media/client.ts";
+import { type Catalogue, filesOf } from "./catalogue.ts";
+import { CHECK_S, type Downloader, type GiveUp } from "./downloader.ts";
+import type { Arrival, Request } from "./events.ts";
+import type { Playout } from "./playout.ts";
+
+/** Timers of browsers take no more, milliseconds. */
+const LONGEST_MS = 2 ** 31 - 1;
+
+/** What a downloader needs of an open package. Where a fetch is given up, the files that are whole count. */
+export type Source = Pick<Media, "opened" | "fetch" | "refreshRoot">;
+
+/** Fetches from a server; time is that of `performance.now()`, in seconds. */
+export class HttpDownloader implements Downloader {
+  /** Batches follow each other: one is known to be over only when it is. */
+  readonly pipelines = false;
+  private shortestS = Infinity;
+  private opened: Fetched | null;
+
+  constructor(
+    private readonly source: Source,
+    private readonly catalogue: Catalogue,
+  ) {
+    this.opened = source.opened;
+  }
+
+  /** The shortest wait for a first byte so far, in seconds; 0 before there is any. */
+  get rttS(): number {
+    return this.shortestS < Infinity ? this.shortestS : 0;
+  }
+
+  now(): number {
+    return performance.now() / 1000;
+  }
+
+  wait(untilS: number, playout: Playout, signal: AbortSignal): Promise<void> {
+    const leftMs = 1000 * (untilS - this.now());
+    if (leftMs <= 0 || signal.aborted) return Promise.resolve();
+    return new Promise((resolve) => {
+      const timer = setTimeout(end, Math.min(leftMs, LONGEST_MS));
+      const forget = playout.onChange(end);
+      signal.addEventListener("abort", end, { once: true });
+      function end() {
+        clearTimeout(timer);
+        forget();
+        signal.removeEventListener("abort", end);
+        resolve();
+      }
+    });
+  }
+
+  /** What came when the package was opened answers the first request for airgs.json. */
+  async fetch(request: Request, giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival> {
+    const paths = filesOf(request.batch);
+    if (paths[0] !== ROOT_PATH) return this.batch(request, paths, giveUp, signal);
+    const came = this.opened ?? (await this.root(signal));
+    this.opened = null;
+    return arrival(request, came, false);
+  }
+
+  private async root(signal: AbortSignal): Promise<Fetched> {
+    try {
+      return await this.source.refreshRoot({ signal });
+    } catch (error) {
+      if (!(error instanceof FormatError)) throw error;
+      const nowS = this.now();
+      const refused = new Map([[ROOT_PATH, error]]);
+      return { firstByteS: nowS, endS: nowS, bytes: 0, cached: true, whole: [], refused, retries: [] };
+    }
+  }
+
+  private async batch(request: Request, paths: string[], giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival> {
+    const sentS = this.now();
+    const expectedBytes = this.catalogue.wire(paths);
+    const watch = new Watch(giveUp, expectedBytes, signal, () => this.now());
+    try {
+      const onProgress = (bytes: number) => watch.progress(bytes);
+      const came = await this.source.fetch(paths, { signal: watch.signal, onProgress });
+      if (!came.cached && came.bytes > 0) this.shortestS = Math.min(this.shortestS, came.firstByteS - sentS);
+      return arrival(request, came, came.whole.length + came.refused.size < paths.length);
+    } finally {
+      watch.end();
+    }
+  }
+}
+
+function arrival(request: Request, came: Fetched, abandoned: boolean): Arrival {
+  const whole = filesOf(request.batch).filter((path) => came.whole.includes(path));
+  const { firstByteS, endS: atS, refused, cached } = came;
+  return { request, firstByteS, atS, bytes: Math.max(1, came.bytes), whole, refused, abandoned, cached };
+}
+
+/** Looks at a download every CHECK_S from its first byte on, and ends it where it is given up. */
+class Watch {
+  private readonly ending = new AbortController();
+  private readonly abort = () => this.ending.abort();
+  private timer: ReturnType<typeof setInterval> | null = null;
+  private bytes = 0;
+
+  constructor(
+    private readonly giveUp: GiveUp | null,
+    private readonly expectedBytes: number,
+    private readonly outer: AbortSignal,
+    private readonly now: () => number,
+  ) {
+    if (outer.aborted) this.abort();
+    outer.addEventListener("abort", this.abort);
+  }
+
+  get signal(): AbortSignal {
+    return this.ending.signal;
+  }
+
+  progress(bytes: number): void {
+    this.bytes = bytes;
+    if (this.timer !== null || !this.giveUp) return;
+    const firstS = this.now();
+    this.timer = setInterval(() => this.look(firstS), 1000 * CHECK_S);
+  }
+
+  end(): void {
+    if (this.timer !== null) clearInterval(this.timer);
+    this.outer.removeEventListener("abort", this.abort);
+  }
+
+  private look(firstS: number): void {
+    const { bytes, expectedBytes } = this;
+    const atS = this.now();
+    if (this.giveUp?.({ atS, elapsedS: atS - firstS, bytes, expectedBytes })) this.abort();
+  }
+}
+
+/** Let a session over a growing package begin with its newest group, whose place a page may have to tell. */
+export async function joinNewest(catalogue: Catalogue, source: Source): Promise<void> {
+  if (!catalogue.live) return;
+  const { tables } = catalogue;
+  const page = tables.index.pageOfSegment(tables.index.segments - 1);
+  if (page !== null && !tables.index.hasPage(page)) {
+    const { refused } = await source.fetch([pagePath(page + 1)]);
+    for (const error of refused.values()) throw error;
+  }
+  catalogue.first = tables.index.entry(tables.index.groups - 1).firstSegment;
+}

@@ -1,0 +1,28 @@
+// Where a frame is, in a package whose tables are read as they are needed.
+import { MissingPageError } from "../format/index.ts";
+import { MissingGroupError } from "../format/package.ts";
+import { groupPath, pagePath } from "../format/paths.ts";
+import type { Media } from "../media/client.ts";
+
+/** The segment that shows a frame; fetches the page and the table that say so. Throws FormatError, TransportError. */
+export async function locate(media: Media, frame: number, signal: AbortSignal): Promise<number> {
+  for (;;) {
+    const path = missing(media, frame);
+    if (path === null) return media.tables.segmentAt(frame);
+    const { refused } = await media.fetch([path], { signal });
+    signal.throwIfAborted();
+    const refusal = refused.get(path);
+    if (refusal) throw refusal;
+  }
+}
+
+function missing({ tables }: Media, frame: number): string | null {
+  try {
+    tables.segmentAt(frame);
+    return null;
+  } catch (error) {
+    if (error instanceof MissingPageError) return pagePath(error.page + 1);
+    if (error instanceof MissingGroupError) return groupPath(error.group + 1);
+    throw error;
+  }
+}

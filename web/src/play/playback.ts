@@ -1,0 +1,297 @@
+// An open package on its way to the canvas: files are fetched by a session, decoded ahead by a pipeline, and shown by a
+// screen when their time has come. The schedule (`Playout`) is what these three agree on.
+import type { Region } from "../format/types.ts";
+import type { Media } from "../media/client.ts";
+import { TransportError } from "../media/errors.ts";
+import type { TargetFormat } from "../render/target.ts";
+import type { Catalogue, RungInfo } from "./catalogue.ts";
+import type { Clip } from "./clip.ts";
+import type { SessionEvent } from "./events.ts";
+import { Feed } from "./feed.ts";
+import { locate } from "./locate.ts";
+import { Pipeline } from "./pipeline.ts";
+import type { Problem } from "./player.ts";
+import { EARLY, Playout } from "./playout.ts";
+import { RungTotals } from "./rungs.ts";
+import { Screen } from "./screen.ts";
+import { sessionSettings } from "./settings.ts";
+import type { PlayerStats, Statistics } from "./statistics.ts";
+import { Stores } from "./stores.ts";
+
+const TIME_EVENT_S = 0.25;
+/** A page that is kept from showing anything for longer loses no frames by it, seconds. */
+const LONGEST_TICK_S = 0.25;
+
+/** What the viewer wants; it may change at any time. */
+export interface Wishes {
+  policy: string;
+  /** "auto": what the policy chooses; else the name of a rung. */
+  quality: string;
+  loop: boolean;
+  paused: boolean;
+  speed: number;
+  readonly bufferS: number;
+  readonly target?: TargetFormat;
+}
+
+const nowS = () => performance.now() / 1e3;
+
+/** Plays one package until it is closed. */
+export class Playback {
+  readonly screen: Screen;
+  readonly #playout: Playout;
+  readonly #feed: Feed;
+  readonly #pipeline: Pipeline;
+  readonly #rungs: RungTotals;
+  readonly #end = new AbortController();
+  #shown: { clip: Clip; frame: number } | null = null;
+  /** What follows what is on the screen; null: whatever was sought. */
+  #next: { position: number; frame: number } | null = { position: 0, frame: 0 };
+  /** Seconds of the sequence. */
+  #sought: number | null = null;
+  /** The place of what is sought is not known yet. */
+  #locating = false;
+  #ended = false;
+  #waiting = false;
+  /** When the page last had the chance to show something. */
+  #ticked = Number.POSITIVE_INFINITY;
+  #timeTold = Number.NEGATIVE_INFINITY;
+
+  /** `catalogue` is of `media`, which is closed with it. */
+  constructor(
+    readonly media: Media,
+    readonly catalogue: Catalogue,
+    canvas: HTMLCanvasElement,
+    readonly wishes: Wishes,
+    readonly statistics: Statistics,
+    readonly tell: (type: string, detail?: Problem) => void,
+  ) {
+    const { bufferS, target } = wishes;
+    const settings = sessionSettings({ bufferS, pipelined: false });
+    const stores = new Stores(catalogue);
+    const playout = new Playout(catalogue, settings, this.#lastPosition());
+    const parts = { media, catalogue, stores, playout };
+    this.#playout = playout;
+    this.#rungs = new RungTotals(catalogue);
+    this.#feed = new Feed({
+      ...parts,
+      settings,
+      policy: () => (wishes.quality === "auto" ? wishes.policy : `fixed:${wishes.quality}`),
+      onEvent: (event) => this.#hear(event),
+      onProblem: (error, fatal) => this.#problem(error, fatal),
+    });
+    this.#pipeline = new Pipeline({
+      ...parts,
+      onProgress: () => this.#try(() => this.#prepare()),
+      onProblem: (error) => this.#problem(error, false),
+    });
+    this.screen = new Screen(canvas, media.tables, {
+      ...(target && { target }),
+      onLost: () => this.tell("lost"),
+      onRestored: () => this.#try(() => this.#restored()),
+    });
+    this.#playout.onChange(() => this.#pipeline.wake());
+    document.addEventListener("visibilitychange", () => this.follow(), { signal: this.#end.signal });
+  }
+
+  /** Fetch and show from the beginning, or from the newest group of a growing package. */
+  begin(): void {
+    this.follow();
+    this.#feed.run(0);
+    this.#tick();
+  }
+
+  close(): void {
+    this.#end.abort();
+    this.#feed.close();
+    this.#pipeline.clear();
+    this.screen.close();
+    this.media.close();
+  }
+
+  /** Take in what the viewer wants of the time: speed, and whether it passes. */
+  follow(): void {
+    const now = nowS();
+    const { paused, speed } = this.wishes;
+    if (speed !== this.#playout.speed) this.#playout.setSpeed(now, speed);
+    const hold = (why: "pause" | "hidden", held: boolean) =>
+      held ? this.#playout.freeze(now, why) : this.#playout.thaw(now, why);
+    hold("pause", paused);
+    hold("hidden", document.hidden); // a page that nobody sees shows nothing
+  }
+
+  /** Choose anew what follows, and fetch again what is not on its way to the screen. */
+  async choose(): Promise<void> {
+    if (this.#locating) return this.seek(this.#sought ?? 0);
+    const signal = await this.#feed.next();
+    if (!signal.aborted) this.#goOn(signal);
+  }
+
+  #goOn(signal: AbortSignal): void {
+    const position = this.#playout.firstFree(nowS()) ?? this.#feed.from;
+    this.#playout.truncate(position);
+    this.#playout.end = this.#lastPosition();
+    this.#feed.run(position, signal);
+  }
+
+  /** Go to a moment, seconds; the nearest one where there is none. */
+  async seek(seconds: number): Promise<void> {
+    const { fps, first } = this.catalogue;
+    const frame = Math.floor(seconds * fps + EARLY);
+    const near = Math.max(0, Math.min(this.media.tables.root.frames - 1, frame));
+    this.#sought = near / fps;
+    this.#locating = true;
+    const signal = await this.#feed.next();
+    if (signal.aborted) return;
+    try {
+      const segment = await locate(this.media, near, signal);
+      this.#locating = false;
+      this.#pipeline.clear();
+      this.#next = null;
+      this.#playout.end = this.#lastPosition();
+      this.#playout.restart((near - this.catalogue.span(segment).start) / fps);
+      this.#feed.run(segment - first, signal);
+    } catch (error) {
+      if (signal.aborted) return;
+      this.#locating = false;
+      this.#sought = null; // as if nobody had asked
+      this.#problem(error, false);
+      this.#goOn(signal);
+    }
+  }
+
+  get ended(): boolean {
+    return this.#ended;
+  }
+
+  get seeking(): boolean {
+    return this.#sought !== null;
+  }
+
+  get currentTime(): number {
+    if (this.#sought !== null || !this.#shown) return this.#sought ?? 0;
+    const { clip, frame } = this.#shown;
+    return (this.catalogue.span(this.catalogue.index(clip.position)).start + frame) / this.catalogue.fps;
+  }
+
+  get buffered(): { start: number; stop: number; rung: number }[] {
+    return this.#playout.buffered(nowS());
+  }
+
+  get rungs(): RungInfo[] {
+    return this.#rungs.read();
+  }
+
+  get rung(): number | null {
+    return this.#shown?.clip.rung ?? null;
+  }
+
+  get region(): Region {
+    return this.media.tables.root.region;
+  }
+
+  get stats(): PlayerStats {
+    return this.statistics.read(nowS(), this.#playout, this.media.luma, this.#shown?.clip ?? null);
+  }
+
+  #lastPosition(): number {
+    const loops = this.wishes.loop && !this.catalogue.live ? Number.POSITIVE_INFINITY : 1;
+    return this.catalogue.end(loops);
+  }
+
+  #hear(event: SessionEvent): void {
+    if (event.type === "arrived") this.statistics.arrived(event);
+    if (event.type === "cut") this.#problem(new TransportError(event.why), false);
+    this.tell("progress");
+  }
+
+  /** Make scenes of groups that come next, and free those that have passed. */
+  #prepare(): void {
+    const clips = [...this.#pipeline.clips];
+    for (const clip of clips) if (clip.frames[0] !== undefined) this.screen.prepare(clip);
+    this.screen.keep(new Set(clips.map((clip) => clip.canonical)));
+  }
+
+  readonly #tick = (): void => {
+    if (this.#end.signal.aborted) return;
+    requestAnimationFrame(this.#tick);
+    const now = nowS();
+    if (now - this.#ticked > LONGEST_TICK_S) this.#playout.freeze(this.#ticked, "display");
+    this.#ticked = now;
+    this.#try(() => {
+      this.#advance(now);
+      if (this.screen.draw() && this.statistics.drawn(now)) this.tell("firstpicture");
+    });
+  };
+
+  /** Show the frame that is due; where it is not decoded, the schedule waits for it. */
+  #advance(now: number): void {
+    const due = this.#playout.at(now);
+    const there = due === null || this.#show(due.slot.position, due.slot.rung, due.frame);
+    if (there) this.#playout.thaw(now, "display");
+    else this.#playout.freeze(now, "display");
+    const done = there && this.#playout.done(now);
+    this.#tellWaiting(!there || (this.#playout.waits(now) && !done));
+    if (done && !this.#ended) this.tell("ended");
+    this.#ended = done;
+  }
+
+  /** Whether a frame is on the screen, or nothing can be shown in its place but what is there. */
+  #show(position: number, rung: number | null, frame: number): boolean {
+    this.#pipeline.drop(position);
+    const clip = this.#pipeline.clip(position);
+    if (rung === null || (clip && this.#shown?.clip === clip && this.#shown.frame === frame)) return true;
+    if (!clip || clip.frames[frame] === undefined || !this.screen.show(clip, frame)) return false;
+    const before = this.#shown;
+    this.statistics.shown(this.#passedOver(position, frame));
+    this.#shown = { clip, frame };
+    this.#next = { position, frame: frame + 1 };
+    this.#sought = null;
+    this.#pipeline.shown(clip, frame);
+    if (before?.clip.rung !== clip.rung) this.tell("rung");
+    if (nowS() - this.#timeTold >= TIME_EVENT_S) {
+      this.#timeTold = nowS();
+      this.tell("time");
+    }
+    return true;
+  }
+
+  /** Frames that nobody saw before this one. */
+  #passedOver(position: number, frame: number): number {
+    const next = this.#next ?? { position, frame };
+    let count = frame - next.frame;
+    for (let p = next.position; p < position; p++) {
+      const { start, stop } = this.catalogue.span(this.catalogue.index(p));
+      count += stop - start;
+    }
+    return count;
+  }
+
+  #tellWaiting(waiting: boolean): void {
+    if (waiting === this.#waiting || this.wishes.paused) return;
+    this.#waiting = waiting;
+    this.tell(waiting ? "stall" : "resume");
+  }
+
+  /** The WebGL context is back: what was on the screen is made again. */
+  #restored(): void {
+    const seconds = this.currentTime;
+    this.tell("restored");
+    this.seek(seconds);
+  }
+
+  /** What the renderer refuses, such as more rows than its textures hold, ends everything. */
+  #try(action: () => void): void {
+    try {
+      action();
+    } catch (error) {
+      this.close();
+      this.#problem(error, true);
+    }
+  }
+
+  #problem(error: unknown, fatal: boolean): void {
+    const message = error instanceof Error ? error.message : String(error);
+    this.tell("problem", { message, fatal, error });
+  }
+}

@@ -1,0 +1,236 @@
+// The player as a page sees it: what the viewer wants, what is told of it, and the package that is open.
+import { firstView } from "../format/region.ts";
+import type { Region } from "../format/types.ts";
+import { Media } from "../media/client.ts";
+import type { TargetFormat } from "../render/target.ts";
+import { Catalogue, type RungInfo } from "./catalogue.ts";
+import { joinNewest } from "./http-downloader.ts";
+import { Playback, type Wishes } from "./playback.ts";
+import { type PlayerStats, Statistics } from "./statistics.ts";
+import type { ViewState } from "./view.ts";
+
+export interface PlayerOptions {
+  /** Name of a policy: robust-mpc (default), paper, paper-literal, throughput, bola. */
+  policy?: string;
+  /** Whether the sequence begins again at its end; default true. */
+  loop?: boolean;
+  /** Most media time that is fetched ahead, seconds; default 10. */
+  bufferS?: number;
+  /** What splats are blended into; default: half floats, where the browser has them. */
+  target?: TargetFormat;
+}
+
+/** What the event "problem" tells. */
+export interface Problem {
+  message: string;
+  /** Nothing goes on by itself. */
+  fatal: boolean;
+  error: unknown;
+}
+
+/** Where somebody stands who has not opened a package. */
+const NOWHERE: ViewState = { position: [0, 0, 0], forward: [0, 0, 1], up: [0, -1, 0], fovY: 50, near: 0.01 };
+
+/**
+ * Plays a package on a canvas.
+ *
+ * Events: "open" (tables are there), "firstpicture", "play", "pause", "time" (four times a second), "progress" (something
+ * was fetched), "rung" (another rung is on the screen), "stall" and "resume", "ended", "lost" and "restored" (the WebGL
+ * context), and "problem" (detail: `Problem`).
+ */
+export class Player extends EventTarget {
+  readonly #wishes: Wishes;
+  readonly #statistics = new Statistics();
+  #playback: Playback | null = null;
+  #view: ViewState | null = null;
+  #size = { width: 1, height: 1 };
+  /** Counts what was opened or closed. */
+  #opened = 0;
+
+  constructor(
+    readonly canvas: HTMLCanvasElement,
+    options: PlayerOptions = {},
+  ) {
+    super();
+    const given = { policy: "robust-mpc", loop: true, bufferS: 10, ...options };
+    this.#wishes = { ...given, quality: "auto", speed: 1, paused: true };
+  }
+
+  /**
+   * Open a package by the address of its folder, or of its airgs.json. Its first picture is shown; it moves after `play`.
+   *
+   * Throws FormatError for what is no package, TransportError where it cannot be fetched, UnsupportedError where the
+   * browser cannot play it. Where another package is opened meanwhile, or the player is closed, nothing comes of it.
+   */
+  async open(src: string): Promise<void> {
+    const turn = ++this.#opened;
+    const media = await Media.open(src);
+    try {
+      const catalogue = new Catalogue(media.tables);
+      await joinNewest(catalogue, media);
+      if (turn !== this.#opened) return media.close();
+      this.#playback?.close();
+      this.#playback = null;
+      this.#playback = new Playback(media, catalogue, this.canvas, this.#wishes, this.#statistics, this.#tell);
+    } catch (error) {
+      media.close();
+      throw error;
+    }
+    const { region } = media.tables.root;
+    this.camera = this.#view ?? { ...firstView(region), near: region.near };
+    this.resize(this.#size.width, this.#size.height);
+    this.#tell("open");
+    this.#playback.begin();
+  }
+
+  close(): void {
+    this.#opened++;
+    this.#playback?.close();
+    this.#playback = null;
+  }
+
+  /** Call at every event of a type; the function that is returned ends that. */
+  on(type: string, listener: (event: Event) => void): () => void {
+    this.addEventListener(type, listener);
+    return () => this.removeEventListener(type, listener);
+  }
+
+  /** Go on, after the end from the beginning. */
+  play(): void {
+    const { ended } = this;
+    if (!this.paused && !ended) return;
+    this.#wishes.paused = false;
+    this.#playback?.follow();
+    if (ended) this.seek(0);
+    this.#tell("play");
+  }
+
+  pause(): void {
+    if (this.#wishes.paused) return;
+    this.#wishes.paused = true;
+    this.#playback?.follow();
+    this.#tell("pause");
+  }
+
+  /** Go to a moment of the sequence, seconds. What is on the screen stays until the new picture is there. */
+  async seek(seconds: number): Promise<void> {
+    await this.#playback?.seek(seconds);
+  }
+
+  get paused(): boolean {
+    return this.#wishes.paused;
+  }
+
+  /** Whether all was shown, and nothing is repeated. */
+  get ended(): boolean {
+    return this.#playback?.ended ?? false;
+  }
+
+  /** Whether the moment that was sought is not on the screen yet. */
+  get seeking(): boolean {
+    return this.#playback?.seeking ?? false;
+  }
+
+  /** Whether more is to come. */
+  get live(): boolean {
+    return this.#playback?.catalogue.live ?? false;
+  }
+
+  get loop(): boolean {
+    return this.#wishes.loop;
+  }
+
+  set loop(loop: boolean) {
+    this.#wishes.loop = loop;
+    this.#playback?.choose();
+  }
+
+  /** Seconds of the sequence a second. */
+  get speed(): number {
+    return this.#wishes.speed;
+  }
+
+  set speed(speed: number) {
+    this.#wishes.speed = speed;
+    this.#playback?.follow();
+  }
+
+  /** Frames a second of the sequence at speed 1; 0 before a package is open. */
+  get fps(): number {
+    return this.#playback?.catalogue.fps ?? 0;
+  }
+
+  /** The moment of the sequence that is on the screen, or is sought, seconds. */
+  get currentTime(): number {
+    return this.#playback?.currentTime ?? 0;
+  }
+
+  /** Seconds of the sequence so far; 0 before a package is open. */
+  get duration(): number {
+    return this.#playback?.catalogue.durationS ?? 0;
+  }
+
+  /** Parts of the sequence that are at hand, seconds, with the numbers of their rungs. */
+  get buffered(): { start: number; stop: number; rung: number }[] {
+    return this.#playback?.buffered ?? [];
+  }
+
+  /** What can be chosen, the best quality of keys first; figures are of the part of the package that was seen. */
+  get rungs(): RungInfo[] {
+    return this.#playback?.rungs ?? [];
+  }
+
+  /** The number of the rung on the screen. */
+  get rung(): number | null {
+    return this.#playback?.rung ?? null;
+  }
+
+  /** "auto", or the name of a rung that is always played. */
+  get quality(): string {
+    return this.#wishes.quality;
+  }
+
+  set quality(quality: string) {
+    this.#wishes.quality = quality;
+    this.#playback?.choose();
+  }
+
+  /** What chooses rungs where `quality` is "auto". */
+  get policy(): string {
+    return this.#wishes.policy;
+  }
+
+  set policy(policy: string) {
+    this.#wishes.policy = policy;
+    this.#playback?.choose();
+  }
+
+  /** Where the quality of the package is promised. */
+  get region(): Region | null {
+    return this.#playback?.region ?? null;
+  }
+
+  /** Where the viewer stands; drawn at the next frame of the display. */
+  get camera(): ViewState {
+    return this.#view ?? NOWHERE;
+  }
+
+  set camera(view: ViewState) {
+    this.#view = view;
+    this.#playback?.screen.look(view);
+  }
+
+  get stats(): PlayerStats {
+    return this.#playback?.stats ?? this.#statistics.read(performance.now() / 1e3, null, null, null);
+  }
+
+  /** Pixels of the pictures, from the next one that is drawn. */
+  resize(width: number, height: number): void {
+    this.#size = { width, height };
+    this.#playback?.screen.resize(width, height);
+  }
+
+  readonly #tell = (type: string, detail?: Problem): void => {
+    this.dispatchEvent(new CustomEvent(type, { detail }));
+  };
+}

@@ -1,0 +1,303 @@
+// What is on the screen and what waits to be: starts and stalls of segments, and nothing about where they come from.
+//
+// The timeline holds segments of a session by position. Those before `firstWaiting` have a place in the schedule; the
+// others wait until enough media has arrived. Moments (`…S`) are seconds of the downloader's clock, places (`…At`)
+// those of the schedule, which stands still while it is held and passes at the speed of playing: see schedule.ts.
+import type { Catalogue } from "./catalogue.ts";
+import { type Hold, Schedule } from "./schedule.ts";
+import type { SessionSettings } from "./settings.ts";
+import { lastSlot, newSlot, type Slot } from "./slot.ts";
+
+/** Seconds for which segments that were shown stay in the timeline. */
+const KEPT_S = 60;
+/** A frame begins so much of a frame early, since seconds that stand for whole frames are rounded. */
+export const EARLY = 1e-6;
+
+/** The timeline of a session up to the position `end`, so far where the package grows. */
+export class Playout {
+  /** Stalls for want of media, and waits of the display for pictures. */
+  stalls = 0;
+  private readonly schedule = new Schedule();
+  private timeline: Slot[] = [];
+  private firstWaiting = 0;
+  private firstUnseen = 0; // of the timeline: those before it were given by `started`
+  private skipS = 0;
+  private mediaStallS = 0;
+  private finished = false;
+  private readonly listeners = new Set<() => void>();
+
+  constructor(
+    readonly catalogue: Catalogue,
+    readonly settings: SessionSettings,
+    public end: number = catalogue.end(catalogue.loops(settings.loops)),
+  ) {}
+
+  /** Segments that are shown, scheduled or wait, and those of the last minute, in order. */
+  get slots(): readonly Slot[] {
+    return this.timeline;
+  }
+
+  /** The segment that was enqueued last. */
+  get last(): Slot | null {
+    return this.timeline.at(-1) ?? null;
+  }
+
+  /** Seconds of all stalls, and of those waits of the display that are over. */
+  get stallS(): number {
+    return this.mediaStallS + this.schedule.displayS;
+  }
+
+  /** Seconds of media that a second shows. */
+  get speed(): number {
+    return this.schedule.speed;
+  }
+
+  /** Whether the schedule stands still. */
+  get held(): boolean {
+    return this.schedule.held;
+  }
+
+  /** Call when anything changes; the function that is returned ends that. */
+  onChange(listener: () => void): () => void {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
+
+  /** The schedule stands still from now on: the viewer pauses, or the display waits for pictures, which is a stall. */
+  freeze(nowS: number, why: Hold = "pause"): void {
+    if (!this.schedule.hold(why, nowS)) return;
+    if (why === "display") this.stalls++;
+    this.changed();
+  }
+
+  /** The schedule goes on, unless there is another reason to stand still. */
+  thaw(nowS: number, why: Hold = "pause"): void {
+    if (this.schedule.release(why, nowS)) this.changed();
+  }
+
+  /** So many seconds of media a second, more than 0, from now on. */
+  setSpeed(nowS: number, speed: number): void {
+    this.schedule.setSpeed(nowS, speed);
+    this.changed();
+  }
+
+  /** Drop the segments from a position on: another session fetches them, or others, again. */
+  truncate(position: number): void {
+    const kept = this.timeline.filter((slot) => slot.position < position);
+    this.timeline = kept;
+    this.firstWaiting = Math.min(this.firstWaiting, kept.length);
+    this.firstUnseen = Math.min(this.firstUnseen, kept.length);
+    this.finished = false;
+    this.changed();
+  }
+
+  /** Drop all segments: playing begins anew with what is enqueued next, so many seconds of media into it. */
+  restart(skipS = 0): void {
+    this.skipS = skipS;
+    this.truncate(-Infinity);
+  }
+
+  /** The decoding of the segment at a position begins: what it shows can no longer change. */
+  commit(position: number): void {
+    const slot = this.timeline.find((one) => one.position === position);
+    if (slot) slot.committed = true;
+  }
+
+  /** The first position whose segment can still be dropped without a trace, begun and committed ones aside. */
+  firstFree(nowS: number): number | null {
+    const place = this.schedule.at(nowS);
+    const kept = lastSlot(this.timeline, (slot) => slot.committed || slot.startAt <= place);
+    return kept ? kept.position + 1 : (this.timeline[0]?.position ?? null);
+  }
+
+  /** What is on the screen: a segment and the number of its frame; where playing waits, the last one. Null: nothing
+   * yet. */
+  at(nowS: number): { slot: Slot; frame: number } | null {
+    const place = this.schedule.at(nowS);
+    const slot = lastSlot(this.timeline, (one) => one.startAt <= place);
+    if (!slot) return null;
+    return { slot, frame: Math.min(slot.frames - 1, Math.floor((place - slot.startAt) * this.catalogue.fps + EARLY)) };
+  }
+
+  /** Whether there is nothing to go on with: before playing begins, in a stall, and after the end. */
+  waits(nowS: number): boolean {
+    return this.schedule.at(nowS) >= this.scheduledEndAt;
+  }
+
+  /** Whether everything was shown. */
+  done(nowS: number): boolean {
+    const whole =
+      this.finished || (!this.catalogue.live && (this.last?.position ?? Number.NEGATIVE_INFINITY) >= this.end - 1);
+    return whole && this.waits(nowS) && this.firstWaiting === this.timeline.length;
+  }
+
+  /** Seconds of media at hand that were not shown. */
+  bufferS(nowS: number): number {
+    return Math.max(0, this.dueAt(nowS) - this.schedule.at(nowS));
+  }
+
+  /** What is at hand from the segment on the screen on, in seconds of the sequence, with its rungs. */
+  buffered(nowS: number): { start: number; stop: number; rung: number }[] {
+    const ranges: { start: number; stop: number; rung: number }[] = [];
+    const place = this.schedule.at(nowS);
+    for (const slot of this.timeline) {
+      if (slot.rung === null || slot.startAt + slot.seconds <= place) continue;
+      const span = this.catalogue.span(this.catalogue.index(slot.position));
+      const [start, stop] = [span.start / this.catalogue.fps, span.stop / this.catalogue.fps];
+      const before = ranges.at(-1);
+      if (before && before.stop === start && before.rung === slot.rung) before.stop = stop;
+      else ranges.push({ start, stop, rung: slot.rung });
+    }
+    return ranges;
+  }
+
+  /** When a segment's first frame is shown, as the schedule stands; if it is held, as if it went on now. */
+  startS(slot: Slot, nowS: number): number {
+    return this.schedule.reached(slot.startAt, nowS);
+  }
+
+  /** The place where the next segment is due, the end of all that is buffered; where playing waits, as if it went on
+   * now. */
+  dueAt(nowS: number): number {
+    const waiting = this.waitingS();
+    const resumes = waiting || !this.firstWaiting ? this.schedule.at(nowS) : -Infinity;
+    return Math.max(this.scheduledEndAt, resumes) + waiting;
+  }
+
+  /** When a segment that is due at a place must have arrived to be shown without a stall, the time to decode it taken
+   * off. */
+  deadlineS(dueAt: number, nowS: number): number {
+    return this.schedule.reached(dueAt, nowS) - this.settings.decodeFrameS;
+  }
+
+  /** Resume if playing waits for more media although the buffer is too full for the segment at a position. */
+  makeRoom(position: number): void {
+    if (this.blocking(position)?.slot.startAt === Infinity) this.resume();
+  }
+
+  /** Earliest request time at which the segment fits the buffer; −Infinity if it fits now. */
+  earliestRequestS(position: number, nowS: number): number {
+    const blocking = this.blocking(position);
+    if (!blocking) return -Infinity;
+    const place = blocking.slot.startAt + blocking.restS;
+    return this.held && place > this.schedule.at(nowS) ? Infinity : this.schedule.reached(place, nowS);
+  }
+
+  /** Append a segment that arrived, or is lost; playing begins or goes on when there is enough. */
+  enqueue(position: number, rung: number | null, arrivedS: number): void {
+    const readyS = arrivedS + (rung === null ? 0 : this.settings.decodeFrameS);
+    const slot = newSlot(this.catalogue, { position, rung, readyS, readyAt: this.schedule.at(readyS) });
+    this.timeline.push(slot);
+    this.finished = false;
+    this.place(slot);
+    this.trim(arrivedS);
+    this.changed();
+  }
+
+  /** Nothing will follow. */
+  finish(nowS: number): void {
+    this.finished = true;
+    if (this.firstWaiting < this.timeline.length) this.resume(this.schedule.at(nowS));
+    this.changed();
+  }
+
+  /** Segments that were not given by `started` yet, but for the lost and the committed ones: what they show can change.
+   */
+  pending(): Slot[] {
+    return this.timeline.slice(this.firstUnseen).filter((slot) => slot.rung !== null && !slot.committed);
+  }
+
+  /** Show another rung of a segment. */
+  replace(slot: Slot, rung: number): void {
+    slot.rung = rung;
+    this.changed();
+  }
+
+  /** A segment turns out to be of no use: the picture before it stands for its time. */
+  lose(position: number): void {
+    const slot = this.timeline.find((one) => one.position === position);
+    if (slot) slot.rung = null;
+    this.changed();
+  }
+
+  /** Segments that began before a moment, or have a place at all, and were not given yet: nothing replaces them any
+   * more. */
+  started(beforeS: number | null): Slot[] {
+    const before = beforeS === null ? Infinity : this.schedule.at(beforeS);
+    const first = this.firstUnseen;
+    while (this.firstUnseen < this.firstWaiting && this.timeline[this.firstUnseen].startAt < before) this.firstUnseen++;
+    return this.timeline.slice(first, this.firstUnseen);
+  }
+
+  /** End of the last segment that has a place; −Infinity before playing begins. */
+  private get scheduledEndAt(): number {
+    if (!this.firstWaiting) return -Infinity;
+    const slot = this.timeline[this.firstWaiting - 1];
+    return slot.startAt + slot.seconds;
+  }
+
+  private waitingS(): number {
+    const waiting = this.timeline.slice(this.firstWaiting);
+    const sum = waiting.reduce((seconds, slot) => seconds + slot.seconds, 0);
+    return waiting.length && !this.firstWaiting ? sum - this.skipS : sum;
+  }
+
+  /** The latest segment that must have begun for another to fit the buffer, and seconds to be shown of it. */
+  private blocking(position: number): { slot: Slot; restS: number } | null {
+    let ahead = this.catalogue.secondsAt(position);
+    const most = this.settings.bufferS;
+    for (let i = this.timeline.length - 1; i >= 0; i--) {
+      const slot = this.timeline[i];
+      if (ahead + slot.seconds > most) return { slot, restS: slot.seconds - Math.max(0, most - ahead) };
+      ahead += slot.seconds;
+    }
+    return null;
+  }
+
+  /** The place of a segment that was appended, if it can have one. */
+  private place(slot: Slot): void {
+    if (this.timeline.length - this.firstWaiting === 1 && slot.readyAt <= this.scheduledEndAt) {
+      slot.startAt = this.scheduledEndAt;
+      this.firstWaiting++;
+      return;
+    }
+    const wanted = this.firstWaiting ? this.settings.resumeS : this.settings.startupS;
+    const isLast = slot.position === this.end - 1 && !this.catalogue.live;
+    if (isLast || this.waitingS() >= wanted) this.resume();
+  }
+
+  /** Show what waits, one segment after another, from the place where all of it is ready. */
+  private resume(earliestAt = -Infinity): void {
+    const waiting = this.timeline.slice(this.firstWaiting);
+    const dueAt = this.scheduledEndAt;
+    let at = Math.max(dueAt, earliestAt, ...waiting.map((slot) => slot.readyAt));
+    if (this.firstWaiting) this.stall(waiting[0], (at - dueAt) / this.speed);
+    else at -= this.skipS;
+    for (const slot of waiting) {
+      slot.startAt = at;
+      at += slot.seconds;
+    }
+    this.firstWaiting = this.timeline.length;
+  }
+
+  private stall(slot: Slot, seconds: number): void {
+    slot.stallS = seconds;
+    if (seconds > 0) this.stalls++;
+    this.mediaStallS += seconds;
+  }
+
+  /** Forget what was shown long ago. */
+  private trim(nowS: number): void {
+    const longAgo = this.schedule.at(nowS) - KEPT_S;
+    const past = this.timeline.findIndex((slot) => slot.startAt + slot.seconds >= longAgo);
+    const count = Math.min(past, this.firstUnseen, this.firstWaiting - 1);
+    if (count <= 0) return;
+    this.timeline.splice(0, count);
+    this.firstWaiting -= count;
+    this.firstUnseen -= count;
+  }
+
+  private changed(): void {
+    for (const listener of this.listeners) listener();
+  }
+}

@@ -1,0 +1,174 @@
+// Model-predictive control with a discounted throughput estimate (Yin et al., SIGCOMM 2015).
+//
+// It knows the true sizes and qualities of what comes (as Puffer, NSDI 2020). R rungs, P rungs of the segment before
+// (or 1, where they do not matter), B points of the buffer's grid. Values are in dB times seconds; the coefficients
+// were chosen on the Ghent 4G traces, none of which is in the studies of the documentation.
+import { type Decision, select } from "../ladder.ts";
+import {
+  bufferS,
+  type Download,
+  fullLadder,
+  limitS,
+  type PlayerState,
+  RESERVE_S,
+  STALL_DB,
+  segmentS,
+  shownS,
+} from "./state.ts";
+
+/** Cost of a change of quality by 1 dB from one segment to the next. */
+const SWITCH_DB = 0.25;
+/** Cost of every second that the buffer is short of RESERVE_S, while it is. */
+const LOW_BUFFER_DB = 1;
+/** How far it looks, in time and in segments at most. */
+const HORIZON_S = 8;
+export const HORIZON_SEGMENTS = 12;
+/** Of the buffer. */
+const GRID_POINTS = 80;
+/** Whose worst error discounts the estimate. */
+const PAST_DOWNLOADS = 3;
+
+/** bit/s: harmonic mean of the last downloads over 1 + the worst relative error of predicting them so. */
+export function discountedThroughput(history: readonly Download[]): number {
+  const rates = history.slice(-2 * PAST_DOWNLOADS).map((d) => (8 * d.bytes) / d.seconds);
+  if (!rates.length) return 0;
+  let worst = 0;
+  for (let i = Math.max(1, rates.length - PAST_DOWNLOADS); i < rates.length; i++) {
+    const predicted = harmonic(rates.slice(Math.max(0, i - PAST_DOWNLOADS), i));
+    worst = Math.max(worst, predicted / rates[i] - 1);
+  }
+  return harmonic(rates.slice(-PAST_DOWNLOADS)) / (1 + worst);
+}
+
+const harmonic = (rates: readonly number[]): number => rates.length / rates.reduce((sum, rate) => sum + 1 / rate, 0);
+
+/** The link and the buffer as the controller takes them to be. */
+interface Model {
+  rateBps: number;
+  /** Of every request. */
+  latencyS: number;
+  /** Of the buffer. */
+  limitS: number;
+  /** (B) buffers for which values are known. */
+  gridS: Float64Array;
+}
+
+/** A segment that is looked at. */
+interface Step {
+  seconds: number;
+  /** (P · R) bytes of rung r after rung p of the segment before, at place p R + r. */
+  sizes: Float64Array;
+  /** (R) dB */
+  quality: Float64Array;
+}
+
+/** The first of the rungs that maximise quality − changes − stalls − want of a reserve over the next segments.
+ *
+ * Dynamic programming backwards over (rung before, buffer), the buffer on a grid, at a constant discounted rate.
+ */
+export function chooseRobustMpc(state: PlayerState): Decision {
+  const rateBps = discountedThroughput(state.history);
+  if (rateBps <= 0) return select(fullLadder(state), 0);
+  const model = { rateBps, latencyS: state.requestLatencyS, limitS: limitS(state), gridS: grid(limitS(state)) };
+  const steps = horizon(state);
+  const value = valueAfter(model, steps);
+  const [have, seconds] = [bufferS(state), segmentS(state)];
+  let best = { total: -Infinity, fits: false, option: state.options[0] };
+  for (const option of state.options) {
+    const took = downloadS(model, option.sizeBytes);
+    const change = state.shownQuality === null ? 0 : Math.abs(option.quality - state.shownQuality);
+    const stall = Math.max(took - have, 0);
+    const left = Math.min(Math.max(have - took, 0) + seconds, model.limitS);
+    const low = LOW_BUFFER_DB * Math.max(RESERVE_S - left, 0);
+    const after = interpolate(left, model.gridS, value, option.index * GRID_POINTS);
+    const total = seconds * (option.quality - SWITCH_DB * change - low) - STALL_DB * stall + after;
+    const smaller = total === best.total && option.sizeBytes < best.option.sizeBytes;
+    if (total > best.total || smaller) best = { total, fits: stall <= 0, option };
+  }
+  const { index, sizeBytes } = best.option;
+  const ahead = `buffer ${have.toFixed(2)} s, ${steps.length} segments ahead`;
+  return { index, fits: best.fits, reason: `${(rateBps / 1e6).toFixed(2)} Mbit/s, ${ahead}`, sizeBytes };
+}
+
+/** Seconds to fetch so many bytes; nothing is requested for none. */
+const downloadS = (model: Pick<Model, "latencyS" | "rateBps">, bytes: number): number =>
+  (bytes > 0 ? model.latencyS : 0) + (8 * bytes) / model.rateBps;
+
+/** The positions looked at, this one first. */
+function horizon(state: PlayerState): Step[] {
+  const c = state.catalogue;
+  const steps: Step[] = [];
+  let total = 0;
+  for (const { segment, startsGroup } of c.upcoming(state.position, HORIZON_SEGMENTS, state.end)) {
+    if (steps.length && total >= HORIZON_S) break;
+    const sizes = startsGroup ? c.bytesFromScratch(segment) : c.bytesAfter(segment);
+    steps.push({ seconds: shownS(state, segment), sizes, quality: c.quality(segment) });
+    total += steps[steps.length - 1].seconds;
+  }
+  return steps;
+}
+
+/** (R · B) best total of what follows the first step, by its rung and the buffer that it leaves. */
+function valueAfter(model: Model, steps: readonly Step[]): Float64Array {
+  let value: Float64Array = new Float64Array(steps[0].quality.length * GRID_POINTS);
+  for (let i = steps.length - 1; i > 0; i--) value = valueBefore(model, steps[i], steps[i - 1].quality, value);
+  return value;
+}
+
+/** (R · B) best total from a step on, by the rung before it and the buffer; `value` is that of what follows it. */
+function valueBefore(model: Model, step: Step, qualityBefore: Float64Array, value: Float64Array): Float64Array {
+  const rungs = step.quality.length;
+  const alike = step.sizes.length === rungs; // the rung before makes no difference to sizes; else to few of them
+  const best = new Float64Array(value.length).fill(-Infinity);
+  const total = new Float64Array(GRID_POINTS);
+  for (let r = 0; r < rungs; r++) {
+    let size = -1;
+    for (let p = 0; p < rungs; p++) {
+      const wanted = step.sizes[alike ? r : p * rungs + r];
+      if (wanted !== size) totals(model, step, { r, size: wanted }, value, total);
+      size = wanted;
+      const change = step.seconds * SWITCH_DB * Math.abs(step.quality[r] - qualityBefore[p]);
+      for (let b = 0, at = p * GRID_POINTS; b < GRID_POINTS; b++, at++) {
+        if (total[b] - change > best[at]) best[at] = total[b] - change;
+      }
+    }
+  }
+  return best;
+}
+
+/** Into `total`: (B) what a rung r of so many bytes brings, with what follows, changes of quality aside. */
+function totals(
+  { gridS, limitS, latencyS, rateBps }: Model,
+  { seconds, quality }: Step,
+  { r, size }: { r: number; size: number },
+  value: Float64Array,
+  total: Float64Array,
+): void {
+  const took = downloadS({ latencyS, rateBps }, size);
+  const row = r * GRID_POINTS;
+  const scale = (GRID_POINTS - 1) / limitS;
+  for (let b = 0; b < GRID_POINTS; b++) {
+    const buffer = gridS[b] - took;
+    const left = Math.min(Math.max(buffer, 0) + seconds, limitS);
+    const at = Math.min(Math.trunc(left * scale), GRID_POINTS - 2);
+    const part = left * scale - at;
+    const here = seconds * quality[r] + STALL_DB * Math.min(buffer, 0);
+    const low = seconds * LOW_BUFFER_DB * Math.max(RESERVE_S - left, 0);
+    total[b] = here - low + value[row + at] * (1 - part) + value[row + at + 1] * part;
+  }
+}
+
+/** (B) numbers from 0 to `stop`, evenly. */
+function grid(stop: number): Float64Array {
+  const step = stop / (GRID_POINTS - 1);
+  return Float64Array.from({ length: GRID_POINTS }, (_, i) => (i === GRID_POINTS - 1 ? stop : i * step));
+}
+
+/** The value at a place of the grid, linear between its points; `row` is where the values of the grid begin. */
+function interpolate(place: number, gridS: Float64Array, value: Float64Array, row: number): number {
+  if (place >= gridS[GRID_POINTS - 1]) return value[row + GRID_POINTS - 1];
+  let at = 0;
+  while (at < GRID_POINTS - 2 && gridS[at + 1] <= place) at++;
+  const slope = (value[row + at + 1] - value[row + at]) / (gridS[at + 1] - gridS[at]);
+  return slope * (place - gridS[at]) + value[row + at];
+}

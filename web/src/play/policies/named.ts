@@ -1,0 +1,43 @@
+// The table of policies by name.
+import type { Catalogue } from "../catalogue.ts";
+import { ConfigError } from "../settings.ts";
+import { chooseBola } from "./bola.ts";
+import { chooseFixed } from "./fixed.ts";
+import { chooseRobustMpc, HORIZON_SEGMENTS } from "./mpc.ts";
+import { choosePaper, choosePaperLiteral } from "./paper.ts";
+import type { Policy } from "./state.ts";
+import { chooseThroughput } from "./throughput.ts";
+
+const adaptive = (name: string, choose: Policy["choose"], horizon = 1): [string, Policy] => [
+  name,
+  { name, choose, mayAbandon: true, mayReplace: true, needsQuality: true, horizon },
+];
+
+export const ADAPTIVE: ReadonlyMap<string, Policy> = new Map([
+  adaptive("paper", choosePaper),
+  adaptive("paper-literal", choosePaperLiteral),
+  adaptive("throughput", chooseThroughput),
+  adaptive("bola", chooseBola),
+  adaptive("robust-mpc", chooseRobustMpc, HORIZON_SEGMENTS),
+]);
+
+/** A policy by name, or fixed:J (level J with the finest keys) or fixed:RUNG (such as Q1+L3).
+ *
+ * Throws ConfigError for other names.
+ */
+export function makePolicy(name: string, catalogue: Catalogue): Policy {
+  const known = ADAPTIVE.get(name);
+  if (known) return known;
+  const rung = fixedRung(name, catalogue);
+  const choose: Policy["choose"] = (state) => chooseFixed(state, rung);
+  return { name, choose, mayAbandon: false, mayReplace: false, needsQuality: false, horizon: 1 };
+}
+
+function fixedRung(name: string, { names, tables }: Catalogue): number {
+  const levels = tables.root.levels.length;
+  const wanted = name.startsWith("fixed:") ? name.slice("fixed:".length) : "";
+  if (names.includes(wanted)) return names.indexOf(wanted);
+  if (/^[0-9]+$/.test(wanted) && Number(wanted) < levels) return Number(wanted);
+  const expected = `${[...ADAPTIVE.keys()].join(", ")}, fixed:0 … fixed:${levels - 1} or fixed:${names.at(-1)}`;
+  throw new ConfigError(`policy: expected ${expected}, got ${name}`);
+}

@@ -1,0 +1,106 @@
+// What a policy is, what it knows, and the estimates that several policies share.
+import type { Catalogue, DecodedTiers } from "../catalogue.ts";
+import { buildLadder, type Decision, type Option } from "../ladder.ts";
+
+/** Share of the estimated throughput that is spent. */
+export const SAFETY = 0.9;
+/** Of the two throughput averages, seconds; the smaller one counts (as in dash.js). */
+const HALF_LIVES_S = [3, 8];
+/** Of the buffered time that one segment may use. */
+const BUFFER_SHARE = 0.5;
+/** Seconds of media time that BOLA and the model-predictive controller keep. */
+export const RESERVE_S = 3;
+/** Quality in dB that a second of waiting is worth (Puffer's coefficient). */
+export const STALL_DB = 20;
+
+/** A finished batch, as the throughput estimate sees it. */
+export interface Download {
+  bytes: number;
+  /** From the first byte to the last. */
+  seconds: number;
+}
+
+/** What is known when a segment is to be requested. Times are seconds of the downloader's clock. */
+export interface PlayerState {
+  catalogue: Catalogue;
+  /** Of the segment in the session. */
+  position: number;
+  /** Positions of the session; may be Infinity. */
+  end: number;
+  /** Of the segment's group. */
+  decodedTiers: DecodedTiers;
+  /** Every rung that can be had, with its wire bytes. */
+  options: readonly Option[];
+  nowS: number;
+  /** When it must arrive to be shown in time; in the past when the player waits. */
+  deadlineS: number;
+  /** Most media time ahead of the playhead. */
+  bufferLimitS: number;
+  /** From now to the first byte. */
+  requestLatencyS: number;
+  /** dB of the segment before it; null: none, or it was lost. */
+  shownQuality: number | null;
+  /** Oldest first. */
+  history: readonly Download[];
+  /** Seconds of media that a second shows. */
+  speed: number;
+}
+
+/** A rule that chooses the rung of the next segment, and what the player may do beside it. */
+export interface Policy {
+  name: string;
+  choose: (state: PlayerState) => Decision;
+  /** Give up downloads that would come too late. */
+  mayAbandon: boolean;
+  /** Fetch better rungs for buffered segments. */
+  mayReplace: boolean;
+  /** Only packages with measured quality. */
+  needsQuality: boolean;
+  /** Segments whose sizes it looks at, the next one first. */
+  horizon: number;
+}
+
+/** Seconds for which a segment is on the screen. */
+export const shownS = (state: PlayerState, segment: number): number => state.catalogue.seconds(segment) / state.speed;
+
+/** Seconds for which the segment to be requested is on the screen. */
+export const segmentS = (state: PlayerState): number => shownS(state, state.catalogue.index(state.position));
+
+/** Seconds until what is at hand has been shown. */
+export const bufferS = (state: PlayerState): number => Math.max(0, state.deadlineS - state.nowS);
+
+/** Seconds that a full buffer shows. */
+export const limitS = (state: PlayerState): number => state.bufferLimitS / state.speed;
+
+/** bit/s: the smaller of two exponential averages weighted by download time; 0 before the first download. */
+export function estimateThroughput(history: readonly Download[]): number {
+  return Math.min(
+    ...HALF_LIVES_S.map((halfLife) => {
+      let [value, weight] = [0, 0];
+      for (const { bytes, seconds } of history) {
+        const keep = 0.5 ** (seconds / halfLife);
+        value = keep * value + ((1 - keep) * 8 * bytes) / seconds;
+        weight = keep * weight + (1 - keep);
+      }
+      return weight > 0 ? value / weight : 0;
+    }),
+  );
+}
+
+/** Bytes that can arrive in time: the paper's B / R over a segment, plus half of the time that is buffered.
+ *
+ * SAFETY · B · window / 8, window = max(segment, BUFFER_SHARE · (deadline − now)) − latency. Sizes include headers.
+ */
+export function budgetBytes(state: PlayerState): number {
+  const buffered = BUFFER_SHARE * (state.deadlineS - state.nowS);
+  const window = Math.max(segmentS(state), buffered) - state.requestLatencyS;
+  return (SAFETY * estimateThroughput(state.history) * window) / 8;
+}
+
+/** The rungs worth having, without the cliff test.
+ *
+ * The cliff belongs to the dense level space that a package's few levels were taken from, and a rung it removed here
+ * could only be replaced by a stall.
+ */
+export const fullLadder = (state: PlayerState): Option[] =>
+  buildLadder(state.options, { beta: Infinity, cliffDb: Infinity });

@@ -1,0 +1,98 @@
+// The part of a session that fetches: one batch at a time, and what arrives is kept.
+
+import type { Catalogue } from "./catalogue.ts";
+import type { Downloader, GiveUp } from "./downloader.ts";
+import type { Arrival, Arrived, Request } from "./events.ts";
+import type { Playout } from "./playout.ts";
+import type { Download, Policy } from "./policies/state.ts";
+import type { SessionSettings } from "./settings.ts";
+import type { Stores } from "./stores.ts";
+
+/** Downloads that policies know. */
+const REMEMBERED = 24;
+/** A download that rounds to no time still has a rate: seconds. */
+const SHORTEST_S = 1e-9;
+
+/** What a session is made of. */
+export interface SessionParts {
+  catalogue: Catalogue;
+  downloader: Downloader;
+  policy: Policy;
+  settings: SessionSettings;
+  playout: Playout;
+  stores: Stores;
+}
+
+/** Fetches for a session until the signal aborts. */
+export class Receiver {
+  /** When the last batch was over, or when there was room for the next. */
+  nowS: number;
+
+  constructor(
+    private readonly parts: SessionParts,
+    readonly signal: AbortSignal,
+  ) {
+    this.nowS = parts.downloader.now();
+  }
+
+  /** Wait until a moment; less long where the playout changes, or the signal aborts. */
+  async wait(untilS: number): Promise<void> {
+    await this.parts.downloader.wait(untilS, this.parts.playout, this.signal);
+    this.nowS = this.parts.downloader.now();
+  }
+
+  /** Fetch tables for a position. */
+  async fetchTables(tables: readonly string[], position: number): Promise<Arrived> {
+    const batch = { keys: [], state: [], tables };
+    const { rttS } = this.parts.downloader;
+    const arrival = await this.receive(
+      { kind: "tables", position, rung: 0, batch, sentS: this.nowS, latencyS: rttS },
+      null,
+    );
+    const decision = { index: 0, fits: true, reason: "tables", sizeBytes: arrival.bytes };
+    return { type: "arrived", arrival, decision, budgetBytes: 0, throughputBps: 0 };
+  }
+
+  /** The last downloads that are over when a request is sent, oldest first. */
+  history(sentS: number): Download[] {
+    const past = this.parts.stores.downloads.slice(-REMEMBERED);
+    return past.filter(({ atS }) => atS <= sentS + SHORTEST_S).map(({ download }) => download);
+  }
+
+  /** Fetch a batch and keep what is of use; time goes on. */
+  async receive(request: Request, giveUp: GiveUp | null): Promise<Arrival> {
+    const { downloader, stores } = this.parts;
+    const arrival = await downloader.fetch(request, giveUp, this.signal);
+    this.nowS = arrival.atS;
+    for (const path of arrival.refused.keys()) stores.unusable.add(path);
+    stores.tables.add(arrival);
+    if (request.kind === "tables") return arrival; // too small to tell the rate: they come in one burst
+    if (!arrival.cached && !this.signal.aborted) this.remember(arrival);
+    stores.keys.add(arrival);
+    this.useKeys(request);
+    return arrival;
+  }
+
+  private remember({ atS, firstByteS, bytes }: Arrival): void {
+    const { downloads } = this.parts.stores;
+    downloads.push({ atS, download: { bytes, seconds: Math.max(atS - firstByteS, SHORTEST_S) } });
+    if (downloads.length > REMEMBERED) downloads.shift();
+  }
+
+  /** Show what is buffered of a group with its best keys, where they are decoded in time. */
+  private useKeys({ position, rung }: Request): void {
+    const { catalogue: c, playout, settings, stores } = this.parts;
+    const quality = c.rungs[rung][0];
+    const tiers = stores.keys.decodedTiers(position).get(quality) ?? 0;
+    const of = c.group(position);
+    for (const slot of playout.pending()) {
+      const { loop, group } = c.group(slot.position);
+      const inTime = playout.startS(slot, this.nowS) >= this.nowS + settings.decodeFrameS;
+      if (loop !== of.loop || group !== of.group || !inTime) continue;
+      const [shownQuality, level] = c.rungs[slot.rung ?? 0];
+      if (quality < shownQuality && tiers >= c.tables.root.levels[level].tiers) {
+        playout.replace(slot, quality * c.tables.root.levels.length + level);
+      }
+    }
+  }
+}

@@ -1,0 +1,59 @@
+// The rungs of a package as people choose one: what they look like and cost on the whole.
+import type { Catalogue, RungInfo } from "./catalogue.ts";
+
+/** Sums over the segments of the groups whose tables were there when somebody asked. */
+export class RungTotals {
+  readonly #totals: { bytes: number; quality: number }[];
+  readonly #counted = new Set<number>();
+  #seconds = 0;
+  #rows: RungInfo[] | null = null;
+
+  constructor(private readonly catalogue: Catalogue) {
+    this.#totals = catalogue.rungs.map(() => ({ bytes: 0, quality: 0 }));
+  }
+
+  /** One a rung. */
+  read(): RungInfo[] {
+    const { tables } = this.catalogue;
+    for (let group = 0; group < tables.index.groups; group++) {
+      if (this.#counted.has(group) || !tables.has(group)) continue;
+      this.#counted.add(group);
+      this.#rows = null;
+      const { firstSegment, segments } = tables.index.entry(group);
+      for (let s = firstSegment; s < firstSegment + segments; s++) this.#add(s);
+    }
+    this.#rows ??= this.#list();
+    return this.#rows;
+  }
+
+  #list(): RungInfo[] {
+    const { measured, names } = this.catalogue;
+    const seconds = this.#seconds;
+    const rows = this.#totals.map(({ bytes, quality }, rung) => ({
+      name: names[rung],
+      psnr: measured && seconds > 0 ? quality / seconds : null,
+      kbps: seconds > 0 ? (8 * bytes) / seconds / 1000 : 0,
+    }));
+    return rows.map((row) => ({ ...row, onLadder: !rows.some((other) => beats(other, row)) }));
+  }
+
+  #add(s: number): void {
+    const c = this.catalogue;
+    const seconds = c.seconds(s);
+    this.#seconds += seconds;
+    const sizes = c.bytesFromScratch(s);
+    const states = c.stateBytes(s);
+    const quality = c.quality(s);
+    const begins = c.startsGroup(s);
+    c.rungs.forEach(([, level], rung) => {
+      this.#totals[rung].bytes += begins ? sizes[rung] : states[level];
+      this.#totals[rung].quality += seconds * quality[rung];
+    });
+  }
+}
+
+/** Whether a rung has more quality at no more bytes, or the same at fewer; without qualities none beats another. */
+function beats(a: { psnr: number | null; kbps: number }, b: { psnr: number | null; kbps: number }): boolean {
+  if (a.psnr === null || b.psnr === null) return false;
+  return a.kbps <= b.kbps && a.psnr >= b.psnr && (a.kbps < b.kbps || a.psnr > b.psnr);
+}

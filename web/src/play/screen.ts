@@ -1,0 +1,176 @@
+// What is on the canvas: a scene for each group on its way to the viewer, its rows' order in depth, and one picture drawn
+// when something has changed.
+import type { Canonical, Group, Root } from "../format/types.ts";
+import { Renderer, type Scene } from "../render/renderer.ts";
+import { Sorter } from "../render/sorter.ts";
+import type { TargetFormat } from "../render/target.ts";
+import type { Clip } from "./clip.ts";
+import { cameraOf, type ViewState } from "./view.ts";
+
+/** A canonical space on the GPU, and what of which clip it shows. */
+interface Stage {
+  /** What the sorter knows it by. */
+  readonly key: string;
+  readonly canonical: Canonical;
+  readonly scene: Scene;
+  clip: Clip | null;
+  /** The frame up to which the bases of the clip were followed; -1: none. */
+  frame: number;
+  /** (3N) means that the sorter does not have yet; null: it has them. */
+  means: Float32Array | null;
+  sorting: boolean;
+  /** Something changed since the order under way was asked for. */
+  stale: boolean;
+}
+
+export interface ScreenOptions {
+  target?: TargetFormat;
+  /** The context is gone, or is back: what was shown must be shown again. */
+  onLost?: () => void;
+  onRestored?: () => void;
+}
+
+/** Shows frames of clips on a canvas. While the WebGL context is lost, nothing is shown and nothing fails. */
+export class Screen {
+  #renderer: Renderer | null;
+  readonly #sorter = new Sorter();
+  readonly #stages = new Map<Canonical, Stage>();
+  #shown: Stage | null = null;
+  #view: ViewState | null = null;
+  #size = { width: 1, height: 1 };
+  #dirty = false;
+  #made = 0;
+  readonly #end = new AbortController();
+
+  constructor(
+    readonly canvas: HTMLCanvasElement,
+    readonly tables: { root: Root; group(number: number): Group },
+    readonly options: ScreenOptions = {},
+  ) {
+    this.#renderer = this.#makeRenderer();
+    const { signal } = this.#end;
+    canvas.addEventListener("webglcontextlost", () => this.#lose(), { signal });
+    canvas.addEventListener("webglcontextrestored", () => this.#restore(), { signal });
+  }
+
+  /** Look from somewhere else, from the next picture on. */
+  look(view: ViewState): void {
+    this.#view = view;
+    this.#dirty = true;
+    for (const stage of this.#stages.values()) this.#sort(stage);
+  }
+
+  /** Pixels of the pictures, from the next one on. */
+  resize(width: number, height: number): void {
+    this.#size = { width: Math.max(1, Math.round(width)), height: Math.max(1, Math.round(height)) };
+    this.#dirty = true;
+  }
+
+  /** Make ready what a clip begins with, so that its first frame can follow the one before without a pause. */
+  prepare(clip: Clip): void {
+    this.#stage(clip);
+  }
+
+  /**
+   * Show a decoded frame of a clip from the next picture on. False: not yet, since the scene of its group has no order; the
+   * old picture stays.
+   */
+  show(clip: Clip, frame: number): boolean {
+    const stage = this.#stage(clip);
+    const renderer = this.#renderer;
+    if (!stage || !renderer?.ready(stage.scene)) return false;
+    if (stage.clip !== clip || frame < stage.frame) {
+      renderer.level(stage.scene, clip.level);
+      Object.assign(stage, { clip, frame: -1 });
+    }
+    for (let t = stage.frame + 1; t <= frame; t++) {
+      const { bases } = clip.frames[t] ?? { bases: null };
+      if (bases) renderer.bases(stage.scene, bases);
+    }
+    const state = clip.frames[frame] ?? null;
+    renderer.state(stage.scene, clip.atlas, state?.luma ?? null);
+    stage.means = state?.means ?? clip.canonical.means;
+    Object.assign(stage, { frame });
+    this.#shown = stage;
+    this.#dirty = true;
+    this.#sort(stage);
+    return true;
+  }
+
+  /** Draw, if anything has changed and the GPU has finished the picture before. True: a picture was drawn. */
+  draw(): boolean {
+    const stage = this.#shown;
+    if (!this.#dirty || !stage || !this.#view || !this.#renderer || this.#renderer.busy) return false;
+    const { width, height } = this.#size;
+    if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
+    this.#dirty = !this.#renderer.draw(stage.scene, cameraOf(this.#view, width, height));
+    return !this.#dirty;
+  }
+
+  /** Free the scenes of all canonical spaces but these and the one on the screen. */
+  keep(spaces: ReadonlySet<Canonical>): void {
+    for (const [canonical, stage] of this.#stages) {
+      if (spaces.has(canonical) || stage === this.#shown) continue;
+      this.#renderer?.free(stage.scene);
+      this.#sorter.forget(stage.key);
+      this.#stages.delete(canonical);
+    }
+  }
+
+  close(): void {
+    this.#end.abort();
+    this.#sorter.close();
+    this.#renderer?.dispose();
+    this.#renderer = null;
+    this.#stages.clear();
+    this.#shown = null;
+  }
+
+  #makeRenderer(): Renderer {
+    const { target } = this.options;
+    return new Renderer(this.canvas, target ? { target } : {});
+  }
+
+  #stage(clip: Clip): Stage | null {
+    const { canonical } = clip;
+    const known = this.#stages.get(canonical);
+    if (known || !this.#renderer) return known ?? null;
+    const scene = this.#renderer.scene(this.tables.root, this.tables.group(canonical.group), canonical);
+    const means = clip.frames.find((frame) => frame?.means.length)?.means ?? canonical.means;
+    const key = `${this.#made++}`;
+    const stage: Stage = { key, canonical, scene, clip: null, frame: -1, means, sorting: false, stale: false };
+    this.#stages.set(canonical, stage);
+    this.#sort(stage);
+    return stage;
+  }
+
+  /** Ask for the order of a stage; while one is under way, only the newest question counts. */
+  async #sort(stage: Stage): Promise<void> {
+    stage.stale = true;
+    if (stage.sorting) return;
+    stage.sorting = true;
+    while (stage.stale && this.#view) {
+      stage.stale = false;
+      const { means } = stage;
+      stage.means = null;
+      const rows = await this.#sorter.order(means, stage.key, cameraOf(this.#view, 1, 1));
+      if (this.#stages.get(stage.canonical) !== stage || !this.#renderer) return;
+      if (!rows) continue;
+      this.#renderer.order(stage.scene, rows);
+      this.#dirty ||= stage === this.#shown;
+    }
+    stage.sorting = false;
+  }
+
+  #lose(): void {
+    this.#renderer = null;
+    this.#stages.clear();
+    this.#shown = null;
+    this.options.onLost?.();
+  }
+
+  #restore(): void {
+    this.#renderer = this.#makeRenderer();
+    this.options.onRestored?.();
+  }
+}

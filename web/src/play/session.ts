@@ -1,0 +1,287 @@
+// A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
+//
+// One batch passes at a time: those key units of the chosen rung that are not decoded, in tier order, then the state
+// segment. When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it better keys
+// of its group) as long as it will be there in time. A download that would come too late is abandoned when a smaller
+// one would come sooner; whole key files that have arrived are kept. A segment none of whose rungs can be had is lost:
+// the last picture stands for its time, and the session goes on.
+//
+// What a batch offers stands in the table of its group: those of the first segments that the policy looks at are
+// fetched before the first batch, later ones with the batch before. A segment whose table cannot be had is lost.
+//
+// The sequence may be played several times, as if it were longer: keys and states are fetched again, tables are not.
+// One that grows is played as it grows: airgs.json is fetched again a group's length after the last time, until it says
+// that nothing will follow, or nothing has followed for SILENCE_S.
+import { ROOT_PATH } from "../format/paths.ts";
+import { TransportError } from "../media/errors.ts";
+import { filesOf } from "./catalogue.ts";
+import type { GiveUp } from "./downloader.ts";
+import { type Arrival, type Arrived, isComplete, type Request, type SessionEvent, type Shown } from "./events.ts";
+import type { Decision, Option } from "./ladder.ts";
+import { budgetBytes, estimateThroughput, type PlayerState, SAFETY } from "./policies/state.ts";
+import { Receiver, type SessionParts } from "./receiver.ts";
+import { bestReplacement, replacing, slotQuality, usable } from "./replacing.ts";
+import { ConfigError } from "./settings.ts";
+import type { Slot } from "./slot.ts";
+
+/** airgs.json of a growing package is fetched no more often, seconds. */
+const POLL_S = 0.2;
+/** Without a new group: whoever added groups has gone. */
+const SILENCE_S = 60;
+
+type Events<Result = void> = AsyncGenerator<SessionEvent, Result>;
+
+/** One run over positions, from the first request to the last: after a seek or a change of policy, another one goes on
+ * with the same playout and stores. */
+export class Session {
+  /** `from` is the position that it begins with. Throws ConfigError where the policy needs quality that was not
+   * measured. */
+  constructor(private readonly parts: SessionParts & { from?: number }) {
+    const { policy, catalogue } = parts;
+    if (policy.needsQuality && !catalogue.measured) {
+      throw new ConfigError(`policy ${policy.name}: expected a package with measured quality`);
+    }
+  }
+
+  /** All events, in the order in which they happen, until the last segment is fetched or the signal aborts.
+   *
+   * Rejects with TransportError when the link fails.
+   */
+  run(signal: AbortSignal): Events {
+    return new Run(this.parts, this.parts.from ?? 0, new Receiver(this.parts, signal)).events();
+  }
+}
+
+class Run {
+  private givenUp = { position: Number.NaN, sizeBytes: 0 }; // nothing as large is asked for there again
+
+  constructor(
+    private readonly parts: SessionParts,
+    private readonly first: number,
+    private readonly receiver: Receiver,
+  ) {}
+
+  async *events(): Events {
+    const { downloader, playout, stores } = this.parts;
+    const { first } = this;
+    if (stores.rootS === null) yield* this.fetchRoot(first, false);
+    else if (this.parts.catalogue.live) yield* this.fetchPages(first);
+    for (let position = first; !this.stopped; position++) {
+      if (position >= playout.end && !(yield* this.grow(position))) break;
+      yield* this.fetchTables(position);
+      let latencyS = this.latencyS(position, yield* this.roomFor(position));
+      while (!this.stopped && !(yield* this.fetchNext(position, latencyS))) latencyS = downloader.rttS;
+      if (!this.stopped) yield* this.shown(playout.started(this.nowS));
+    }
+    while (!this.stopped && (yield* this.replaceBest()));
+    if (!this.stopped) yield* this.shown(playout.started(null));
+  }
+
+  private get nowS(): number {
+    return this.receiver.nowS;
+  }
+
+  private get stopped(): boolean {
+    return this.receiver.signal.aborted;
+  }
+
+  /** Replace what is buffered until there is room for another segment; gives the moment since when there is. */
+  private async *roomFor(position: number): Events<number> {
+    const { playout } = this.parts;
+    for (;;) {
+      playout.makeRoom(position);
+      const earliestS = playout.earliestRequestS(position, this.nowS);
+      if (this.nowS >= earliestS || this.stopped) return earliestS;
+      if (yield* this.replaceBest()) continue;
+      await this.receiver.wait(earliestS);
+    }
+  }
+
+  /** Wait until a growing package has a segment for a position; false: it has ended before. */
+  private async *grow(position: number): Events<boolean> {
+    const { catalogue: c, playout, stores } = this.parts;
+    const sinceS = this.nowS;
+    while (c.live && c.end(1) <= position && !this.stopped) {
+      if (this.nowS >= sinceS + SILENCE_S) {
+        yield { type: "cut", atS: this.nowS, why: `no group has followed for ${SILENCE_S} s` };
+        break;
+      }
+      const askS = Math.max(this.nowS, (stores.rootS ?? 0) + Math.max(POLL_S, c.newestSeconds));
+      while (this.nowS < askS && !this.stopped) {
+        if (yield* this.replaceBest()) continue;
+        await this.receiver.wait(askS);
+      }
+      yield* this.shown(playout.started(this.nowS));
+      if (!this.stopped) yield* this.fetchRoot(position, true);
+    }
+    if (c.end(1) > position) {
+      playout.end = Math.max(playout.end, c.end(1));
+      return true;
+    }
+    if (!this.stopped) playout.finish(this.nowS);
+    return false;
+  }
+
+  /** Fetch airgs.json, and, as a package grows, the pages that now say what the root said before. */
+  private async *fetchRoot(position: number, grew: boolean): Events {
+    this.parts.stores.rootS = this.nowS;
+    yield await this.receiver.fetchTables([ROOT_PATH], position);
+    if (grew || this.parts.catalogue.live) yield* this.fetchPages(position);
+  }
+
+  private async *fetchPages(position: number): Events {
+    const { tables, unusable } = this.parts.stores;
+    for (let pages = tables.missingPages(); pages.length && !this.stopped; pages = tables.missingPages()) {
+      yield await this.receiver.fetchTables(pages, position);
+      if (pages.some((path) => unusable.has(path))) {
+        throw new TransportError(`${pages.join(", ")}: expected the index of the growing package`);
+      }
+    }
+  }
+
+  /** Fetch the tables that a position needs: a page first, then those that it leads to. */
+  private async *fetchTables(position: number): Events {
+    for (let wanted = this.wantedTables(position); wanted.length; wanted = this.wantedTables(position)) {
+      if (this.stopped) return;
+      yield await this.receiver.fetchTables(wanted, position);
+    }
+  }
+
+  /** Tables that the policy needs to choose at a position and that can be had. */
+  private wantedTables(position: number): string[] {
+    const { policy, playout, stores } = this.parts;
+    const stop = Math.min(position + policy.horizon, playout.end);
+    return stores.tables.missing(position, stop).filter((path) => !stores.unusable.has(path));
+  }
+
+  private get pipelines(): boolean {
+    return this.parts.settings.pipelined && this.parts.downloader.pipelines;
+  }
+
+  /** What is left of the round trip when the link is free: pipelined, the request was sent before. */
+  private latencyS(position: number, earliestS: number): number {
+    const { rttS } = this.parts.downloader;
+    if (this.pipelines && position > this.first && earliestS < this.nowS)
+      return Math.max(0, rttS - (this.nowS - earliestS));
+    return rttS;
+  }
+
+  private sentS(latencyS: number): number {
+    return this.nowS - (this.parts.downloader.rttS - latencyS);
+  }
+
+  /** Choose a rung of the next segment and fetch it; false: it was abandoned or broken, choose again. */
+  private async *fetchNext(position: number, latencyS: number): Events<boolean> {
+    const { playout, policy, stores } = this.parts;
+    const state = stores.tables.has(position) ? this.state(position, latencyS) : null;
+    if (!state?.options.length) {
+      yield { type: "lost", position, atS: this.nowS };
+      playout.enqueue(position, null, this.nowS);
+      return true;
+    }
+    const decision = policy.choose(state);
+    const tables = position > this.first ? this.wantedTables(position + 1) : []; // nothing delays the first picture
+    const batch = { ...stores.keys.missing(position, decision.index), tables };
+    if (filesOf(batch).length) {
+      // Without files nothing moves: the canonical space is decoded.
+      const kind = batch.keys.length ? "group" : "state";
+      const sentS = this.sentS(latencyS);
+      const request: Request = { kind, position, rung: decision.index, batch, sentS, latencyS };
+      const arrival = await this.receiver.receive(request, this.giveUp(state, decision));
+      yield this.arrived(arrival, decision, budgetBytes(state), estimateThroughput(state.history));
+      if (arrival.abandoned) this.givenUp = { position, sizeBytes: decision.sizeBytes };
+      if (this.stopped || !isComplete(arrival)) return false;
+    }
+    playout.enqueue(position, decision.index, this.nowS);
+    return true;
+  }
+
+  private arrived(arrival: Arrival, decision: Decision, budget: number, throughputBps: number): Arrived {
+    return { type: "arrived", arrival, decision, budgetBytes: budget, throughputBps };
+  }
+
+  private state(position: number, latencyS: number): PlayerState {
+    const { catalogue, playout, settings, stores } = this.parts;
+    return {
+      catalogue,
+      position,
+      end: playout.end,
+      decodedTiers: stores.keys.decodedTiers(position),
+      options: this.options(position),
+      nowS: this.nowS,
+      deadlineS: playout.deadlineS(playout.dueAt(this.nowS), this.nowS),
+      bufferLimitS: settings.bufferS,
+      requestLatencyS: latencyS,
+      shownQuality: playout.last && slotQuality(catalogue, playout.last),
+      history: this.receiver.history(this.sentS(latencyS)),
+      speed: playout.speed,
+    };
+  }
+
+  /** The rungs of the next segment that can be had and are smaller than what was given up. */
+  private options(position: number): readonly Option[] {
+    const { catalogue: c, stores } = this.parts;
+    const most = this.givenUp.position === position ? this.givenUp.sizeBytes : Infinity;
+    const options = c.options(c.index(position), stores.keys.decodedTiers(position));
+    return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index)));
+  }
+
+  /** Abandon a download that, at the rate so far, would come after its deadline, and after the smallest rung if that
+   * were requested now. A pause meanwhile puts the deadline off. */
+  private giveUp(state: PlayerState, decision: Decision): GiveUp | null {
+    const { downloader, playout, policy, settings } = this.parts;
+    const smallest = Math.min(...state.options.map((option) => option.sizeBytes));
+    if (!(settings.abandon && policy.mayAbandon) || smallest >= decision.sizeBytes) return null;
+    const { nowS } = this;
+    const dueAt = playout.dueAt(nowS);
+    const { rttS } = downloader;
+    return ({ atS, elapsedS, bytes, expectedBytes }) => {
+      const deadlineS = Math.max(playout.deadlineS(dueAt, atS), nowS);
+      const rate = Math.max(bytes, 1) / elapsedS;
+      const leftS = (expectedBytes - bytes) / rate;
+      return atS + leftS > deadlineS && leftS > rttS + smallest / rate;
+    };
+  }
+
+  /** Fetch the replacement that gains most for its bytes, if any will be in time; false if there is none. */
+  private async *replaceBest(): Events<boolean> {
+    const { catalogue: c, downloader, playout, policy, settings, stores } = this.parts;
+    if (!(settings.replace && policy.mayReplace)) return false;
+    const estimateBps = estimateThroughput(this.receiver.history(this.nowS));
+    if (!estimateBps) return false;
+    const { rttS } = downloader;
+    const best = bestReplacement(c, playout, stores, { nowS: this.nowS, rttS, rateBps: SAFETY * estimateBps });
+    if (!best) return false;
+    const { slot, option } = best;
+    const { index, sizeBytes, quality } = option;
+    const before = slotQuality(c, slot) ?? 0;
+    const reason = `${quality.toFixed(1)} dB in place of ${before.toFixed(1)}`;
+    const batch = replacing(c, stores, slot, index);
+    const arrival = await this.receiver.receive(
+      { kind: "replacement", position: slot.position, rung: index, batch, sentS: this.nowS, latencyS: rttS },
+      null,
+    );
+    yield this.arrived(arrival, { index, fits: true, reason, sizeBytes }, 0, estimateBps);
+    if (!this.stopped && isComplete(arrival)) yield* this.putInPlace(slot, index);
+    return true;
+  }
+
+  /** A replacement is there: shown if it is in time and the decoding of what it replaces has not begun. */
+  private *putInPlace(slot: Slot, rung: number): Generator<SessionEvent> {
+    const { playout, settings } = this.parts;
+    if (slot.committed || this.nowS + settings.decodeFrameS > playout.startS(slot, this.nowS)) return;
+    yield { type: "replaced", position: slot.position, before: slot.rung ?? 0, after: rung };
+    playout.replace(slot, rung);
+  }
+
+  private *shown(slots: readonly Slot[]): Generator<Shown> {
+    const { catalogue: c, playout } = this.parts;
+    for (const slot of slots) {
+      const { loop, segment } = c.place(slot.position);
+      const psnr = c.measured ? slotQuality(c, slot) : null;
+      const startS = playout.startS(slot, this.nowS);
+      const { position, rung, readyS, frames, stallS } = slot;
+      yield { type: "shown", position, segment, loop, rung, readyS, startS, frames, stallS, psnr };
+    }
+  }
+}

@@ -1,0 +1,283 @@
+// Luma pictures -> Gaussians -> a picture of them, in WebGL2. All arithmetic is done in passes over rows, but for the
+// order.
+//
+// Passes: key (once a scene), projection (once a picture or camera), splats, and the canvas. N rows of a group.
+import { colourChannels } from "../format/steps.ts";
+import type { Atlas, BaseChanges, Camera, Canonical, Group, Root } from "../format/types.ts";
+import { prepareKeys, setCodes } from "./key-passes.ts";
+import { Programs } from "./programs.ts";
+import { projection } from "./project-shader.ts";
+import { Scene } from "./scene.ts";
+import { ROW_WIDTH, WHOLE } from "./shaders.ts";
+import { QUADS, SHOW, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./splat-shaders.ts";
+import { flipped, Target, type TargetFormat, targetFormat } from "./target.ts";
+import { RenderError, type Texture, texture, writeRows } from "./textures.ts";
+import { setView } from "./view.ts";
+
+export { RenderError, Scene };
+
+export interface RendererOptions {
+  /** What splats are blended into; default "rgba16f" where the browser can. */
+  target?: TargetFormat;
+  /** r, g, b of 0 … 1 behind the Gaussians; default black. */
+  background?: readonly [number, number, number];
+}
+
+const SAMPLERS = ["luma", "bases", "transform", "places", "rotations", "sizes", "ranks", "layers"];
+const PROJECTION = "projection ";
+
+/**
+ * Draws scenes into a canvas, of whatever size the canvas has.
+ *
+ * After the context was lost its methods do nothing; make a new one, with new scenes, when it was restored, which the
+ * renderer asks the browser for.
+ */
+export class Renderer {
+  background: readonly [number, number, number];
+  /** What splats are blended into. */
+  readonly target: TargetFormat;
+  readonly #gl: WebGL2RenderingContext;
+  readonly #programs: Programs;
+  readonly #splats: WebGLVertexArrayObject | null;
+  readonly #corners: WebGLBuffer | null;
+  readonly #noLuma: Texture;
+  readonly #noBases: Texture;
+  readonly #onLost = (event: Event) => {
+    event.preventDefault(); // then the browser restores it, for another renderer
+    this.#wasLost = true;
+  };
+  readonly #scenes = new Set<Scene>();
+  #picture: Target | null = null;
+  #drawing: WebGLSync | null = null;
+  /** What it holds belongs to a context that was lost, even when that was restored. */
+  #wasLost = false;
+  #disposed = false;
+
+  /** Throws RenderError where there is no WebGL2. */
+  constructor(canvas: HTMLCanvasElement | OffscreenCanvas, options: RendererOptions = {}) {
+    const wanted = { alpha: false, antialias: false, depth: false, stencil: false };
+    const gl = canvas.getContext("webgl2", { ...wanted, powerPreference: "high-performance" });
+    if (!(gl instanceof WebGL2RenderingContext)) throw new RenderError("a browser: expected WebGL2, got none");
+    this.#gl = gl;
+    this.background = options.background ?? [0, 0, 0];
+    canvas.addEventListener("webglcontextlost", this.#onLost);
+    this.#programs = new Programs(gl);
+    this.target = targetFormat(gl, options.target ?? "rgba16f");
+    this.#corners = gl.createBuffer();
+    this.#splats = quads(gl, this.#corners);
+    this.#noLuma = texture(gl, "R8UI", [1, 1], 1);
+    this.#noBases = texture(gl, "R32I", [1, 1], 1);
+    const samplers = ["firsts", "seconds", "order"];
+    this.#programs.prepare("splats", () => ({ vertex: SPLAT_VERTEX, fragment: SPLAT_FRAGMENT, samplers }));
+    this.#programs.prepare("canvas", () => ({ vertex: WHOLE, fragment: SHOW, samplers: ["picture"] }));
+  }
+
+  /** Whether it can draw no more: the context was lost, or it was disposed of. */
+  get lost(): boolean {
+    return this.#disposed || this.#wasLost || this.#gl.isContextLost();
+  }
+
+  /** Whether the GPU has not finished the last picture. On a slow machine, wait before the next. */
+  get busy(): boolean {
+    const gl = this.#gl;
+    if (!this.#drawing || this.lost) return false;
+    if (gl.getSyncParameter(this.#drawing, gl.SYNC_STATUS) !== gl.SIGNALED) return true;
+    gl.deleteSync(this.#drawing);
+    this.#drawing = null;
+    return false;
+  }
+
+  /** Begins to compile the programs of packages with this `sh_degree`; `scene` does so too. */
+  prepare(degree: number): void {
+    if (this.lost) return;
+    const samplers = SAMPLERS;
+    const channels = colourChannels(degree);
+    const fragment = () => projection(degree, channels, Math.ceil(channels / 4));
+    this.#programs.prepare(PROJECTION + degree, () => ({ vertex: WHOLE, fragment: fragment(), samplers }));
+    prepareKeys(this.#programs, degree);
+  }
+
+  /**
+   * A group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an order.
+   *
+   * Throws RenderError for more rows or pages than this machine's textures hold.
+   */
+  scene(root: Root, group: Group, canonical: Canonical): Scene {
+    this.prepare(root.sh_degree);
+    const scene = new Scene(this.#gl, root, group, canonical);
+    this.#scenes.add(scene);
+    return scene;
+  }
+
+  /** A segment of a level begins: its bases are 0. What is drawn stays until `state`. */
+  level(scene: Scene, level: number): void {
+    if (this.#gone(scene)) return;
+    scene.begin(level);
+  }
+
+  /** Base changes of the next picture of the segment, whether it is shown or dropped. */
+  bases(scene: Scene, changes: BaseChanges): void {
+    if (this.#gone(scene)) return;
+    scene.coming?.samples.change(changes);
+  }
+
+  /**
+   * The picture that is shown from now on: luma of all pages of the level's atlas, whose bases were told before. null:
+   * the canonical space, where a level has no picture.
+   */
+  state(scene: Scene, atlas: Atlas, luma: Uint8Array | null): void {
+    if (this.#gone(scene)) return;
+    if (luma && scene.coming && scene.coming.atlas !== atlas) {
+      throw new RenderError(`a state: expected the atlas of level ${scene.coming.level}, got another`);
+    }
+    scene.setState(luma);
+  }
+
+  /** Rows far to near, as `Sorter` gives them. */
+  order(scene: Scene, rows: Uint32Array): void {
+    if (this.#gone(scene)) return;
+    if (rows.length > scene.rows) {
+      throw new RenderError(`an order: expected at most ${scene.rows} rows, got ${rows.length}`);
+    }
+    writeRows(this.#gl, scene.order, rows);
+    scene.visible = rows.length;
+    scene.ordered = true;
+  }
+
+  /**
+   * Whether `draw` would draw it: it has an order, and its programs are compiled. Ask from time to time until it is:
+   * the key passes run, in a task of their own, when somebody asks after their programs were compiled.
+   */
+  ready(scene: Scene): boolean {
+    if (this.#gone(scene) || !this.#finishKeys(scene) || !scene.ordered) return false;
+    return this.#programs.done([PROJECTION + scene.degree, "splats", "canvas"]);
+  }
+
+  /** Draws a scene if it is ready, and says whether it did; else the canvas stays as it is. */
+  draw(scene: Scene, camera: Camera): boolean {
+    if (!this.ready(scene)) return false;
+    const gl = this.#gl;
+    const [width, height] = [gl.drawingBufferWidth, gl.drawingBufferHeight];
+    this.#project(scene, camera, [width, height]);
+    this.#splat(scene, [width, height]);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.viewport(0, 0, width, height);
+    gl.disable(gl.BLEND);
+    gl.bindVertexArray(null);
+    const { at } = this.#programs.use("canvas", [this.#picture!.picture]);
+    gl.uniform1f(at("brightest"), this.#picture!.brightest);
+    gl.uniform3f(at("background"), ...this.#picture!.behind(this.background));
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.deleteSync(this.#drawing);
+    this.#drawing = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    return true;
+  }
+
+  /** Releases a scene. */
+  free(scene: Scene): void {
+    this.#scenes.delete(scene);
+    if (this.lost) scene.freed = true;
+    else scene.free();
+  }
+
+  /**
+   * (4 · width · height) r, g, b, 1 of what was drawn last, neither clipped nor rounded to 8 bits, the top line first.
+   */
+  readFloat(): Float32Array {
+    return this.lost || !this.#picture ? new Float32Array(0) : this.#picture.readFloat(this.background);
+  }
+
+  /** (4 · width · height) r, g, b, 255 of the canvas, the top line first; in the same task as `draw`. */
+  readBytes(): Uint8Array {
+    const gl = this.#gl;
+    if (this.lost) return new Uint8Array(0);
+    const [width, height] = [gl.drawingBufferWidth, gl.drawingBufferHeight];
+    const raw = new Uint8Array(4 * width * height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, raw);
+    return flipped(raw, new Uint8Array(raw.length), 4 * width);
+  }
+
+  /** Releases all that it holds, scenes too. */
+  dispose(): void {
+    const gl = this.#gl;
+    gl.canvas.removeEventListener("webglcontextlost", this.#onLost);
+    for (const scene of this.#scenes) this.free(scene);
+    if (this.lost) return;
+    this.#disposed = true;
+    this.#programs.free();
+    this.#picture?.free();
+    for (const { handle } of [this.#noLuma, this.#noBases]) gl.deleteTexture(handle);
+    gl.deleteVertexArray(this.#splats);
+    gl.deleteBuffer(this.#corners);
+    gl.deleteSync(this.#drawing);
+  }
+
+  #gone(scene: Scene): boolean {
+    return this.lost || scene.freed;
+  }
+
+  /**
+   * Runs the key passes if they have not run and their programs are there. Gives whether the canonical space is there.
+   */
+  #finishKeys(scene: Scene): boolean {
+    if (!scene.keys || this.lost) return !this.lost;
+    if (!this.#programs.done(prepareKeys(this.#programs, scene.degree))) return false;
+    scene.keys.run(this.#programs, this.#noBases);
+    scene.keys = null;
+    return true;
+  }
+
+  #project(scene: Scene, camera: Camera, size: [number, number]): void {
+    const seen = [camera.near, camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, ...size];
+    const view = [...seen, ...camera.worldToCamera].join(" ");
+    if (scene.projectedFor === view) return;
+    scene.projectedFor = view;
+    const gl = this.#gl;
+    const shown = scene.moving ? scene.shown : null;
+    const samples = shown?.samples;
+    const { transform, places, rotations, sizes, ranks, layers } = scene;
+    const textures = [samples?.luma ?? this.#noLuma, samples?.bases ?? this.#noBases, transform, places];
+    const { at } = this.#programs.use(PROJECTION + scene.degree, [...textures, rotations, sizes, ranks, layers]);
+    gl.uniform1i(at("rows"), scene.rows);
+    gl.uniform1i(at("moving"), shown ? 1 : 0);
+    if (shown) setCodes(gl, at, shown.codes, shown.samples);
+    gl.uniform2f(at("tintSteps"), ...scene.tintSteps);
+    setView(gl, at, camera, size);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, scene.projection);
+    gl.viewport(0, 0, ROW_WIDTH, scene.places.height);
+    gl.disable(gl.BLEND);
+    gl.bindVertexArray(null);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+
+  #splat(scene: Scene, [width, height]: [number, number]): void {
+    const gl = this.#gl;
+    const held = this.#picture?.picture;
+    if (held?.width !== width || held.height !== height) {
+      this.#picture?.free();
+      this.#picture = new Target(gl, this.target, [width, height]);
+    }
+    this.#picture!.clear(this.background);
+    if (!scene.visible) return;
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    gl.bindVertexArray(this.#splats);
+    const { at } = this.#programs.use("splats", [scene.firsts, scene.seconds, scene.order]);
+    gl.uniform2f(at("size"), width, height);
+    gl.uniform1i(at("visible"), scene.visible);
+    gl.uniform1f(at("brightest"), this.#picture!.brightest);
+    gl.drawElementsInstanced(gl.TRIANGLES, 6 * QUADS, gl.UNSIGNED_SHORT, 0, Math.ceil(scene.visible / QUADS));
+  }
+}
+
+/** Two triangles for each parallelogram of an instance. */
+function quads(gl: WebGL2RenderingContext, corners: WebGLBuffer | null): WebGLVertexArrayObject | null {
+  const all = Uint16Array.from({ length: 6 * QUADS }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
+  const made = gl.createVertexArray();
+  gl.bindVertexArray(made);
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, corners);
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, all, gl.STATIC_DRAW);
+  gl.bindVertexArray(null);
+  return made;
+}

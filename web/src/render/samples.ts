@@ -1,0 +1,97 @@
+// The samples of an atlas on the GPU: luma, a layer a page, and bases where any is not 0 (FORMAT.md, sections 4 and 6).
+import { BLOCK, pages } from "../format/atlas.ts";
+import type { Atlas, BaseChanges } from "../format/types.ts";
+import { RenderError, type Texture, texture, write } from "./textures.ts";
+
+/**
+ * Bases are kept here and go to the GPU with `upload`, and then only strips of 16 lines in which something changed: few
+ * samples jump in a frame, and blocks of 16 lines hold neighbours.
+ */
+export class Samples {
+  readonly #gl: WebGL2RenderingContext;
+  readonly #width: number;
+  readonly #height: number;
+  readonly #pages: number;
+  readonly luma: Texture;
+  bases: Texture | null = null;
+  #kept: Int32Array | null = null;
+  /** A strip: 1 if a sample of it may have another base than 0. */
+  #used = new Uint8Array(0);
+  /** A strip: 1 if the GPU does not have its bases yet. */
+  #changed = new Uint8Array(0);
+
+  constructor(gl: WebGL2RenderingContext, atlas: Atlas) {
+    this.#gl = gl;
+    this.#pages = pages(atlas);
+    [this.#width, this.#height] = this.#pages ? [atlas.width, atlas.height] : [1, 1];
+    const most: number | null = gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS); // null: the context was lost
+    if (most !== null && this.#pages > most)
+      throw new RenderError(`an atlas: expected at most ${most} pages, got ${this.#pages}`);
+    this.luma = texture(gl, "R8UI", [this.#width, this.#height], Math.max(1, this.#pages));
+  }
+
+  /** Samples of all pages, one after the other. */
+  setLuma(luma: Uint8Array): void {
+    const page = this.#width * this.#height;
+    if (luma.length !== this.#pages * page) {
+      throw new RenderError(`luma: expected ${this.#pages * page} samples, got ${luma.length}`);
+    }
+    for (let layer = 0; layer < this.#pages; layer++) {
+      write(this.#gl, this.luma, { y: 0, width: this.#width, height: this.#height, layer }, luma, layer * page);
+    }
+  }
+
+  /** Takes what changes with the next picture. */
+  change({ texels, bases }: BaseChanges): void {
+    if (!texels.length) return;
+    const kept = this.#keep();
+    const strip = BLOCK * this.#width;
+    for (let i = 0; i < texels.length; i++) {
+      const n = Math.floor(texels[i] / strip);
+      kept[texels[i]] = bases[i];
+      this.#used[n] = 1;
+      this.#changed[n] = 1;
+    }
+  }
+
+  /** All bases are 0. */
+  reset(): void {
+    const strip = BLOCK * this.#width;
+    this.#used.forEach((used, n) => {
+      if (!used) return;
+      this.#kept!.fill(0, n * strip, (n + 1) * strip);
+      this.#changed[n] = 1;
+      this.#used[n] = 0;
+    });
+  }
+
+  /** Brings the bases on the GPU up to date. */
+  upload(): void {
+    if (!this.#kept) return;
+    this.bases ??= texture(this.#gl, "R32I", [this.#width, this.#height], this.#pages);
+    const strips = this.#height / BLOCK;
+    for (let first = 0; first < this.#changed.length; first++) {
+      if (!this.#changed[first]) continue;
+      const layer = Math.floor(first / strips);
+      let next = first;
+      while (next < (layer + 1) * strips && this.#changed[next]) this.#changed[next++] = 0;
+      const box = { y: (first % strips) * BLOCK, width: this.#width, height: (next - first) * BLOCK, layer };
+      write(this.#gl, this.bases, box, this.#kept, first * BLOCK * this.#width);
+      first = next - 1;
+    }
+  }
+
+  free(): void {
+    this.#gl.deleteTexture(this.luma.handle);
+    if (this.bases) this.#gl.deleteTexture(this.bases.handle);
+  }
+
+  #keep(): Int32Array {
+    if (this.#kept) return this.#kept;
+    const strips = (this.#pages * this.#height) / BLOCK;
+    this.#kept = new Int32Array(this.#pages * this.#height * this.#width);
+    this.#used = new Uint8Array(strips);
+    this.#changed = new Uint8Array(strips);
+    return this.#kept;
+  }
+}

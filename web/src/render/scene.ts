@@ -1,0 +1,172 @@
+// What the GPU holds of a group: the canonical space, the picture of a state, an order. N rows, C colour channels.
+//
+// A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
+import { colourChannels, colourMatrix, colourSteps, keySteps, STATE_CHANNELS, stateSteps } from "../format/steps.ts";
+import type { Atlas, Canonical, Group, Root } from "../format/types.ts";
+import { type CodeTable, codeTable } from "./codes.ts";
+import { KeyPasses } from "./key-passes.ts";
+import { Samples } from "./samples.ts";
+import { ROW_WIDTH } from "./shaders.ts";
+import { framebuffer, RenderError, type Texture, texture, write, writeRows } from "./textures.ts";
+
+const NO_RANK = 0xffffffff;
+const STATIC = 255;
+
+/** How the states of a level are read. */
+export interface LevelView {
+  readonly level: number;
+  readonly atlas: Atlas;
+  readonly samples: Samples;
+  readonly codes: CodeTable;
+}
+
+/** A group on the GPU, in a key quality. Made by `Renderer.scene`, released by `Renderer.free`. */
+export class Scene {
+  readonly rows: number;
+  readonly degree: number;
+  readonly places: Texture;
+  readonly rotations: Texture;
+  readonly sizes: Texture;
+  readonly ranks: Texture;
+  readonly layers: Texture;
+  readonly transform: Texture;
+  readonly order: Texture;
+  readonly firsts: Texture;
+  readonly seconds: Texture;
+  readonly projection: WebGLFramebuffer;
+  /** Steps of SH DC and SH rest in states. */
+  readonly tintSteps: [number, number];
+  /** Passes that have yet to run; null: the canonical space is there. */
+  keys: KeyPasses | null;
+  /** The level of the picture that is shown, if one is. */
+  shown: LevelView | null = null;
+  /** Whether `shown` has a picture, or the canonical space is shown. */
+  moving = false;
+  visible = 0;
+  ordered = false;
+  /** Camera of what is in `firsts` and `seconds`; null: out of date. */
+  projectedFor: string | null = null;
+  freed = false;
+  readonly #gl: WebGL2RenderingContext;
+  readonly #root: Root;
+  readonly #group: Group;
+  readonly #depths: Uint8Array;
+  /** The level of the pictures that come next. */
+  #next: LevelView | null = null;
+
+  constructor(gl: WebGL2RenderingContext, root: Root, group: Group, canonical: Canonical) {
+    this.rows = canonical.depths.length;
+    this.degree = root.sh_degree;
+    [this.#gl, this.#root, this.#group, this.#depths] = [gl, root, group, canonical.depths];
+    const channels = colourChannels(root.sh_degree);
+    const layers = Math.ceil(channels / 4);
+    const size = rowSize(gl, this.rows);
+    this.places = texture(gl, "RGBA32UI", size);
+    this.rotations = texture(gl, "RGBA32UI", size);
+    this.sizes = texture(gl, "RGBA32UI", size);
+    this.ranks = texture(gl, "R32UI", size);
+    this.layers = texture(gl, "RGBA32UI", size, layers);
+    this.transform = texture(gl, "RGBA32F", [layers, channels]);
+    this.order = texture(gl, "R32UI", size);
+    this.firsts = texture(gl, "RGBA32UI", size);
+    this.seconds = texture(gl, "RGBA32UI", size);
+    this.projection = framebuffer(gl, [this.firsts, this.seconds]);
+    writeRows(gl, this.places, interleave(canonical), 4);
+    const transform = padded(colourMatrix(group, channels), channels, 4 * layers);
+    write(gl, this.transform, { y: 0, width: layers, height: channels }, transform);
+    this.tintSteps = dcAndRest(group.state_steps, channels);
+    this.keys = new KeyPasses(gl, this, canonical.parts, {
+      steps: keySteps(root, group, canonical.quality),
+      tintSteps: dcAndRest(group.key_steps, channels),
+    });
+  }
+
+  /** A segment of a level begins. What is shown stays until `setState`. */
+  begin(level: number): void {
+    const held = this.#next ?? this.shown;
+    if (held?.level === level) {
+      held.samples.reset();
+      return;
+    }
+    this.#drop();
+    const atlas = this.#group.levels[level];
+    const codes = codeTable(atlas, stateSteps(this.#root, this.#group, level), STATE_CHANNELS.colours);
+    this.#next = { level, atlas, codes, samples: new Samples(this.#gl, atlas) };
+  }
+
+  /** The level that pictures are of. */
+  get coming(): LevelView | null {
+    return this.#next ?? this.shown;
+  }
+
+  /** Shows a picture of the coming level, null: the canonical space. */
+  setState(luma: Uint8Array | null): void {
+    this.projectedFor = null;
+    this.moving = luma !== null;
+    if (!luma) return;
+    const view = this.coming;
+    if (!view) throw new RenderError("a state: expected a level before it, got none");
+    view.samples.setLuma(luma);
+    view.samples.upload();
+    if (view === this.shown) return;
+    this.shown?.samples.free();
+    [this.shown, this.#next] = [view, null];
+    writeRows(this.#gl, this.ranks, ranksOf(this.#depths, view.level));
+  }
+
+  free(): void {
+    if (this.freed) return;
+    this.freed = true;
+    const gl = this.#gl;
+    const own = [this.places, this.rotations, this.sizes, this.ranks, this.layers, this.transform, this.order];
+    for (const { handle } of [...own, this.firsts, this.seconds]) gl.deleteTexture(handle);
+    gl.deleteFramebuffer(this.projection);
+    this.keys?.free();
+    this.shown?.samples.free();
+    this.#drop();
+  }
+
+  #drop(): void {
+    this.#next?.samples.free();
+    this.#next = null;
+  }
+}
+
+/** The size of the row textures. */
+function rowSize(gl: WebGL2RenderingContext, rows: number): [number, number] {
+  const side: number | null = gl.getParameter(gl.MAX_TEXTURE_SIZE); // null: the context was lost
+  const height = Math.max(1, Math.ceil(rows / ROW_WIDTH));
+  if (side === null || (ROW_WIDTH <= side && height <= side)) return [ROW_WIDTH, height];
+  const most = ROW_WIDTH <= side ? side * ROW_WIDTH : 0;
+  throw new RenderError(`a group: expected at most ${most} Gaussians on this machine, got ${rows}`);
+}
+
+/** Mean and motion unit of each row, as bits. */
+function interleave({ means, units }: Canonical): Uint32Array {
+  const places = new Float32Array(4 * units.length);
+  for (let i = 0, at = 0, from = 0; i < units.length; i++) {
+    places[at++] = means[from++];
+    places[at++] = means[from++];
+    places[at++] = means[from++];
+    places[at++] = units[i];
+  }
+  return new Uint32Array(places.buffer);
+}
+
+/** A square matrix with lines of `width` numbers. */
+function padded(matrix: Float32Array, side: number, width: number): Float32Array {
+  const out = new Float32Array(side * width);
+  for (let k = 0; k < side; k++) out.set(matrix.subarray(k * side, (k + 1) * side), k * width);
+  return out;
+}
+
+/** The place of each row among those that a level carries. */
+function ranksOf(depths: Uint8Array, level: number): Uint32Array {
+  let next = 0;
+  return Uint32Array.from(depths, (depth) => (depth >= level && depth !== STATIC ? next++ : NO_RANK));
+}
+
+function dcAndRest(steps: { sh_dc: number; sh_rest: number }, channels: number): [number, number] {
+  const all = colourSteps(steps, channels);
+  return [all[0], all[channels - 1]];
+}

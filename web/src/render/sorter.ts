@@ -1,0 +1,85 @@
+// Depth orders for the page, made by a worker. N rows of a group.
+import { start } from "worker:./sort-worker.ts";
+import type { Camera } from "../format/types.ts";
+import { type DepthView, depthView } from "./sort.ts";
+import type { SortAnswer, SortRequest } from "./sort-worker.ts";
+
+type Resolve = (rows: SortAnswer) => void;
+
+interface Waiting {
+  means: Float32Array | null;
+  view: DepthView;
+  resolve: Resolve;
+}
+
+/**
+ * Asks the worker for one order at a time. While it sorts, one request of each key waits: a newer one takes its place,
+ * and the older one gives null.
+ */
+export class Sorter {
+  readonly #worker: Worker;
+  readonly #waiting = new Map<string, Waiting>();
+  #sorting: Resolve | null = null;
+  #closed = false;
+
+  constructor(worker: Worker = start()) {
+    this.#worker = worker;
+    worker.onmessage = ({ data }: MessageEvent<SortAnswer>) => this.#finish(data);
+    worker.onerror = () => this.#finish(null);
+  }
+
+  /**
+   * Rows far to near for `camera`, as `Renderer.order` takes them.
+   *
+   * `means` (3N) are those of the frame that is shown, world units; they are copied. null: those that were given last
+   * for this `key`, which names the scene. Gives null where a newer request came, no means were given, or it was
+   * closed.
+   */
+  order(means: Float32Array | null, key: string, camera: Camera): Promise<SortAnswer> {
+    if (this.#closed) return Promise.resolve(null);
+    return new Promise((resolve) => {
+      const older = this.#waiting.get(key);
+      older?.resolve(null);
+      this.#waiting.delete(key); // a request waits behind those of other keys
+      this.#waiting.set(key, { means: means ?? older?.means ?? null, view: depthView(camera), resolve });
+      this.#next();
+    });
+  }
+
+  /** Lets go of the means of a key. */
+  forget(key: string): void {
+    this.#waiting.get(key)?.resolve(null);
+    this.#waiting.delete(key);
+    this.#post({ key, means: null, view: null });
+  }
+
+  close(): void {
+    this.#closed = true;
+    this.#worker.terminate();
+    for (const { resolve } of this.#waiting.values()) resolve(null);
+    this.#waiting.clear();
+    this.#sorting?.(null);
+    this.#sorting = null;
+  }
+
+  #next(): void {
+    if (this.#sorting) return;
+    for (const [key, { means, view, resolve }] of this.#waiting) {
+      this.#waiting.delete(key);
+      this.#sorting = resolve;
+      this.#post({ key, means, view });
+      return;
+    }
+  }
+
+  #finish(rows: SortAnswer): void {
+    const resolve = this.#sorting;
+    this.#sorting = null;
+    this.#next();
+    resolve?.(rows);
+  }
+
+  #post(request: SortRequest): void {
+    if (!this.#closed) this.#worker.postMessage(request);
+  }
+}

@@ -1,0 +1,122 @@
+// The row of buttons below the picture, and the time line above it.
+import type { Desk } from "./desk.ts";
+import { iconButton, make, relabel, write } from "./dom.ts";
+import { type Menu, type Page, qualityName, speedName } from "./menu.ts";
+import { Timeline } from "./timeline.ts";
+import { clock, rungTitle } from "./words.ts";
+
+/** Seconds behind the newest that still count as live. */
+const LIVE_S = 8;
+
+export class Bar {
+  readonly node: HTMLElement;
+  readonly timeline: Timeline;
+  readonly play = iconButton("play", "Play");
+  readonly #loop = iconButton("loop", "Loop", { class: "wide" });
+  readonly #home = iconButton("home", "Back to the first view", { class: "home" });
+  readonly #free = iconButton("bounded", "Leave the viewing region", { class: "wide" });
+  readonly info = iconButton("info", "Figures");
+  readonly #full = iconButton("full", "Full screen");
+  readonly #settings = this.#opens(iconButton("settings", "Settings", { class: "narrow" }));
+  readonly #speed = this.#opens(make("button", { type: "button", class: "text wide", "data-tip": "Speed" }));
+  readonly #quality = this.#opens(make("button", { type: "button", class: "text wide", "data-tip": "Quality" }));
+  readonly #chosen = document.createTextNode("Auto");
+  readonly #shown = make("span");
+  readonly #time = make("span", { class: "time" });
+  readonly #live = make("button", { type: "button", class: "live" }, make("i"), "Live");
+
+  constructor(
+    readonly desk: Desk,
+    readonly menu: Menu,
+  ) {
+    this.timeline = new Timeline(desk);
+    const row = make(
+      "div",
+      { class: "row" },
+      this.play,
+      this.#live,
+      this.#time,
+      make("span", { class: "gap" }),
+      this.#speed,
+      this.#quality,
+      this.#loop,
+      this.#free,
+      this.#home,
+      this.#settings,
+      this.info,
+      this.#full,
+    );
+    this.node = make(
+      "div",
+      { class: "bar", part: "controls", role: "group", "aria-label": "Controls" },
+      this.timeline.node,
+      row,
+    );
+    this.#listen();
+  }
+
+  /** All buttons say what is. */
+  update(): void {
+    const { player, orbit, ready, full } = this.desk;
+    const action = player.ended ? "again" : player.paused ? "play" : "pause";
+    relabel(this.play, action, { again: "Play again", play: "Play", pause: "Pause" }[action]);
+    this.#loop.ariaPressed = String(player.loop);
+    this.#free.ariaPressed = String(orbit.free);
+    relabel(
+      this.#free,
+      orbit.free ? "free" : "bounded",
+      orbit.free ? "Stay inside the viewing region" : "Leave the viewing region",
+    );
+    relabel(this.#full, full ? "small" : "full", full ? "Leave full screen" : "Full screen");
+    write(this.#speed, player.speed === 1 ? "1×" : speedName(player.speed));
+    this.#speed.ariaLabel = `Speed: ${speedName(player.speed)}`;
+    const shown = player.quality === "auto" && player.rung !== null ? this.desk.rungs[player.rung] : undefined;
+    write(this.#chosen, qualityName(this.desk));
+    write(this.#shown, shown ? rungTitle(shown) : "");
+    this.#quality.ariaLabel = `Quality: ${qualityName(this.desk)}`;
+    this.#liveness();
+    for (const button of this.node.querySelectorAll("button")) button.disabled = !ready && button !== this.#full;
+    this.timeline.node.ariaDisabled = String(!ready);
+    this.updateTime();
+  }
+
+  updateTime(): void {
+    const { duration } = this.desk.player;
+    this.timeline.update();
+    write(this.#time, duration > 0 ? `${clock(this.timeline.time, duration)} / ${clock(duration)}` : "");
+  }
+
+  #liveness(): void {
+    const { player } = this.desk;
+    this.#live.hidden = !player.live;
+    if (!player.live) return;
+    const newest = player.duration - player.currentTime < LIVE_S * Math.max(1, player.speed);
+    this.#live.classList.toggle("now", newest);
+    this.#live.ariaLabel = newest ? "Live: this is the newest" : "Live: go to the newest";
+    this.#live.dataset.tip = newest ? "This is the newest" : "Go to the newest";
+  }
+
+  #opens(button: HTMLButtonElement): HTMLButtonElement {
+    button.ariaHasPopup = "menu";
+    button.ariaExpanded = "false";
+    return button;
+  }
+
+  #listen(): void {
+    const { desk } = this;
+    this.#quality.append(this.#chosen, this.#shown);
+    const click = (button: HTMLElement, run: () => void) =>
+      button.addEventListener("click", run, { signal: desk.signal });
+    const menu = (button: HTMLElement, page: Page) => click(button, () => this.menu.toggle(page, button));
+    click(this.play, () => desk.toggle());
+    click(this.#live, () => desk.seek(desk.player.duration));
+    click(this.#loop, () => desk.setLoop(!desk.player.loop));
+    click(this.#free, () => desk.setFree(!desk.orbit.free));
+    click(this.#home, () => desk.home());
+    click(this.info, () => desk.toggleInfo());
+    click(this.#full, () => desk.toggleFull());
+    menu(this.#speed, "speed");
+    menu(this.#quality, "quality");
+    menu(this.#settings, "settings");
+  }
+}

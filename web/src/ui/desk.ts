@@ -1,0 +1,36 @@
+// What the parts of the element know of it.
+
+import type { RungInfo } from "../play/catalogue.ts";
+import type { Orbit } from "./orbit.ts";
+import type { PlayerLike } from "./player-like.ts";
+
+/** Everything that a viewer can do, from wherever. */
+export interface Desk {
+  readonly player: PlayerLike;
+  readonly orbit: Orbit;
+  /** Ends with this life of the element. */
+  readonly signal: AbortSignal;
+  /** The rungs of the package, as they were known a moment ago, and the colour of each. */
+  readonly rungs: readonly RungInfo[];
+  readonly colours: readonly string[];
+  /** There is a package to play. */
+  readonly ready: boolean;
+  readonly full: boolean;
+  /** The share of the display's pixels in each direction that is drawn, and how many these are. */
+  readonly scale: number;
+  readonly picture: readonly [number, number];
+  toggle(): void;
+  seek(seconds: number): void;
+  skip(seconds: number): void;
+  frame(count: number): void;
+  home(): void;
+  toggleFull(): void;
+  toggleInfo(): void;
+  /** Attributes of the element change with these. */
+  setLoop(loop: boolean): void;
+  setQuality(quality: string): void;
+  setPolicy(policy: string): void;
+  setFree(free: boolean): void;
+  /** Something has changed: look at everything in the next animation frame. */
+  wake(): void;
+}

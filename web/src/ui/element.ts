@@ -1,0 +1,187 @@
+// The element itself: attributes, properties, methods; one view at a time.
+
+import { card } from "./cards.ts";
+import { make } from "./dom.ts";
+import type { PlayerLike, PlayerSettings } from "./player-like.ts";
+import STYLE from "./style.css";
+import { lacking, type Trouble, troubleOf } from "./trouble.ts";
+import { type Owner, View } from "./view.ts";
+
+/** An element with a player and its controls; a subclass says which player. */
+/** Workers and servers, which import this with all the rest, have no elements. */
+const Base = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
+
+export abstract class PlayerElement extends Base implements Owner {
+  static readonly observedAttributes = ["src", "poster", "controls", "loop", "policy", "quality", "view-region"];
+  readonly #root = this.attachShadow({ mode: "open", delegatesFocus: true });
+  #view: View | null = null;
+  #end = new AbortController();
+
+  abstract create(canvas: HTMLCanvasElement, settings: PlayerSettings): PlayerLike;
+
+  /** What the browser lacks; null: nothing. */
+  lacking(): Trouble | null {
+    return lacking();
+  }
+
+  get host(): HTMLElement {
+    return this;
+  }
+
+  connectedCallback(): void {
+    this.#start();
+  }
+
+  disconnectedCallback(): void {
+    this.#stop();
+  }
+
+  attributeChangedCallback(name: string, before: string | null, now: string | null): void {
+    if (!this.isConnected || before === now) return;
+    if (name === "loop") this.#view?.apply({ loop: this.loop });
+    else if (name === "policy") this.#view?.apply(now ? { policy: now } : {});
+    else if (name === "quality") this.#view?.apply({ quality: this.quality });
+    else if (name === "view-region") this.#view?.apply({ free: this.viewRegion === "free" });
+    else this.again();
+  }
+
+  /** Start anew with the same source. */
+  again(): void {
+    this.#stop();
+    this.#start();
+  }
+
+  /** The player of the source; null without one. */
+  get player(): PlayerLike | null {
+    return this.#view?.player ?? null;
+  }
+
+  play(): void {
+    this.player?.play();
+  }
+
+  pause(): void {
+    this.player?.pause();
+  }
+
+  /** Go to `seconds` of the time line. */
+  seek(seconds: number): void {
+    this.player?.seek(seconds);
+  }
+
+  get paused(): boolean {
+    return this.player?.paused ?? true;
+  }
+
+  get ended(): boolean {
+    return this.player?.ended ?? false;
+  }
+
+  get duration(): number {
+    return this.player?.duration ?? 0;
+  }
+
+  get currentTime(): number {
+    return this.player?.currentTime ?? 0;
+  }
+
+  set currentTime(seconds: number) {
+    this.seek(seconds);
+  }
+
+  get src(): string {
+    const src = this.getAttribute("src");
+    return src ? new URL(src, this.baseURI).href : "";
+  }
+
+  set src(src: string) {
+    this.setAttribute("src", src);
+  }
+
+  get poster(): string {
+    return this.getAttribute("poster") ?? "";
+  }
+
+  set poster(poster: string) {
+    this.setAttribute("poster", poster);
+  }
+
+  get autoplay(): boolean {
+    return this.hasAttribute("autoplay");
+  }
+
+  set autoplay(autoplay: boolean) {
+    this.toggleAttribute("autoplay", autoplay);
+  }
+
+  get loop(): boolean {
+    return this.hasAttribute("loop");
+  }
+
+  set loop(loop: boolean) {
+    this.toggleAttribute("loop", loop);
+  }
+
+  get controls(): boolean {
+    return this.hasAttribute("controls");
+  }
+
+  set controls(controls: boolean) {
+    this.toggleAttribute("controls", controls);
+  }
+
+  get quality(): string {
+    return this.getAttribute("quality") || "auto";
+  }
+
+  set quality(quality: string) {
+    this.setAttribute("quality", quality);
+  }
+
+  get policy(): string {
+    return this.getAttribute("policy") ?? "";
+  }
+
+  set policy(policy: string) {
+    this.setAttribute("policy", policy);
+  }
+
+  get viewRegion(): "bounded" | "free" {
+    return this.getAttribute("view-region") === "free" ? "free" : "bounded";
+  }
+
+  set viewRegion(viewRegion: "bounded" | "free") {
+    this.setAttribute("view-region", viewRegion);
+  }
+
+  #start(): void {
+    if (!this.src) return;
+    const trouble = this.lacking();
+    if (trouble) {
+      this.#refuse(trouble);
+      return;
+    }
+    const { src, autoplay, controls, poster, quality, loop, policy } = this;
+    const settings = { loop, ...(policy ? { policy } : {}) };
+    const plan = { src, autoplay, controls, poster, quality, settings, free: this.viewRegion === "free" };
+    try {
+      this.#view = new View(this, plan, this.#root);
+    } catch (error) {
+      this.#refuse(troubleOf(error, src));
+    }
+  }
+
+  #stop(): void {
+    this.#view?.close();
+    this.#view = null;
+    this.#end.abort();
+    this.#root.replaceChildren();
+  }
+
+  /** Nothing can be played here: say why. */
+  #refuse(trouble: Trouble): void {
+    this.#end = new AbortController();
+    const why = card(trouble, () => this.again(), this.#end.signal);
+    this.#root.replaceChildren(make("style", {}, STYLE), make("div", { class: "frame broken" }, why));
+  }
+}

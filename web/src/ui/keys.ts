@@ -1,0 +1,83 @@
+// The keyboard: what each key does.
+import type { Desk } from "./desk.ts";
+import type { Push } from "./orbit.ts";
+
+/** Speeds a second while a key is down. */
+const TURN = 1.1;
+const PAN = 0.5;
+const ZOOM = 1.0;
+const SKIP_S = 5;
+
+const DRIVES: Readonly<Record<string, Push>> = {
+  arrowleft: { right: -TURN },
+  arrowright: { right: TURN },
+  arrowup: { up: TURN },
+  arrowdown: { up: -TURN },
+  a: { panRight: -PAN },
+  d: { panRight: PAN },
+  w: { panUp: PAN },
+  s: { panUp: -PAN },
+  "+": { nearer: ZOOM },
+  "=": { nearer: ZOOM },
+  "-": { nearer: -ZOOM },
+  _: { nearer: -ZOOM },
+};
+
+const COMMANDS: Readonly<Record<string, (desk: Desk) => void>> = {
+  " ": (desk) => desk.toggle(),
+  k: (desk) => desk.toggle(),
+  j: (desk) => desk.skip(-SKIP_S),
+  l: (desk) => desk.skip(SKIP_S),
+  "shift+arrowleft": (desk) => desk.skip(-SKIP_S),
+  "shift+arrowright": (desk) => desk.skip(SKIP_S),
+  ",": (desk) => desk.frame(-1),
+  ".": (desk) => desk.frame(1),
+  r: (desk) => desk.home(),
+  home: (desk) => desk.home(),
+  f: (desk) => desk.toggleFull(),
+  i: (desk) => desk.toggleInfo(),
+};
+
+/** In words, for a help text: what people who cannot see buttons want to know. */
+export const HELP =
+  "Arrow keys turn the view, plus and minus zoom, W A S D move it, R goes back to the first view. " +
+  "Space plays and pauses, J and L skip, comma and period go frame by frame, F is full screen.";
+
+/** A control that wants its keys for itself. */
+const own = (target: EventTarget | undefined, key: string): boolean =>
+  target instanceof HTMLElement &&
+  (target.matches("input, select, textarea") || (target.matches("button") && (key === " " || key === "enter")));
+
+/** Listens to the keys of an element until `signal` aborts. */
+export function listenToKeys(area: HTMLElement, desk: Desk, signal: AbortSignal): void {
+  const down = new Set<string>();
+  const drive = () => {
+    desk.orbit.drive(Object.assign({}, ...[...down].map((key) => DRIVES[key])));
+    desk.wake();
+  };
+  const release = () => {
+    down.clear();
+    drive();
+  };
+  area.addEventListener(
+    "keydown",
+    (event) => {
+      const key = event.key.toLowerCase();
+      if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return;
+      if (own(event.composedPath()[0], key)) return;
+      const command = COMMANDS[(event.shiftKey && key.startsWith("arrow") ? "shift+" : "") + key];
+      if (!command && !DRIVES[key]) return;
+      event.preventDefault();
+      if (command) {
+        if (!event.repeat || key === "," || key === ".") command(desk);
+      } else if (!event.repeat) {
+        down.add(key);
+        drive();
+      }
+    },
+    { signal },
+  );
+  area.addEventListener("keyup", (event) => down.delete(event.key.toLowerCase()) && drive(), { signal });
+  area.addEventListener("focusout", release, { signal });
+  window.addEventListener("blur", release, { signal });
+}

@@ -1,0 +1,268 @@
+// A camera that goes round what is looked at, without any page: gestures and keys push it, `step` lets time go by.
+import { firstPlace, keepInside, upright } from "../format/region.ts";
+import type { Place, Region } from "../format/types.ts";
+import {
+  along,
+  angle,
+  between,
+  cross,
+  dot,
+  length,
+  minus,
+  turned,
+  unit,
+  type Vector,
+  vector,
+} from "../format/vector.ts";
+import type { ViewState } from "../play/view.ts";
+import { type Pose, placeOf, softened } from "./wall.ts";
+
+/** How the camera is moved, or how fast: radians round the focus, shares of the picture's height, ln of distances. */
+export interface Push {
+  right?: number;
+  up?: number;
+  panRight?: number;
+  panUp?: number;
+  nearer?: number;
+}
+
+const NAMES = ["right", "up", "panRight", "panUp", "nearer"] as const;
+/** Seconds in which what was pushed comes to rest, and is back behind the wall (to 1/e). */
+const REST_S = 0.25;
+const REST_REDUCED_S = 0.06;
+const BACK_S = 0.12;
+const GLIDE_S = 0.45;
+/** Slower is at rest: less than a pixel in a second. */
+const STILL = 1e-3;
+/** The camera never stands on its head: radians between its direction and the horizon. */
+const STEEPEST = 1.5;
+/** Distances from the focus, of that of the first view. */
+const NEAREST = 0.02;
+const FARTHEST = 20;
+/** Wider than this, the picture is distorted: degrees. */
+const WIDEST = 100;
+/** Where nothing says where to look from. */
+const NOWHERE: Place = { position: [0, 0, -4], focus: [0, 0, 0], up: [0, -1, 0], reach: 0 };
+const FOV_Y = 50;
+const NEAR = 0.01;
+
+/** A camera about the focus of the nearest place of a region. */
+export class Orbit {
+  /** Whether viewers may leave the region. */
+  free = false;
+  /** Whether a viewer holds the camera: then it does not slide back. */
+  held = false;
+  /** Whether motion ends at once, as people can ask for. */
+  reduced = false;
+  /** How far the viewer is pulled out of the region, 0 … 1. */
+  strain = 0;
+  #place: Place = NOWHERE;
+  #pose: Pose = { position: [0, 0, -4], forward: [0, 0, 1] };
+  readonly #up: Vector;
+  readonly #first: Place;
+  #pan: Vector = [0, 0, 0];
+  readonly #speed: Required<Push> = { right: 0, up: 0, panRight: 0, panUp: 0, nearer: 0 };
+  #drive: Push = {};
+  #glide: { from: Pose; left: number } | null = null;
+
+  constructor(readonly region: Region | null = null) {
+    this.#first = region ? firstPlace(region) : NOWHERE;
+    this.#up = region ? upright(region) : [0, -1, 0];
+    this.reset(false);
+  }
+
+  /** Back to the place that viewers begin at. */
+  reset(gliding = true): void {
+    if (gliding) this.#startGlide();
+    this.#place = this.#first;
+    const position = vector(this.#place.position);
+    this.#pose = { position, forward: unit(minus(vector(this.#place.focus), position)) };
+    this.#pan = [0, 0, 0];
+    this.stop();
+    this.strain = 0;
+  }
+
+  /** Let viewers leave, or bring them back gently. */
+  setFree(free: boolean): void {
+    if (this.free !== free) this.#startGlide();
+    this.free = free;
+  }
+
+  /** Whether it goes on by itself. */
+  get moving(): boolean {
+    return this.#glide !== null || NAMES.some((name) => this.#speed[name] !== 0);
+  }
+
+  /** Whether the viewer is where nobody promises anything. */
+  get outside(): boolean {
+    if (!this.region) return false;
+    const kept = keepInside(this.region, this.#pose.position, this.#pose.forward);
+    const out = length(minus(this.#pose.position, kept.position));
+    return out > STILL * length(minus(kept.position, this.#pivot)) || angle(this.#pose.forward, kept.forward) > STILL;
+  }
+
+  /** No motion any more. */
+  stop(): void {
+    for (const name of NAMES) this.#speed[name] = 0;
+  }
+
+  /** Move at once. */
+  move(push: Push): void {
+    if (push.right || push.up) this.#turn(push.right ?? 0, push.up ?? 0);
+    if (push.panRight || push.panUp) this.#shift(push.panRight ?? 0, push.panUp ?? 0);
+    if (push.nearer) this.#approach(push.nearer);
+    this.#follow();
+  }
+
+  /** Move as far, smoothly. */
+  nudge(push: Push): void {
+    for (const name of NAMES) this.#speed[name] += (push[name] ?? 0) / this.#rest;
+  }
+
+  /** Go on at a speed a second, to come to rest by itself. */
+  fling(speed: Push): void {
+    if (!this.reduced) for (const name of NAMES) this.#speed[name] = speed[name] ?? 0;
+  }
+
+  /** Go at a speed a second as long as it is driven, by keys that are held down. */
+  drive(speed: Push): void {
+    this.#drive = speed;
+    for (const name of NAMES) if (speed[name]) this.#speed[name] = speed[name]!;
+  }
+
+  /** Let `seconds` go by. True: the view has changed. */
+  step(seconds: number): boolean {
+    let moved = this.#advance(seconds);
+    if (!this.held && this.#ease(seconds)) moved = true;
+    if (this.#glide) {
+      this.#glide.left -= seconds / GLIDE_S;
+      if (this.#glide.left <= 0) this.#glide = null;
+      moved = true;
+    }
+    return moved;
+  }
+
+  /**
+   * What is seen, in a picture of width / height `aspect`: at least as much to each side as in the pictures that the
+   * package was judged by.
+   */
+  view(aspect: number): ViewState {
+    const { position, forward } = this.pose();
+    const right = unit(cross(forward, this.#up), [1, 0, 0]);
+    return {
+      position,
+      forward,
+      up: unit(cross(right, forward)),
+      fovY: this.#fov(aspect),
+      near: this.region?.near ?? NEAR,
+    };
+  }
+
+  /** From where it is looked, in what direction. */
+  pose(): Pose {
+    const pose = this.region && !this.free ? softened(this.region, this.#pose) : { ...this.#pose, strain: 0 };
+    this.strain = pose.strain;
+    if (!this.#glide) return pose;
+    const { from, left } = this.#glide;
+    const share = left * left * (3 - 2 * left);
+    const [here, there] = [pose.position, from.position].map((point) => minus(point, this.#pivot)) as [Vector, Vector];
+    const size = length(here) + share * (length(there) - length(here));
+    const direction = between(unit(here), unit(there), share);
+    return {
+      position: along(this.#pivot, direction, size),
+      forward: between(pose.forward, from.forward, share),
+    };
+  }
+
+  get #pivot(): Vector {
+    return along(vector(this.#place.focus), this.#pan);
+  }
+
+  get #rest(): number {
+    return this.reduced ? REST_REDUCED_S : REST_S;
+  }
+
+  #startGlide(): void {
+    this.#glide = this.reduced ? null : { from: this.pose(), left: 1 };
+  }
+
+  #fov(aspect: number): number {
+    const { fov_y: fov, width, height } = this.region ?? { fov_y: FOV_Y, width: 16, height: 9 };
+    const judged = width / height;
+    if (aspect >= judged) return fov;
+    const wide = (2 * Math.atan((Math.tan((fov * Math.PI) / 360) * judged) / aspect) * 180) / Math.PI;
+    return Math.max(fov, Math.min(wide, WIDEST));
+  }
+
+  #turn(right: number, up: number): void {
+    const { position, forward } = this.#pose;
+    const pivot = this.#pivot;
+    const tilt = Math.asin(Math.max(-1, Math.min(1, dot(forward, this.#up))));
+    const wanted = tilt - up;
+    const rise = up > 0 ? Math.max(wanted, Math.min(tilt, -STEEPEST)) : Math.min(wanted, Math.max(tilt, STEEPEST));
+    const axis = unit(cross(forward, this.#up), [1, 0, 0]);
+    const go = (a: Vector) => turned(turned(a, axis, rise - tilt), this.#up, right);
+    this.#pose = { position: along(pivot, go(minus(position, pivot))), forward: unit(go(forward)) };
+  }
+
+  #shift(right: number, up: number): void {
+    const { position, forward } = this.#pose;
+    const side = unit(cross(forward, this.#up), [1, 0, 0]);
+    const high = 2 * Math.tan((this.#fov(1) * Math.PI) / 360) * length(minus(position, this.#pivot));
+    const way = along(along([0, 0, 0], side, right * high), cross(side, forward), up * high);
+    this.#pan = along(this.#pan, way);
+    this.#pose = { position: along(position, way), forward };
+  }
+
+  #approach(nearer: number): void {
+    const { position, forward } = this.#pose;
+    const offset = minus(position, this.#pivot);
+    const full = length(minus(vector(this.#first.position), vector(this.#first.focus)));
+    const away = length(offset);
+    const wanted = Math.max(NEAREST * full, Math.min(away * Math.exp(-nearer), FARTHEST * full));
+    this.#pose = { position: along(this.#pivot, offset, wanted / (away || 1)), forward };
+  }
+
+  /** Turn about the focus of the place that the viewer has come to. */
+  #follow(): void {
+    if (!this.region || this.region.places.length < 2) return;
+    const place = placeOf(this.region, this.#pose);
+    if (place === this.#place) return;
+    if (!this.free && !this.#glide) this.#startGlide();
+    this.#place = place;
+  }
+
+  #advance(seconds: number): boolean {
+    const push: Push = {};
+    let moved = false;
+    for (const name of NAMES) {
+      const speed = this.#speed[name];
+      if (!speed) continue;
+      moved = true;
+      const driven = this.#drive[name];
+      push[name] = driven ? driven * seconds : speed * this.#rest * (1 - Math.exp(-seconds / this.#rest));
+      const slower = driven ?? speed * Math.exp(-seconds / this.#rest);
+      this.#speed[name] = Math.abs(slower) < STILL ? 0 : slower;
+    }
+    if (moved) this.move(push);
+    return moved;
+  }
+
+  /** Slide back into the region. */
+  #ease(seconds: number): boolean {
+    if (!this.region || this.free) return false;
+    const { position, forward } = this.#pose;
+    const kept = keepInside(this.region, this.#pose.position, this.#pose.forward);
+    const out = length(minus(position, kept.position));
+    const off = angle(forward, kept.forward);
+    if (out === 0 && off === 0) return false;
+    const small = STILL * length(minus(kept.position, this.#pivot));
+    const share = out < small && off < STILL ? 1 : 1 - Math.exp(-seconds / BACK_S);
+    this.#pose = {
+      position: share === 1 ? kept.position : along(position, minus(kept.position, position), share),
+      forward: share === 1 ? kept.forward : between(forward, kept.forward, share),
+    };
+    this.#pan = along([0, 0, 0], this.#pan, Math.exp(-seconds / REST_S));
+    return true;
+  }
+}

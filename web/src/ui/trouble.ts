@@ -1,0 +1,106 @@
+// What went wrong, in words for people: what it means and what they can do.
+import type { Reason } from "../format/errors.ts";
+import { FormatError } from "../format/errors.ts";
+import type { IconName } from "./dom.ts";
+
+export interface Trouble {
+  readonly icon: IconName;
+  readonly title: string;
+  readonly text: string;
+  /** For those who are asked for help. */
+  readonly details: string;
+  /** Trying again may help. */
+  readonly again: boolean;
+}
+
+const DAMAGED = "is not what the package says it is. It may be damaged, or still being copied.";
+const BROKEN = "breaks the format. Whoever made the package has to make it again.";
+const INEXACT =
+  "What it decodes is not what was sent, so that the scene would fall apart. Chrome and Edge decode exactly.";
+const UNDRAWN = {
+  icon: "browser",
+  title: "This browser cannot draw it",
+  text: "It lacks WebGL 2, or hardware acceleration is switched off in its settings.",
+} as const;
+const REASONS: Readonly<Record<Reason, string>> = {
+  not_json: "is not a table. The address may lead to something else than a package.",
+  too_large: "is larger than any player may accept.",
+  unknown_version: "is of another version of the format than this player knows.",
+  unknown_field: BROKEN,
+  missing_field: BROKEN,
+  wrong_type: BROKEN,
+  bad_value: BROKEN,
+  missing_entry: BROKEN,
+  missing_file: "is missing.",
+  size_mismatch: DAMAGED,
+  hash_mismatch: DAMAGED,
+  bad_sidecar: BROKEN,
+  count_mismatch: BROKEN,
+  bad_picture: "holds pictures that cannot be decoded.",
+};
+
+/** What this browser lacks to play anything; null: nothing. */
+export function lacking(): Trouble | null {
+  const here = { details: navigator.userAgent, again: false };
+  if (!window.isSecureContext) {
+    return {
+      ...here,
+      icon: "lock",
+      title: "This page needs HTTPS",
+      text: "Browsers decode video for a page only over HTTPS or on localhost. Open it with https:// in front.",
+    };
+  }
+  if (typeof VideoDecoder === "undefined") {
+    return {
+      ...here,
+      icon: "browser",
+      title: "This browser cannot play it",
+      text: /Android/.test(navigator.userAgent)
+        ? "It lacks WebCodecs, as Firefox on Android does. Chrome on the same phone has it."
+        : "It lacks WebCodecs. Current versions of Chrome, Edge, Firefox and Safari have it.",
+    };
+  }
+  if (typeof WebGL2RenderingContext === "undefined") {
+    return { ...here, ...UNDRAWN };
+  }
+  return null;
+}
+
+/** An error of a player in words. */
+export function troubleOf(error: unknown, src: string): Trouble {
+  const name = error instanceof Error ? error.name : "Error";
+  const message = error instanceof Error ? error.message : String(error);
+  const details = `${name}: ${message}\n${src}\n${navigator.userAgent}`;
+  if (error instanceof FormatError) {
+    const newer = error.reason === "unknown_version";
+    const nothing = error.where.endsWith("airgs.json") && error.reason === "missing_file";
+    return {
+      icon: "file",
+      title: newer ? "Made for another player" : nothing ? "No package is there" : "This package cannot be played",
+      text: `${error.where} ${REASONS[error.reason]}${nothing ? " Look at the address." : ""}`,
+      details,
+      again: error.reason === "missing_file" || REASONS[error.reason] === DAMAGED,
+    };
+  }
+  if (name === "UnsupportedError") {
+    const inexact = /\bluma\b/.test(message);
+    return {
+      icon: "browser",
+      title: inexact ? "This browser changes the pictures" : "This browser cannot play it",
+      text: inexact ? INEXACT : `${message[0].toUpperCase()}${message.slice(1)}.`,
+      details,
+      again: false,
+    };
+  }
+  if (name === "TransportError" || error instanceof TypeError) {
+    return {
+      icon: "offline",
+      title: navigator.onLine ? "The package cannot be reached" : "There is no network",
+      text: "Look at the address and the connection. From another site, its server has to allow this page (CORS).",
+      details,
+      again: true,
+    };
+  }
+  if (/\bWebGL2\b/.test(message)) return { ...UNDRAWN, details, again: true };
+  return { icon: "warn", title: "Something went wrong", text: message, details, again: true };
+}

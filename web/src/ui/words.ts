@@ -1,0 +1,69 @@
+// Figures in words for people.
+import type { RungInfo } from "../play/catalogue.ts";
+
+const MINUTE = 60;
+const HOUR = 3600;
+
+/** So short sequences are told in tenths of a second. */
+const SHORT_S = 20;
+
+/** 83 s as "1:23"; with hours where `total` has them, and with tenths where that is short. */
+export function clock(seconds: number, total = seconds): string {
+  if (total > 0 && total < SHORT_S) return `${Math.max(0, seconds).toFixed(1)} s`;
+  const whole = Math.max(0, Math.floor(Number.isFinite(seconds) ? seconds : 0));
+  const two = (n: number) => String(n).padStart(2, "0");
+  const minutes = Math.floor(whole / MINUTE);
+  if (!(Math.max(whole, total) >= HOUR)) return `${minutes}:${two(whole % MINUTE)}`;
+  return `${Math.floor(whole / HOUR)}:${two(minutes % MINUTE)}:${two(whole % MINUTE)}`;
+}
+
+/** The same for those who listen: "1 minute 23 seconds". */
+export function spoken(seconds: number): string {
+  const whole = Math.max(0, Math.floor(seconds));
+  const parts = [
+    [Math.floor(whole / HOUR), "hour"],
+    [Math.floor(whole / MINUTE) % MINUTE, "minute"],
+    [whole % MINUTE, "second"],
+  ] as const;
+  const said = parts.filter(([n]) => n > 0).map(([n, unit]) => `${n} ${unit}${n === 1 ? "" : "s"}`);
+  return said.join(" ") || "0 seconds";
+}
+
+/** Three digits: 0.52, 5.2, 52, 520. */
+function short(value: number): string {
+  return value >= 99.5 ? value.toFixed(0) : value >= 9.95 ? value.toFixed(0) : value.toFixed(value < 0.995 ? 2 : 1);
+}
+
+/** Bits a second as "2.4 Mbit/s". */
+export function rate(bps: number): string {
+  if (!(bps > 0)) return "–";
+  if (bps >= 1e9) return `${short(bps / 1e9)} Gbit/s`;
+  return bps >= 1e6 ? `${short(bps / 1e6)} Mbit/s` : `${short(bps / 1e3)} kbit/s`;
+}
+
+/** Bytes as "3.1 MB". */
+export function size(bytes: number): string {
+  if (bytes >= 1e9) return `${short(bytes / 1e9)} GB`;
+  return bytes >= 1e6 ? `${short(bytes / 1e6)} MB` : `${short(bytes / 1e3)} kB`;
+}
+
+export const decibels = (psnr: number | null): string => (psnr === null ? "–" : `${psnr.toFixed(1)} dB`);
+
+/** What a rung is called: what it looks like, else its name. */
+export const rungTitle = (rung: RungInfo): string => (rung.psnr === null ? rung.name : decibels(rung.psnr));
+
+export const POLICIES: ReadonlyMap<string, string> = new Map([
+  ["paper", "As in the paper"],
+  ["paper-literal", "The paper to the letter"],
+  ["throughput", "By throughput"],
+  ["bola", "By buffer (BOLA)"],
+  ["robust-mpc", "By prediction (robust MPC)"],
+]);
+
+/** Where the viewing region comes from. */
+export const SOURCES: Readonly<Record<string, string>> = {
+  cameras: "about its cameras",
+  found: "found by looking",
+  orbit: "an orbit, guessed",
+  file: "as given",
+};

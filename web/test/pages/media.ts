@@ -1,0 +1,268 @@
+// What the media part does in a browser, task by task: /plan.json lists them, `window.report` is what came of each.
+
+import { applyBases, atlasSamples } from "../../src/format/atlas.ts";
+import { FormatError } from "../../src/format/errors.ts";
+import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
+import { groupPath, pagePath } from "../../src/format/paths.ts";
+import type { Atlas, Gaussians, StateFrame } from "../../src/format/types.ts";
+import { type Fetched, Media } from "../../src/media/client.ts";
+import { decodes } from "./decoders.ts";
+import { probes } from "./mocks.ts";
+
+interface Step {
+  name: string;
+  task: string;
+  /** Of the package. */
+  url: string;
+  [argument: string]: unknown;
+}
+
+/** Throws why a file could not be had. */
+function demand(fetched: Fetched): Fetched {
+  for (const error of fetched.refused.values()) throw error;
+  return fetched;
+}
+
+async function openGroup(media: Media, group: number): Promise<void> {
+  const page = media.tables.index.pageOfGroup(group);
+  if (page !== null) demand(await media.fetch([pagePath(page + 1)], { attempts: 1 }));
+  demand(await media.fetch([groupPath(group + 1)], { attempts: 1 }));
+}
+
+/** SHA-256 of the pages of a picture, each in hexadecimal. */
+async function digests(luma: Uint8Array, atlas: Atlas): Promise<string[]> {
+  const size = atlas.width * atlas.height;
+  const found: string[] = [];
+  for (let at = 0; at < luma.length; at += size) {
+    const hash = await crypto.subtle.digest("SHA-256", luma.slice(at, at + size));
+    found.push([...new Uint8Array(hash)].map((byte) => byte.toString(16).padStart(2, "0")).join(""));
+  }
+  return found;
+}
+
+/** The key files and the canonical space of all tiers. */
+async function canonicalOf(media: Media, group: number, quality: number, tiers: number) {
+  const files = Array.from({ length: tiers }, (_, t) => media.tables.keyFiles(group, t, quality)).flat();
+  demand(await media.fetch(files, { attempts: 1 }));
+  return { files, canonical: await media.canonical(group, quality, tiers) };
+}
+
+async function framesOf(
+  media: Media,
+  segment: number,
+  level: number,
+  of: { group: number; quality: number; tiers: number },
+) {
+  const frames: (StateFrame | null)[] = [];
+  demand(await media.fetch(media.tables.stateFiles(segment, level), { attempts: 1 }));
+  const count = await media.segment(segment, level, of, (t, frame) => {
+    if (t !== frames.length) throw new Error(`expected frame ${frames.length}, got ${t}`);
+    frames.push(frame);
+    media.taken(frame);
+  });
+  if (count !== frames.length) throw new Error(`expected ${count} frames, got ${frames.length}`);
+  return frames;
+}
+
+/** Digests of the luma of every picture of a package, by file: all pictures of its first page, then all of the next. */
+async function luma({ url }: Step): Promise<unknown> {
+  const media = await Media.open(url, { attempts: 1 });
+  const { root, index } = media.tables;
+  const found: Record<string, string[]> = {};
+  for (let group = 0; group < index.groups; group++) {
+    await openGroup(media, group);
+    const table = media.tables.group(group);
+    for (let quality = 0; quality < root.qualities.length; quality++) {
+      const { files, canonical } = await canonicalOf(media, group, quality, table.tiers.length);
+      const pictures = files.filter((path) => path.endsWith(".m4s"));
+      for (const [i, part] of canonical.parts.entries()) found[pictures[i]] = await digests(part.luma, part.atlas);
+    }
+    const of = { group, quality: 0, tiers: table.tiers.length };
+    const { start, stop } = media.tables.segmentsOf(group);
+    for (let segment = start; segment < stop; segment++) {
+      for (const [level, atlas] of table.levels.entries()) {
+        const frames = await framesOf(media, segment, level, of);
+        const parts = await Promise.all(frames.map((frame) => (frame ? digests(frame.luma, atlas) : [])));
+        const [path] = media.tables.stateFiles(segment, level);
+        if (path) found[path] = parts[0].flatMap((_, page) => parts.map((pages) => pages[page]));
+      }
+    }
+  }
+  media.close();
+  return { luma: media.luma, found };
+}
+
+const NAMES = ["means", "quaternions", "logScales", "alpha", "colours"] as const;
+
+/** How far frames are from /expected files: of each attribute, the largest error, and the largest one of the sort's means. */
+async function frames(step: Step): Promise<unknown> {
+  const { url, quality, level, tiers, expected } = step as Step & {
+    quality: number;
+    level: number;
+    tiers: number;
+    expected: string;
+  };
+  const media = await Media.open(url);
+  const worst = { means: 0, quaternions: 0, logScales: 0, alpha: 0, colours: 0, sorted: 0 };
+  let frame = 0;
+  for (let group = 0; group < media.tables.index.groups; group++) {
+    await openGroup(media, group);
+    const { root } = media.tables;
+    const table = media.tables.group(group);
+    const { canonical } = await canonicalOf(media, group, quality, tiers);
+    const base = canonicalGaussians(root, table, canonical);
+    const { start, stop } = media.tables.segmentsOf(group);
+    for (let segment = start; segment < stop; segment++) {
+      const bases = new Int32Array(atlasSamples(table.levels[level]));
+      for (const shown of await framesOf(media, segment, level, { group, quality, tiers })) {
+        applyBases(bases, shown?.bases ?? null);
+        const state = shown && { level, luma: shown.luma, bases };
+        const got = shownGaussians(root, table, base, canonical, state);
+        const data = await (await fetch(`${expected}/${frame++}`)).arrayBuffer();
+        compare(got, new Float32Array(data), worst, shown?.means ?? canonical.means);
+      }
+    }
+  }
+  media.close();
+  return { worst, frames: frame };
+}
+
+function compare(got: Gaussians, expected: Float32Array, worst: Record<string, number>, sorted: Float32Array): void {
+  let at = 0;
+  for (const name of NAMES) {
+    for (const value of got[name]) {
+      const truth = expected[at++];
+      worst[name] = Math.max(worst[name], Math.abs(value - truth) / Math.max(1, Math.abs(truth)));
+    }
+  }
+  if (at !== expected.length) throw new Error(`expected ${expected.length} numbers, got ${at}`);
+  sorted.forEach((mean, i) => {
+    worst.sorted = Math.max(worst.sorted, Math.abs(mean - expected[i]));
+  });
+}
+
+/** What a fetch of some paths came to, a step of the page's own clock later. */
+async function fetching(step: Step): Promise<unknown> {
+  const {
+    url,
+    paths,
+    times = 1,
+    abortMs,
+    attempts = 4,
+  } = step as Step & { paths: string[]; times?: number; abortMs?: number; attempts?: number };
+  const media = await Media.open(url);
+  const came: unknown[] = [];
+  for (let time = 0; time < times; time++) {
+    const progress: number[] = [];
+    const before = performance.now() / 1e3;
+    const signal = abortMs === undefined ? undefined : AbortSignal.timeout(abortMs);
+    const got = await media.fetch(paths, { signal, attempts, onProgress: (bytes) => progress.push(bytes) });
+    const inOrder = before <= got.firstByteS && got.firstByteS <= got.endS && got.endS <= performance.now() / 1e3;
+    const refused = Object.fromEntries([...got.refused].map(([path, { reason, detail }]) => [path, [reason, detail]]));
+    came.push({ ...got, refused, inOrder, progress });
+  }
+  const groups = Array.from({ length: media.tables.index.groups }, (_, group) => media.tables.has(group));
+  media.close();
+  return { came, groups, opened: media.opened };
+}
+
+/** Reads airgs.json of a growing package until it is closed. */
+async function growing({ url }: Step): Promise<unknown> {
+  const media = await Media.open(url);
+  const seen: [number, boolean][] = [[media.tables.index.groups, media.tables.root.live]];
+  while (media.tables.root.live) {
+    demand(await media.refreshRoot());
+    seen.push([media.tables.index.groups, media.tables.root.live]);
+  }
+  const last = media.tables.index.groups - 1;
+  await openGroup(media, last);
+  const start = media.tables.group(last).start;
+  media.close();
+  return { seen, start };
+}
+
+/** How far decoding goes while the page takes nothing, then one frame, then the rest; and after giving up. */
+async function ahead({ url }: Step): Promise<unknown> {
+  const media = await Media.open(url, { aheadBytes: 1 });
+  await openGroup(media, 0);
+  const tiers = media.tables.group(0).tiers.length;
+  await canonicalOf(media, 0, 0, tiers);
+  const [path] = media.tables.stateFiles(0, 0);
+  demand(await media.fetch([path]));
+  const frames: (StateFrame | null)[] = [];
+  const waiting = media.segment(0, 0, { group: 0, quality: 0, tiers }, (_, frame) => frames.push(frame));
+  const settled = async () => {
+    for (let before = -1; before !== frames.length; ) {
+      before = frames.length;
+      await new Promise((resolve) => setTimeout(resolve, 150));
+    }
+    return frames.length;
+  };
+  const counts = [await settled()];
+  for (let t = 0; t < frames.length; t++) {
+    media.taken(frames[t]);
+    if (t === frames.length - 1) counts.push(await settled());
+  }
+  const total = await waiting;
+  demand(await media.fetch([path]));
+  const stop = new AbortController();
+  const given = media.segment(0, 0, { group: 0, quality: 0, tiers }, () => stop.abort(), stop.signal);
+  const error = await given.catch((problem: Error) => problem.name);
+  demand(await media.fetch([path]));
+  const again = await media.segment(0, 0, { group: 0, quality: 0, tiers }, (_, frame) => media.taken(frame));
+  media.close();
+  return { counts, total, error, again };
+}
+
+/** What comes of files that no table leads to, that were not fetched, and of a worker that was closed. */
+async function mistakes({ url }: Step): Promise<unknown> {
+  const media = await Media.open(url);
+  const said: unknown[] = [];
+  const say = (error: unknown) => said.push(describe(error));
+  const early = await media.fetch(["key/T0/1.bin", "nothing/1.bin"]);
+  for (const error of early.refused.values()) say(error);
+  await openGroup(media, 0);
+  said.push((await media.canonical(0, 0, 1)).depths.length);
+  const late = media.canonical(0, 0, 1).catch(say);
+  media.close();
+  await late;
+  await media.canonical(0, 0, 1).catch(say);
+  return said;
+}
+
+/** Opening alone. */
+async function opening({ url }: Step): Promise<unknown> {
+  const media = await Media.open(url, { attempts: 1 });
+  media.close();
+  return { groups: media.tables.index.groups, bytes: media.opened.bytes, retries: media.opened.retries };
+}
+
+function describe(error: unknown): unknown {
+  if (error instanceof FormatError)
+    return { name: error.name, reason: error.reason, where: error.where, detail: error.detail };
+  const { name, message, stack } = error as Error;
+  return { name, message, stack };
+}
+
+const tasks: Record<string, (step: Step) => Promise<unknown>> = {
+  luma,
+  frames,
+  fetching,
+  growing,
+  ahead,
+  mistakes,
+  opening,
+  ...probes,
+  ...decodes,
+};
+
+async function run(): Promise<Record<string, unknown>> {
+  const plan: Step[] = await (await fetch("/plan.json")).json();
+  const report: Record<string, unknown> = {};
+  for (const step of plan) {
+    report[step.name] = await tasks[step.task](step).catch((error) => ({ error: describe(error) }));
+  }
+  return report;
+}
+
+Object.assign(window, { report: run() });

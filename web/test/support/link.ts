@@ -1,0 +1,132 @@
+// A link that replays a trace: airgs_codec/play/trace.py, link.py and SimulatedDownloader, number by number.
+import { FormatError, type Reason } from "../../src/format/errors.ts";
+import { type Catalogue, filesOf, roundHalfEven } from "../../src/play/catalogue.ts";
+import { CHECK_S, type Downloader, type GiveUp, type Partial } from "../../src/play/downloader.ts";
+import type { Arrival, Request } from "../../src/play/events.ts";
+
+/** Rates that hold from their starts on; after the last second comes the first one. */
+export class Trace {
+  private readonly totals = [0]; // bits delivered up to each start, and to the end
+
+  constructor(
+    readonly startsS: readonly number[],
+    readonly ratesBps: readonly number[],
+    readonly durationS: number,
+  ) {
+    ratesBps.forEach((rate, i) => {
+      this.totals.push(this.totals[i] + rate * ((startsS[i + 1] ?? durationS) - startsS[i]));
+    });
+  }
+
+  /** Integral of the rate from 0 on. */
+  bitsUntil(atS: number): number {
+    const rest = atS % this.durationS;
+    const rounds = Math.round((atS - rest) / this.durationS);
+    const i = lastUpTo(this.startsS, rest);
+    return rounds * this.total + this.totals[i] + this.ratesBps[i] * (rest - this.startsS[i]);
+  }
+
+  /** When so many bytes have passed, the first bit at `atS`. */
+  arrivalS(bytes: number, atS: number): number {
+    const target = this.bitsUntil(atS) + 8 * bytes;
+    let rounds = Math.floor(target / this.total);
+    let rest = target - rounds * this.total;
+    if (rest <= 0 && rounds > 0) {
+      rounds--; // done exactly at the end of a round: when its last bit came
+      rest = this.total;
+    }
+    const i = Math.max(0, this.totals.findIndex((total) => total >= rest) - 1);
+    const rate = this.ratesBps[i];
+    const inside = rate > 0 ? (rest - this.totals[i]) / rate : 0;
+    return Math.max(atS, rounds * this.durationS + this.startsS[i] + inside);
+  }
+
+  private get total(): number {
+    return this.totals[this.totals.length - 1];
+  }
+}
+
+function lastUpTo(ascending: readonly number[], value: number): number {
+  let i = ascending.length - 1;
+  while (ascending[i] > value) i--;
+  return i;
+}
+
+export interface SimulatedLink {
+  trace: Trace;
+  rttS: number;
+  pipelines?: boolean;
+  /** Path → why a file cannot be used. */
+  faults?: Record<string, Reason>;
+}
+
+/** Time is that of the trace; no clock is read. */
+export class SimulatedDownloader implements Downloader {
+  readonly rttS: number;
+  readonly pipelines: boolean;
+  /** What was asked for, in order. */
+  readonly requests: Request[] = [];
+  protected nowS = 0;
+  private readonly faults: Map<string, FormatError>;
+  private freeS = 0; // when the last batch was over
+
+  constructor(
+    protected readonly link: SimulatedLink,
+    protected readonly catalogue: Catalogue,
+  ) {
+    this.rttS = link.rttS;
+    this.pipelines = link.pipelines ?? true;
+    const faults = Object.entries(link.faults ?? {});
+    this.faults = new Map(faults.map(([path, reason]) => [path, new FormatError(reason, path, "made up")]));
+  }
+
+  now(): number {
+    return this.nowS;
+  }
+
+  async wait(untilS: number): Promise<void> {
+    this.nowS = Math.max(this.nowS, untilS);
+  }
+
+  async fetch(request: Request, giveUp: GiveUp | null, _signal: AbortSignal): Promise<Arrival> {
+    this.requests.push(request);
+    const files = filesOf(request.batch);
+    const sizes = files.map((path) => this.wireSize(path));
+    const expected = sizes.reduce((a, b) => a + b, 0);
+    const firstS = Math.max(this.freeS, request.sentS) + request.latencyS;
+    let [endS, passed] = [this.link.trace.arrivalS(expected, firstS), expected];
+    const stopped = giveUp && this.looks(firstS, endS, expected).find(giveUp);
+    if (stopped) [endS, passed] = [stopped.atS, stopped.bytes];
+    this.freeS = endS;
+    this.nowS = endS;
+    const came = files.filter((_, i) => sizes.reduce((a, size) => a + Math.min(sizes[i], size), 0) <= passed);
+    const refused = came.filter((path) => this.faults.has(path));
+    return {
+      request,
+      firstByteS: firstS,
+      atS: endS,
+      bytes: Math.max(1, roundHalfEven(passed)),
+      whole: came.filter((path) => !this.faults.has(path)),
+      refused: new Map(refused.map((path) => [path, this.faults.get(path) as FormatError])),
+      abandoned: Boolean(stopped),
+      cached: false,
+    };
+  }
+
+  private looks(firstS: number, endS: number, expectedBytes: number): Partial[] {
+    const looks: Partial[] = [];
+    for (let look = 1; firstS + CHECK_S * look < endS; look++) {
+      const atS = firstS + CHECK_S * look;
+      const { trace } = this.link;
+      const bytes = Math.max(0, trace.bitsUntil(atS) - trace.bitsUntil(firstS)) / 8;
+      looks.push({ atS, elapsedS: atS - firstS, bytes, expectedBytes });
+    }
+    return looks;
+  }
+
+  /** Bytes of a file with its headers; of a missing one the headers alone. */
+  private wireSize(path: string): number {
+    const missing = this.faults.get(path)?.reason === "missing_file";
+    return missing ? this.catalogue.headerBytes : this.catalogue.wire([path]);
+  }
+}

@@ -1,0 +1,167 @@
+// What a package offers a player, from numbers alone: `Offers` without files or tables. All count from 0.
+import { GroupIndex, PAGE } from "../../src/format/index.ts";
+import { keyMediaPath, keySidecarPath, locate, stateMediaPath } from "../../src/format/paths.ts";
+import type { Offers } from "../../src/play/catalogue.ts";
+
+export interface SegmentNumbers {
+  frames: number;
+  /** One a level; 0: nothing to fetch. */
+  bytes: number[];
+  /** dB, by level and quality. */
+  psnr: number[][];
+}
+
+export interface GroupNumbers {
+  /** Bytes. */
+  table: number;
+  /** One a tier; 0: no rows. */
+  sidecars: number[];
+  /** By tier and quality. */
+  pictures: number[][];
+  segments: SegmentNumbers[];
+}
+
+export interface PackageNumbers {
+  name: string;
+  frame_rate: number[];
+  header_bytes: number;
+  root_bytes: number;
+  page_bytes: number;
+  qualities: string[];
+  levels: { id: string; tiers: number; pruned: number }[];
+  groups: GroupNumbers[];
+}
+
+const sum = (numbers: number[]) => numbers.reduce((a, b) => a + b, 0);
+
+/** A package whose tables are all there; `grow` adds groups. */
+export class NumberOffers implements Offers {
+  root!: Offers["root"];
+  index!: GroupIndex;
+  rootBytes: number;
+
+  constructor(
+    readonly numbers: PackageNumbers,
+    count = numbers.groups.length,
+    live = false,
+  ) {
+    this.rootBytes = numbers.root_bytes;
+    this.show(count, live);
+  }
+
+  /** Go on with the first `count` groups. */
+  grow(count: number, live: boolean): void {
+    this.rootBytes = this.numbers.root_bytes + count;
+    this.show(count, live);
+  }
+
+  private show(count: number, live: boolean): void {
+    const { qualities, levels, frame_rate, page_bytes, groups } = this.numbers;
+    const columns = (from: number, to: number) => {
+      const parts = groups.slice(from, to);
+      const frames = parts.map((part) => sum(part.segments.map((segment) => segment.frames)));
+      const segments = parts.map((part) => part.segments.length);
+      return { frames, segments, bytes: parts.map((part) => part.table), sha256: "" };
+    };
+    const paged = count - (count % PAGE);
+    const pages = Array.from({ length: paged / PAGE }, (_, page) => columns(PAGE * page, PAGE * (page + 1)));
+    const sums = { frames: pages.map((p) => sum(p.frames)), segments: pages.map((p) => sum(p.segments)) };
+    this.index = new GroupIndex({
+      pages: { ...sums, bytes: pages.map(() => page_bytes), sha256: "" },
+      groups: columns(paged, count),
+    });
+    pages.forEach((page, number) => {
+      this.index.addPage(number, page);
+    });
+    this.root = {
+      frame_rate,
+      live,
+      levels,
+      tiers: groups[0].sidecars.length,
+      frames: this.index.frames,
+      views: { reference: "original" },
+      qualities: qualities.map((id) => ({ id })),
+    };
+  }
+
+  has(): boolean {
+    return true;
+  }
+
+  segment(segment: number) {
+    const { entry, part } = this.part(segment);
+    const before = part.segments.slice(0, segment - entry.firstSegment);
+    const { frames, psnr } = part.segments[segment - entry.firstSegment];
+    const start = entry.start + sum(before.map((other) => other.frames));
+    return { start, stop: start + frames, levels: psnr.map((numbers) => ({ psnr: numbers })) };
+  }
+
+  groupOf(segment: number): number {
+    return this.index.atSegment(segment);
+  }
+
+  keyFiles(group: number, tier: number, quality: number): string[] {
+    if (!this.numbers.groups[group].sidecars[tier]) return [];
+    return [keySidecarPath(tier, group + 1), keyMediaPath(tier, quality, group + 1)];
+  }
+
+  stateFiles(segment: number, level: number): string[] {
+    const { entry, part } = this.part(segment);
+    return part.segments[segment - entry.firstSegment].bytes[level] ? [stateMediaPath(level, segment + 1)] : [];
+  }
+
+  entry(path: string): { bytes: number } {
+    const found = locate(path);
+    if (!found) throw new Error(`${path}: no such file`);
+    const [number, ...rest] = [...found.numbers].reverse();
+    if (found.what === "page") return { bytes: this.numbers.page_bytes };
+    if (found.what === "state") {
+      const { entry, part } = this.part(number - 1);
+      return { bytes: part.segments[number - 1 - entry.firstSegment].bytes[rest[0]] };
+    }
+    const group = this.numbers.groups[number - 1];
+    if (found.what === "group") return { bytes: group.table };
+    return { bytes: found.what === "sidecar" ? group.sidecars[rest[0]] : group.pictures[rest[1]][rest[0]] };
+  }
+
+  private part(segment: number) {
+    const group = this.groupOf(segment);
+    return { entry: this.index.entry(group), part: this.numbers.groups[group] };
+  }
+}
+
+/** An offer of manifests/vectors/policies.json, whose sizes are those of whole units on the wire. */
+export interface PolicyOffer {
+  levels: { tiers: number; pruned: number }[];
+  groups: number[][][];
+  segments: { group: number; seconds: number; state_bytes: number[]; psnr: number[][] }[];
+}
+
+/** Such an offer as a package of units of one file each, at four frames a second. */
+export class UnitOffers extends NumberOffers {
+  constructor(offer: PolicyOffer) {
+    const fps = 4;
+    const groups = offer.groups.map((sizes, group) => ({
+      table: 0,
+      sidecars: sizes[0].map(() => 0),
+      pictures: sizes[0].map((_, tier) => sizes.map((tiers) => tiers[tier])),
+      segments: offer.segments
+        .filter((segment) => segment.group === group)
+        .map(({ seconds, state_bytes, psnr }) => ({ frames: seconds * fps, bytes: state_bytes, psnr })),
+    }));
+    super({
+      name: "offer",
+      frame_rate: [fps, 1],
+      header_bytes: 0,
+      root_bytes: 0,
+      page_bytes: 0,
+      qualities: offer.groups[0].map((_, q) => `Q${q}`),
+      levels: offer.levels.map((level, j) => ({ id: `L${j}`, ...level })),
+      groups,
+    });
+  }
+
+  override keyFiles(group: number, tier: number, quality: number): string[] {
+    return this.numbers.groups[group].pictures[tier][quality] ? [keyMediaPath(tier, quality, group + 1)] : [];
+  }
+}

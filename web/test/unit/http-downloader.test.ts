@@ -1,0 +1,156 @@
+// Batches over a connection: what is measured, given up and kept.
+import assert from "node:assert/strict";
+import { mock, test } from "node:test";
+import { FormatError } from "../../src/format/errors.ts";
+import type { Fetched } from "../../src/media/client.ts";
+import { Catalogue } from "../../src/play/catalogue.ts";
+import type { Partial } from "../../src/play/downloader.ts";
+import type { Request } from "../../src/play/events.ts";
+import { HttpDownloader, joinNewest, type Source } from "../../src/play/http-downloader.ts";
+import { Playout } from "../../src/play/playout.ts";
+import { makePolicy } from "../../src/play/policies/named.ts";
+import { Session } from "../../src/play/session.ts";
+import { sessionSettings } from "../../src/play/settings.ts";
+import { Stores } from "../../src/play/stores.ts";
+import { NumberOffers, type PackageNumbers } from "../support/offers.ts";
+import { readVectors } from "./files.ts";
+
+const { packages } = readVectors("sessions") as { packages: PackageNumbers[] };
+const never = new AbortController().signal;
+const nowS = () => performance.now() / 1000;
+
+const nothing = (): Fetched => {
+  return { firstByteS: nowS(), endS: nowS(), bytes: 0, cached: false, whole: [], refused: new Map(), retries: [] };
+};
+
+/** Answers as the test tells it to; where a fetch is given up, with the first file alone. */
+class Fake implements Source {
+  opened: Fetched = { ...nothing(), bytes: 3000, whole: ["airgs.json"] };
+  fetched: string[][] = [];
+  answer: Fetched | null = null;
+  progress: ((bytes: number) => void) | undefined;
+
+  fetch(paths: string[], { signal, onProgress }: { signal?: AbortSignal; onProgress?: (bytes: number) => void } = {}) {
+    this.fetched.push(paths);
+    this.progress = onProgress;
+    if (this.answer) return Promise.resolve(this.answer);
+    return new Promise<Fetched>((resolve) => {
+      const end = () => resolve({ ...nothing(), bytes: 900, whole: paths.slice(0, 1) });
+      if (signal?.aborted) end();
+      else signal?.addEventListener("abort", end);
+    });
+  }
+
+  refreshRoot(): Promise<Fetched> {
+    return Promise.reject(new FormatError("bad_value", "airgs.json", "another package"));
+  }
+}
+
+function made() {
+  const catalogue = new Catalogue(new NumberOffers(packages[0]));
+  const source = new Fake();
+  return { catalogue, source, downloader: new HttpDownloader(source, catalogue) };
+}
+
+function request(catalogue: Catalogue, tables: string[] = []): Request {
+  const batch = tables.length ? { keys: [], state: [], tables } : catalogue.batch(0, 0, new Map());
+  return { kind: tables.length ? "tables" : "group", position: 0, rung: 0, batch, sentS: 0, latencyS: 0 };
+}
+
+test("airgs.json was fetched when the package was opened; later another package is refused", async () => {
+  const { catalogue, downloader } = made();
+  const asked = request(catalogue, ["airgs.json"]);
+  const first = await downloader.fetch(asked, null, never);
+  assert.deepEqual([first.whole, first.bytes], [["airgs.json"], 3000]);
+  const second = await downloader.fetch(asked, null, never);
+  assert.deepEqual([[...second.refused.keys()], second.whole], [["airgs.json"], []]);
+});
+
+test("the round trip is the shortest wait that no cache has shortened", async () => {
+  const { catalogue, downloader, source } = made();
+  assert.equal(downloader.rttS, 0);
+  const whole = [...catalogue.batch(0, 0, new Map()).keys];
+  for (const [waitS, cached, expected] of [
+    [5, false, 5],
+    [1, true, 5],
+    [2, false, 2],
+    [3, false, 2],
+  ] as const) {
+    source.answer = { ...nothing(), firstByteS: nowS() + waitS, endS: nowS() + 9, bytes: 1000, cached, whole };
+    const { cached: told } = await downloader.fetch(request(catalogue), null, never);
+    assert.equal(told, cached);
+    assert.ok(Math.abs(downloader.rttS - expected) < 0.5);
+  }
+});
+
+test("a download is looked at from its first byte on; what is whole when it is given up is kept", async () => {
+  mock.timers.enable({ apis: ["setInterval"] });
+  const { catalogue, downloader, source } = made();
+  const asked = request(catalogue);
+  const looks: Partial[] = [];
+  const coming = downloader.fetch(asked, (partial) => looks.push(partial) > 1, never);
+  mock.timers.tick(5000);
+  assert.equal(looks.length, 0);
+  source.progress?.(400);
+  mock.timers.tick(500);
+  source.progress?.(900);
+  mock.timers.tick(500);
+  const arrival = await coming;
+  mock.timers.reset();
+  assert.deepEqual(
+    looks.map(({ bytes }) => bytes),
+    [400, 900],
+  );
+  assert.equal(looks[0].expectedBytes, catalogue.wire([...asked.batch.keys, ...asked.batch.state]));
+  assert.deepEqual([arrival.abandoned, arrival.whole], [true, asked.batch.keys.slice(0, 1)]);
+});
+
+test("a session that is stopped ends its download", async () => {
+  const { catalogue, downloader } = made();
+  const stop = new AbortController();
+  const coming = downloader.fetch(request(catalogue), null, stop.signal);
+  stop.abort();
+  assert.equal((await coming).abandoned, true);
+});
+
+test("waits end when the playout changes, or the session is stopped", async () => {
+  const { catalogue, downloader } = made();
+  const playout = new Playout(catalogue, sessionSettings());
+  const stop = new AbortController();
+  const paused = downloader.wait(Infinity, playout, stop.signal);
+  playout.freeze(nowS());
+  await paused;
+  const stopped = downloader.wait(Infinity, playout, stop.signal);
+  stop.abort();
+  await stopped;
+  await downloader.wait(nowS() - 1, playout, never);
+});
+
+test("a session over a connection plays to the end", async () => {
+  const { catalogue, downloader, source } = made();
+  source.fetch = async (paths) => ({ ...nothing(), bytes: 1000, whole: [...paths].reverse() });
+  const settings = sessionSettings({ bufferS: 1000, loops: 2 });
+  const playout = new Playout(catalogue, settings);
+  const stores = new Stores(catalogue);
+  const policy = makePolicy("robust-mpc", catalogue);
+  const session = new Session({ catalogue, downloader, policy, settings, playout, stores });
+  const kinds = new Set<string>();
+  for await (const event of session.run(never)) kinds.add(event.type);
+  assert.deepEqual([...kinds], ["arrived", "shown"]);
+  assert.equal(playout.slots.length, 2 * catalogue.segments);
+  assert.ok(playout.slots.every((slot) => slot.rung !== null && slot.startAt < Infinity));
+});
+
+test("a growing package is joined at its newest group", async () => {
+  const source = new Fake();
+  const offers = new NumberOffers(packages[2], 66, true);
+  const catalogue = new Catalogue(offers);
+  await joinNewest(catalogue, source);
+  assert.deepEqual([catalogue.first, source.fetched], [65, []]);
+  offers.grow(64, true); // the newest stands on a page
+  const { index } = offers;
+  index.hasPage = () => false;
+  source.answer = { ...nothing(), whole: ["index/1.json"] };
+  await joinNewest(catalogue, source);
+  assert.deepEqual([catalogue.first, source.fetched], [63, [["index/1.json"]]]);
+});

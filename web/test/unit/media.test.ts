@@ -1,0 +1,285 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { annexB, codecString, isIdr, nalUnits, pageSamples, readParameters } from "../../src/format/avc.ts";
+import { FormatError } from "../../src/format/errors.ts";
+import { type Media, readMedia } from "../../src/format/mp4.ts";
+import type { Tables } from "../../src/format/package.ts";
+import { locate } from "../../src/format/paths.ts";
+import type { Atlas } from "../../src/format/types.ts";
+import { checkCount, readKeyUnit, readStateUnit } from "../../src/format/units.ts";
+import { readBytes, readVectors } from "./files.ts";
+import { readTables } from "./walk.ts";
+
+const refused = { name: "FormatError", reason: "bad_picture" };
+const FOX = "tests/golden/fox";
+const KEY = "key/T0/Q0/1.m4s";
+const open = (path: string, folder = FOX): Media => readMedia(readBytes(`${folder}/${path}`), path);
+
+/** Atlas, frames and span of a file. */
+function unitOf(tables: Tables, path: string): { atlas: Atlas; start: number; stop: number } {
+  const { what, numbers } = locate(path)!;
+  const number = numbers.at(-1)! - 1;
+  if (what === "state") {
+    const { start, stop } = tables.segment(number);
+    return { atlas: tables.group(tables.groupOf(number)).levels[numbers[0]!]!, start, stop };
+  }
+  const { tiers, start, stop } = tables.group(number);
+  return { atlas: tiers[numbers[0]!]!.qualities[numbers[1]!]!, start, stop };
+}
+
+for (const one of readVectors("packages").units) {
+  test(`${one.path} of ${one.package}`, async () => {
+    const tables = await readTables(one.package);
+    const { columns, samples } = open(one.path, one.package);
+    assert.equal(columns && Buffer.from(columns).toString("base64"), one.columns);
+    const { atlas, start, stop } = unitOf(tables, one.path);
+    const frames = one.path.startsWith("key") ? 1 : stop - start;
+    const pages = pageSamples(samples, atlas, frames, one.path);
+    // `height` is that of the atlas' pages together.
+    assert.deepEqual([pages.length * frames, atlas.width], [one.luma.length * pages.length, one.width]);
+    assert.equal(pages.length * atlas.height, one.height);
+    const { width, height, reorder, buffering, codec } = readParameters(samples[0]!.data, one.path);
+    assert.deepEqual([width, height], [atlas.width, atlas.height]);
+    assert.match(codec, /^avc1\.6400[0-9A-F]{2}$/);
+    assert.ok(reorder !== null && buffering !== null && reorder <= buffering);
+    if (one.path.startsWith("key")) assert.ok(reorder === 0 && buffering <= 1);
+  });
+
+  test(`times of ${one.path} of ${one.package}`, async () => {
+    const tables = await readTables(one.package);
+    const { start, stop } = unitOf(tables, one.path);
+    const ticks = (tables.root.timescale * tables.root.frame_rate[1]!) / tables.root.frame_rate[0]!;
+    const { samples } = open(one.path, one.package);
+    const shown = [...samples].sort((a, b) => a.time - b.time);
+    let time = start * ticks;
+    for (const sample of shown) {
+      assert.equal(sample.time, time);
+      time += sample.duration;
+    }
+    assert.equal(time, stop * ticks);
+  });
+}
+
+test("a sample as Annex B has the same NAL units behind start codes", () => {
+  const [sample] = open(KEY).samples;
+  const stream = Buffer.from(annexB(sample!.data, KEY));
+  const expected = nalUnits(sample!.data, KEY).flatMap((unit) => [0, 0, 0, 1, ...unit]);
+  assert.deepEqual([...stream], expected);
+  assert.ok(isIdr(sample!.data, KEY));
+  assert.equal(codecString(sample!.data, KEY), readParameters(sample!.data, KEY).codec);
+});
+
+test("a picture of another size, and another number of them, are refused", async () => {
+  const { atlas } = unitOf(await readTables(FOX), KEY);
+  const { samples } = open(KEY);
+  assert.throws(() => pageSamples(samples, { ...atlas, width: atlas.width + 16 }, 1, KEY), refused);
+  assert.throws(() => pageSamples([], atlas, 1, KEY), refused);
+  assert.throws(() => pageSamples([...samples, ...samples], atlas, 1, KEY), refused);
+});
+
+test("a sample without parameter sets, or that is no IDR, is refused", async () => {
+  const { atlas, start, stop } = unitOf(await readTables(FOX), "state/L0/1.m4s");
+  const { samples } = open("state/L0/1.m4s");
+  assert.throws(() => pageSamples([...samples].reverse(), atlas, stop - start, "x"), refused);
+  const unit = nalUnits(samples[0]!.data, "x").find((one) => (one[0]! & 31) === 5)!;
+  assert.throws(() => readParameters(Uint8Array.of(0, 0, 0, 1, unit[0]!), "x"), refused);
+});
+
+/** A parameter set as a sample, of values in the order in which it has them: [bits, value], or Exp-Golomb. */
+function sampleOf(fields: ([number, number] | number)[]): Uint8Array {
+  const text = fields.map((field) => {
+    if (typeof field !== "number") return field[1].toString(2).padStart(field[0], "0");
+    const code = (field + 1).toString(2);
+    return "0".repeat(code.length - 1) + code;
+  });
+  const bits = `${text.join("")}1`;
+  const bytes = bits
+    .padEnd(8 * Math.ceil(bits.length / 8), "0")
+    .match(/.{8}/g)!
+    .map((byte) => Number.parseInt(byte, 2));
+  const unit: number[] = [];
+  for (const byte of bytes) {
+    if (byte <= 3 && unit.at(-1) === 0 && unit.at(-2) === 0) unit.push(3);
+    unit.push(byte);
+  }
+  return Uint8Array.of(0, 0, 0, unit.length, ...unit);
+}
+
+const HEAD: [number, number][] = [
+  [8, 0x67],
+  [8, 100],
+  [8, 0],
+  [8, 51],
+];
+
+test("parameter sets with everything that may stand in them", () => {
+  const scaling: ([number, number] | number)[] = [[1, 1], [1, 1], ...new Array(16).fill(0), [7, 0]];
+  const chroma: ([number, number] | number)[] = [0, 1, 0, 0, [1, 0], ...scaling];
+  const order = [0, 1, [1, 0], 0, 0, 2, 0, 0] as ([number, number] | number)[];
+  const size: ([number, number] | number)[] = [1, [1, 0], 7, 3, [1, 0], [1, 0], [1, 1], [1, 1], 1, 2, 3, 0];
+  const head: [number, number][] = [
+    [1, 1],
+    [1, 1],
+    [8, 255],
+    [32, 0],
+    [1, 1],
+    [1, 0],
+    [1, 1],
+    [4, 0],
+    [1, 1],
+    [24, 0],
+  ];
+  const hrd: ([number, number] | number)[] = [[1, 1], 0, [8, 0], 0, 0, [1, 0], [20, 0]];
+  const vui = [
+    ...head,
+    [1, 1],
+    0,
+    0,
+    [1, 1],
+    [65, 0],
+    ...hrd,
+    ...hrd,
+    [1, 0],
+    [1, 0],
+    [1, 1],
+    [1, 0],
+    0,
+    0,
+    9,
+    9,
+    2,
+    5,
+  ];
+  const fields = [...HEAD, ...chroma, ...order, ...size, ...vui] as ([number, number] | number)[];
+  const expected = { codec: "avc1.640033", width: 122, height: 116, reorder: 2, buffering: 5 };
+  assert.deepEqual(readParameters(sampleOf(fields), "x"), expected);
+});
+
+test("parameter sets that say nothing of reordering", () => {
+  const plain: ([number, number] | number)[] = [
+    [8, 0x67],
+    [8, 77],
+    [8, 64],
+    [8, 31],
+    0,
+    0,
+    2,
+    1,
+    [1, 0],
+    3,
+    3,
+    [1, 1],
+    [1, 1],
+  ];
+  const parts = readParameters(sampleOf([...plain, [1, 0], [1, 0]]), "x");
+  assert.deepEqual(parts, { codec: "avc1.4D401F", width: 64, height: 64, reorder: null, buffering: null });
+  const silent = readParameters(sampleOf([...plain, [1, 0], [1, 1], [9, 0]]), "x");
+  assert.equal(silent.reorder, null);
+});
+
+test("other chroma and depths are refused", () => {
+  for (const [chroma, luma, depth] of [
+    [3, 0, 0],
+    [0, 0, 0],
+    [1, 2, 0],
+    [1, 0, 2],
+  ]) {
+    assert.throws(() => readParameters(sampleOf([...HEAD, 0, chroma!, luma!, depth!]), "x"), refused);
+  }
+});
+
+/** A box of a kind with content. */
+function box(kind: string, ...content: Uint8Array[]): Uint8Array {
+  const data = content.flatMap((part) => [...part]);
+  const header = Buffer.alloc(8);
+  header.writeUInt32BE(8 + data.length);
+  header.write(kind, 4, "latin1");
+  return Uint8Array.from([...header, ...data]);
+}
+
+const words = (...numbers: number[]) => {
+  const view = new DataView(new ArrayBuffer(4 * numbers.length));
+  numbers.forEach((number, i) => {
+    view.setUint32(4 * i, number);
+  });
+  return new Uint8Array(view.buffer);
+};
+
+test("every field that a fragment may have is read", () => {
+  const tfhd = box("tfhd", words(0x1b, 1, 0, 0, 7, 50, 3));
+  const tfdt = box("tfdt", words(1 << 24, 2, 5));
+  const run = [words((1 << 24) | 0xf05, 2), words(0, 0), words(10, 2, 0, 0xffffffff), words(11, 1, 0, 4)];
+  const moofBytes = 8 + 16 + 8 + tfhd.length + tfdt.length + 8 + run.reduce((sum, part) => sum + part.length, 0);
+  run[1] = words(moofBytes + 8, 0);
+  const traf = box("traf", tfhd, tfdt, box("trun", ...run));
+  const media = [...box("moof", box("mfhd", words(0, 1)), traf), ...box("mdat", Uint8Array.of(1, 2, 3))];
+  const { columns, samples } = readMedia(Uint8Array.from(media), "x");
+  assert.equal(columns, null);
+  const start = 2 * 2 ** 32 + 5;
+  assert.deepEqual(samples, [
+    { data: Uint8Array.of(1, 2), time: start - 1, duration: 10 },
+    { data: Uint8Array.of(3), time: start + 14, duration: 11 },
+  ]);
+});
+
+test("segments that are built otherwise are refused", () => {
+  const whole = readBytes(`${FOX}/${KEY}`);
+  const own = new DataView(whole.buffer).getUint32(0);
+  const [uuid, fragment] = [whole.subarray(0, own), whole.subarray(own)];
+  const other = whole.slice();
+  other[8]! ^= 1;
+  const free = box("free");
+  const all = [
+    [fragment, uuid],
+    [uuid, uuid, fragment],
+    [uuid, fragment, fragment],
+    [free, fragment],
+    [fragment, free],
+    [other],
+    [uuid],
+    [box("uuid", Uint8Array.of(1)), fragment],
+    [],
+  ];
+  for (const parts of all) {
+    assert.throws(() => readMedia(Uint8Array.from(parts.flatMap((part) => [...part])), "x"), refused);
+  }
+});
+
+test("a damaged file is refused for a reason of the format, wherever it is damaged", async () => {
+  const tables = await readTables(FOX);
+  const table = tables.group(0);
+  const sidecar = readBytes(`${FOX}/key/T0/1.bin`);
+  const place = { group: 0, tier: 0, quality: 0 };
+  const attempts: [Uint8Array, (data: Uint8Array) => void][] = [
+    [sidecar, (data) => readKeyUnit(tables.root, table, place, data, readBytes(`${FOX}/${KEY}`))],
+    [readBytes(`${FOX}/${KEY}`), (data) => readKeyUnit(tables.root, table, place, sidecar, data)],
+    [readBytes(`${FOX}/state/L0/1.m4s`), (data) => readStateUnit(table, { segment: 0, place: 0, level: 0 }, data)],
+  ];
+  let refusals = 0;
+  for (const [data, read] of attempts) {
+    for (let at = 0; at < data.length; at += 7) {
+      const damaged = data.slice();
+      damaged[at]! ^= 1 << (at % 8);
+      for (const one of [damaged, data.subarray(0, at)]) {
+        try {
+          read(one);
+        } catch (error) {
+          assert.ok(error instanceof FormatError, `byte ${at}: ${error}`);
+          refusals++;
+        }
+      }
+    }
+  }
+  assert.ok(refusals > 100);
+});
+
+test("rows of fewer tiers than a level asks for are some of its rows, of all tiers all of them", async () => {
+  const tables = await readTables(FOX);
+  const [root, table] = [tables.root, tables.group(0)];
+  const rows = table.levels[0]!.rows;
+  checkCount(root, table, 0, root.tiers, new Uint8Array(rows));
+  checkCount(root, table, 0, root.tiers - 1, new Uint8Array(rows - 1));
+  const mismatch = { reason: "count_mismatch" };
+  assert.throws(() => checkCount(root, table, 0, root.tiers, new Uint8Array(rows - 1)), mismatch);
+  assert.throws(() => checkCount(root, table, 0, root.tiers - 1, new Uint8Array(rows + 1)), mismatch);
+});

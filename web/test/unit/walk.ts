@@ -1,0 +1,69 @@
+// Reads a whole package as a player does, but for its pictures.
+import { existsSync } from "node:fs";
+import { FormatError } from "../../src/format/errors.ts";
+import { Tables } from "../../src/format/package.ts";
+import { groupPath, pagePath, ROOT_PATH } from "../../src/format/paths.ts";
+import { checkCount, readKeyUnit, readStateUnit } from "../../src/format/units.ts";
+import { pathOf, readBytes } from "./files.ts";
+
+function read(folder: string, path: string): Uint8Array {
+  if (!existsSync(pathOf(`${folder}/${path}`))) throw new FormatError("missing_file", path, "expected a file");
+  return readBytes(`${folder}/${path}`);
+}
+
+async function fetched(tables: Tables, folder: string, path: string): Promise<Uint8Array> {
+  const bytes = read(folder, path);
+  await Tables.check(path, tables.entry(path), bytes);
+  return bytes;
+}
+
+/** The tables of a package, all of them read. */
+export async function readTables(folder: string): Promise<Tables> {
+  const tables = Tables.parse(read(folder, ROOT_PATH));
+  for (let page = 0; page < tables.index.pages; page++) {
+    await tables.add(pagePath(page + 1), read(folder, pagePath(page + 1)));
+  }
+  for (let group = 0; group < tables.index.groups; group++) {
+    await tables.add(groupPath(group + 1), read(folder, groupPath(group + 1)));
+  }
+  return tables;
+}
+
+/** Reads every file that tables lead to. Returns how many there are. */
+export async function walk(folder: string): Promise<number> {
+  const tables = await readTables(folder);
+  const { root, index } = tables;
+  await fetched(tables, folder, "init.mp4");
+  let files = 1;
+  for (let group = 0; group < index.groups; group++) {
+    const table = tables.group(group);
+    for (let quality = 0; quality < root.qualities.length; quality++) {
+      const depths: number[] = [];
+      for (let tier = 0; tier < root.tiers; tier++) {
+        const paths = tables.keyFiles(group, tier, quality);
+        if (!paths.length) continue;
+        const [sidecar, media] = await Promise.all(paths.map((path) => fetched(tables, folder, path)));
+        depths.push(...readKeyUnit(root, table, { group, tier, quality }, sidecar!, media!).depths);
+        files += 2;
+      }
+      root.levels.forEach((_, level) => {
+        checkCount(root, table, level, root.tiers, Uint8Array.from(depths));
+      });
+    }
+    const { start, stop } = tables.segmentsOf(group);
+    for (let segment = start; segment < stop; segment++) {
+      for (let level = 0; level < root.levels.length; level++) {
+        for (const path of tables.stateFiles(segment, level)) {
+          const unit = readStateUnit(
+            table,
+            { segment, place: segment - start, level },
+            await fetched(tables, folder, path),
+          );
+          for (let t = 0; t < unit.frames; t++) unit.bases.next(t);
+          files++;
+        }
+      }
+    }
+  }
+  return files;
+}
