@@ -1,4 +1,4 @@
-"""airgs-encode: a folder of .ply frames, or of multi-view video, to a package."""
+"""airgs-encode: Gaussian frames, a file or a folder, or multi-view video, to a package."""
 
 from __future__ import annotations
 
@@ -47,13 +47,14 @@ STEPS = ("calibrated", "default")
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="airgs-encode",
-        description="Encode a Gaussian sequence (a folder of .ply frames) as H.264 pictures and a DASH manifest. "
+        description="Encode Gaussian frames, a folder of them or one file, as H.264 pictures and a DASH manifest. "
         "Multi-view video is trained first, as airgs-train does by default.",
     )
     parser.add_argument(
         "scene",
         type=Path,
-        help="a folder of .ply frames, optionally with sequence.json and cameras; or of multi-view pictures",
+        help="a folder of frames (.ply, compressed .ply, .spz, SOG, .splat, glTF), optionally with sequence.json and "
+        "cameras, or one such file; or a folder of multi-view pictures",
     )
     parser.add_argument(
         "-o",

@@ -18,13 +18,17 @@ from airgs_codec.play.link import Link
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.serve.app import make_app
 from airgs_codec.serve.files import PackageFiles
+from airgs_codec.serve.player import NOT_BUILT, is_built, player_address
 from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen, serve
 from airgs_codec.serve.shaping import Shape
+
+PACKAGES = "folder with airgs.json, or a folder that holds such folders: new ones are served, too, as they appear"
+ANY_HOST = ("0.0.0.0", "::")
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="airgs-serve", description="Serve packages over HTTP, each below its name.")
-    parser.add_argument("packages", type=Path, nargs="+", metavar="PACKAGE", help="folder with airgs.json")
+    parser.add_argument("packages", type=Path, nargs="+", metavar="PACKAGE", help=PACKAGES)
     parser.add_argument("--host", default="127.0.0.1", help="address to listen at; 0.0.0.0: all (default: %(default)s)")
     parser.add_argument("--port", type=int, default=8000, help="0: any free one (default: %(default)s)")
     parser.add_argument("--verbose", action="store_true", help="a line on stderr for every request")
@@ -107,6 +111,14 @@ class _Printable(logging.Formatter):
 
 
 def _greeting(files: PackageFiles, listening: socket.socket, scheme: str) -> str:
+    """Where the server and the packages are, then what to open in a browser."""
     host, port = listening.getsockname()[:2]
-    address = f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}/"
-    return "\n".join([f"serving {address}", *(f"{address}{quote(name)}/" for name in files.packages)])
+    names = sorted(files.packages)
+    address = _address(scheme, host, port)
+    local = _address(scheme, "localhost" if host in ANY_HOST else host, port)
+    opened = [f"open {local}{player_address(name)}" for name in names] if is_built() else [NOT_BUILT]
+    return "\n".join([f"serving {address}/", *(f"{address}/{quote(name)}/" for name in names), *opened])
+
+
+def _address(scheme: str, host: str, port: int) -> str:
+    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{port}"

@@ -1,10 +1,10 @@
-"""What the server answers: the files of packages below their names, and a list of the packages."""
+"""What the server answers: files of packages below their names; above them a list of the packages, and the player."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-import html
-from urllib.parse import quote
+from collections.abc import Awaitable
 
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
@@ -14,11 +14,13 @@ from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, R
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from airgs_codec.package.paths import JSON_NAME, MPD_NAME
 from airgs_codec.serve.answers import CHECKED, answer
-from airgs_codec.serve.files import PackageFiles
+from airgs_codec.serve.files import PackageFiles, Snapshot
+from airgs_codec.serve.listing import addresses, list_page
+from airgs_codec.serve.player import NOT_BUILT, PAGE_TYPES, content_policy
 
 METHODS = "GET, HEAD, OPTIONS"
+POLICY = "Content-Security-Policy"
 HEAD_BYTES = 16 * 1024  # of a request's target and headers
 EVERYWHERE = {  # pages of any origin may read what is served here, and see its headers and times
     "Access-Control-Allow-Origin": "*",
@@ -39,7 +41,7 @@ def make_app(files: PackageFiles) -> Starlette:
     site = _Site(files)
     routes = [
         Route("/", site.index),
-        # A page that plays the packages is mounted here, before them.
+        Route("/{page}", site.page),  # never a file of a package: those lie below a name
         Route("/{name}/{path:path}", site.file),
     ]
     app = Starlette(routes=routes, middleware=[Middleware(_Gate)])
@@ -88,31 +90,36 @@ class _Site:
     async def index(self, request: Request) -> Response:
         """The packages, as JSON where the client asks for it, else as a page."""
         headers = {"Cache-Control": CHECKED, "Vary": "Accept"}
-        names = sorted(self._files.packages)
+        packages = await asyncio.to_thread(lambda: self._files.packages)
         if "application/json" in request.headers.get("accept", ""):
-            return JSONResponse([_addresses(name) for name in names], headers=headers)
-        rows = "".join(f"<li>{_links(name)}</li>\n" for name in names)
-        page = f'<!doctype html>\n<meta charset="utf-8">\n<title>Packages</title>\n<ul>\n{rows}</ul>\n'
-        return HTMLResponse(page, headers=headers)
+            return JSONResponse([addresses(name) for name in sorted(packages)], headers=headers)
+        page = await asyncio.to_thread(list_page, packages)
+        return HTMLResponse(page, headers=headers | {POLICY: content_policy(page)})
+
+    async def page(self, request: Request) -> Response:
+        """A file of the player."""
+        name = request.path_params["page"]
+        if name not in PAGE_TYPES:
+            return _missing("no such file")
+        return await _answer(self._files.read_page(name), request, NOT_BUILT)
 
     async def file(self, request: Request) -> Response:
         """A file of a package."""
-        try:
-            snapshot = await self._files.read(**request.path_params)
-        except OSError:
-            return PlainTextResponse("this file cannot be read now\n", 503, {"Retry-After": "1"})
-        if snapshot is None:
-            return PlainTextResponse("no such file\n", 404)
-        return answer(snapshot, request.headers)
+        return await _answer(self._files.read(**request.path_params), request, "no such file")
 
 
-def _addresses(name: str) -> dict[str, str]:
-    folder = f"/{quote(name)}"
-    return {"name": name, "tables": f"{folder}/{JSON_NAME}", "mpd": f"{folder}/{MPD_NAME}"}
+async def _answer(reading: Awaitable[Snapshot | None], request: Request, missing: str) -> Response:
+    try:
+        snapshot = await reading
+    except OSError:
+        return PlainTextResponse("this file cannot be read now\n", 503, {"Retry-After": "1"})
+    if snapshot is None:
+        return _missing(missing)
+    response = answer(snapshot, request.headers)
+    if snapshot.media_type == "text/html":
+        response.headers[POLICY] = content_policy(snapshot.data.decode())
+    return response
 
 
-def _links(name: str) -> str:
-    a = _addresses(name)
-    link = '<a href="{}">{}</a>'.format
-    words = html.escape(name), link(html.escape(a["tables"]), JSON_NAME), link(html.escape(a["mpd"]), MPD_NAME)
-    return " ".join(words)
+def _missing(words: str) -> Response:
+    return PlainTextResponse(f"{words}\n", 404)

@@ -1,4 +1,4 @@
-"""Files of packages as they are at the moment of a request, each with the SHA-256 of just these bytes.
+"""Files of packages as they are at the moment of a request, each with the SHA-256 of just these bytes; and the page.
 
 A package may grow or be replaced while it is served. A file is therefore opened anew for every request, read whole, and
 served from memory: what a client gets under one entity tag is one version of the file, never a mixture of two.
@@ -18,9 +18,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MEDIA_TYPES, ROOTS
+from airgs_codec.errors import TransportError
+from airgs_codec.package.paths import INIT_NAME, MEDIA_TYPES, ROOTS
 from airgs_codec.package.tables import digest
+from airgs_codec.serve.player import PAGE, PAGE_TYPES
+from airgs_codec.serve.shelves import Shelves
 
 CACHE_BYTES = 64 << 20
 SETTLED_NS = 2_000_000_000  # a younger file may change without a new time stamp (the coarsest are 2 s apart)
@@ -29,7 +31,7 @@ ATTEMPTS, PAUSE_S = 5, 0.02  # to read a file that is being written
 _BELOW = r"(?:group|index|key|state)/(?:[A-Za-z0-9_-]+/){0,3}[A-Za-z0-9_-]+(?:\.[a-z0-9]+){1,2}"
 _PATH = re.compile("|".join([*map(re.escape, (*ROOTS, INIT_NAME)), _BELOW]), re.ASCII)
 _ABSENT = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.EACCES, errno.ENAMETOOLONG, errno.ENXIO}
-_TEXT = (".json", ".mpd")  # the only files that are not compressed already
+_TEXT = (".json", ".mpd", ".html", ".js")  # the only files that are not compressed already
 
 Stamp = tuple[int, ...]  # device, inode, bytes, ns of the last change of the bytes and of the inode
 
@@ -54,16 +56,25 @@ def media_type(path: str) -> str | None:
 
 
 class PackageFiles:
-    """The files of packages, each below its folder's name; recently read ones stay in memory, `cache_bytes` at most.
+    """The files of packages, each below its folder's name, and of the page that plays them.
 
-    Raises ConfigError for a folder without a package and for two of one name.
+    Recently read ones stay in memory, `cache_bytes` at most.
     """
 
     def __init__(self, folders: list[Path], cache_bytes: int = CACHE_BYTES) -> None:
-        self.packages: Mapping[str, Path] = _by_name(folders)
+        """`folders`: packages, and folders that hold packages, of which new ones are found as they appear.
+
+        Raises ConfigError for a folder of neither kind and for two packages of one name.
+        """
+        self._shelves = Shelves(folders)
         self._cache_bytes = cache_bytes
         self._cache: OrderedDict[tuple[str, str], tuple[Stamp, Snapshot]] = OrderedDict()
         self._held_bytes = 0
+
+    @property
+    def packages(self) -> Mapping[str, Path]:
+        """The folders of the packages that are there now, by name."""
+        return self._shelves.packages()
 
     async def read(self, name: str, path: str) -> Snapshot | None:
         """A file of the package `name` as it is now, None where there is none.
@@ -71,11 +82,18 @@ class PackageFiles:
         Links, other things than plain files, and paths that no file of a package has, count as none. Raises
         TransportError (OSError) for a file that is being written, OSError where the system refuses.
         """
-        kind, folder = media_type(path), self.packages.get(name)
-        if kind is None or folder is None:
-            return None
+        kind = media_type(path)
+        folder = self._shelves.find(name) if kind else None
+        return None if kind is None or folder is None else await self._read((name, path), folder, kind)
+
+    async def read_page(self, name: str) -> Snapshot | None:
+        """A file of the page, a name of `PAGE_TYPES`, None where it is not built. Raises OSError as `read` does."""
+        return await self._read(("", name), PAGE, PAGE_TYPES[name])
+
+    async def _read(self, key: tuple[str, str], folder: Path, kind: str) -> Snapshot | None:
+        """The file key[1] of a folder."""
+        path = key[1]
         stamp = _stamp_of(folder, path)
-        key = name, path
         cached = self._cache.get(key)
         if stamp is None:
             return None
@@ -95,18 +113,6 @@ class PackageFiles:
         while self._held_bytes > self._cache_bytes:
             _, (_, dropped) = self._cache.popitem(last=False)
             self._held_bytes -= _held(dropped)
-
-
-def _by_name(folders: list[Path]) -> dict[str, Path]:
-    packages: dict[str, Path] = {}
-    for folder in folders:
-        if not (folder / JSON_NAME).is_file():
-            raise ConfigError(f"{folder}: expected a package with {JSON_NAME}, got nothing of that kind")
-        name = folder.resolve().name
-        if name in packages:
-            raise ConfigError(f"{folder}: expected packages of different names, got {name} twice")
-        packages[name] = folder.absolute()
-    return packages
 
 
 def _held(snapshot: Snapshot) -> int:
@@ -167,4 +173,5 @@ def _load(folder: Path, path: str, kind: str) -> tuple[Stamp, Snapshot] | None:
 
 def _snapshot(path: str, kind: str, data: bytes) -> Snapshot:
     text = path.endswith(_TEXT) and len(data) >= LEAST_ZIPPED_BYTES
-    return Snapshot(kind, path not in ROOTS, data, digest(data), gzip.compress(data, mtime=0) if text else None)
+    lasting = "/" in path or path == INIT_NAME  # neither a root of a package nor the page
+    return Snapshot(kind, lasting, data, digest(data), gzip.compress(data, mtime=0) if text else None)

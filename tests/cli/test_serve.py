@@ -26,6 +26,8 @@ def test_it_serves_until_it_is_told_to_stop(options, number):
         assert folder == f"{address}{PACKAGE.name}/"
         with urllib.request.urlopen(f"{folder}airgs.json", timeout=10) as answer:
             assert answer.read() == (PACKAGE / "airgs.json").read_bytes()
+        opened = process.stdout.readline().split()[-1]
+        assert not serve.is_built() or opened == f"{address}player.html?src={PACKAGE.name}/"
         process.send_signal(number)
         out, errors = process.communicate(timeout=20)
     assert process.returncode == 0 and out == "stopped\n"

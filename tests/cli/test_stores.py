@@ -14,6 +14,7 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.package import storage
 from airgs_codec.package.store import open_package
 from tests.support.mutations import read_files
+from tests.support.page import put_page
 from tests.support.paths import VALID
 from tests.support.scenes import moving_frames, write_sequence
 from tests.support.servers import object_store
@@ -62,7 +63,15 @@ def test_a_package_is_encoded_there_and_replaced(place, scene, capsys):
     assert f"{place}: " in capsys.readouterr().out and len(open_package(place).manifest.groups) == 2
     assert encode.main([str(scene), "-o", place, *ENCODE, "--group", "4"]) == 0
     assert len(open_package(place).manifest.groups) == 1 and validate(place) == []
-    assert manifest.main(["compare", place, str(scene), "--frames", "0", "--draws", "1", "--json"]) == 0
+    assert manifest.main(["rungs", place, str(scene), "--frames", "0", "--draws", "1", "--json"]) == 0
+    assert manifest.main(["compare", str(scene), place, "--frames", "0", "--json"]) == 0
+
+
+def test_a_page_is_exported_as_from_the_folder(package, tmp_path, monkeypatch):
+    put_page(tmp_path / "page", monkeypatch)
+    for place, out in ((package, "there"), (VALID / "moving", "here")):
+        assert manifest.main(["export-page", str(place), "-o", str(tmp_path / out)]) == 0
+    assert read_files(tmp_path / "there") == read_files(tmp_path / "here")
 
 
 def test_reading_is_as_from_the_folder(package, tmp_path, capsys):

@@ -146,5 +146,22 @@ def test_memory_is_bounded(package, monkeypatch):
 def test_folders_must_be_packages_of_different_names(package, tmp_path):
     with pytest.raises(ConfigError, match=r"nothing.*expected a package"):
         PackageFiles([tmp_path / "nothing"])
-    with pytest.raises(ConfigError, match="twice"):
-        PackageFiles([package, shutil.copytree(package, tmp_path / "other" / "two.airgs")])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match=r"empty.*expected a package.*or a folder with packages"):
+        PackageFiles([package, tmp_path / "empty"])
+    other = shutil.copytree(package, tmp_path / "other" / "two.airgs")
+    for second in (other, other.parent):
+        with pytest.raises(ConfigError, match="twice"):
+            PackageFiles([package, second])
+
+
+def test_of_two_packages_of_one_name_the_one_that_was_named_first_is_served(package, tmp_path):
+    shelves = [tmp_path / "a", tmp_path / "b"]
+    for shelf, name in zip(shelves, ("x", "y"), strict=True):
+        shutil.copytree(package, shelf / name)
+    files = PackageFiles([*shelves, package])
+    for name in ("x", "y", "two.airgs"):
+        for shelf in shelves:
+            shutil.copytree(package, shelf / name, dirs_exist_ok=True)
+    expected = {"two.airgs": package, "x": shelves[0] / "x", "y": shelves[0] / "y"}
+    assert files.packages == expected

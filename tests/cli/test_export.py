@@ -1,0 +1,225 @@
+"""airgs-manifest export-page: what a static host gets, and that nothing half-written is ever left."""
+
+import html
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from urllib.parse import unquote, urljoin
+
+import numpy as np
+import pytest
+
+from airgs_codec.cli import manifest
+from airgs_codec.decoder.decode import decode
+from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.validate import validate
+from airgs_codec.media.image import read_picture, to_bytes
+from airgs_codec.media.metrics import psnr
+from airgs_codec.package.region import place_view
+from airgs_codec.package.store import open_package
+from airgs_codec.render import render
+from airgs_codec.serve import export
+from airgs_codec.serve.export import export_page
+from tests.support.mutations import read_files
+from tests.support.page import FILES, put_page
+from tests.support.paths import VALID
+
+PACKAGE = VALID / "two-groups-sh1"
+TOP = {"index.html", ".nojekyll", "airgs-player.js", "packages", "posters"}
+
+
+@pytest.fixture(autouse=True)
+def page(tmp_path_factory, monkeypatch):
+    return put_page(tmp_path_factory.mktemp("page"), monkeypatch)
+
+
+class Elements(HTMLParser):
+    """The elements of a page with their attributes."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.found = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+
+    def one(self, tag, **wanted):
+        (found,) = [a for name, a in self.found if name == tag and wanted.items() <= a.items()]
+        return found
+
+
+def run(*arguments):
+    return manifest.main(["export-page", *map(str, arguments)])
+
+
+def target(site, page, address):
+    """The file that a static host sends for an address on a page of the site."""
+    return site / unquote(urljoin(page, address))
+
+
+def test_one_package_is_played_by_the_first_page(tmp_path, capsys):
+    site = tmp_path / "site"
+    assert run(PACKAGE, "-o", site, "--title", 'A <scene> & "more"') == 0
+    assert {path.name for path in site.iterdir()} == TOP
+    assert read_files(site / "packages" / PACKAGE.name) == read_files(PACKAGE)
+    assert validate(site / "packages" / PACKAGE.name) == []
+    assert (site / "airgs-player.js").read_text() == FILES["airgs-player.js"]
+    text = (site / "index.html").read_text()
+    elements = Elements(text)
+    player = elements.one("airgs-player")
+    assert target(site, "index.html", f"{player['src']}airgs.json").is_file() and player["src"].endswith("/")
+    assert target(site, "index.html", player["poster"]).is_file()
+    assert target(site, "index.html", elements.one("script")["src"]).is_file()
+    assert "<title>A &lt;scene&gt; &amp; &quot;more&quot;</title>" in text
+    assert elements.one("meta", property="og:title")["content"] == 'A <scene> & "more"'
+    assert elements.one("meta", property="og:image")["content"] == player["poster"]
+    out = capsys.readouterr().out
+    assert "5 frames" in out and f"--directory {site}" in out
+
+
+def test_the_page_may_load_what_the_player_needs_and_has_no_script_of_its_own(tmp_path):
+    export_page([PACKAGE], tmp_path / "site")
+    elements = Elements((tmp_path / "site/index.html").read_text())
+    policy = elements.one("meta", **{"http-equiv": "Content-Security-Policy"})["content"]
+    assert "default-src 'none'" in policy and "script-src 'self';" in policy and "worker-src blob:" in policy
+    assert all("src" in attributes for tag, attributes in elements.found if tag == "script")
+
+
+def test_the_poster_is_the_first_frame_from_the_first_place(demo_package, tmp_path):
+    (made,) = export_page([demo_package], tmp_path / "site")
+    poster = read_picture(tmp_path / "site/posters/fox.airgs.jpg")
+    package = open_package(demo_package)
+    region = package.manifest.region
+    expected = to_bytes(render(decode(package, 0), place_view(region, region.places[0])).rgb)
+    assert poster.shape == expected.shape == (region.height, region.width, 3)
+    assert made.poster == (region.width, region.height) and expected.std() > 10
+    assert psnr(float(np.square((poster.astype(float) - expected) / 255).mean())) > 30  # JPEG's loss
+
+
+def test_a_huge_view_has_a_smaller_poster(tmp_path, monkeypatch):
+    monkeypatch.setattr(export, "POSTER_SIDE", 64)
+    (made,) = export_page([PACKAGE], tmp_path / "site")
+    height, width = read_picture(tmp_path / f"site/posters/{PACKAGE.name}.jpg").shape[:2]
+    assert made.poster == (width, height) and max(made.poster) == 64
+
+
+def test_several_packages_have_a_page_each_and_a_list(tmp_path):
+    odd = shutil.copytree(VALID / "moving", tmp_path / "a <b>&?#%é.airgs")
+    site = tmp_path / "site"
+    assert run(PACKAGE, odd, "-o", site, "--address", "https://example.org/scenes") == 0
+    assert {path.name for path in site.iterdir()} == TOP | {"play"}
+    listed = Elements((site / "index.html").read_text())
+    links = [attributes["href"] for tag, attributes in listed.found if tag == "a"]
+    assert len(links) == 2
+    for link, name in zip(links, (PACKAGE.name, odd.name), strict=True):
+        path = unquote(link)
+        elements = Elements((site / path).read_text())
+        player = elements.one("airgs-player")
+        assert target(site, path, f"{player['src']}airgs.json") == site / "packages" / name / "airgs.json"
+        assert target(site, path, player["poster"]).is_file()
+        assert target(site, path, elements.one("script")["src"]).is_file()
+        image = elements.one("meta", property="og:image")["content"]
+        assert target(site, "", image.removeprefix("https://example.org/scenes/")).is_file()
+    pictures = [attributes["src"] for tag, attributes in listed.found if tag == "img"]
+    assert all(target(site, "index.html", picture).is_file() for picture in pictures) and len(pictures) == 2
+
+
+def test_the_credit_of_a_scene_is_on_the_page(demo_package, tmp_path):
+    export_page([demo_package], tmp_path / "site")
+    credit = open_package(demo_package).manifest.attribution
+    words = Elements((tmp_path / "site/index.html").read_text()).one("meta", name="description")["content"]
+    assert credit and credit.strip() in words
+    assert f"<footer>{html.escape(credit)}</footer>" in (tmp_path / "site/index.html").read_text()
+
+
+def test_an_exported_page_is_replaced_and_leaves_nothing_of_the_old_one(tmp_path):
+    site = tmp_path / "site"
+    assert run(PACKAGE, VALID / "moving", "-o", site) == 0
+    assert run(VALID / "moving", "-o", site) == 0
+    assert {path.name for path in site.iterdir()} == TOP
+    assert [path.name for path in (site / "packages").iterdir()] == ["moving"]
+    assert [path.name for path in tmp_path.iterdir()] == ["site"]
+
+
+def broken(tmp_path):
+    """A package whose last file differs from its digest."""
+    package = shutil.copytree(PACKAGE, tmp_path / "broken")
+    path = sorted(package.glob("state/L0/*.m4s"))[-1]
+    path.write_bytes(path.read_bytes()[:-1] + b"?")
+    return package
+
+
+def growing(tmp_path):
+    package = shutil.copytree(PACKAGE, tmp_path / "growing")
+    root = json.loads((package / "airgs.json").read_text())
+    (package / "airgs.json").write_text(json.dumps(root | {"live": True}))
+    return package
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (broken, "hash_mismatch"),
+        (growing, "still growing"),
+        (lambda folder: folder / "nothing", "missing_file"),
+        (lambda folder: "ftp://a/b", "expected a folder or an address"),
+    ],
+)
+@pytest.mark.parametrize("before", [False, True])
+def test_a_package_that_cannot_be_exported_changes_nothing(tmp_path, capsys, make, words, before):
+    package, site = make(tmp_path), tmp_path / "out" / "site"
+    if before:
+        assert run(VALID / "moving", "-o", site) == 0
+    old = read_files(site) if before else {}
+    capsys.readouterr()
+    assert run(VALID / "moving", package, "-o", site) == 2
+    line = capsys.readouterr().err
+    assert words in line and line.count("\n") == 1
+    assert (read_files(site) if site.exists() else {}) == old
+    assert not site.parent.exists() or [path.name for path in site.parent.iterdir()] == ["site"] * before
+
+
+def test_a_package_that_changes_meanwhile_is_refused(tmp_path, monkeypatch):
+    package, site = shutil.copytree(PACKAGE, tmp_path / "changing"), tmp_path / "site"
+    root = json.loads((package / "airgs.json").read_text())
+
+    def progress(stage, done, total):
+        (package / "airgs.json").write_text(json.dumps(root | {"attribution": "somebody else"}))
+
+    with pytest.raises(ConfigError, match="changed meanwhile"):
+        export_page([package], site, progress=progress)
+    assert not site.exists()
+
+
+def test_two_packages_of_one_name_are_refused(tmp_path, capsys):
+    other = shutil.copytree(PACKAGE, tmp_path / "other" / PACKAGE.name)
+    assert run(PACKAGE, other, "-o", tmp_path / "site") == 2
+    assert "different names" in capsys.readouterr().err and not (tmp_path / "site").exists()
+
+
+@pytest.mark.parametrize("name", ["notes.txt", ".git/config", "CNAME"])
+def test_a_folder_with_other_files_is_never_replaced(tmp_path, capsys, name):
+    site = tmp_path / "site"
+    assert run(PACKAGE, "-o", site) == 0
+    (site / name).parent.mkdir(exist_ok=True)
+    (site / name).write_text("mine")
+    before = read_files(site)
+    assert run(PACKAGE, "-o", site) == 2
+    assert "other files" in capsys.readouterr().err and read_files(site) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["site"]
+
+
+def test_a_page_that_was_not_exported_is_not_ours(tmp_path):
+    (tmp_path / "index.html").write_text("<h1>Hello</h1>")
+    assert run(PACKAGE, "-o", tmp_path) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
+
+
+def test_without_a_player_nothing_is_written(tmp_path, page, capsys):
+    (page / "airgs-player.js").unlink()
+    assert run(PACKAGE, "-o", tmp_path / "site") == 2
+    line = capsys.readouterr().err
+    assert re.search(r"the player is not built: run make page", line) and line.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
