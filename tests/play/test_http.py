@@ -28,7 +28,7 @@ from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.serve.server import ServerSettings
 from airgs_codec.serve.shaping import Shape
 from tests.support.faulty import FAULTS, Weather, faultily_serving
-from tests.support.paths import VALID
+from tests.support.paths import GOLDEN, VALID
 from tests.support.servers import plainly_serving, serving
 from tools.check_link import compare
 
@@ -97,6 +97,15 @@ def test_missing_and_altered_files_are_refused_as_they_come(tmp_path):
     assert any("status 404" in line for line in log.lost)
     assert log.shown[0].rung is None and log.shown[-1].rung == 1  # one level; the other quality can be had
     assert 0 < log.metrics.wasted < 1 and "asked for again" in format_metrics(log)
+
+
+def test_a_group_whose_table_cannot_be_had_is_lost(tmp_path):
+    """The policy that looks ahead looks no further."""
+    shutil.copytree(GOLDEN / "fox", tmp_path, dirs_exist_ok=True)
+    (tmp_path / "group/2.json.gz").unlink()
+    with plainly_serving(tmp_path) as port:
+        log = play_url(local(port), "robust-mpc", replace(RULES, loops=2))
+    assert [s.rung is None for s in log.shown] == [False, True] * 2
 
 
 def test_a_link_that_falls_silent_is_given_up():

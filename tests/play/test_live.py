@@ -2,19 +2,13 @@
 
 import shutil
 from dataclasses import replace
-from datetime import UTC, datetime
 from itertools import pairwise
 
 import pytest
 
 from airgs_codec.errors import TransportError
-from airgs_codec.package.folder import Folder
-from airgs_codec.package.manifest import Groups
-from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.packing import build_index, pack_group, pack_json
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.store import open_package
-from airgs_codec.package.writing import write_root
 from airgs_codec.play import player
 from airgs_codec.play.http import HttpDownloader
 from airgs_codec.play.http_files import HttpSettings
@@ -22,44 +16,15 @@ from airgs_codec.play.session import play, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import open_trace
 from tests.support.faulty import Weather, faultily_serving
+from tests.support.growing import Growing
 from tests.support.paths import VALID
 
-PAGED = open_package(VALID / "paged")  # 65 groups of a frame; a page holds 64
 RULES = SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0)
 
 
 @pytest.fixture(autouse=True)
 def no_waiting(monkeypatch):
     monkeypatch.setattr(player, "POLL_S", 0.0)
-
-
-class Growing:
-    """The package `paged` with so many of its groups, published one step after another."""
-
-    def __init__(self, folder, *counts):
-        shutil.copytree(PAGED.files.path, folder)
-        shutil.rmtree(folder / "index")
-        self.folder, self.waiting = folder, list(counts)
-        self.publish()
-
-    def publish(self):
-        """The next step: so many groups; 0 closes the package."""
-        count = self.waiting.pop(0) if self.waiting else None
-        if count is None:
-            return
-        self.count = count or self.count
-        groups = PAGED.manifest.groups[: self.count]
-        _, pages = build_index(groups, [pack_group(group) for group in groups])
-        for number, page in enumerate(pages, 1):
-            Folder(self.folder).write(f"index/{number}.json", pack_json(page))
-        m = replace(PAGED.manifest, live=count > 0, frames=groups[-1].stop, groups=Groups.of(groups))
-        now = datetime.now(UTC)
-        write_root(Folder(self.folder), m, LiveClock(now, now))
-
-    def received(self, path, data):
-        """Whenever a client has read airgs.json, the package grows."""
-        if path == JSON_NAME:
-            self.publish()
 
 
 def play_growing(growing, weather=None, rules=RULES):
