@@ -13,7 +13,7 @@ from airgs_codec.package.store import open_package
 from airgs_codec.render.cpu import render
 from airgs_codec.scene.camera import Camera
 from tests.support.browser import WEB, build_pages, missing, serve, visit
-from tests.support.paths import GOLDEN
+from tests.support.paths import GOLDEN, VALID
 
 PAGE = b'<!doctype html><link rel="icon" href="data:,"><script type="module" src="/web/out/pages/player.js"></script>'
 KNOWN = ("GPU stall due to ReadPixels", "WebGL: CONTEXT_LOST")  # what tests do
@@ -49,6 +49,12 @@ def test_every_frame_of_a_pass_is_shown_or_counted_as_dropped(fox):
     assert stats["framesShown"] + stats["framesDropped"] == fox.manifest.frames
     assert report["events"][-1] == "ended"
     assert report["currentTime"] == pytest.approx((fox.manifest.frames - 1) / float(fox.manifest.fps))
+
+
+def test_a_package_without_measured_quality_plays_its_best_rung():
+    report = look(VALID / "paged", "once")
+    assert (report["problems"], report["events"][-1]) == ([], "ended")
+    assert set(report["rungs"]) == {"Q0+L0"}
 
 
 def test_a_loop_goes_on_over_changes_of_group_without_a_dark_picture(fox):

@@ -12,6 +12,7 @@ import { locate } from "./locate.ts";
 import { Pipeline } from "./pipeline.ts";
 import type { Problem } from "./player.ts";
 import { EARLY, Playout } from "./playout.ts";
+import { wishedPolicy } from "./policies/named.ts";
 import { RungTotals } from "./rungs.ts";
 import { Screen } from "./screen.ts";
 import { sessionSettings } from "./settings.ts";
@@ -76,7 +77,7 @@ export class Playback {
     this.#feed = new Feed({
       ...parts,
       settings,
-      policy: () => (wishes.quality === "auto" ? wishes.policy : `fixed:${wishes.quality}`),
+      policy: () => wishedPolicy(wishes, catalogue),
       onEvent: (event) => this.#hear(event),
       onProblem: (error, fatal) => this.#problem(error, fatal),
     });

@@ -21,6 +21,12 @@ export const ADAPTIVE: ReadonlyMap<string, Policy> = new Map([
   adaptive("robust-mpc", chooseRobustMpc, HORIZON_SEGMENTS),
 ]);
 
+/** Name of the policy that plays what is wished for; "auto" is the best rung where no quality was measured to weigh. */
+export function wishedPolicy(wishes: { quality: string; policy: string }, { measured }: Catalogue): string {
+  if (wishes.quality !== "auto") return `fixed:${wishes.quality}`;
+  return measured ? wishes.policy : "fixed:0";
+}
+
 /** A policy by name, or fixed:J (level J with the finest keys) or fixed:RUNG (such as Q1+L3).
  *
  * Throws ConfigError for other names.
