@@ -40,13 +40,21 @@ async function said(): Promise<string[]> {
   return [...words];
 }
 
-/** The picture when there is one, and nothing changes any more. */
-async function settled(): Promise<Uint8ClampedArray> {
-  for (let before: Uint8ClampedArray | null = null; ; ) {
-    for (let i = 0; i < QUIET; i++) await nextPicture();
+/** The next picture that is not black: the first depth order comes later than the words. */
+async function drawn(): Promise<Uint8ClampedArray> {
+  for (;;) {
+    await nextPicture();
     const now = picture();
-    const drawn = now.some((value, i) => i % 4 < 3 && value > 0);
-    if (drawn && before?.every((value, i) => value === now[i])) return now;
+    if (now.some((value, i) => i % 4 < 3 && value > 0)) return now;
+  }
+}
+
+/** The picture when nothing changes any more. */
+async function settled(): Promise<Uint8ClampedArray> {
+  for (let before = await drawn(); ; ) {
+    for (let i = 0; i < QUIET; i++) await nextPicture();
+    const now = await drawn();
+    if (before.every((value, i) => value === now[i])) return now;
     before = now;
   }
 }
@@ -56,7 +64,8 @@ async function main() {
   document.body.append(frame);
   await loaded;
   const words = await said();
-  const pixels = words[0]!.startsWith("frame ") && words.length === 1 ? await settled() : picture();
+  const failed = !words.at(-1)!.startsWith("frame ");
+  const pixels = failed ? picture() : await (words.length === 1 ? settled() : drawn());
   let text = "";
   for (let i = 0; i < pixels.length; i += 8192) text += String.fromCharCode(...pixels.subarray(i, i + 8192));
   return { words, picture: btoa(text) };
