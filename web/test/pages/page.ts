@@ -11,6 +11,7 @@ declare global {
 }
 
 const [WIDTH, HEIGHT] = [32, 18]; // of the pictures that are compared
+const STILL = 12; // pictures
 const PHONE = { width: 390, height: 844 };
 
 const wait = (ms: number) => new Promise((resolve) => setTimeout(resolve, ms));
@@ -42,10 +43,13 @@ async function picture(): Promise<number[]> {
   throw new Error("nothing is drawn");
 }
 
-/** Until the camera has come to rest. */
+/** Until the camera has come to rest: it is where it was for some pictures, however long they take. */
 async function rest(): Promise<void> {
   const place = () => JSON.stringify(player().camera.position);
-  for (let before = ""; before !== place(); await wait(200)) before = place();
+  for (let still = 0, before = ""; still < STILL; before = place()) {
+    await frame();
+    still = before === place() ? still + 1 : 0;
+  }
 }
 
 async function drag(from: readonly [number, number], to: readonly [number, number]): Promise<void> {
