@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec._settings import about
+from airgs_codec.analysis.rows import ROWS
 from airgs_codec.cli.common import Bar, add_views, run_command
 from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.training import train_by_default
@@ -159,6 +160,7 @@ def _add_coding(parser: argparse.ArgumentParser) -> None:
     _add_setting(group, "--segment", "segment_s", metavar="S")
     words = about(EncodeSettings, "group_frames")
     group.add_argument("--group", dest="group_frames", type=_group, default=None, metavar="auto|FRAMES", help=words)
+    _add_setting(group, "--rows", "rows", choices=ROWS)
     group.add_argument(
         "--quick",
         action="store_true",
@@ -273,7 +275,7 @@ def _goal(args: argparse.Namespace, sequence: GaussianSequence) -> Goal | None:
 
 
 def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
-    m = report.manifest
+    m, rows = report.manifest, report.rows
     return {
         "package": target,
         "frames": m.frames,
@@ -283,6 +285,7 @@ def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
         "top_rung_bytes": m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes,
         "seconds": {name: round(value, 3) for name, value in _times(report).items()},
         "calibration_cached": report.cached,
+        "rows": {"matched": rows.matched, "sure": rows.sure, "unmatched": rows.unmatched, "alone": rows.alone},
         "repairs": [line for group in m.groups for line in group.repairs],
     }
 
@@ -296,6 +299,7 @@ def _as_words(report: EncodeReport, target: str) -> str:
 
 def _times(report: EncodeReport) -> dict[str, float]:
     return {
+        "order of rows": report.rows_s,
         "training views": report.survey_s,
         "calibration": report.calibrate_s,
         "search": report.search_s,

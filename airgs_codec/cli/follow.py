@@ -53,6 +53,8 @@ def report_groups(groups: Iterable[PublishedGroup], target: str, as_json: bool) 
     count = frames = 0
     for published in groups:
         count, frames = published.number, published.group.stop
+        if not as_json:
+            print("".join(f"{note}\n" for note in published.notes), end="")
         print(json.dumps(_as_json(published)) if as_json else _as_words(published), flush=True)
     if not as_json:
         print(f"{target}: {frames} frames in {count} groups, closed")
@@ -62,7 +64,13 @@ def _as_json(published: PublishedGroup) -> dict[str, object]:
     group = published.group
     first, last = (round(seconds, 2) for seconds in published.waited_s)
     seconds = {"since_first_frame": first, "since_last_frame": last}
-    return {"group": published.number, "frames": [group.start, group.stop], "bytes": _bytes(published), **seconds}
+    return {
+        "group": published.number,
+        "frames": [group.start, group.stop],
+        "bytes": _bytes(published),
+        **seconds,
+        "rows": published.notes,
+    }
 
 
 def _as_words(published: PublishedGroup) -> str:

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
+from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.encoder.encoder import EncodeJob, GroupTask, code_group
 from airgs_codec.encoder.publish import calibrate_job
 from airgs_codec.encoder.quality import Rounds, measure_groups
@@ -39,6 +40,7 @@ class PublishedGroup:
     number: int  # from 1
     group: Group
     waited_s: tuple[float, float]  # from the files of its first and of its last frame until it was published
+    notes: list[str]  # what was done about rows that were out of order, up to it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,12 +89,16 @@ def follow(
     publisher: _Publisher | None = None
     group_frames = settings.group_frames or DEFAULT_GROUP_FRAMES
     try:
-        for sequence, start, stop in _whole_groups(folder, group_frames, more):
-            if publisher is None:
-                publisher = _begin(sequence, stop, storage, settings, attribution, progress)
-            else:
-                publisher.publish(sequence, start, stop)
-            yield _published(publisher.package.manifest, sequence)
+        for whole, first, last in _whole_groups(folder, group_frames, more):
+            rows = restore_rows(whole, settings.rows, progress, range(first, last))
+            notes = rows.notes
+            for start, stop in _parts(rows, first, last):
+                if publisher is None:
+                    publisher = _begin(rows.sequence, stop, storage, settings, attribution, progress)
+                else:
+                    publisher.publish(rows.sequence, start, stop)
+                yield _published(publisher.package.manifest, whole, notes)
+                notes = []
     finally:
         if publisher is not None:
             publisher.package.close()
@@ -114,6 +120,12 @@ def _whole_groups(
         if not done:
             time.sleep(POLL_S)
     folder.check_finished()
+
+
+def _parts(rows: Restored, first: int, last: int) -> list[tuple[int, int]]:
+    """Groups [start, stop) of frames [first, last), which were to be one, where some rows could not be matched."""
+    starts = [first, *rows.unmatched]
+    return list(zip(starts, [*starts[1:], last], strict=True))
 
 
 def _begin(
@@ -145,8 +157,8 @@ def _begin(
     return _Publisher(package, verified.settings, views, found.job.sequence.sh_degree, rounds.again(turns))
 
 
-def _published(m: Manifest, sequence: GaussianSequence) -> PublishedGroup:
+def _published(m: Manifest, sequence: GaussianSequence, notes: list[str]) -> PublishedGroup:
     """The newest group."""
     group, now = m.groups[-1], time.time()
     first, last = (sequence.paths[frame].stat().st_mtime for frame in (group.start, group.stop - 1))
-    return PublishedGroup(len(m.groups), group, (now - first, now - last))
+    return PublishedGroup(len(m.groups), group, (now - first, now - last), notes)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from airgs_codec.analysis.grouping import Grouping, plan_groups
+from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.encoder.calibration import cache
 from airgs_codec.encoder.calibration.calibrate import calibrate
 from airgs_codec.encoder.encoder import EncodeJob
@@ -33,6 +34,8 @@ class EncodeReport:
 
     manifest: Manifest
     manifest_bytes: int  # all tables and manifest.mpd together
+    rows: Restored  # which frames were put into order
+    rows_s: float
     survey_s: float  # views, lengths of groups and what pictures show
     calibrate_s: float
     search_s: float  # for a goal
@@ -72,13 +75,16 @@ def encode(
     an object store that does not answer.
     """
     watch = Stopwatch()
-    views = ViewPlan.of(sequence, settings.decide_pictures, margin=settings.margin, region=settings.region)
     with open_storage(path).staged() as stage:
+        rows = restore_rows(sequence, settings.rows, progress)
+        sequence, rows_s = rows.sequence, watch.lap()
+        views = ViewPlan.of(sequence, settings.decide_pictures, margin=settings.margin, region=settings.region)
         groups = _plan_groups(sequence, views, settings)
         surveys = survey_groups(sequence, groups.spans, views, progress)
         credit = read_attribution(sequence.folder) if attribution is None else attribution
         survey_s = watch.lap()
-        calibrated = calibrate_job(EncodeJob(sequence, surveys, views, groups.notes, credit), settings, progress)
+        job = EncodeJob(sequence, surveys, views, [*rows.notes, *groups.notes], credit)
+        calibrated = calibrate_job(job, settings, progress)
         calibrate_s = watch.lap()
         wanted, job, settings = settings, calibrated.job, calibrated.settings
         rounds, expected = Rounds(settings.measure_pictures), calibrated.expected
@@ -93,7 +99,7 @@ def encode(
         manifest = replace(attempt.manifest, decisions=decisions)
         size = write_tables(Folder(stage), manifest)
         seconds = (survey_s, calibrate_s, search_s, attempt.encode_s, attempt.measure_s)
-        return EncodeReport(manifest, size, *seconds, calibrated.cached)
+        return EncodeReport(manifest, size, rows, rows_s, *seconds, calibrated.cached)
 
 
 def _plan_groups(sequence: GaussianSequence, views: ViewPlan, settings: EncodeSettings) -> Grouping:

@@ -11,6 +11,7 @@ import numpy as np
 
 from airgs_codec._settings import computed_setting, documented, setting
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
+from airgs_codec.analysis.rows import AUTO, ROWS
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.levels import DEFAULT_TIERS
 from airgs_codec.errors import ConfigError
@@ -82,6 +83,11 @@ class EncodeSettings:
         None,
         "longest group of frames with a common canonical space, where no keyframes are given; by default the length "
         "that a sample of the scene says is cheapest",
+    )
+    rows: str = setting(
+        AUTO,
+        "rows of frames that are not tracked: matched with those of the frame before where they lost their order, or "
+        "else coded frame by frame (auto); taken as they are (keep); or matched whether they look lost or not (match)",
     )
     margin: float | None = setting(
         None,
@@ -157,6 +163,7 @@ class EncodeSettings:
             (self.margin is None or self.region is None, "expected a margin or a region, got both"),
             (self.decide_pictures >= 1, f"expected 1 or more pictures to decide with, got {self.decide_pictures}"),
             (self.measure_pictures >= 0, f"expected 0 or more pictures to measure, got {self.measure_pictures}"),
+            (self.rows in ROWS, f"expected rows {', '.join(ROWS)}, got {self.rows}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
             (self.jobs >= 1, f"expected at least one job, got {self.jobs}"),
         ]
@@ -200,6 +207,7 @@ class EncodeSettings:
             "levels": ",".join(level.words for level in self.levels),
             "key_factors": ",".join(f"{factor:g}" for factor in self.key_factors),
             "quality": f"{self.quality:g}",
+            "rows": self.rows,
             "usage": self.usage,
             "rank": self.update_rank,
             "codec": "libx264",

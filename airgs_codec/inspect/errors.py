@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from airgs_codec.analysis.rows import AUTO, restore_rows
 from airgs_codec.coding.channels import Canonical, key_channels, state_channels
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
@@ -37,11 +38,15 @@ class Measured:
 
 
 def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Measured]:
-    """Every key atlas and every level of every group. Raises ConfigError, FormatError, SceneError."""
+    """Every key atlas and every level of every group. Raises ConfigError, FormatError, SceneError.
+
+    Rows of the sequence that lost their order are matched again as the encoder did.
+    """
     m = package.manifest
     if len(sequence) != m.frames or sequence.sh_degree < m.sh_degree:
         expected = f"{m.frames} frames of SH degree {m.sh_degree} or more"
         raise ConfigError(f"{sequence.folder}: expected {expected}, got {len(sequence)} of {sequence.sh_degree}")
+    sequence = restore_rows(sequence, m.generator.settings.get("rows", AUTO)).sequence
     for index, group in enumerate(m.groups):
         frames = [g.with_degree(m.sh_degree) for g in sequence.load(range(group.start, group.stop)).frames]
         base = decode_canonical(package, index, 0)

@@ -40,7 +40,7 @@ class Gaussians:
         """The degree of the spherical harmonics, 0 to 3."""
         return SH_REST.index(self.sh_rest.shape[1])
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Gaussians:
+    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Gaussians:
         """The rows that an index array, a mask or a slice picks; a slice copies nothing."""
         return Gaussians(*(getattr(self, f.name)[rows] for f in fields(self)))
 

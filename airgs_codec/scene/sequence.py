@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
@@ -39,6 +42,8 @@ class GaussianSequence:
     max_sh_degree: int = 3  # SH bands above it are not read
     cameras_path: Path | None = None  # the file or folder that the cameras are from
     alone: bool = False  # one file, opened by its own name
+    orders: Mapping[int, NDArray[np.int32]] = field(default_factory=dict, compare=False)  # (N,) rows of files, by frame
+    breaks: tuple[int, ...] = ()  # frames whose rows are not those of the frame before, though they are as many
 
     @property
     def sh_degree(self) -> int:
@@ -49,13 +54,19 @@ class GaussianSequence:
         return len(self.paths)
 
     def usage(self, start: int, stop: int) -> Usage | None:
-        """What the trainer measured over all frames of the group [start, stop); None where it left no such group."""
+        """What the trainer measured over all frames of the group [start, stop); None where it left no such group.
+
+        Rows that are in another order than in the files are not those that it measured.
+        """
         path = self.folder / USAGE_NAME
-        return load_usage(path, start, stop) if path.is_file() and not self.alone else None
+        if self.alone or not path.is_file() or any(frame in self.orders for frame in range(start, stop)):
+            return None
+        return load_usage(path, start, stop)
 
     def read(self, frame: int) -> Gaussians:
-        """Read one frame as its file has it, unrepaired. Raises SceneError when the file is broken."""
-        return read_frame(self.paths[frame]).with_degree(self.sh_degree)
+        """Read one frame unrepaired, as its file has it but for `orders`. Raises SceneError when the file is broken."""
+        g = read_frame(self.paths[frame]).with_degree(self.sh_degree)
+        return g.take(self.orders[frame]) if frame in self.orders else g
 
     def load(self, frames: Iterable[int]) -> Repaired:
         """Read frames of one group and repair them together: a row that is dropped in one is dropped in all.

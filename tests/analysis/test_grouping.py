@@ -1,6 +1,6 @@
-"""Groups: given keyframes, changed counts, untracked rows."""
+"""Groups: given keyframes, changed counts, rows that go on nowhere."""
 
-import numpy as np
+from dataclasses import replace
 
 from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.scene.sequence import open_sequence
@@ -24,12 +24,10 @@ def test_a_count_that_changes_inside_a_given_group_is_noted(tmp_path):
     assert "frame 2" in grouping.notes[0]
 
 
-def test_untracked_rows_are_coded_all_intra_and_tracked_ones_are_not(tmp_path):
-    shuffled = [moving_frames(200, 3)[t].take(np.random.default_rng(t).permutation(200)) for t in range(3)]
-    grouping = plan_groups(open_sequence(write_sequence(tmp_path / "a", shuffled)))
-    assert grouping.spans == [(0, 1), (1, 2), (2, 3)]
-    assert "untracked" in grouping.notes[0]
-    assert plan_groups(open_sequence(write_sequence(tmp_path / "b", moving_frames(200, 3)))).spans == [(0, 3)]
+def test_groups_start_where_rows_are_not_those_of_the_frame_before(tmp_path):
+    sequence = open_sequence(write_sequence(tmp_path, moving_frames(9, 7)))
+    assert plan_groups(replace(sequence, breaks=(2,)), 3).spans == [(0, 2), (2, 5), (5, 7)]
+    assert plan_groups(replace(sequence, breaks=(2,), keyframes=(0, 4))).spans == [(0, 2), (2, 4), (4, 7)]
 
 
 def test_groups_of_a_growing_sequence_close_when_no_frame_can_join_them(tmp_path):

@@ -11,6 +11,7 @@ from airgs_codec.scene.ply import read_ply, write_ply
 from tests.support.camera_files import write_colmap_binary, write_inria
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+from tests.support.splat_files import splat_bytes
 from tests.support.views import ring
 
 
@@ -69,6 +70,26 @@ def test_groups_of_a_length_or_of_the_cheapest_and_a_first_look(tmp_path, capsys
     with pytest.raises(SystemExit) as refused:
         encode.main([*base, "--group", "few"])
     assert refused.value.code == 2 and "expected auto or a number of frames, got 'few'" in capsys.readouterr().err
+
+
+def test_frames_of_sog_are_matched_again_and_come_out_tracked(tmp_path, capsys):
+    scene = tmp_path / "scene"
+    scene.mkdir()
+    for number, path in enumerate(sorted(FOX.glob("*.ply"))[:3]):
+        (scene / f"{number}.sog").write_bytes(splat_bytes(read_ply(path).take(slice(0, 900)), ".sog"))
+    words = [str(scene), "-o", str(tmp_path / "out"), "--quick", "--keep-all", "--measure-pictures", "1"]
+    assert encode.main(words) == 0
+    said = capsys.readouterr().out
+    assert "decided: frames 1-2: rows were out of order; matched again, " in said and "order of rows" in said
+    assert encode.main([*words, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["rows"]["matched"] == [1, 2] and report["rows"]["sure"] > 0.99 and report["rows"]["unmatched"] == []
+    assert decode.main([str(tmp_path / "out"), "-o", str(tmp_path / "frames")]) == 0
+    a, b = (read_ply(tmp_path / "frames" / f"{n:06d}.ply") for n in (0, 2))
+    assert len(a) == len(b) == 900 and np.abs(a.sh_dc - b.sh_dc).max() < 0.2  # rows at random differ by 2
+    assert manifest.main(["validate", str(tmp_path / "out"), "--against", str(scene)]) == 0
+    assert encode.main([*words, "--rows", "keep"]) == 0  # beside it, rows as they are take far more
+    assert "matched again" not in capsys.readouterr().out
 
 
 def test_a_region_from_one_package_serves_another(package, tmp_path):
