@@ -36,6 +36,16 @@ async function picture(player: Player): Promise<Uint8Array> {
   throw new Error("nothing is drawn");
 }
 
+/** The picture that does not change any more: the order in depth comes later than the frame. */
+async function settled(player: Player): Promise<Uint8Array> {
+  for (let before = await picture(player); ; ) {
+    await sleep(300);
+    const now = await picture(player);
+    if (now.every((value, i) => value === before[i])) return now;
+    before = now;
+  }
+}
+
 const base64 = (bytes: Uint8Array) => btoa(Array.from(bytes, (byte) => String.fromCharCode(byte)).join(""));
 
 /** Mean of r, g, b. */
@@ -78,8 +88,7 @@ const checks: Record<string, () => Promise<unknown>> = {
     for (const frame of JSON.parse(query.get("frames") ?? "[]") as number[]) {
       await player.seek(frame / number("fps", 24));
       await until(`frame ${frame}`, () => !player.seeking && player.rungs[player.rung ?? 0].name === rung);
-      await sleep(300); // its order in depth
-      pictures.push({ frame, picture: base64(await picture(player)) });
+      pictures.push({ frame, picture: base64(await settled(player)) });
     }
     const { worldToCamera, ...lens } = cameraOf(player.camera, canvas.width, canvas.height);
     return { ...log.report(), pictures, camera: { ...lens, worldToCamera: Array.from(worldToCamera) } };
