@@ -80,7 +80,7 @@ def restore_rows(
                 breaks.append(frame)
     if not orders and not breaks:
         return Restored(sequence, alone=alone)
-    restored = replace(sequence, orders=orders, breaks=tuple(breaks))
+    restored = replace(sequence, orders=orders, breaks=(*sequence.breaks, *breaks))
     share = float(np.mean(list(sure.values()))) if sure else 1.0
     return Restored(restored, tuple(sure), share, tuple(breaks), alone)
 

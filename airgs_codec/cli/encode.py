@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
         "scene",
         type=Path,
         help="a folder of frames (.ply, compressed .ply, .spz, SOG, .splat, glTF), optionally with sequence.json and "
-        "cameras, or one such file; or a folder of multi-view pictures",
+        "cameras, or one such file; or a clip (.splatv, Spacetime Gaussians .ply); or a folder of multi-view pictures",
     )
     parser.add_argument(
         "-o",
@@ -63,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
         help="package folder, or s3://, gs://, az:// and a prefix (default: SCENE with .airgs appended)",
     )
     parser.add_argument("--fps", type=Fraction, help="frames a second (default: what sequence.json says, else 30)")
+    _add_baking(parser)
     add_views(
         parser, "cameras that usage and quality are measured with", "those beside the frames, else cameras on an orbit"
     )
@@ -95,6 +96,21 @@ def _parser() -> argparse.ArgumentParser:
     _add_ladder(parser)
     _add_coding(parser)
     return parser
+
+
+def _add_baking(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--bake-fps",
+        type=Fraction,
+        metavar="FPS",
+        help="frames a second that a clip of moving Gaussians is baked to (default: what the file says, else 30)",
+    )
+    parser.add_argument(
+        "--duration",
+        type=Fraction,
+        metavar="SECONDS",
+        help="length of a clip whose file states none: .splatv, Spacetime Gaussians .ply (default: 5/3)",
+    )
 
 
 def _add_setting(group: argparse._ActionsContainer, option: str, name: str, **more: Any) -> None:
@@ -220,7 +236,9 @@ def _run(args: argparse.Namespace) -> int:
     if args.follow:
         return _follow(args, settings, target)
     folder = train_by_default(args.scene, args.fps, quiet=args.json) if is_multiview(args.scene) else args.scene
-    sequence = open_sequence(folder, views=args.views, fps=args.fps)
+    sequence = open_sequence(folder, views=args.views, fps=args.fps, bake_fps=args.bake_fps, duration=args.duration)
+    if sequence.clip and not args.json:
+        print(f"clip: {args.scene}: {sequence.clip.note}", flush=True)
     goal, attribution = _goal(args, sequence), args.attribution or read_attribution(args.scene)
     if sequence.cameras_path and not args.json:
         print(_cameras_line(sequence), flush=True)
@@ -238,7 +256,7 @@ def _run(args: argparse.Namespace) -> int:
 
 def _follow(args: argparse.Namespace, settings: EncodeSettings, target: str) -> int:
     """Encode a sequence that somebody still writes."""
-    for name in ("target_psnr", "target_mb", "target_mbps", "contact_sheet"):
+    for name in ("target_psnr", "target_mb", "target_mbps", "contact_sheet", "bake_fps", "duration"):
         if getattr(args, name) is not None:
             raise ConfigError(f"--{name.replace('_', '-')}: expected a sequence that is whole, got --follow")
     folder = GrowingFolder(args.scene, views=args.views, fps=args.fps)

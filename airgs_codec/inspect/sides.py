@@ -83,7 +83,7 @@ def _of_package(name: str, package: Package, rung: str) -> Side:
 
 
 def _of_scene(name: str, sequence: GaussianSequence) -> Side:
-    stated = (sequence.folder / SETTINGS_NAME).is_file() or sequence.fps != DEFAULT_FPS
+    stated = sequence.clip or (sequence.folder / SETTINGS_NAME).is_file() or sequence.fps != DEFAULT_FPS
     return Side(
         name=name,
         rung=None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
 from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
-from airgs_codec.scene.formats.find import find_frames
+from airgs_codec.scene.formats.clip import Bake, Clip
+from airgs_codec.scene.formats.clips import SUFFIXES, clip_format
+from airgs_codec.scene.formats.find import Found, find_frames
 from airgs_codec.scene.formats.table import read_frame, read_frame_header
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader
@@ -44,6 +47,7 @@ class GaussianSequence:
     alone: bool = False  # one file, opened by its own name
     orders: Mapping[int, NDArray[np.int32]] = field(default_factory=dict, compare=False)  # (N,) rows of files, by frame
     breaks: tuple[int, ...] = ()  # frames whose rows are not those of the frame before, though they are as many
+    clip: Clip | None = None  # the file that all frames are in, if it is one; every path is its
 
     @property
     def sh_degree(self) -> int:
@@ -65,7 +69,8 @@ class GaussianSequence:
 
     def read(self, frame: int) -> Gaussians:
         """Read one frame unrepaired, as its file has it but for `orders`. Raises SceneError when the file is broken."""
-        g = read_frame(self.paths[frame]).with_degree(self.sh_degree)
+        g = self.clip.read(frame) if self.clip else read_frame(self.paths[frame])
+        g = g.with_degree(self.sh_degree)
         return g.take(self.orders[frame]) if frame in self.orders else g
 
     def load(self, frames: Iterable[int]) -> Repaired:
@@ -75,7 +80,8 @@ class GaussianSequence:
         """
         numbers = list(frames)
         span = f"frame {numbers[0]}" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}"
-        return repair([self.read(i) for i in numbers], f"{self.folder.name} {span}")
+        name = (self.paths[0] if self.alone else self.folder).name
+        return repair([self.read(i) for i in numbers], f"{name} {span}")
 
 
 def read_attribution(folder: Path) -> str:
@@ -88,9 +94,14 @@ def read_attribution(folder: Path) -> str:
 
 
 def open_sequence(
-    folder: str | Path, *, views: str | Path | None = None, fps: Fraction | float | None = None
+    folder: str | Path,
+    *,
+    views: str | Path | None = None,
+    fps: Fraction | float | None = None,
+    bake_fps: Fraction | float | None = None,
+    duration: Fraction | float | None = None,
 ) -> GaussianSequence:
-    """Open a folder of frames, or one file as a scene of one frame; rows are read only when they are asked for.
+    """Open a folder of frames, a file of one frame or a clip; rows are read only when they are asked for.
 
     Frames are of any format in `scene.formats.table.FORMATS`, all of the same, in natural order of their names (frame2
     before frame10); of an INRIA model the newest iteration is taken. Beside them may lie
@@ -104,12 +115,40 @@ def open_sequence(
     folder of cameras (`scene.cameras.read.read_cameras`), `fps` (frames a second, above 0 and at most 1000) another
     frame rate; both take precedence over what the folder says.
 
+    A clip is a file of a format in `scene.formats.clips.CLIP_FORMATS`, which holds many frames; `clip.note` says how
+    they came about. Moving Gaussians are baked at `bake_fps` frames a second, which are played at `fps` (default: the
+    same); `duration` (seconds) is the length of a clip whose file states none. Its own cameras go before those beside
+    it, where they are of the scene.
+
     Raises SceneError when there is nothing there, it has no frames, a frame is broken, has no rows or another SH degree
-    than the first, or one of the files beside them is malformed.
+    than the first, one of the files beside them is malformed, or something is to be baked that leaves no choice.
     """
     found = find_frames(Path(folder))
+    rate = None if bake_fps is None else _frame_rate(str(folder), bake_fps)
+    bake = Bake(rate, None if duration is None else Fraction(str(duration)))
+    if len(found.paths) == 1 and (form := clip_format(found.paths[0])):
+        return _sequence_of_clip(found, form.open(found.paths[0], bake), views, fps)
+    if bake != Bake():
+        raise SceneError(f"{folder}: expected a clip to bake ({', '.join(SUFFIXES)}), got frames")
     frames = [(path, read_frame_header(path)) for path in found.paths]
     return sequence_of(found.folder, frames, views=views, fps=fps, alone=found.alone)
+
+
+def _sequence_of_clip(
+    found: Found, clip: Clip, views: str | Path | None, fps: Fraction | float | None
+) -> GaussianSequence:
+    """A clip with its own cameras or those beside it; the note says where its own are not of the scene."""
+    path = found.paths[0]
+    if views is None and path.suffix.lower() in CAMERA_SUFFIXES:
+        try:
+            read_cameras(path)
+            views = path
+        except SceneError as error:
+            clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
+    frames = [(path, header) for header in clip.headers]
+    rate = clip.fps if fps is None else fps
+    sequence = sequence_of(found.folder, frames, views=views, fps=rate, alone=True)
+    return replace(sequence, clip=clip, breaks=clip.breaks)
 
 
 def sequence_of(

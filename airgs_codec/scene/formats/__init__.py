@@ -1,1 +1,1 @@
-"""Static splats in the file formats that people have: one module a format, all of them in `table`."""
+"""Splats in the file formats that people have, one module a format: frames in `table`, clips in `clips`."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats import compressed_ply, gltf, sog, splat, spz
+from airgs_codec.scene.formats import clips, compressed_ply, gltf, sog, splat, spz
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader, read_ply, read_ply_header
 from airgs_codec.scene.ply_elements import read_header
@@ -47,9 +47,12 @@ def format_of(path: Path) -> Format:
     """The format of a file or folder. Raises SceneError when it is none of the table's."""
     if path.is_dir():
         return SOG
+    if clip := clips.clip_format(path):
+        raise SceneError(f"{path}: expected one frame, got {clip.name}, which holds many: give it by its own name")
     form = _BY_SUFFIX.get(path.suffix.lower())
     if form is None:
-        raise SceneError(f"{path}: expected one of {', '.join(SUFFIXES)}, got {path.suffix or 'no suffix'}")
+        known = ", ".join((*SUFFIXES, *clips.SUFFIXES))
+        raise SceneError(f"{path}: expected one of {known}, got {path.suffix or 'no suffix'}")
     if form.suffixes == INRIA.suffixes:
         return COMPRESSED if compressed_ply.is_compressed(read_header(path)) else INRIA
     return form
