@@ -38,7 +38,7 @@ def write_movie(path: Path, frames: Iterable[NDArray[np.uint8]], fps: Fraction) 
 
 
 class VideoReader:
-    """Frames of any video that FFmpeg reads, by number, as RGB; fast when they are read forward."""
+    """Frames of any video that FFmpeg reads, by number, as RGB; fast when they are read forward or the last one again."""
 
     def __init__(self, path: Path) -> None:
         """Opens the first video stream. Raises SceneError."""
@@ -51,6 +51,8 @@ class VideoReader:
 
     def read(self, number: int) -> NDArray[np.uint8]:
         """(H, W, 3) frame `number`. Raises SceneError when the video ends before it or cannot be decoded."""
+        if number == self._next - 1 and self._last is not None:
+            return self._last
         if number < self._next:
             self._container.close()
             self._open()
@@ -59,7 +61,8 @@ class VideoReader:
                 frame = next(self._decoded)
                 self._next += 1
                 if self._next > number:
-                    return np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+                    self._last = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+                    return self._last
         except StopIteration:
             raise SceneError(f"{self._path}: expected frame {number}, the video ends after {self._next}") from None
         except av.FFmpegError as error:
@@ -78,6 +81,7 @@ class VideoReader:
         except (av.FFmpegError, OSError) as error:
             raise SceneError(f"{self._path}: expected a video: {error}") from error
         self._next = 0
+        self._last: NDArray[np.uint8] | None = None
 
     def _count(self) -> int:
         """Frames of a container that does not say."""

@@ -20,7 +20,7 @@ from airgs_codec.scene.cameras.posed import Posed, expecting, inverse, read_obje
 
 NAME = "transforms.json"
 FISHEYE = "OPENCV_FISHEYE"
-NO_LENS = ("EQUIRECTANGULAR", "OMNIDIRECTIONAL", "VR180", "ORTHO")  # beginnings of models that no pinhole stands for
+NO_LENS = ("EQUIRECTANGULAR", "OMNIDIRECTIONAL", "VR180", "ORTHO", "FISHEYE624")  # beginnings of models that no pinhole stands for
 
 
 def fits(data: Any) -> bool:
@@ -71,6 +71,8 @@ def _without_lens(camera: Camera, entry: dict[str, Any]) -> tuple[Camera, Lens |
     model = str(entry.get("camera_model", "OPENCV")).upper()
     if model.startswith(NO_LENS):
         raise ValueError(f"camera {camera.name} has camera_model {model}, which is no perspective")
+    if model != FISHEYE and float(entry.get("k4", 0)):
+        raise ValueError(f"camera {camera.name} has k4 of {entry['k4']}, which no lens model of OpenCV's has")
     names = ("k1", "k2", "k3", "k4") if model == FISHEYE else ("k1", "k2", "p1", "p2", "k3")
     coefficients = np.array([float(entry.get(name, 0)) for name in names])
     return undistorted(camera, coefficients, fisheye=model == FISHEYE)

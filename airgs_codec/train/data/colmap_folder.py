@@ -12,7 +12,7 @@ from airgs_codec.scene.cameras.posed import Posed
 from airgs_codec.scene.sequence import DEFAULT_FPS
 from airgs_codec.train.data.colmap import read_points3d
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
-from airgs_codec.train.data.videos import VIDEO_SUFFIXES, CameraFilm, find_pictures, scene_from_films
+from airgs_codec.train.data.videos import CameraFilm, find_pictures, find_videos, scene_from_films
 
 
 def has_colmap(folder: Path) -> bool:
@@ -60,10 +60,9 @@ def _shot(folder: Path, image: Posed, name: str) -> Shot:
 
 def _film(folder: Path, name: str) -> Path | None:
     """A camera's pictures over time: a video, or a folder of more than one picture."""
-    for place in (folder / "videos", folder):
-        for suffix in VIDEO_SUFFIXES:
-            if (place / f"{name}{suffix}").is_file():
-                return place / f"{name}{suffix}"
+    for video in (*find_videos(folder / "videos"), *find_videos(folder)):
+        if video.stem == name:
+            return video
     for place in (folder / "frames" / name, folder / "images" / name):
         if len(find_pictures(place)) > 1:
             return place

@@ -1,4 +1,7 @@
-"""Multi-view scenes of a poses_bounds.npy: a row for each camera's video, in the order of their names."""
+"""Multi-view scenes of a poses_bounds.npy: a row for each camera's video, in the order of their names.
+
+N3DV's videos are cam00.mp4 to cam20.mp4 with gaps where a camera was not in time; cam00 is the one it holds out.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +16,9 @@ from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
 from airgs_codec.train.data.videos import CameraFilm, find_videos, scene_from_films, video_size
 
 
+HELD_OUT = "cam00"
+
+
 def has_poses_bounds(folder: Path) -> bool:
     """Whether the folder has a poses_bounds.npy."""
     return (folder / llff.NAME).is_file()
@@ -25,6 +31,8 @@ def read_poses_bounds(folder: Path) -> MultiviewScene:
     cameras = [p.camera for p in llff.read(path)]
     if len(cameras) != len(videos):
         raise SceneError(f"{path}: expected a row for each of {len(videos)} videos, got {len(cameras)}")
+    if twice := sorted({v.stem for v in videos if [w.stem for w in videos].count(v.stem) > 1}):
+        raise SceneError(f"{folder}: expected one video for each camera, got several of {', '.join(twice)}")
     return scene_from_films(folder, [CameraFilm(_shot(c, v), v) for c, v in zip(cameras, videos, strict=True)])
 
 
@@ -34,6 +42,7 @@ def _shot(camera: Camera, video: Path) -> Shot:
     filmed = replace(
         camera,
         name=video.stem,
+        split="test" if video.stem == HELD_OUT else "train",
         width=width,
         height=height,
         fx=camera.fx * x,

@@ -13,12 +13,15 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.find import has_frames
 from airgs_codec.scene.ply import read_points
 from airgs_codec.train.data.colmap_folder import has_colmap, read_colmap
+from airgs_codec.train.data.hifi4g import has_hifi4g, read_hifi4g
 from airgs_codec.train.data.multiview import MultiviewScene, Points
 from airgs_codec.train.data.panoptic import has_panoptic, read_panoptic
 from airgs_codec.train.data.poses_bounds import has_poses_bounds, read_poses_bounds
 from airgs_codec.train.data.transforms import has_transforms, read_transforms
 
-POINT_FILES = ("points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "points3d.npy")
+POINT_FILES = (
+    "points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "sparse_pc.ply", "points3d.npy",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +36,7 @@ class Format:
 FORMATS = (  # the first that recognises a folder reads it
     Format("train_meta.json", has_panoptic, read_panoptic),
     Format("transforms.json", has_transforms, read_transforms),
+    Format("image_white_undistortion/ (HiFi4G)", has_hifi4g, read_hifi4g),
     Format("COLMAP's sparse/", has_colmap, read_colmap),
     Format("poses_bounds.npy", has_poses_bounds, read_poses_bounds),
 )

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
+from airgs_codec.errors import SceneError
 from airgs_codec.scene.cameras import transforms
 from airgs_codec.scene.cameras.posed import Posed, expecting, read_object
+from airgs_codec.scene.ply import read_points
 from airgs_codec.scene.sequence import DEFAULT_FPS
-from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot, in_frames
+from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Points, Shot, in_frames
 from airgs_codec.train.data.videos import VIDEO_SUFFIXES, CameraFilm, scene_from_films
 
 
@@ -21,16 +24,29 @@ def has_transforms(folder: Path) -> bool:
 def read_transforms(folder: Path) -> MultiviewScene:
     """The scene of a transforms.json. Frames are the distinct `time_index`, or the distinct `time` without it.
 
+    Without either, as `ns-process-data` writes it, all pictures are of one frame. `ply_file_path` names its points.
+
     Raises SceneError.
     """
     path = folder / transforms.NAME
     posed = transforms.read(path)
     with expecting(path, "a frame rate"):
-        fps = Fraction(str(read_object(path).get("fps", DEFAULT_FPS)))
+        data = read_object(path)
+        fps = Fraction(str(data.get("fps", DEFAULT_FPS)))
+    points = _points(folder, data.get("ply_file_path"))
     films = {p.camera.name: CameraFilm(_shot(folder, p), folder / p.picture) for p in posed}
     if all(film.path.suffix.lower() in VIDEO_SUFFIXES for film in films.values()):
-        return scene_from_films(folder, list(films.values()))
-    return MultiviewScene(folder, fps, in_frames(posed, partial(_shot, folder)))
+        return replace(scene_from_films(folder, list(films.values())), points=points)
+    return MultiviewScene(folder, fps, in_frames(posed, partial(_shot, folder)), points)
+
+
+def _points(folder: Path, name: object) -> Points | None:
+    """The cloud that the file names, in the axes of its cameras; None where it names none. Raises SceneError."""
+    if name is None:
+        return None
+    if not isinstance(name, str) or not (folder / name).is_file():
+        raise SceneError(f"{folder / transforms.NAME}: expected the points of ply_file_path, got no file {name}")
+    return Points(*read_points(folder / name))
 
 
 def _shot(folder: Path, posed: Posed) -> Shot:

@@ -18,6 +18,7 @@ from airgs_codec.scene.sequence import DEFAULT_FPS
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot, Source
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
+SAME_RATE = 1.001  # ratio of frame rates that cameras of one rig measure a little differently
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
 
@@ -84,7 +85,7 @@ def _from_videos(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
     """As many frames as the shortest video has."""
     videos = [_video(film.path) for film in films]
     rates = sorted({video.fps for video in videos if video.fps})
-    if len(rates) > 1:
+    if rates and rates[-1] > SAME_RATE * rates[0]:
         listed = ", ".join(f"{float(rate):g}" for rate in rates)
         raise SceneError(f"{folder}: expected videos of one frame rate, got {listed}")
     count = min(video.frames for video in videos)

@@ -2,8 +2,14 @@
 
 import json
 
+import numpy as np
+import pytest
+
+from airgs_codec.errors import SceneError
+from airgs_codec.media.image import write_png
+from airgs_codec.train.data.multiview import with_held_out
 from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.data.readers import is_multiview, open_scene
 from tests.support.multiview_files import matrix_of, plain, same_camera, write_video
 from tests.support.paths import FOX_VIEWS
 from tests.support.views import ring
@@ -45,3 +51,60 @@ def test_transforms_may_name_videos(tmp_path):
         write_video(tmp_path / f"{c.name}.mp4", [plain(60, (48, 48)), plain(90, (48, 48))], rate=12)
     scene = open_scene(tmp_path)
     assert len(scene) == 2 and scene.fps == 12
+
+
+def write_ns_process_data(folder, camera, **shared):
+    """What `ns-process-data images` leaves: pictures in several sizes, a lens, points of another name."""
+    entries = []
+    for i, c in enumerate(ring(9)):
+        for place, shrink in (("images", 1), ("images_2", 2), ("images_4", 4)):
+            (folder / place).mkdir(parents=True, exist_ok=True)
+            write_png(folder / place / f"frame_{i + 1:05d}.png", plain(90, (48 // shrink, 48 // shrink)))
+        name = f"images/frame_{i + 1:05d}.png"
+        entries.append({"file_path": name, "transform_matrix": matrix_of(c), "colmap_im_id": i + 1})
+    lens = {"camera_model": "OPENCV", "k1": 0.05, "k2": -0.01, "p1": 0.001, "p2": 0.002}
+    size = {"w": 48, "h": 48, "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
+    turned = {"applied_transform": [[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0]]}
+    data = {**size, **lens, "frames": entries, **turned, "ply_file_path": "sparse_pc.ply", **shared}
+    (folder / "transforms.json").write_text(json.dumps(data))
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {c}\n" for c in "xyz")
+    colours = "".join(f"property uint8 {c}\n" for c in ("red", "green", "blue"))
+    (folder / "sparse_pc.ply").write_text(f"{header}{colours}end_header\n0.5 1 1.5 255 0 51\n0 0 0 0 0 0\n")
+    return folder
+
+
+def test_ns_process_data_is_a_scene_of_one_frame(tmp_path):
+    folder = write_ns_process_data(tmp_path, ring(1)[0])
+    assert is_multiview(folder)  # though there is a .ply
+    scene = open_scene(folder)
+    assert len(scene) == 1 and [c.name for c in scene.cameras][:2] == ["frame_00001", "frame_00002"]
+    assert scene.points.positions[0].tolist() == [0.5, 1, 1.5]  # in the axes of the cameras, as nerfstudio has both
+    assert scene.points.colours[0] == pytest.approx([1, 0, 0.2])
+    assert all(np.allclose(a.position, b.position, atol=1e-6) for a, b in zip(scene.cameras, ring(9), strict=True))
+    view = Pictures(scene).train(0)[0]
+    assert view.target.rgb.shape == (48, 48, 3) and view.target.rgb.min() > 0.34  # undistorted, no black borders
+    assert sum(c.held_out for c in with_held_out(scene, None).cameras) == 1
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"ply_file_path": "cloud.ply"}, "the points of ply_file_path, got no file cloud.ply"),
+        ({"ply_file_path": 3}, "the points of ply_file_path, got no file 3"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "no perspective"),
+        ({"camera_model": "FISHEYE624"}, "no perspective"),
+        ({"k4": 0.1}, "k4 of 0.1"),
+    ],
+)
+def test_what_ns_process_data_may_hold_and_we_do_not_take(tmp_path, fields, message):
+    folder = write_ns_process_data(tmp_path, ring(1)[0], **fields)
+    with pytest.raises(SceneError, match=message) as caught:
+        open_scene(folder)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_fisheye_of_ns_process_data_is_undistorted(tmp_path):
+    fisheye = {"camera_model": "OPENCV_FISHEYE", "k1": 0.02, "k2": 0.0, "k3": 0.0, "k4": 0.001}
+    scene = open_scene(write_ns_process_data(tmp_path, ring(1)[0], **fisheye))
+    assert scene.frames[0][0].lens.fisheye
+    assert Pictures(scene).train(0)[0].target.rgb.min() > 0.3
