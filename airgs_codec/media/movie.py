@@ -38,7 +38,7 @@ def write_movie(path: Path, frames: Iterable[NDArray[np.uint8]], fps: Fraction) 
 
 
 class VideoReader:
-    """Frames of any video that FFmpeg reads, by number, as RGB; fast when they are read forward or the last one again."""
+    """Frames of any video that FFmpeg reads, by number, as RGB; fast when read forward, or the last one again."""
 
     def __init__(self, path: Path) -> None:
         """Opens the first video stream. Raises SceneError."""

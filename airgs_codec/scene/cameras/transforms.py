@@ -20,7 +20,13 @@ from airgs_codec.scene.cameras.posed import Posed, expecting, inverse, read_obje
 
 NAME = "transforms.json"
 FISHEYE = "OPENCV_FISHEYE"
-NO_LENS = ("EQUIRECTANGULAR", "OMNIDIRECTIONAL", "VR180", "ORTHO", "FISHEYE624")  # beginnings of models that no pinhole stands for
+NO_LENS = (
+    "EQUIRECTANGULAR",
+    "OMNIDIRECTIONAL",
+    "VR180",
+    "ORTHO",
+    "FISHEYE624",
+)  # beginnings of models that no pinhole stands for
 
 
 def fits(data: Any) -> bool:

@@ -15,7 +15,6 @@ from airgs_codec.scene.formats.find import natural_key
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
 from airgs_codec.train.data.videos import CameraFilm, find_videos, scene_from_films, video_size
 
-
 HELD_OUT = "cam00"
 
 

@@ -63,7 +63,10 @@ def broken(tmp_path, what):
 @pytest.mark.parametrize(
     ("what", "message"),
     [
-        ("nothing", "pictures with train_meta.json, transforms.json, image_white_undistortion/ .HiFi4G., COLMAP.s sparse/ or poses_bounds.npy"),
+        (
+            "nothing",
+            "pictures with train_meta.json, transforms.json, image_white_undistortion/ .HiFi4G., COLMAP.s sparse/ or p",
+        ),
         ("poses", "a row for each of 0 videos, got 2"),
         ("colmap", "expected a COLMAP reconstruction"),
         ("json", "expected JSON"),
