@@ -43,6 +43,7 @@ class VideoReader:
     def __init__(self, path: Path) -> None:
         """Opens the first video stream. Raises SceneError."""
         self._path = path
+        self._last: NDArray[np.uint8] | None = None  # the frame before `_next`, where it was asked for
         self._open()
         stream = self._container.streams.video[0]
         self.size = (stream.codec_context.width, stream.codec_context.height)
@@ -81,7 +82,7 @@ class VideoReader:
         except (av.FFmpegError, OSError) as error:
             raise SceneError(f"{self._path}: expected a video: {error}") from error
         self._next = 0
-        self._last: NDArray[np.uint8] | None = None
+        self._last = None
 
     def _count(self) -> int:
         """Frames of a container that does not say."""
