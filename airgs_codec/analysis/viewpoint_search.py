@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from airgs_codec.analysis.viewpoint_score import Look, Sample
 from airgs_codec.scene.camera import Camera, look_at
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.orbits import UP
 from airgs_codec.scene.rotations import from_rotation_vector, to_matrices
 
 Vector = NDArray[np.float64]
 
 FIELD_OF_VIEW = np.radians(60)  # of both axes
-UP = np.array([0.0, -1.0, 0.0])  # in pictures that are only scored; roll hardly matters to a score
 SIZE = 32  # pixels
 COARSE_ROWS, FINE_ROWS = 1000, 4000
 PARENTS = 12  # neighbourhoods that a round looks about
@@ -46,7 +46,7 @@ class Pose:
         return replace(pose, look=sample.look(pose.camera("tried", SIZE)))
 
     def camera(self, name: str, size: int, up: Vector = UP) -> Camera:
-        """A square camera of `size` pixels here."""
+        """A square camera of `size` pixels here; roll, which `up` decides, hardly matters to a score."""
         return look_at(self.position, self.position + self.direction, up, size=size, fov_y=FIELD_OF_VIEW, name=name)
 
 

@@ -8,19 +8,20 @@ neither is clear, the answer says so, and its cameras are the best guesses and v
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from airgs_codec.analysis.floor import find_floor
 from airgs_codec.analysis.viewpoint_score import Sample
-from airgs_codec.analysis.viewpoint_search import UP, Pose, Search, best_apart, gaps, judge, spread
+from airgs_codec.analysis.viewpoint_search import Pose, Search, best_apart, gaps, judge, spread
 from airgs_codec.errors import SceneError
 from airgs_codec.render import Camera
 from airgs_codec.render.cpu import one_thread
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.orbits import dome_views, orbit_views
+from airgs_codec.scene.orbits import UP, dome_views, orbit_views
 from airgs_codec.scene.repair import repair
 
 SIZE = 256  # pixels of the cameras
@@ -34,8 +35,13 @@ SCATTERED, KEPT, ROUNDS = 300, 40, 5  # poses tried at random, those looked at a
 GOOD = 0.7  # of the best score
 APART = (0.35, 0.2, 0.1)  # of `gaps`, of the poses that cameras are chosen from: the first that leaves enough
 REGION = 1.5  # of `gaps`, at most, from one pose of a region to the next
+UPRIGHT = np.cos(np.radians(20))  # between the floor's own up and the one that is told
+NOTHING_SEEN = "nothing can be seen: 8 views on an orbit"
+GUESSED_UP = "; up is taken to be -y, which nothing tells"
 SURE = 0.05  # score of the best; real captures have 0.1 to 0.2, broken ones mostly up to 0.03
 SURE_COVERED = 0.95  # of most pictures; who films a place fills them, objects with haze about them leave holes
+
+Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,11 +54,12 @@ class FoundViews:
     story: str  # a line that says what was found, and how sure it is
 
 
-def find_viewpoints(frames: Sequence[Gaussians]) -> FoundViews:
+def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> FoundViews:
     """Find where some frames of a scene are meant to be seen from. The middle one decides, all of them judge.
 
-    8 to 16 square cameras; the same frames give the same cameras. Up is away from the floor under an object, else -y,
-    as structure from motion mostly leaves it. A frame need not be repaired; frames need not share rows.
+    8 to 16 square cameras; the same frames give the same cameras. `up` (3,) points up where somebody told
+    it; else up is away from the floor under an object, or -y, as structure from motion mostly leaves it. A frame need
+    not be repaired; frames need not share rows.
 
     Raises SceneError when a frame has no finite row.
     """
@@ -61,9 +68,14 @@ def find_viewpoints(frames: Sequence[Gaussians]) -> FoundViews:
     try:
         with one_thread():
             solidity = _solidity(middle)
-            return _object(middle) if solidity >= OBJECT else _place(usable, middle, solidity >= PERHAPS)
+            floor = find_floor(middle) if solidity >= OBJECT else None
+            upright = up if up is not None else floor if floor is not None else UP
+            found = _object(middle, upright, floor) if solidity >= OBJECT else _place(usable, upright, solidity)
     except SceneError:
-        return FoundViews(orbit_views(middle), [0.0] * 8, False, "nothing can be seen: 8 views on an orbit")
+        floor, upright = None, UP if up is None else up
+        found = FoundViews(orbit_views(middle, up=upright), [0.0] * 8, False, NOTHING_SEEN)
+    guessed = up is None and floor is None
+    return replace(found, story=found.story + GUESSED_UP * guessed)
 
 
 def _solidity(gaussians: Gaussians) -> float:
@@ -73,28 +85,30 @@ def _solidity(gaussians: Gaussians) -> float:
     return float(np.quantile(sides, 0.25))
 
 
-def _object(gaussians: Gaussians) -> FoundViews:
-    up = find_floor(gaussians)
-    cameras = dome_views(gaussians, COUNT, SIZE, UP if up is None else up, -np.pi / 2 if up is None else LOWEST)
+def _object(gaussians: Gaussians, up: Vector, floor: Vector | None) -> FoundViews:
+    """All around, or over what it stands on, where the floor's own up (3,) is about `up` (3,)."""
+    stands = floor is not None and float(floor @ up) > UPRIGHT * np.linalg.norm(up)
+    cameras = dome_views(gaussians, COUNT, SIZE, up, LOWEST if stands else -np.pi / 2)
     sample = Sample.of(gaussians, SIDE_ROWS)
     scores = [sample.solidity(camera) for camera in cameras]
-    where = "all around it" if up is None else "all around it, above its floor"
+    where = "all around it, above its floor" if stands else "all around it"
     return FoundViews(cameras, scores, True, f"an object in empty space: {COUNT} views {where}")
 
 
-def _place(frames: Sequence[Gaussians], middle: Gaussians, perhaps_object: bool) -> FoundViews:
+def _place(frames: Sequence[Gaussians], up: Vector, solidity: float) -> FoundViews:
+    middle = frames[len(frames) // 2]
     search = Search(middle)
     search.scatter(SCATTERED, KEPT)
     search.refine(ROUNDS)
     ranked = _ranked(search.poses, frames)
     good = _good(ranked)
-    doubt = "it may be an object in a haze" if perhaps_object else _doubt(good)
+    doubt = "it may be an object in a haze" if solidity >= PERHAPS else _doubt(good)
     chosen = spread(ranked[: 2 * GUESSES], GUESSES) if doubt else spread(good, COUNT)
-    cameras = [pose.camera(f"found{i:02d}", SIZE) for i, pose in enumerate(chosen)]
+    cameras = [pose.camera(f"found{i:02d}", SIZE, up) for i, pose in enumerate(chosen)]
     scores = [pose.look.score for pose in chosen]
     if not doubt:
         return FoundViews(cameras, scores, True, f"a filmed place: {_where(good, len(cameras))}")
-    around = dome_views(middle, GUESSES, SIZE, UP)
+    around = dome_views(middle, GUESSES, SIZE, up)
     story = f"unclear where from ({doubt}): {_where(chosen, len(cameras))}, and {len(around)} all around"
     return FoundViews(cameras + around, scores + [0.0] * len(around), False, story)
 

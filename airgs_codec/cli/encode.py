@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 from collections.abc import Sequence
 from dataclasses import fields
 from fractions import Fraction
@@ -15,6 +16,7 @@ from airgs_codec.analysis.rows import ROWS
 from airgs_codec.cli.common import Bar, add_views, run_command
 from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.training import train_by_default
+from airgs_codec.cli.world import add_world, told_world, with_signs
 from airgs_codec.encoder.follow import follow
 from airgs_codec.encoder.publish import EncodeReport, encode
 from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal
@@ -80,6 +82,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help=f"{about(EncodeSettings, 'region')}: JSON as `region` in airgs.json",
     )
+    add_world(parser)
     parser.add_argument(
         "--contact-sheet", type=Path, metavar="FILE", help="write a PNG of the scene from every place of its region"
     )
@@ -196,7 +199,7 @@ def _group(text: str) -> int | None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Encode as the arguments say; returns the exit status."""
-    args = _parser().parse_args(argv)
+    args = _parser().parse_args(with_signs(sys.argv[1:] if argv is None else argv))
     return run_command("airgs-encode", lambda: _run(args))
 
 
@@ -214,13 +217,14 @@ def _settings(args: argparse.Namespace) -> EncodeSettings:
     chosen = parse_levels(args.levels) if args.levels else None
     calibrate = "none" if args.steps == "default" else "steps" if chosen else "ladder"
     region = read_region(args.region) if args.region else None
-    known = ("quality", "steps", "levels", "region")
+    known = ("quality", "steps", "levels", "region", "world")
     same = {name: getattr(args, name) for name in FIELDS if name in args and name not in known}
     settings = EncodeSettings(
         quality=QUALITY_FACTORS[args.quality],
         calibrate=calibrate,
         levels=chosen or DEFAULT_LEVELS,
         region=region,
+        world=told_world(args),
         **same,
     )
     settings = as_in_paper(settings) if args.ladder else settings

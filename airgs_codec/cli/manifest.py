@@ -32,12 +32,13 @@ from airgs_codec.inspect.plot import plot_ladder
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.inspect.validate import exceeded, validate
-from airgs_codec.package.manifest import Quality
+from airgs_codec.package.manifest import Manifest, Quality
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, checking_views
 from airgs_codec.package.store import Package, open_package
-from airgs_codec.render import read_cameras
-from airgs_codec.scene.orbits import orbit_views
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.package.world import up_of
+from airgs_codec.render import Camera, read_cameras
+from airgs_codec.scene.orbits import UP, orbit_views
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -161,7 +162,7 @@ def _rungs(args: argparse.Namespace) -> int:
     streams = rung_streams(package, frames, args.level, args.key_quality)
     claimed = claimed_quality(package.manifest, streams)
     cameras += region_views(package.manifest.region, args.draws, args.seed)
-    cameras = compared_views(cameras or orbit_views(original.read(len(original) // 2)), args.split)
+    cameras = compared_views(cameras or _around(package.manifest, original), args.split)
     bar = Bar(args.json)
     splits = compare_streams(streams, original, frames, cameras, bar)
     bar.close()
@@ -173,6 +174,11 @@ def _rungs(args: argparse.Namespace) -> int:
         print(f"{len(frames)} frames; views: {views}; PSNR of the error pooled over pictures, and of the worst picture")
         print(format_comparison({"claimed": claimed, **splits}))
     return 0
+
+
+def _around(m: Manifest, original: GaussianSequence) -> list[Camera]:
+    """Views on an orbit around the middle frame, upright as the package tells."""
+    return orbit_views(original.read(len(original) // 2), up=UP if m.world is None else up_of(m.world))
 
 
 def _plain(qualities: Mapping[str, Quality | None]) -> dict[str, Any]:

@@ -47,6 +47,7 @@ class EncodeJob:
         return Provenance(
             settings,
             self.views.region,
+            self.views.world,
             self.views.table(settings.measure_pictures),
             self.attribution,
             [*self.views.notes, *self.notes],

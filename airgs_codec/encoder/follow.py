@@ -138,7 +138,9 @@ def _begin(
 ) -> _Publisher:
     """Settle everything on the first group, frames [0, stop), and publish it."""
     part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
-    views = ViewPlan.of(part, settings.decide_pictures, margin=settings.margin, region=settings.region)
+    views = ViewPlan.of(
+        part, settings.decide_pictures, margin=settings.margin, region=settings.region, world=settings.world
+    )
     survey = survey_group(part, GroupSpan(0, 0, stop), views)
     credit = read_attribution(sequence.folder) if attribution is None else attribution
     found = calibrate_job(EncodeJob(part, [survey], views, (), credit), settings, progress)

@@ -78,7 +78,9 @@ def encode(
     with open_storage(path).staged() as stage:
         rows = restore_rows(sequence, settings.rows, progress)
         sequence, rows_s = rows.sequence, watch.lap()
-        views = ViewPlan.of(sequence, settings.decide_pictures, margin=settings.margin, region=settings.region)
+        views = ViewPlan.of(
+            sequence, settings.decide_pictures, margin=settings.margin, region=settings.region, world=settings.world
+        )
         groups = _plan_groups(sequence, views, settings)
         surveys = survey_groups(sequence, groups.spans, views, progress)
         credit = read_attribution(sequence.folder) if attribution is None else attribution

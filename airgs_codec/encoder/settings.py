@@ -16,7 +16,7 @@ from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.levels import DEFAULT_TIERS
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
-from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, Region
+from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, Region, World
 from airgs_codec.scene.usage import MEASURES
 
 
@@ -96,6 +96,11 @@ class EncodeSettings:
         "a quarter of it",
     )
     region: Region | None = setting(None, "where the scene may be looked at from, instead of about its cameras")
+    world: World | None = setting(
+        None,
+        "which way is up and how long a unit is (`package.world.world_from`), for players; by default what the format "
+        "of the frames specifies",
+    )
     usage: str = setting(
         "importance",
         "what ranks Gaussians for the key tiers: the largest blending weight alpha T (max), the sum of these weights "

@@ -78,6 +78,7 @@ class Provenance:
 
     settings: EncodeSettings
     region: tables.Region
+    world: tables.World | None
     views: tables.Views
     attribution: str
     decisions: Sequence[str]  # about views and groups
@@ -101,6 +102,7 @@ def build_manifest(about: Provenance, clock: Clock, init: FileEntry, groups: Gro
         key_gain=qp_step(KEY_QP),
         state_gain=qp_step(STATE_QP),
         region=about.region,
+        world=about.world,
         views=about.views,
         qualities=[
             tables.KeyQuality(f"Q{q}", factor, coarser)

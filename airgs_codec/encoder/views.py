@@ -9,13 +9,18 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
 from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.analysis.region import region_around
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.package.region import DECIDING, MEASURING, draw_views
-from airgs_codec.package.tables import Region, Views
+from airgs_codec.package.tables import Region, Views, World
+from airgs_codec.package.world import up_of, world_from, world_words
 from airgs_codec.render import Camera
 from airgs_codec.scene.camera import resized, training_views
+from airgs_codec.scene.formats.table import format_of
 from airgs_codec.scene.sequence import GaussianSequence
 
 CHECKED = 8  # further ones, which show what leaving out would do
@@ -38,25 +43,28 @@ class ViewPlan:
     decided: int  # pictures of a group that decide: the first of `deciding`
     small: bool  # pictures are small, so that twice as many decide and measure
     notes: tuple[str, ...] = ()  # how the region was found, for people
+    world: World | None = None  # which way is up, where it is told
 
     @staticmethod
     def of(
-        sequence: GaussianSequence, pictures: int, *, margin: float | None = None, region: Region | None = None
+        sequence: GaussianSequence,
+        pictures: int,
+        *,
+        margin: float | None = None,
+        region: Region | None = None,
+        world: World | None = None,
     ) -> ViewPlan:
         """The region that is given, else the one about the scene's cameras, else about places that were found.
 
-        `pictures` of each group decide, at least.
+        `pictures` of each group decide, at least. Which way is up, `world` tells, else the format of the frames, else
+        nobody.
         """
-        middle = sequence.load([len(sequence) // 2]).frames[0]
-        if region is not None:
-            return _draw(region, pictures)
-        if sequence.cameras:
-            held_out = [c for c in sequence.cameras if c.held_out]
-            return _draw(region_around(training_views(sequence.cameras), middle, margin=margin), pictures, held_out)
-        found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), LOOKED_AT)])
-        source = "found" if found.confident else "orbit"
-        around = region_around(found.cameras, middle, margin=margin, source=source)
-        return replace(_draw(around, pictures), trusted=found.confident, notes=(found.story,))
+        form, notes = None if sequence.clip else format_of(sequence.paths[0]), []
+        if world is None and form and form.up:
+            world = world_from(form.up, 1.0 if form.metric else None)
+            notes.append(f"{world_words(world)}; the specification of {form.name} says so")
+        plan = _plan(sequence, pictures, margin, region, None if world is None else up_of(world))
+        return replace(plan, world=world, notes=(*plan.notes, *notes))
 
     def decide(self, frames: int) -> Pictures:
         """Pictures of a group of so many frames: all frames or evenly many of them, each from a view of its own."""
@@ -85,6 +93,26 @@ class ViewPlan:
     def table(self, measured: int) -> Views:
         """The record in airgs.json; `measured` pictures of each segment at least, 0 for none."""
         return Views(self.decided + CHECKED, self.measured(measured), "original" if measured else "none")
+
+
+def _plan(
+    sequence: GaussianSequence,
+    pictures: int,
+    margin: float | None,
+    region: Region | None,
+    up: NDArray[np.float64] | None,
+) -> ViewPlan:
+    """The plan without a world; `up` (3,), where it is told, matters to views that are found alone."""
+    if region is not None:
+        return _draw(region, pictures)
+    middle = sequence.load([len(sequence) // 2]).frames[0]
+    if sequence.cameras:
+        held_out = [c for c in sequence.cameras if c.held_out]
+        return _draw(region_around(training_views(sequence.cameras), middle, margin=margin), pictures, held_out)
+    found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), LOOKED_AT)], up)
+    source = "found" if found.confident else "orbit"
+    around = region_around(found.cameras, middle, margin=margin, source=source)
+    return replace(_draw(around, pictures), trusted=found.confident, notes=(found.story,))
 
 
 def _draw(region: Region, pictures: int, held_out: Sequence[Camera] = ()) -> ViewPlan:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from airgs_codec._report import new_figure, save_figure
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.region import levelled
 from airgs_codec.play.report.region_map import draw_region
 
 
@@ -23,7 +24,7 @@ def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
     rungs, time, place = figure.subplots(1, 3, width_ratios=(3, 3, 2))
     _plot_rungs(rungs, m, manifest_bytes)
     _plot_bytes(time, m)
-    draw_region(place, m.region)
+    draw_region(place, levelled(m))
     save_figure(figure, path, dpi=110)
 
 

@@ -17,7 +17,7 @@ from airgs_codec.inspect.left_out import describe_left_out
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.region_summary import RegionSummary
-from airgs_codec.package.tables import Views
+from airgs_codec.package.tables import Views, World
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +86,7 @@ class Summary:
     sh_degree: int
     package_bytes: int
     region: RegionSummary
+    world: World | None
     views: Views
     groups: tuple[GroupSummary, ...]
     keys: tuple[KeySummary, ...]
@@ -112,6 +113,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
         sh_degree=m.sh_degree,
         package_bytes=manifest_bytes + m.media_bytes(),
         region=RegionSummary.of(m.region),
+        world=m.world,
         views=m.views,
         groups=tuple(_group(m, g) for g in range(len(m.groups))),
         keys=tuple(_key(m, t, q) for t in range(m.tiers) for q in qualities),

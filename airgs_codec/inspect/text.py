@@ -6,6 +6,7 @@ from airgs_codec._report import table
 from airgs_codec.inspect.left_out import span
 from airgs_codec.inspect.summary import LevelSummary, RungSummary, Summary
 from airgs_codec.package.layout import STATE
+from airgs_codec.package.world import world_words
 
 MOST_GROUPS = 12  # in the table of groups
 ERROR_HEADS = {
@@ -54,6 +55,7 @@ def _head(s: Summary) -> list[str]:
         f"{s.package_bytes / 1e6:.3f} MB in all ({_kilobytes(s.package_bytes / s.frames)} kB/frame)",
         f"viewing region {s.region.words}",
         f"views of {s.region.views}",
+        world_words(s.world),
         f"decided on {v.decided} pictures of each group; "
         + (measured if v.reference != "none" else "quality was not measured"),
     ]

@@ -7,6 +7,8 @@ the keywords of JSON Schema. What ties one field to another is in `references`.
 from __future__ import annotations
 
 import re
+import types
+import typing
 from collections.abc import Sized
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -92,3 +94,11 @@ class Pattern:
     def schema(self) -> dict[str, Any]:
         """See Constraint."""
         return {"pattern": f"^(?:{self.expression})$"}
+
+
+def as_required(hint: Any) -> Any:
+    """T for the type T | None of a field that may be missing; any other type as it is."""
+    if typing.get_origin(hint) is not types.UnionType:
+        return hint
+    (kind,) = (argument for argument in typing.get_args(hint) if argument is not type(None))
+    return kind

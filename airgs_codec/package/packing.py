@@ -28,7 +28,9 @@ def pack_group(group: Group) -> bytes:
 
 
 def _text(table: Any) -> bytes:
-    return json.dumps(dataclasses.asdict(table), separators=(",", ":"), allow_nan=False).encode()
+    """The JSON of a table; a field that may be missing is left out where it is None."""
+    fields = {name: value for name, value in dataclasses.asdict(table).items() if value is not None}
+    return json.dumps(fields, separators=(",", ":"), allow_nan=False).encode()
 
 
 def inflate(data: bytes, where: str) -> bytes:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from airgs_codec.errors import FormatError, SceneError
-from airgs_codec.package.constraints import Constraint
+from airgs_codec.package.constraints import Constraint, as_required
 from airgs_codec.package.index import GroupEntry
 from airgs_codec.package.packing import inflate
 from airgs_codec.package.paths import JSON_NAME, group_path, page_path
@@ -102,17 +102,21 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
 
 
 def _parse_dataclass(kind: Any, data: dict[str, Any], where: str) -> Any:
-    hints = _fields(kind)
+    hints, optional = _fields(kind)
     if unknown := sorted(data.keys() - hints.keys()):
         raise FormatError("unknown_field", where, f"unknown fields {unknown}")
-    if missing := [name for name in hints if name not in data]:
+    if missing := sorted(hints.keys() - optional - data.keys(), key=list(hints).index):
         raise FormatError("missing_field", where, f"missing fields {missing}")
-    return kind(**{name: _parse(hint, data[name], f"{where}.{name}") for name, hint in hints.items()})
+    given = {name: _parse(hints[name], data[name], f"{where}.{name}") for name in hints if name in data}
+    return kind(**dict.fromkeys(optional) | given)
 
 
 @cache
-def _fields(kind: Any) -> dict[str, Any]:
-    return typing.get_type_hints(kind, include_extras=True)
+def _fields(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
+    """The types of a dataclass's fields, and which fields may be missing: None stands for them."""
+    hints = typing.get_type_hints(kind, include_extras=True)
+    required = {name: as_required(hint) for name, hint in hints.items()}
+    return required, frozenset(name for name in hints if required[name] is not hints[name])
 
 
 def _parse_float(data: Any, where: str) -> float:

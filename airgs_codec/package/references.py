@@ -31,6 +31,7 @@ from airgs_codec.package.tables import (
     Segment,
     Spans,
 )
+from airgs_codec.package.world import fault_of
 
 Bound = tuple[str, float, float, float]  # where, what came, the least and the most that may stand there
 
@@ -43,6 +44,8 @@ def check_root(m: Root) -> None:
         raise _bad(f"{JSON_NAME}.levels", f"expected {expected}, got {ids}")
     _check_bounds(JSON_NAME, _root_bounds(m))
     check_region(m.region, f"{JSON_NAME}.region")
+    if m.world and (fault := fault_of(m.world.transform)):
+        raise _bad(f"{JSON_NAME}.world.transform", fault)
     if m.timescale * m.frame_rate[1] % m.frame_rate[0]:
         raise _bad(f"{JSON_NAME}.timescale", "a frame is not a whole number of ticks")
     _check_file(f"{JSON_NAME}.init", m.init, True)

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.tables import Place, Region
+from airgs_codec.package.tables import Header, Place, Region
+from airgs_codec.package.world import up_of
 from airgs_codec.scene.camera import Camera, look_at, measured_views, training_views
 
 SLIGHTLY_DOWN, GIVE_OR_TAKE = 15.0, 10.0  # degrees; a scene is seen best by most people who look down so much
@@ -26,6 +27,14 @@ Vector = NDArray[np.float64]
 def place_view(region: Region, place: Place, name: str = "place") -> Camera:
     """What a viewer sees who stands at a place and looks where it says."""
     return view_from(region, np.array(place.position), np.array(place.focus), np.array(place.up), name)
+
+
+def levelled(m: Header) -> Region:
+    """The region of a package as players take it: where the package tells which way is up, so it is at every place."""
+    if m.world is None:
+        return m.region
+    up = up_of(m.world).tolist()
+    return replace(m.region, places=[replace(place, up=up) for place in m.region.places])
 
 
 def upright(region: Region) -> Vector:

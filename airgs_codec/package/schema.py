@@ -12,6 +12,7 @@ import typing
 from pathlib import Path
 from typing import Annotated, Any
 
+from airgs_codec.package.constraints import as_required
 from airgs_codec.package.tables import VERSION, Group, Root, Spans
 
 _PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string"}
@@ -47,12 +48,12 @@ def _schema_of(kind: Any) -> dict[str, Any]:
 
 def _schema_of_dataclass(kind: Any) -> dict[str, Any]:
     hints = typing.get_type_hints(kind, include_extras=True)
-    properties = {name: _schema_of(hint) for name, hint in hints.items()}
+    properties = {name: _schema_of(as_required(hint)) for name, hint in hints.items()}
     return {
         "type": "object",
         "description": (kind.__doc__ or "").split("\n")[0],
         "properties": properties,
-        "required": list(properties),
+        "required": [name for name, hint in hints.items() if as_required(hint) is hint],
         "additionalProperties": False,
     }
 

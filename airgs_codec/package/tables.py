@@ -58,6 +58,7 @@ Step = Annotated[float, Range(1e-30, 1e30)]
 Gain = Annotated[float, Range(1e-3, 128)]
 Decibels = Annotated[float, Range(-MAX_PSNR, MAX_PSNR)]
 Point = Annotated[list[Annotated[float, Range(-1e30, 1e30)]], Length(3, 3)]
+Similarity = Annotated[list[Annotated[float, Range(-1e30, 1e30)]], Length(12, 12)]
 Choices = Length(1, MAX_CHOICES)
 
 
@@ -102,6 +103,14 @@ class Region:
     near: Annotated[float, Range(1e-30, 1e30)]  # world units: Gaussians nearer than this along the axis are not drawn
     turn: Annotated[float, Range(0, 180)]  # degrees
     places: Annotated[list[Place], Length(1, MAX_PLACES)]
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """Where the scene stands in a right-handed world with y up, as that of glTF: for players, not for decoders."""
+
+    transform: Similarity  # three rows of a turn, times a scale, with a shift: x in the world = row 0 · (x, y, z, 1)
+    metric: bool  # whether a unit of that world is a metre; false: nobody knows how long it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -303,6 +312,7 @@ class Header:
     key_gain: Gain  # luma levels a step in key atlases
     state_gain: Gain  # luma levels a step in state atlases
     region: Region
+    world: World | None  # None, and no such field in airgs.json: nobody told which way is up
     views: Views
     qualities: Annotated[list[KeyQuality], Choices]
     levels: Annotated[list[Level], Choices]

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from airgs_codec.scene.camera import Camera, look_at
 from airgs_codec.scene.gaussians import Gaussians
 
+UP = np.array([0.0, -1.0, 0.0])  # where nobody tells it: structure from motion mostly leaves it so
 FIELD_OF_VIEW = np.radians(50)  # of both axes
 ELEVATIONS = np.radians([10.0, 35.0])  # above the horizon; neighbouring cameras take turns
 COVERED_OPACITY = 0.9  # of the scene lies within the ring's view
@@ -16,16 +17,16 @@ LEAST_SHARE = 1e-6
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)  # radians; successive turns by it spread evenly over a sphere (Vogel 1979)
 
 
-def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256) -> list[Camera]:
-    """`count` square cameras of `size` pixels on a ring around the scene, which is taken to be upright along +y.
+def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256, up: NDArray[np.float64] = UP) -> list[Camera]:
+    """`count` square cameras of `size` pixels on a ring around the scene, which is upright along `up` (3,).
 
     They look at the opacity-weighted median of the means, from far enough away to see 90 % of the opacity. Rows that
     are not finite are passed over.
     """
     turns = 2 * np.pi * np.arange(count) / max(count, 1)
     rises = np.resize(ELEVATIONS, count)
-    sides = np.stack([np.cos(turns) * np.cos(rises), np.sin(rises), np.sin(turns) * np.cos(rises)], axis=1)
-    return _views_from(gaussians, sides, np.array([0.0, 1.0, 0.0]), size)
+    around = np.stack([np.sin(rises), np.cos(turns) * np.cos(rises), np.sin(turns) * np.cos(rises)], axis=1)
+    return _views_from(gaussians, around @ _upright(up), up, size)
 
 
 def dome_views(
@@ -35,10 +36,13 @@ def dome_views(
 
     None is lower than `lowest`, in radians above the horizon. Else they are as those of `orbit_views`.
     """
-    axes = np.linalg.svd(np.asarray(up, np.float64)[:, None])[0]  # the first is `up` or its opposite
-    rises, right, ahead = spiral(count, float(np.sin(lowest))).T
-    sides = np.outer(rises, up / np.linalg.norm(up)) + np.outer(right, axes[:, 1]) + np.outer(ahead, axes[:, 2])
-    return _views_from(gaussians, sides, up, size)
+    return _views_from(gaussians, spiral(count, float(np.sin(lowest))) @ _upright(up), up, size)
+
+
+def _upright(up: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3, 3) rows of length 1: `up`, and two at right angles to it and to each other."""
+    axes = np.linalg.svd(np.asarray(up, np.float64)[:, None])[0].T  # the first is `up` or its opposite
+    return np.stack([up / np.linalg.norm(up), *axes[1:]])
 
 
 def spiral(count: int, lowest: float = -1.0) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ from airgs_codec.media.image import to_bytes, write_jpeg
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.parse import parse_root
 from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME
-from airgs_codec.package.region import first_place, place_view
+from airgs_codec.package.region import first_place, levelled, place_view
 from airgs_codec.package.staging import staged
 from airgs_codec.package.storage import is_address
 from airgs_codec.package.store import Package, open_package, read_file, root_of
@@ -121,7 +121,7 @@ def _copy(package: Package, name: str, target: Folder, progress: Progress) -> in
 
 def _poster(package: Package) -> NDArray[np.uint8]:
     """(H, W, 3) the first frame from the first place of the region."""
-    region = package.manifest.region
+    region = levelled(package.manifest)
     camera = place_view(region, first_place(region))
     camera = resized(camera, POSTER_SIDE / max(camera.width, camera.height))
     return to_bytes(render(decode(package, 0), camera).rgb)

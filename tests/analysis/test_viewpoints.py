@@ -40,6 +40,16 @@ def test_an_object_on_a_floor_is_seen_from_above_it(up):
     assert all(camera.world_to_camera[1, 1] * up <= 0 for camera in found.cameras), "up is up in the pictures"
 
 
+def test_an_object_stands_as_it_is_told():
+    up = np.array([0.0, 0.0, 1.0])
+    found = find_viewpoints([joined(ball(), floor(-0.55))], up)
+    assert all(camera.world_to_camera[1] @ [*up, 0] <= 1e-9 for camera in found.cameras), "up is up in the pictures"
+    assert (places_of(found)[:, 1] < -0.55).any(), "what lies across is no floor: from below, too"
+    tilted = find_viewpoints([joined(ball(), floor(-0.55))], np.array([0.1, 2.0, 0.0]))
+    assert (places_of(tilted)[:, 1] > -0.7).all() and "above its floor" in tilted.story
+    assert "nothing tells" not in found.story
+
+
 def test_the_fox_is_seen_as_it_was_trained():
     found = find_viewpoints([read_ply(path) for path in sorted(FOX.glob("*.ply"))[:2]])
     assert found.confident and 8 <= len(found.cameras) <= 16

@@ -7,10 +7,12 @@ import pytest
 
 from airgs_codec.encoder.views import CHECKED, DECISION_PIXELS, ViewPlan
 from airgs_codec.package.region import departure
+from airgs_codec.package.world import up_of, world_from
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.regions import place, region
-from tests.support.scenes import moving_frames, write_sequence
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+from tests.support.splat_files import glb_bytes
 
 
 @pytest.fixture(scope="module")
@@ -94,3 +96,25 @@ def test_a_scene_without_cameras_is_not_trusted(tmp_path):
     assert plan.region.source == "orbit" and not plan.trusted
     assert plan.table(12).reference == "original" and plan.table(0).reference == "none"
     assert (plan.table(0).decided, plan.table(12).measured) == (plan.decided + CHECKED, plan.measured(12))
+
+
+def test_the_specification_of_a_format_tells_up_unless_somebody_does(tmp_path):
+    (tmp_path / "a.glb").write_bytes(glb_bytes(random_gaussians(40)))
+    sequence = open_sequence(tmp_path / "a.glb")
+    plan, told = ViewPlan.of(sequence, 8), ViewPlan.of(sequence, 8, world=world_from((0, 0, -1)))
+    assert plan.world == world_from((0, 1, 0), 1.0)
+    assert plan.notes[-1] == "up: (0, 1, 0); units: one is 1 m; the specification of glTF says so"
+    assert up_of(told.world).tolist() == [0, 0, -1] and not any("specification" in note for note in told.notes)
+    for at in told.region.places:
+        assert at.up[2] <= 0, "the views that were found are upright"
+
+
+def test_where_nobody_tells_up_the_guess_is_said(tmp_path):
+    plan = ViewPlan.of(open_sequence(write_sequence(tmp_path, moving_frames(60, 1))), 8)
+    assert plan.world is None and "up is taken to be -y, which nothing tells" in plan.notes[0]
+
+
+def test_cameras_keep_their_own_up(fox):
+    sequence, plan = fox
+    told = ViewPlan.of(sequence, 24, world=world_from((1, 0, 0)))
+    assert told.region == plan.region and plan.world is None

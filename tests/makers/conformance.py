@@ -30,6 +30,7 @@ from airgs_codec.package.parse import parse_root
 from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME
 from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import Grid, digest
+from airgs_codec.package.world import world_from
 from airgs_codec.package.writing import write_tables
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
@@ -75,6 +76,7 @@ PACKAGES = {
         frames(4, 0, 65),
         replace(SETTINGS, group_frames=1, key_factors=(1.0,), tiers=(1.0,), measure_pictures=0),
     ),
+    "placed": (frames(2, 0, 1), replace(SETTINGS, key_factors=(1.0,), world=world_from((0, 0, 1), 0.01))),
     "two-groups-sh1": (frames(40, 1, 5), replace(SETTINGS, group_frames=3, segment_s=0.07)),
 }
 
@@ -124,11 +126,17 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks 
     "unknown_field": (set_value(("colour",), "red"),),
     "unknown_field-group": in_table(set_value(("colour",), "red", TABLE)),
     "missing_field": (drop_value(("frames",)),),
+    "missing_field-world": (set_value(("world",), {"transform": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]}),),
     "missing_field-group": in_table(drop_value(("grid",), TABLE)),
     "wrong_type": (set_value(("frames",), "4"),),
+    "wrong_type-world": (set_value(("world",), None),),
     "wrong_type-live": (set_value(("live",), 1),),
     "wrong_type-group": in_table(set_value(("count",), None, TABLE)),
     "bad_value": (set_value(("sh_degree",), 4),),
+    "bad_value-world": (set_value(("world",), {"transform": [1, 0, 0, 0, 0, 2, 0, 0, 0, 0, 1, 0], "metric": True}),),
+    "bad_value-world-mirror": (
+        set_value(("world",), {"transform": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], "metric": False}),
+    ),
     "bad_value-columns": (set_value(("index", "groups", "frames"), [2, 2]),),
     "bad_value-cover": (set_value(("frames",), 5),),
     "bad_value-page-root": (set_value(("index", "groups"), {"frames": [], "segments": [], "bytes": [], "sha256": ""}),),

@@ -22,6 +22,13 @@ def test_generated_views_of_one_gaussian_far_from_the_origin_are_finite():
     assert all(np.isfinite(v.world_to_camera).all() for v in orbit_views(far, 3))
 
 
+@pytest.mark.parametrize("up", [(0, 1, 0), (0, -1, 0), (0, 0, 2)])
+def test_a_ring_is_above_the_horizon_and_upright(up):
+    axis = np.array(up, float) / np.linalg.norm(up)
+    for view in orbit_views(random_gaussians(50), 6, 32, np.array(up, float)):
+        assert -view.world_to_camera[2, :3] @ axis >= np.sin(np.radians(9)) and view.world_to_camera[1, :3] @ axis < 0
+
+
 @pytest.mark.parametrize("up", [(0, 1, 0), (0, -1, 0), (0, 0, 2), (1, -1, 0.5)])
 def test_a_dome_is_above_its_horizon_and_all_around(up):
     axis = np.array(up, float) / np.linalg.norm(up)

@@ -102,6 +102,7 @@ def tiny_manifest(
         key_gain=3.0,
         state_gain=6.0,
         region=region(),
+        world=None,
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],

@@ -6,7 +6,7 @@
 import { FrameReader } from "./frames.ts";
 
 export { FormatError, type Reason } from "./format/errors.ts";
-export type { Gaussians, Place, Region, Root } from "./format/types.ts";
+export type { Gaussians, Place, Region, Root, World } from "./format/types.ts";
 export { TransportError, UnsupportedError } from "./media/errors.ts";
 export { FrameReader };
 

@@ -7,7 +7,7 @@
 import { Player, type PlayerOptions } from "./play/player.ts";
 
 export { FormatError, type Reason } from "./format/errors.ts";
-export type { Place, Region, Root } from "./format/types.ts";
+export type { Place, Region, Root, World } from "./format/types.ts";
 export { TransportError, UnsupportedError } from "./media/errors.ts";
 export { Player, type PlayerOptions, type Problem } from "./play/player.ts";
 export type { PlayerStats } from "./play/statistics.ts";

@@ -1,6 +1,7 @@
 // Frames as Gaussians, for programs that draw with an engine of their own. N rows, C colours each.
 import { canonicalGaussians, shownGaussians } from "./format/gaussians.ts";
-import type { Canonical, Gaussians, Region, Root, StateFrame } from "./format/types.ts";
+import { levelled } from "./format/region.ts";
+import type { Canonical, Gaussians, Region, Root, StateFrame, World } from "./format/types.ts";
 import { Media } from "./media/client.ts";
 import { locate } from "./play/locate.ts";
 
@@ -43,7 +44,12 @@ export class FrameReader {
 
   /** Where the quality of the package is promised. */
   get region(): Region {
-    return this.root.region;
+    return levelled(this.root);
+  }
+
+  /** Where the scene stands in a world with y up, as far as somebody told. */
+  get world(): World | null {
+    return this.root.world ?? null;
   }
 
   /** Names of all rungs, such as Q0+L0. */

@@ -38,7 +38,7 @@ def digest(sequence: GaussianSequence, survey: Survey, views: ViewPlan, settings
     left, the views that decide, the settings and the versions of the code.
     """
     h = hashlib.sha256()
-    choices = dataclasses.replace(settings, quality=1.0, calibrate="none", measure_pictures=0, jobs=1)
+    choices = dataclasses.replace(settings, quality=1.0, calibrate="none", measure_pictures=0, jobs=1, world=None)
     versions = [__version__, REVISION, library_versions()]
     words = [*versions, dataclasses.asdict(choices), str(sequence.fps), views.trusted, dataclasses.astuple(survey.span)]
     h.update(json.dumps(words, sort_keys=True).encode())

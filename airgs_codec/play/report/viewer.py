@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.package.region import Departure, departures
+from airgs_codec.package.region import Departure, departures, levelled
 from airgs_codec.package.region_summary import ORBIT, departure_words
 from airgs_codec.package.tables import Region
 from airgs_codec.package.viewpath import walk_cameras, walk_region
@@ -31,7 +31,7 @@ class Viewer:
     @staticmethod
     def of(log: SessionLog, cameras: Sequence[Camera] = ()) -> Viewer:
         """The walk through the package's region, or by way of `cameras`, at most MOST_STOPS of them."""
-        region, ticks, fps = log.catalogue.manifest.region, len(log.screen_ticks), log.catalogue.fps
+        region, ticks, fps = levelled(log.catalogue.manifest), len(log.screen_ticks), log.catalogue.fps
         if cameras:
             stops = [cameras[i] for i in evenly_spaced(len(cameras), MOST_STOPS)]
             walk = walk_cameras(region, stops, ticks, fps)

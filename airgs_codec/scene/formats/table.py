@@ -21,6 +21,8 @@ class Format:
     suffixes: tuple[str, ...]
     read_header: Callable[[Path], PlyHeader]
     read: Callable[[Path], Gaussians]
+    up: tuple[int, int, int] | None = None  # as its specification says; None: it does not, or files do not keep to it
+    metric: bool = False  # whether its specification says that a unit is a metre
 
 
 INRIA = Format("INRIA .ply", (".ply",), read_ply_header, read_ply)
@@ -29,10 +31,10 @@ SOG = Format("SOG", (".sog", ".zip"), sog.read_sog_header, sog.read_sog)
 FORMATS = (
     INRIA,
     COMPRESSED,
-    Format(".spz", (".spz",), spz.read_spz_header, spz.read_spz),
+    Format(".spz", (".spz",), spz.read_spz_header, spz.read_spz, up=(0, 1, 0)),
     SOG,
     Format(".splat", (".splat",), splat.read_splat_header, splat.read_splat),
-    Format("glTF", (".glb", ".gltf"), gltf.read_gltf_header, gltf.read_gltf),
+    Format("glTF", (".glb", ".gltf"), gltf.read_gltf_header, gltf.read_gltf, up=(0, 1, 0), metric=True),
 )
 _BY_SUFFIX = {suffix: form for form in FORMATS for suffix in form.suffixes}
 SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))

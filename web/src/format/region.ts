@@ -1,6 +1,7 @@
 // From where a scene may be looked at: FORMAT.md, section 8.
-import type { Place, Region } from "./types.ts";
+import type { Place, Region, Root } from "./types.ts";
 import { across, along, cross, dot, length, minus, scaled, unit, type Vector, vector } from "./vector.ts";
+import { upOf } from "./world.ts";
 
 /** Where a viewer is, world units, and the unit vector along which it looks. */
 export interface Viewer {
@@ -71,6 +72,13 @@ function towards(place: Place, turn: number, { position, forward }: { position: 
   const ahead = unit(minus(place.focus, position));
   const angle = turn / DEGREES;
   return along(scaled(ahead, Math.cos(angle)), across(forward, ahead), Math.sin(angle));
+}
+
+/** The region of a package as players take it: where the package tells which way is up, so it is at every place. */
+export function levelled({ region, world }: Root): Region {
+  if (!world) return region;
+  const up = [...upOf(world)];
+  return { ...region, places: region.places.map((place) => ({ ...place, up })) };
 }
 
 /** Directions whose mean is shorter do not agree on where up is. */

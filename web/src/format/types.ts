@@ -6,6 +6,7 @@ export type Atlas = Group["levels"][number];
 export type Tier = Group["tiers"][number];
 export type Segment = Group["segments"][number];
 export type Region = Root["region"];
+export type World = NonNullable<Root["world"]>;
 export type Place = Region["places"][number];
 /** Length and digest of a file; 0 and "" where there is none. */
 export type FileEntry = Root["init"];

@@ -1,6 +1,7 @@
 // An open package on its way to the canvas: files are fetched by a session, decoded ahead by a pipeline, and shown by a
 // screen when their time has come. The schedule (`Playout`) is what these three agree on.
-import type { Region } from "../format/types.ts";
+import { levelled } from "../format/region.ts";
+import type { Region, World } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
 import type { TargetFormat } from "../render/target.ts";
@@ -188,7 +189,11 @@ export class Playback {
   }
 
   get region(): Region {
-    return this.media.tables.root.region;
+    return levelled(this.media.tables.root);
+  }
+
+  get world(): World | null {
+    return this.media.tables.root.world ?? null;
   }
 
   get stats(): PlayerStats {

@@ -1,6 +1,6 @@
 // The player as a page sees it: what the viewer wants, what is told of it, and the package that is open.
-import { firstView } from "../format/region.ts";
-import type { Region } from "../format/types.ts";
+import { firstView, levelled } from "../format/region.ts";
+import type { Region, World } from "../format/types.ts";
 import { Media } from "../media/client.ts";
 import type { TargetFormat } from "../render/target.ts";
 import { Catalogue, type RungInfo } from "./catalogue.ts";
@@ -76,7 +76,7 @@ export class Player extends EventTarget {
       media.close();
       throw error;
     }
-    const { region } = media.tables.root;
+    const region = levelled(media.tables.root);
     this.camera = this.#view ?? { ...firstView(region), near: region.near };
     this.resize(this.#size.width, this.#size.height);
     this.#tell("open");
@@ -208,6 +208,11 @@ export class Player extends EventTarget {
   /** Where the quality of the package is promised. */
   get region(): Region | null {
     return this.#playback?.region ?? null;
+  }
+
+  /** Where the scene stands in a world with y up, as far as somebody told. */
+  get world(): World | null {
+    return this.#playback?.world ?? null;
   }
 
   /** Where the viewer stands; drawn at the next frame of the display. */
