@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -29,6 +31,28 @@ def atomic_path(path: Path) -> Iterator[Path]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def staged_files(folder: Path) -> Iterator[Path]:
+    """A temporary folder inside `folder`, which is made; files written there go to `folder` when the block ends.
+
+    They replace those of the same names, each whole; others stay. After an error nothing has changed.
+    """
+    new = not folder.exists()
+    folder.mkdir(exist_ok=True)
+    stage = Path(tempfile.mkdtemp(prefix=".", suffix=PART_SUFFIX, dir=folder))
+    try:
+        yield stage
+        paths = sorted(stage.iterdir())
+        for path in paths:
+            with path.open("rb") as file:
+                os.fsync(file.fileno())
+        for path in paths:
+            path.replace(folder / path.name)
+        new = False
+    finally:
+        shutil.rmtree(folder if new else stage, ignore_errors=True)
 
 
 def write_bytes(path: Path, data: bytes) -> None:

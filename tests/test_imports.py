@@ -19,6 +19,7 @@ MAY_IMPORT = {
     "gsplat": {"render/cuda.py"},
     "pycolmap": set(),  # of tests alone
     "gaussforge": {"scene/formats/convert.py"},
+    "gsply": {"scene/formats/spz.py"},
     "pygltflib": set(),  # of tests alone
     "av": {"media/h264.py", "media/movie.py"},
     "cv2": {"media/image.py"},

@@ -6,11 +6,11 @@ import pytest
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import read_codes, sample_index
 from airgs_codec.coding.grid import grid_means
-from airgs_codec.coding.morton import morton_decode, morton_encode
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
 from airgs_codec.errors import FormatError
 from airgs_codec.package.tables import Atlas, Grid
+from airgs_codec.scene.morton import morton_decode, morton_encode
 from tests.support.vectors import cases, data, label, numbers
 
 

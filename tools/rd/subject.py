@@ -12,11 +12,11 @@ import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.coding.morton import morton_encode
 from airgs_codec.errors import SceneError
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.morton import morton_encode
 from airgs_codec.scene.sequence import GaussianSequence
 from tools.rd.points import RdPoint
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.holds import Holds
 from airgs_codec.scene.formats.nodes import Placed, placed
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.ply import PlyHeader
@@ -30,6 +32,8 @@ _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _MOST_JSON = 1 << 24  # bytes
 _LEAST_SCALE = 1e-9  # of a size of 0, whose logarithm is infinite
 _SATURATED = math.log(1019)  # the logit of an opacity of 0 or 1
+_MOST_BYTES = 1 << 32  # of a .glb, whose length is a word of 32 bits
+GLB = Holds()
 _BROKEN = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 
 
@@ -178,3 +182,59 @@ def _read(document: dict[str, Any], buffers: list[bytes], primitive: Placed, deg
     sh = np.stack(rest, axis=1) if rest else np.zeros((len(means), SH_REST[0], 3))
     columns = (placed_means, quaternions, log_scales, logits, dc, sh)
     return Gaussians(*(np.asarray(part, np.float32) for part in columns))
+
+
+def write_glb(path: Path, gaussians: Gaussians) -> None:
+    """Write one frame of unit quaternions as a .glb of one node, all values as floats.
+
+    Raises SceneError for more rows than a .glb can hold.
+    """
+    g = gaussians
+    columns = {
+        "POSITION": g.means,
+        f"{EXTENSION}:ROTATION": g.quaternions[:, [1, 2, 3, 0]],
+        f"{EXTENSION}:SCALE": np.exp(g.log_scales),
+        f"{EXTENSION}:OPACITY": g.opacities(),
+    }
+    coefficients = (g.sh_dc, *(g.sh_rest[:, i] for i in range(g.sh_rest.shape[1])))
+    columns |= dict(zip(_harmonics(g.sh_degree), coefficients, strict=True))
+    size = sum(column.nbytes for column in columns.values())
+    text = json.dumps(_document_of(columns, size), separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    whole = 12 + 8 + len(text) + 8 + size
+    if whole >= _MOST_BYTES:
+        raise SceneError(f"{path}: expected less than {_MOST_BYTES} bytes of .glb, got {len(g)} Gaussians in {whole}")
+    with path.open("wb") as file:
+        file.write(struct.pack("<4sIII4s", b"glTF", 2, whole, len(text), b"JSON") + text)
+        file.write(struct.pack("<I4s", size, b"BIN\0"))
+        for column in columns.values():
+            file.write(np.ascontiguousarray(column, "<f4").tobytes())
+
+
+def _document_of(columns: dict[str, NDArray[np.float32]], size: int) -> dict[str, Any]:
+    """The JSON of one node whose attributes are (N,) or (N, 3 or 4) columns, one after another in the chunk."""
+    types = {width: name for name, width in _WIDTHS.items()}
+    accessors, views, start = [], [], 0
+    for i, column in enumerate(columns.values()):
+        width = 1 if column.ndim == 1 else column.shape[1]
+        accessors.append({"bufferView": i, "componentType": 5126, "count": len(column), "type": types[width]})
+        views.append({"buffer": 0, "byteOffset": start, "byteLength": column.nbytes, "target": 34962})
+        start += column.nbytes
+    ends = (columns["POSITION"].min(axis=0), columns["POSITION"].max(axis=0))
+    accessors[0] |= {"min": ends[0].tolist(), "max": ends[1].tolist()}
+    primitive = {
+        "mode": 0,
+        "attributes": {name: i for i, name in enumerate(columns)},
+        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": _COLOURS[0]}},
+    }
+    return {
+        "asset": {"version": "2.0", "generator": "airgs-codec"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "buffers": [{"byteLength": size}],
+        "bufferViews": views,
+        "accessors": accessors,
+    }

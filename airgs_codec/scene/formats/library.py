@@ -1,4 +1,4 @@
-"""Formats that gaussforge reads: the file through the library to Gaussians, the library's faults put right."""
+"""Formats that gaussforge reads and writes: through the library in a process of its own, its faults put right."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ import numpy as np
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.ply import PlyHeader, read_ply
+from airgs_codec.scene.ply import PlyHeader, read_ply, write_ply
 
 SATURATED_LOGIT = np.float32(math.log(1019))  # a quarter of a step of 1/255 off 0 and 1, whose logits are infinite
+LIBRARY = "gaussforge"
 SPARE_ROWS = 1 << 16  # that a file may have beyond one a byte: no format stores a Gaussian in less
 _PROGRAM = Path(__file__).with_name("convert.py")
 _BASE_BYTES = 4 << 30  # address space of the interpreter, its threads and the library
 _ROW_COPIES = 16  # of a row in float32, as input, in the library, as .ply
-_SECONDS = 120
+_SECONDS = 120  # for a file of a stranger
 
 
 def check_count(path: Path, header: PlyHeader) -> PlyHeader:
@@ -33,17 +34,21 @@ def check_count(path: Path, header: PlyHeader) -> PlyHeader:
     return header
 
 
-def convert(path: Path, form: str, data: bytes, header: PlyHeader) -> Gaussians:
+def expect_library(path: Path, form: str, library: str) -> None:
+    """Raise SceneError, which says how to install it, when a library that a format needs is not there."""
+    if importlib.util.find_spec(library) is None:
+        raise SceneError(f"{path}: {form} files need {library}: pip install 'airgs-codec[formats]'")
+
+
+def read_with_library(path: Path, form: str, data: bytes, header: PlyHeader) -> Gaussians:
     """The Gaussians in the bytes of a file whose header has been read; `form` is the library's name of the format.
 
     Raises SceneError when the library is not there, cannot read them, or finds others than the header promises.
     """
-    if importlib.util.find_spec("gaussforge") is None:
-        raise SceneError(f"{path}: {form} files need gaussforge: pip install 'airgs-codec[formats]'")
-    limit = _BASE_BYTES + header.count * _ROW_COPIES * 4 * (14 + 3 * SH_REST[header.sh_degree])
+    expect_library(path, form, LIBRARY)
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "frame.ply"
-        reason = _run([form, str(target), str(limit)], data)
+        reason = _run([form, "ply", str(target), _limit(header)], data, _SECONDS)
         try:
             found = read_ply(target)
         except SceneError:
@@ -56,14 +61,36 @@ def convert(path: Path, form: str, data: bytes, header: PlyHeader) -> Gaussians:
     return replace(found.with_degree(header.sh_degree), opacity_logits=logits.astype(np.float32))
 
 
-def _run(arguments: list[str], data: bytes) -> str:
-    """Run the program on a file; what it says at its end, empty where all went well."""
+def write_with_library(path: Path, form: str, gaussians: Gaussians) -> None:
+    """Write one frame of unit quaternions; `form` is the library's name of the format.
+
+    Raises SceneError when the library is not there or writes nothing.
+    """
+    expect_library(path, form, LIBRARY)
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "frame.ply"
+        write_ply(source, gaussians)
+        limit = _limit(PlyHeader(len(gaussians), gaussians.sh_degree))
+        reason = _run(["ply", form, str(path.absolute()), limit], source.read_bytes())
+    if reason or not path.is_file():
+        raise SceneError(f"{path}: gaussforge cannot write {len(gaussians)} Gaussians as {form}: {reason}")
+
+
+def _limit(header: PlyHeader) -> str:
+    """Bytes of address space that the library may take for so many rows."""
+    return str(_BASE_BYTES + header.count * _ROW_COPIES * 4 * (14 + 3 * SH_REST[header.sh_degree]))
+
+
+def _run(arguments: list[str], data: bytes, seconds: float | None = None) -> str:
+    """Run the program on a file, for so many seconds at most; what it says at its end, empty where all went well."""
     try:
         command = [sys.executable, "-P", str(_PROGRAM), *arguments]
-        run = subprocess.run(command, input=data, capture_output=True, timeout=_SECONDS, check=False)
+        run = subprocess.run(command, input=data, capture_output=True, timeout=seconds, check=False)
     except subprocess.TimeoutExpired:
-        return f"no answer in {_SECONDS} seconds"
+        return f"no answer in {seconds} seconds"
+    if run.returncode == 0:
+        return ""
     if run.returncode < 0:
         return f"it ended with {signal.Signals(-run.returncode).name}"
     lines = run.stderr.decode("utf-8", "replace").split("\n")
-    return next((line.strip()[:200] for line in reversed(lines) if line.strip()), "")
+    return next((line.strip()[:200] for line in reversed(lines) if line.strip()), "it said nothing")

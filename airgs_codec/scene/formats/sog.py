@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.library import check_count, convert
+from airgs_codec.scene.formats.holds import Holds
+from airgs_codec.scene.formats.library import check_count, read_with_library, write_with_library
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.ply import PlyHeader
 
@@ -23,6 +24,10 @@ _MOST_FILES = 64
 _LEVELS = 256  # of a codebook
 _PICTURES = {"means": 2, "quats": 1, "scales": 1, "sh0": 1, "shN": 2}
 Meta = dict[str, Any]
+SOG = Holds(
+    rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette",
+    keeps_rows=False,
+)
 
 
 def is_sog_folder(folder: Path) -> bool:
@@ -50,7 +55,21 @@ def read_sog(path: Path) -> Gaussians:
     with zipfile.ZipFile(packed, "w") as archive:
         for name in (META_NAME, *names):
             archive.writestr(name, files[name])
-    return convert(path, "sog", packed.getvalue(), header)
+    return read_with_library(path, "sog", packed.getvalue(), header)
+
+
+def write_sog(path: Path, gaussians: Gaussians) -> None:
+    """Write one frame of unit quaternions as one archive. Raises SceneError."""
+    write_with_library(path, "sog", gaussians)
+
+
+def write_sog_folder(folder: Path, gaussians: Gaussians) -> None:
+    """Write one frame of unit quaternions as meta.json and pictures in an existing folder. Raises SceneError."""
+    archive = folder / "frame.sog"
+    write_sog(archive, gaussians)
+    for name, data in _files(archive).items():
+        (folder / name).write_bytes(data)
+    archive.unlink()
 
 
 def _header(path: Path, text: bytes) -> tuple[PlyHeader, list[str]]:

@@ -11,12 +11,18 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.holds import Holds
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.scene.ply import PlyHeader
 
 _ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 _LEAST_SCALE = 1e-9  # of a size of 0, whose logarithm is infinite
 _SATURATED = math.log(1019)  # the logit of a byte of alpha that is 0 or 255: a quarter of a step off
+SPLAT = Holds(
+    sh_degree=0,
+    rounding="colours, opacities and rotations to 8 bits",
+    ranges=(("sh_dc", -0.5 / SH_C0, 0.5 / SH_C0),),
+)
 
 
 def read_splat_header(path: Path) -> PlyHeader:
@@ -43,3 +49,14 @@ def read_splat(path: Path) -> Gaussians:
         ((rows["rgba"][:, :3] / 255 - 0.5) / SH_C0).astype(np.float32),
         np.zeros((len(rows), 0, 3), np.float32),
     )
+
+
+def write_splat(path: Path, gaussians: Gaussians) -> None:
+    """Write one frame of unit quaternions and colours within SPLAT's ranges, its rows in their order."""
+    rows = np.empty(len(gaussians), _ROW)
+    rows["means"] = gaussians.means
+    rows["scales"] = np.exp(gaussians.log_scales)
+    rows["rgba"][:, :3] = np.rint((gaussians.sh_dc * SH_C0 + 0.5) * 255)
+    rows["rgba"][:, 3] = np.rint(gaussians.opacities() * 255)
+    rows["rotation"] = np.clip(np.rint(gaussians.quaternions * 128 + 128), 0, 255)
+    rows.tofile(path)

@@ -6,8 +6,11 @@ import struct
 import zlib
 from pathlib import Path
 
+import numpy as np
+
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.library import check_count, convert
+from airgs_codec.scene.formats.holds import Holds
+from airgs_codec.scene.formats.library import check_count, expect_library, read_with_library
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.ply import PlyHeader
 
@@ -17,6 +20,13 @@ _HEADER = struct.Struct("<4sIIBBBB")  # magic, version, count, SH degree, fracti
 _TABLE = struct.Struct("<QQ")  # of a stream: bytes as it is stored, and as it unpacks
 _MAX_BITS = 24  # of a position
 _EXTENSIONS = 1 << 20  # bytes after the rows that are let pass
+_USUAL_BITS = 12  # of a fraction of a position, which Niantic's writer takes
+_LARGEST = (1 << 23) - 1  # of a position in steps
+WRITER = "gsply"
+SPZ = Holds(
+    rounding="positions to 24 bits, rotations to 10, all else to 8",
+    ranges=(("log_scales", -10, -10 + 255 / 16), ("sh_dc", -0.5 / 0.15, 0.5 / 0.15), ("sh_rest", -1, 127 / 128)),
+)
 
 
 def read_spz_header(path: Path) -> PlyHeader:
@@ -49,7 +59,26 @@ def read_spz(path: Path) -> Gaussians:
     size = _table_size(path, data) if version >= 4 else len(_unpack(path, data, expected + _EXTENSIONS)) - _HEADER.size
     if not expected <= size < expected + _EXTENSIONS - _HEADER.size:
         raise SceneError(f"{path}: expected {expected} bytes of {header.count} Gaussians, got {size}")
-    return convert(path, "spz", data, header)
+    return read_with_library(path, "spz", data, header)
+
+
+def write_spz(path: Path, gaussians: Gaussians) -> None:
+    """Write one frame within SPZ's ranges as version 3, its rows in their order, SH in all 8 bits.
+
+    gsply writes it: gaussforge keeps 4 or 5 bits of SH. A step of a position is 2^-12, or as large as it must be for
+    the farthest Gaussian. Raises SceneError when the library is not there or a position is too far away.
+    """
+    expect_library(path, ".spz", WRITER)
+    from gsply import GSData, write_spz
+
+    far = float(np.abs(gaussians.means).max(initial=0))
+    bits = min(_USUAL_BITS, int(np.floor(np.log2(_LARGEST / max(far, 1)))))
+    if bits < 1:
+        raise SceneError(f"{path}: expected positions within {_LARGEST // 2} for .spz, got {far:g}")
+    g = gaussians
+    sh = g.sh_rest if g.sh_degree else None
+    data = GSData.from_arrays(g.means, g.log_scales, g.quaternions, g.opacity_logits, g.sh_dc, sh, format="ply")
+    write_spz(path, data, version=3, fractional_bits=bits)
 
 
 def _unpack(path: Path, data: bytes, most: int) -> bytes:

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats import clips, compressed_ply, gltf, sog, splat, spz
+from airgs_codec.scene.formats import clips, compressed_ply, gltf, library, sog, splat, spz
+from airgs_codec.scene.formats.holds import Holds
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import PlyHeader, read_ply, read_ply_header
+from airgs_codec.scene.ply import PlyHeader, read_ply, read_ply_header, write_ply
 from airgs_codec.scene.ply_elements import read_header
 
 
@@ -18,24 +19,46 @@ class Format:
     """A format of files that hold one frame; its functions raise SceneError."""
 
     name: str
-    suffixes: tuple[str, ...]
+    key: str  # in options; written files end in it, after a dot
+    suffixes: tuple[str, ...]  # of files that are read
     read_header: Callable[[Path], PlyHeader]
     read: Callable[[Path], Gaussians]
+    write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
+    holds: Holds
+    writer: str = ""  # the library that `write` needs
     up: tuple[int, int, int] | None = None  # as its specification says; None: it does not, or files do not keep to it
     metric: bool = False  # whether its specification says that a unit is a metre
 
 
-INRIA = Format("INRIA .ply", (".ply",), read_ply_header, read_ply)
-COMPRESSED = Format("compressed .ply", (".ply",), compressed_ply.read_compressed_header, compressed_ply.read_compressed)
-SOG = Format("SOG", (".sog", ".zip"), sog.read_sog_header, sog.read_sog)
-FORMATS = (
-    INRIA,
-    COMPRESSED,
-    Format(".spz", (".spz",), spz.read_spz_header, spz.read_spz, up=(0, 1, 0)),
-    SOG,
-    Format(".splat", (".splat",), splat.read_splat_header, splat.read_splat),
-    Format("glTF", (".glb", ".gltf"), gltf.read_gltf_header, gltf.read_gltf, up=(0, 1, 0), metric=True),
+INRIA = Format("INRIA .ply", "ply", (".ply",), read_ply_header, read_ply, write_ply, Holds())
+COMPRESSED = Format(
+    "compressed .ply",
+    "compressed.ply",
+    (".ply",),
+    compressed_ply.read_compressed_header,
+    compressed_ply.read_compressed,
+    compressed_ply.write_compressed,
+    compressed_ply.COMPRESSED_PLY,
 )
+SPZ = Format(
+    ".spz", "spz", (".spz",), spz.read_spz_header, spz.read_spz, spz.write_spz, spz.SPZ, spz.WRITER, up=(0, 1, 0)
+)
+SOG = Format("SOG", "sog", (".sog", ".zip"), sog.read_sog_header, sog.read_sog, sog.write_sog, sog.SOG, library.LIBRARY)
+SPLAT = Format(
+    ".splat", "splat", (".splat",), splat.read_splat_header, splat.read_splat, splat.write_splat, splat.SPLAT
+)
+GLTF = Format(
+    "glTF",
+    "glb",
+    (".glb", ".gltf"),
+    gltf.read_gltf_header,
+    gltf.read_gltf,
+    gltf.write_glb,
+    gltf.GLB,
+    up=(0, 1, 0),
+    metric=True,
+)
+FORMATS = (INRIA, COMPRESSED, SPZ, SOG, SPLAT, GLTF)
 _BY_SUFFIX = {suffix: form for form in FORMATS for suffix in form.suffixes}
 SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))
 

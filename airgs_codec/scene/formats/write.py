@@ -1,0 +1,98 @@
+"""Frames to files of any format: which one a name asks for, and all of them written or none."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from airgs_codec._files import atomic_path, staged_files
+from airgs_codec.errors import ConfigError
+from airgs_codec.scene.formats.holds import Losses
+from airgs_codec.scene.formats.sog import META_NAME, write_sog_folder
+from airgs_codec.scene.formats.table import FORMATS, INRIA, SOG, Format
+from airgs_codec.scene.gaussians import Gaussians
+
+SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
+Numbered = tuple[int, Gaussians]  # a frame and its number
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where frames go: a file of one frame, a folder of files 000000.spz and on, or one frame that is a folder."""
+
+    path: Path
+    form: Format
+    folder: bool
+
+
+def format_keys() -> list[str]:
+    """The names of formats that can be asked for."""
+    return [form.key for form in FORMATS]
+
+
+def choose_target(place: str, key: str | None, frames: int) -> Target:
+    """Where so many frames go, by the format's name or the ending of a place; a place without any is a folder.
+
+    What ends in a slash or exists as a folder is a folder. Raises ConfigError when the place does not suit the format
+    or the number of frames, is in the way, or the library that writes the format is not there.
+    """
+    path = Path(place)
+    named = next((form for form in FORMATS if form.key == key), None)
+    ending = max((form for form in FORMATS if path.name.lower().endswith(f".{form.key}")), key=_length, default=None)
+    if path.name == META_NAME and named in (None, SOG):
+        target = Target(path.parent, SOG_FOLDER, True)
+    elif place.endswith(os.sep) or (path.is_dir() and ending is None) or not path.suffix:
+        target = Target(path, named or INRIA, True)
+    elif ending is None or named not in (None, ending):
+        wanted = f".{named.key}" if named else ", ".join(f".{form.key}" for form in FORMATS)
+        raise ConfigError(f"{place}: expected a name that ends in {wanted}, or in / for a folder")
+    else:
+        target = Target(path, ending, False)
+    _check(place, target, frames)
+    return target
+
+
+def _length(form: Format) -> int:
+    return len(form.key)
+
+
+def _check(place: str, target: Target, frames: int) -> None:
+    """Raise ConfigError when frames cannot be written there."""
+    if target.folder and target.path.exists() and not target.path.is_dir():
+        raise ConfigError(f"{target.path}: expected a folder, got a file")
+    if not target.folder and target.path.is_dir():
+        raise ConfigError(f"{place}: expected a file, got a folder: end it in / to write frames into it")
+    if frames != 1 and (not target.folder or target.form is SOG_FOLDER):
+        hint = f"for more, name a folder and --format {target.form.key.removesuffix('-folder')}"
+        raise ConfigError(f"{place}: expected one frame, got {frames} (--frames N; {hint})")
+    if target.form.writer and importlib.util.find_spec(target.form.writer) is None:
+        raise ConfigError(f"{place}: {target.form.name} needs {target.form.writer}: pip install 'airgs-codec[formats]'")
+
+
+def write_frames(target: Target, frames: Iterable[Numbered]) -> list[str]:
+    """Write numbered frames; what the format lost of them, a line for each kind.
+
+    A file or folder that is there keeps what it has until all frames are written, and then what is not replaced by a
+    frame of the same name. Raises SceneError, and what the iterator of frames raises.
+    """
+    losses = Losses(target.form.holds, target.form.name)
+    fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
+    target.path.parent.mkdir(parents=True, exist_ok=True)
+    if target.form is SOG_FOLDER:
+        with staged_files(target.path) as stage:
+            write_sog_folder(stage, *(g for _, g in fitted))
+    elif target.folder:
+        with staged_files(target.path) as stage:
+            _write_all(stage, target.form, fitted)
+    else:
+        with atomic_path(target.path) as temporary:
+            target.form.write(temporary, *(g for _, g in fitted))
+    return losses.lines()
+
+
+def _write_all(folder: Path, form: Format, frames: Iterator[Numbered]) -> None:
+    for number, gaussians in frames:
+        form.write(folder / f"{number:06d}.{form.key}", gaussians)

@@ -1,0 +1,123 @@
+"""airgs-decode into every format: one frame or a range, any rung, files and folders, and what is refused."""
+
+import importlib.util
+import json
+
+import numpy as np
+import pytest
+
+from airgs_codec.cli import decode
+from airgs_codec.decoder.decode import decode as decode_frame
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.formats import write
+from airgs_codec.scene.formats.table import FORMATS, read_frame
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import GOLDEN
+
+FOX = GOLDEN / "fox"
+KEYS = [form.key for form in FORMATS]
+
+
+def run(*options):
+    return decode.main([str(FOX), *map(str, options)])
+
+
+def refusal(capsys, *options):
+    assert run(*options) == 2
+    text = capsys.readouterr().err.strip()
+    assert "\n" not in text and "Traceback" not in text
+    return text
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_a_file_is_one_frame_of_a_rung(tmp_path, key, capsys):
+    path = tmp_path / "new" / f"fox.{key}"
+    assert run("-o", path, "--frames", "2", "--level", "L1", "--key-quality", "Q1", "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["format"], report["frames"], report["output"]) == (key, [2, 3], str(path))
+    expected = decode_frame(open_package(FOX), 2, level="L1", key_quality="Q1")
+    back = read_frame(path)
+    assert len(back) == len(expected) and [p.name for p in path.parent.iterdir()] == [path.name]
+    np.testing.assert_allclose(np.sort(back.means, axis=0), np.sort(expected.means, axis=0), atol=5e-3)
+    assert any("SH" in line for line in report["lost"]) == (key in ("splat", "sog"))
+    assert bool(report["lost"]) == (key not in ("ply", "glb"))
+
+
+@pytest.mark.parametrize("key", [*KEYS, None])
+@pytest.mark.parametrize("place", ["frames", "frames/", "frames.v2/"])
+def test_a_range_is_a_folder_that_opens_as_a_sequence(tmp_path, key, place):
+    assert run("-o", f"{tmp_path}/{place}", *(["--format", key] if key else []), "--frames", "1:3") == 0
+    names = [f"00000{i}.{key or 'ply'}" for i in (1, 2)]
+    assert sorted(p.name for p in (tmp_path / place).iterdir()) == names
+    assert len(open_sequence(tmp_path / place)) == 2
+
+
+def test_sog_as_a_folder_of_pictures(tmp_path):
+    assert run("-o", tmp_path / "sog" / "meta.json", "--frames", "0") == 0
+    assert len(read_frame(tmp_path / "sog")) == len(decode_frame(open_package(FOX), 0))
+    assert not list((tmp_path / "sog").glob("*.sog"))
+
+
+def test_what_a_range_loses_is_said(tmp_path, capsys):
+    assert run("-o", tmp_path / "a", "--format", "sog", "--frames", "0:2") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 3 and "rounds" in lines[1] and "which Gaussian is which is lost" in lines[2]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["-o", "a.xyz"], "expected a name that ends in .ply, .compressed.ply, .spz"),
+        (["-o", "a.spz", "--format", "sog", "--frames", "0"], "ends in .sog, or in / for a folder"),
+        (["-o", "a.spz"], "expected one frame, got 4 (--frames N; for more, name a folder and --format spz)"),
+        (["-o", "meta.json"], "expected one frame, got 4"),
+        (["-o", "file", "--format", "spz"], "expected a folder, got a file"),
+        (["-o", "file/"], "expected a folder, got a file"),
+        (["-o", "folder.spz", "--frames", "0"], "expected a file, got a folder: end it in /"),
+        (["-o", "frames", "--frames", "0:9"], "inside 0:4"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_written(tmp_path, monkeypatch, options, words, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "folder.spz").mkdir()
+    assert words in refusal(capsys, *options)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "folder.spz"]
+
+
+def test_a_missing_library_is_said_first(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert "needs gsply: pip install" in refusal(capsys, "-o", tmp_path / "a.spz", "--frames", "0")
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("place", ["frames/", "a.splat"])
+def test_after_a_failure_everything_is_as_it_was(tmp_path, monkeypatch, place, capsys):
+    """The disk is full at the last frame."""
+    options = ("-o", f"{tmp_path}/{place}", "--format", "splat", "--frames", "2" if place == "a.splat" else "0:3")
+    written = write.FORMATS[KEYS.index("splat")].write
+
+    def full(path, gaussians):
+        written(path, gaussians)
+        if path.name != "000000.splat":
+            raise OSError(28, "No space left on device", str(path))
+
+    broken = [type(f)(*(full if n == "write" and f.key == "splat" else getattr(f, n) for n in f.__slots__))
+              for f in FORMATS]  # fmt: skip
+    with monkeypatch.context() as patched:
+        patched.setattr(write, "FORMATS", broken)
+        assert "No space left" in refusal(capsys, *options)
+        assert not any(tmp_path.iterdir())
+    assert run(*options) == 0
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    with monkeypatch.context() as patched:
+        patched.setattr(write, "FORMATS", broken)
+        assert "No space left" in refusal(capsys, *options)
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+def test_frames_join_those_of_a_folder(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    for number in ("0", "1", "1"):
+        assert run("-o", tmp_path, "--frames", number) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["000000.ply", "000001.ply", "notes.txt"]

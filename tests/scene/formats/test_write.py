@@ -1,0 +1,201 @@
+"""Every format: what is written is read back within the steps of its quantisers, and by the libraries of others."""
+
+import importlib.util
+from dataclasses import replace
+
+import gsply
+import numpy as np
+import pygltflib
+import pytest
+from scipy.spatial import cKDTree
+
+from airgs_codec.decoder.decode import decode
+from airgs_codec.errors import SceneError
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.formats.holds import Losses
+from airgs_codec.scene.formats.table import COMPRESSED, FORMATS, GLTF, INRIA, SOG, SPLAT, SPZ, format_of, read_frame
+from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
+from tests.support.paths import GOLDEN
+from tests.support.scenes import random_gaussians
+
+FOX = GOLDEN / "fox"
+HALF_BYTE = 0.5 / 255
+FLOAT = 1e-6  # of logarithms and logits that went through their inverses
+CHUNK = 256
+
+
+def fitted(form, g):
+    return Losses(form.holds, form.name).fit(g, "a")
+
+
+def written(tmp_path, form, g):
+    """What was written, its rows in the order of those that are read, and what is read."""
+    path = tmp_path / f"a.{form.key}"
+    g = fitted(form, g)
+    form.write(path, g)
+    assert format_of(path) is form
+    back = read_frame(path)
+    assert len(back) == len(g)
+    if not form.holds.keeps_rows:
+        order = cKDTree(g.means).query(back.means)[1]
+        assert len(set(order.tolist())) == len(g)
+        g = g.take(order)
+    return g, back
+
+
+def chunk_spans(values):
+    """(N, 3) the width of the range of every row's chunk of 256, of rows in the order of a file."""
+    chunks = [values[i : i + CHUNK] for i in range(0, len(values), CHUNK)]
+    return np.concatenate([np.broadcast_to(np.ptp(c, axis=0), c.shape) for c in chunks])
+
+
+def steps(form, g):
+    """Largest errors of positions, log-scales, alpha, colour, SH and components of a rotation, rows as in the file."""
+    if form is SPZ:  # 2^-12; 1/16; bytes; 10 bits of a sign and 1 / sqrt 2
+        return 2**-13, 1 / 32, HALF_BYTE, HALF_BYTE / 0.15, 0.5 / 128, 0.5 / 511 * np.sqrt(0.5)
+    if form is SPLAT:  # the quaternion's 1 is 127 of 128
+        return 0, FLOAT, HALF_BYTE, HALF_BYTE / SH_C0, 0, 1 / 128
+    if form is COMPRESSED:
+        means, sizes, colours = (chunk_spans(v) / 2 for v in (g.means, g.log_scales, g.sh_dc))
+        bits = np.array([2047, 1023, 2047])
+        return means / bits, sizes / bits, HALF_BYTE, colours / 255, 4 / 256, 0.5 / 1023 * np.sqrt(2)
+    if form is SOG:  # positions: 16 bits of ln(1 + |x|), with the derivative of its inverse; rounded down
+        logs = np.ptp(np.sign(g.means) * np.log1p(np.abs(g.means)), axis=0)
+        return logs / 65535 * (1.01 + np.abs(g.means)), None, 2 * HALF_BYTE, None, None, 0.5 / 255 * np.sqrt(2)
+    alpha = 1 / 1000 if form is GLTF else 0  # 0 and 1 have infinite logits: the reader stays a quarter of 1/255 away
+    return 0, FLOAT if form is GLTF else 0, alpha, 0, 0, FLOAT
+
+
+def expect_within(error, step):
+    assert (error <= np.asarray(step) * 1.001 + FLOAT).all()
+
+
+def expect_close(form, g, back):
+    means, sizes, alpha, colour, harmonics, rotation = steps(form, g)
+    expect_within(np.abs(back.means - g.means), means)
+    expect_within(np.abs(back.opacities() - g.opacities()), alpha)
+    unit = back.quaternions / np.linalg.norm(back.quaternions, axis=1, keepdims=True)
+    turned = unit * np.sign((unit * g.quaternions).sum(axis=1, keepdims=True))
+    # the largest component follows from three others that are off by a step, the length from four
+    expect_within(np.linalg.norm(turned - g.quaternions, axis=1), 2 * np.sqrt(3) * rotation)
+    for values, read, step in ((g.log_scales, back.log_scales, sizes), (g.sh_dc, back.sh_dc, colour)):
+        if step is None:  # a palette is at least as good as 256 levels that lie evenly
+            assert np.sqrt(((read - values) ** 2).mean()) <= np.ptp(values) / 255 / 2
+        else:
+            expect_within(np.abs(read - values), step)
+    if harmonics is None:
+        assert np.sqrt(((back.sh_rest - g.sh_rest) ** 2).mean()) <= np.ptp(g.sh_rest) / 255 if g.sh_rest.size else True
+    else:
+        expect_within(np.abs(back.sh_rest - g.sh_rest), harmonics)
+
+
+@pytest.fixture(params=FORMATS, ids=lambda form: form.key)
+def form(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def fox():
+    return decode(open_package(FOX), 1)
+
+
+def test_a_real_frame_comes_back_within_a_step(tmp_path, form, fox):
+    expect_close(form, *written(tmp_path, form, fox))
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_every_degree_comes_back_in_its_order(tmp_path, form, degree):
+    g = random_gaussians(600, degree)
+    g = replace(g, sh_dc=np.clip(g.sh_dc, -1.7, 1.7), sh_rest=np.clip(g.sh_rest, -0.9, 0.9))
+    g, back = written(tmp_path, form, g)
+    assert back.sh_degree == min(degree, form.holds.sh_degree)
+    if form is SOG:  # random SH is no material for a palette: each coefficient is still nearest to its own
+        for k in range(SH_REST[degree]):
+            errors = [np.abs(back.sh_rest[:, k] - g.sh_rest[:, other]).mean() for other in range(SH_REST[degree])]
+            assert np.argmin(errors) == k
+        g, back = g.with_degree(0), back.with_degree(0)
+    expect_close(form, g, back)
+
+
+def test_extremes_are_written_without_a_warning_and_counted(tmp_path, form):
+    g = Gaussians(*(getattr(random_gaussians(300, 1), name).copy() for name in Gaussians.__slots__))
+    g.opacity_logits[:100], g.opacity_logits[100:200] = np.inf, -np.inf
+    g.sh_dc.clip(-1.7, 1.7, out=g.sh_dc)
+    g.sh_dc[:7], g.sh_rest[:5], g.log_scales[:3] = 9, -5, 30
+    g.quaternions[0] = 0
+    losses = Losses(form.holds, form.name)
+    form.write(tmp_path / f"a.{form.key}", losses.fit(g, "frame 0"))
+    back = read_frame(tmp_path / f"a.{form.key}")
+    assert len(back) == 300 and all(np.isfinite(getattr(back, name)).all() for name in back.__slots__)
+    text = " ".join(losses.lines())
+    assert "zero quaternions" in text
+    for name, words in (("sh_dc", "colours"), ("sh_rest", "SH"), ("log_scales", "sizes")):
+        if name in {name for name, _, _ in form.holds.ranges}:
+            rows = {"sh_dc": 7, "sh_rest": 5, "log_scales": 3}[name]
+            assert f"has {words} from" in text and f"cut off in {rows} of 300" in text
+
+
+def test_one_gaussian_and_one_place(tmp_path, form):
+    for g in (random_gaussians(1), random_gaussians(300).take(np.zeros(300, np.intp))):
+        form.write(tmp_path / f"a.{form.key}", fitted(form, g))
+        back = read_frame(tmp_path / f"a.{form.key}")
+        np.testing.assert_allclose(back.means, g.means, atol=2e-4)
+
+
+def test_far_positions_take_longer_steps_and_the_farthest_are_refused(tmp_path):
+    g = random_gaussians(50, 0)
+    far = replace(g, means=g.means * np.float32(1e5))
+    SPZ.write(tmp_path / "a.spz", fitted(SPZ, far))
+    step = 2.0 ** -np.floor(np.log2((2**23 - 1) / np.abs(far.means).max()))
+    assert 2**-12 < step < 1
+    np.testing.assert_allclose(read_frame(tmp_path / "a.spz").means, far.means, atol=step / 2)
+    with pytest.raises(SceneError, match="positions within"):
+        SPZ.write(tmp_path / "b.spz", fitted(SPZ, replace(g, means=g.means * np.float32(1e9))))
+
+
+def test_rows_keep_their_order_where_the_table_says_so(tmp_path, form, fox):
+    form.write(tmp_path / f"a.{form.key}", fitted(form, fox))
+    near = np.linalg.norm(read_frame(tmp_path / f"a.{form.key}").means - fox.means, axis=1) < 1e-3
+    assert near.all() == form.holds.keeps_rows
+
+
+def test_neighbours_share_a_chunk_so_that_steps_are_small(tmp_path, fox):
+    g, back = written(tmp_path, COMPRESSED, fox)
+    assert np.abs(back.means - g.means).mean() < np.ptp(fox.means) / 1023 / 8
+
+
+def test_gsply_reads_the_same_of_spz_as_gaussforge(tmp_path, fox):
+    _, back = written(tmp_path, SPZ, fox)
+    data = gsply.read_spz(tmp_path / "a.spz")
+    for values, expected in ((data.means, back.means), (data.scales, back.log_scales), (data.sh0, back.sh_dc)):
+        np.testing.assert_allclose(values, expected, atol=1e-5)
+    np.testing.assert_allclose(data.shN, back.sh_rest, atol=1e-5)
+    assert np.abs((data.quats * back.quaternions).sum(axis=1)).min() > 1 - 1e-5
+
+
+def test_a_glb_is_one_that_others_read(tmp_path, fox):
+    GLTF.write(tmp_path / "a.glb", fitted(GLTF, fox))
+    document = pygltflib.GLTF2().load(str(tmp_path / "a.glb"))
+    primitive = document.meshes[0].primitives[0]
+    assert document.extensionsUsed == ["KHR_gaussian_splatting"] and primitive.mode == 0
+    accessor = document.accessors[primitive.attributes.POSITION]
+    assert accessor.count == len(fox) and document.buffers[0].byteLength == len(document.binary_blob())
+    np.testing.assert_allclose(accessor.min, fox.means.min(axis=0), rtol=1e-6)
+    np.testing.assert_allclose(accessor.max, fox.means.max(axis=0), rtol=1e-6)
+    view = document.bufferViews[accessor.bufferView]
+    data = document.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength]
+    np.testing.assert_array_equal(np.frombuffer(data, "<f4").reshape(-1, 3), fox.means)
+
+
+def test_a_missing_library_is_said(tmp_path, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    for form in (SPZ, SOG):
+        with pytest.raises(SceneError, match=rf"{form.writer}: pip install 'airgs-codec\[formats\]'"):
+            form.write(tmp_path / f"a.{form.key}", random_gaussians(9))
+    assert not any(tmp_path.iterdir())
+
+
+def test_plain_ply_loses_nothing(fox):
+    losses = Losses(INRIA.holds, INRIA.name)
+    losses.fit(fox, "frame 0")
+    assert losses.lines() == []
