@@ -20,6 +20,7 @@ MAY_IMPORT = {
     "pycolmap": set(),  # of tests alone
     "gaussforge": {"scene/formats/convert.py"},
     "gsply": {"scene/formats/spz.py"},
+    "fourdgs": {"scene/formats/bake_4dgs.py"},
     "pygltflib": set(),  # of tests alone
     "av": {"media/h264.py", "media/movie.py"},
     "cv2": {"media/image.py"},

@@ -57,7 +57,8 @@ def _parser() -> argparse.ArgumentParser:
         "scene",
         type=Path,
         help="a folder of frames (.ply, compressed .ply, .spz, SOG, .splat, glTF), optionally with sequence.json and "
-        "cameras, or one such file; or a clip (.splatv, Spacetime Gaussians .ply); or a folder of multi-view pictures",
+        "cameras, or one such file; or a clip (.splatv, .4dgs, .splat4d, Spacetime Gaussians .ply); or a folder of "
+        "multi-view pictures",
     )
     parser.add_argument(
         "-o",

@@ -1,14 +1,23 @@
-"""Clips as others write them: Spacetime Gaussians as .splatv and as .ply."""
+"""Clips as others write them: Spacetime Gaussians as .splatv and as .ply, .4dgs and .splat4d by their libraries."""
 
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+import fourdgs
 import numpy as np
+from fourdgs.keyframe_delta_file import write_sequence
+from fourdgs.keyframe_delta_writer import Sample
 from numpy.typing import NDArray
 
+from airgs_codec.scene.formats.holds import Losses
+from airgs_codec.scene.formats.splat import SPLAT, write_splat
 from airgs_codec.scene.formats.splatv import ROW
+from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.scene.ply_elements import write_floats
 
 WIDTH = 64  # texels of a .splatv, where splaTV has 4096
@@ -60,3 +69,33 @@ def write_spacetime_ply(path: Path, rows: NDArray[np.void], *more: str) -> Path:
     with path.open("wb") as file:
         write_floats(file, names, iter([table]), len(rows))
     return path
+
+
+def write_splat4d(path: Path, frames: Sequence[Gaussians], fps: int) -> NDArray[np.uint32]:
+    """A .splat4d; (N,) the rows of the Gaussians that its rows are."""
+    folder = path.with_suffix("")
+    folder.mkdir()
+    for number, g in enumerate(frames):
+        write_splat(folder / f"frame_{number:04d}.splat", Losses(SPLAT, ".splat").fit(g, "frame"))
+    command = str(Path(sys.executable).with_name("splat4d"))
+    words = ["encode", "-i", folder, "-o", path, "--fps", fps, "--gop", 3, "--perm-out", folder / "order"]
+    subprocess.run([command, *map(str, words)], check=True, capture_output=True)
+    return np.fromfile(folder / "order", "<u4")
+
+
+def gaussian_set(g: Gaussians, seconds: float, sh_codes: NDArray[np.uint8] | None = None) -> fourdgs.GaussianSet:
+    """Gaussians that stand still for some seconds and hardly fade."""
+    n = len(g)
+    unit = g.quaternions / np.linalg.norm(g.quaternions, axis=1, keepdims=True)
+    rgba = np.concatenate([np.clip(g.sh_dc * SH_C0 + 0.5, 0, 1), g.opacities()[:, None]], axis=1)
+    still, zero = np.zeros((n, 3), np.float32), np.zeros(n, np.float32)
+    times = (zero, np.full(n, 1000, np.float32), np.zeros(n), np.full(n, seconds))
+    more = {} if sh_codes is None else {"sh": sh_codes, "sh_degree": {9: 1, 24: 2, 45: 3}[sh_codes.shape[1]]}
+    return fourdgs.GaussianSet(g.means, np.exp(g.log_scales), unit[:, [1, 2, 3, 0]], rgba, still, *times, **more)
+
+
+def numbered_4dgs(frames: Sequence[tuple[Gaussians, NDArray[np.int64]]], fps: int) -> bytes:
+    """A .4dgs of states whose Gaussians have numbers (N,)."""
+    seconds = len(frames) / fps
+    samples = [Sample(i / fps, ids, gaussian_set(g, seconds)) for i, (g, ids) in enumerate(frames)]
+    return bytes(write_sequence(samples, seconds))

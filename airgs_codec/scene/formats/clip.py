@@ -13,7 +13,6 @@ from airgs_codec.scene.ply import PlyHeader
 
 DEFAULT_BAKE_FPS = Fraction(30)
 MOST_FRAMES = 1 << 18  # two and a half hours at 30 frames a second
-FEWEST_FPS = 10  # frames a second: what a file repeats in equal steps, but more rarely, is no frame
 
 
 @dataclass(frozen=True, slots=True)

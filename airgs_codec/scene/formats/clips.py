@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec.scene.formats.clip import Bake, Clip
+from airgs_codec.scene.formats.fourdgs import open_4dgs
 from airgs_codec.scene.formats.spacetime_ply import is_spacetime_ply, open_spacetime_ply
+from airgs_codec.scene.formats.splat4d import open_splat4d
 from airgs_codec.scene.formats.splatv import open_splatv
 from airgs_codec.scene.ply_elements import read_header
 
@@ -25,6 +27,8 @@ class ClipFormat:
 
 CLIP_FORMATS = (
     ClipFormat(".splatv", ".splatv", open_splatv),
+    ClipFormat(".4dgs", ".4dgs", open_4dgs),
+    ClipFormat(".splat4d", ".splat4d", open_splat4d),
     ClipFormat("Spacetime Gaussians .ply", ".ply", open_spacetime_ply),
 )
 _BY_SUFFIX = {form.suffix: form for form in CLIP_FORMATS}

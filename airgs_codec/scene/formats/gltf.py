@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.holds import Holds
 from airgs_codec.scene.formats.nodes import Placed, placed
+from airgs_codec.scene.formats.opacity import logits_of
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.ply import PlyHeader
 from airgs_codec.scene.rotations import multiply
@@ -31,7 +32,6 @@ _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _MOST_JSON = 1 << 24  # bytes
 _LEAST_SCALE = 1e-9  # of a size of 0, whose logarithm is infinite
-_SATURATED = math.log(1019)  # the logit of an opacity of 0 or 1
 _MOST_BYTES = 1 << 32  # of a .glb, whose length is a word of 32 bits
 GLB = Holds()
 _BROKEN = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
@@ -169,18 +169,17 @@ def _read(document: dict[str, Any], buffers: list[bytes], primitive: Placed, deg
     means = column("POSITION", 3)
     rotations = column(f"{EXTENSION}:ROTATION", 4)[:, [3, 0, 1, 2]]
     scales = column(f"{EXTENSION}:SCALE", 3)
-    alpha = column(f"{EXTENSION}:OPACITY", 1)[:, 0].astype(np.float64)
+    alpha = column(f"{EXTENSION}:OPACITY", 1)[:, 0]
     dc, *rest = (column(name, 3) for name in _harmonics(degree))
     lengths = {len(rotations), len(scales), len(alpha), *map(len, (dc, *rest))}
     if lengths != {len(means)}:
         raise ValueError(f"{len(means)} rows of every attribute")
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        logits = np.clip(np.log(alpha / (1 - alpha)), -_SATURATED, _SATURATED)
         log_scales = np.log(np.maximum(scales, _LEAST_SCALE)) + math.log(primitive.scale)
         placed_means = means @ primitive.matrix.T + primitive.translation
     quaternions = multiply(np.broadcast_to(primitive.rotation, rotations.shape), rotations)
     sh = np.stack(rest, axis=1) if rest else np.zeros((len(means), SH_REST[0], 3))
-    columns = (placed_means, quaternions, log_scales, logits, dc, sh)
+    columns = (placed_means, quaternions, log_scales, logits_of(alpha), dc, sh)
     return Gaussians(*(np.asarray(part, np.float32) for part in columns))
 
 

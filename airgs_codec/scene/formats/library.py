@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import math
-import signal
-import subprocess
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -14,16 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.opacity import SATURATED_LOGIT
+from airgs_codec.scene.formats.process import run_limited
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.ply import PlyHeader, read_ply, write_ply
 
-SATURATED_LOGIT = np.float32(math.log(1019))  # a quarter of a step of 1/255 off 0 and 1, whose logits are infinite
 LIBRARY = "gaussforge"
 SPARE_ROWS = 1 << 16  # that a file may have beyond one a byte: no format stores a Gaussian in less
 _PROGRAM = Path(__file__).with_name("convert.py")
-_BASE_BYTES = 4 << 30  # address space of the interpreter, its threads and the library
 _ROW_COPIES = 16  # of a row in float32, as input, in the library, as .ply
-_SECONDS = 120  # for a file of a stranger
 
 
 def check_count(path: Path, header: PlyHeader) -> PlyHeader:
@@ -48,7 +43,7 @@ def read_with_library(path: Path, form: str, data: bytes, header: PlyHeader) -> 
     expect_library(path, form, LIBRARY)
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "frame.ply"
-        reason = _run([form, "ply", str(target), _limit(header)], data, _SECONDS)
+        reason = run_limited(_PROGRAM, [form, "ply", str(target)], _more(header), data)
         try:
             found = read_ply(target)
         except SceneError:
@@ -70,27 +65,12 @@ def write_with_library(path: Path, form: str, gaussians: Gaussians) -> None:
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "frame.ply"
         write_ply(source, gaussians)
-        limit = _limit(PlyHeader(len(gaussians), gaussians.sh_degree))
-        reason = _run(["ply", form, str(path.absolute()), limit], source.read_bytes())
+        more = _more(PlyHeader(len(gaussians), gaussians.sh_degree))
+        reason = run_limited(_PROGRAM, ["ply", form, str(path.absolute())], more, source.read_bytes(), seconds=None)
     if reason or not path.is_file():
         raise SceneError(f"{path}: gaussforge cannot write {len(gaussians)} Gaussians as {form}: {reason}")
 
 
-def _limit(header: PlyHeader) -> str:
-    """Bytes of address space that the library may take for so many rows."""
-    return str(_BASE_BYTES + header.count * _ROW_COPIES * 4 * (14 + 3 * SH_REST[header.sh_degree]))
-
-
-def _run(arguments: list[str], data: bytes, seconds: float | None = None) -> str:
-    """Run the program on a file, for so many seconds at most; what it says at its end, empty where all went well."""
-    try:
-        command = [sys.executable, "-P", str(_PROGRAM), *arguments]
-        run = subprocess.run(command, input=data, capture_output=True, timeout=seconds, check=False)
-    except subprocess.TimeoutExpired:
-        return f"no answer in {seconds} seconds"
-    if run.returncode == 0:
-        return ""
-    if run.returncode < 0:
-        return f"it ended with {signal.Signals(-run.returncode).name}"
-    lines = run.stderr.decode("utf-8", "replace").split("\n")
-    return next((line.strip()[:200] for line in reversed(lines) if line.strip()), "it said nothing")
+def _more(header: PlyHeader) -> int:
+    """Bytes that the library may take for so many rows."""
+    return header.count * _ROW_COPIES * 4 * (14 + 3 * SH_REST[header.sh_degree])

@@ -1,0 +1,83 @@
+"""splats4D's .splat4d: one set of Gaussians in all frames, within error bounds; read by its own command splat4d.
+
+The magic SP4D, a version and the length of a JSON header, 32 bits little-endian each, and the header: the number of
+rows `n`, of frames `t`, `fps`, and the groups of frames. The command gives a frame as .splat: no SH, rows in the same
+order in every frame.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import shutil
+import struct
+import sys
+import tempfile
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.clip import Bake, Clip, count_frames, rate_words, refuse_baking
+from airgs_codec.scene.formats.library import check_count
+from airgs_codec.scene.formats.process import run_limited
+from airgs_codec.scene.formats.splat import ROW_BYTES, read_splat
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.ply import PlyHeader
+
+_MAGIC = b"SP4D"
+_HEADER = struct.Struct("<4sII")  # magic, version, length of the JSON
+_VERSION = 1
+_MOST_JSON = 1 << 24  # bytes
+_ROW_COPIES = 64  # of a row of .splat, in the command
+
+
+def open_splat4d(path: Path, bake: Bake) -> Clip:
+    """The frames of a file, which are there as they are. Raises SceneError."""
+    refuse_baking(path, bake, ".splat4d")
+    try:
+        with path.open("rb") as file:
+            header = _header(path, file.read(_HEADER.size + _MOST_JSON))
+        count, frames, fps = header["n"], header["t"], Fraction(str(header["fps"]))
+        if min(count, frames) < 1 or not 0 < fps <= 1000 or not isinstance(count, int) or not isinstance(frames, int):
+            raise ValueError(f"{count} Gaussians, {frames} frames, {fps} fps"[:120])
+        ends = [0] + [end for gop in header["gops"] for end in (gop["f0"], gop["f1"] + 1)]
+        if ends[1::2] != ends[:-1:2] or ends[-1] != frames:
+            raise ValueError(f"groups that are not frames 0 to {frames - 1}")
+    except (ValueError, TypeError, KeyError, OverflowError, ZeroDivisionError, RecursionError) as error:
+        raise SceneError(f"{path}: expected a .splat4d header: {type(error).__name__} {error}"[:300]) from error
+    except OSError as error:
+        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
+    frame = check_count(path, PlyHeader(count, 0))
+    count_frames(path, fps, frames / fps)
+    note = f".splat4d, {count} Gaussians in {frames} frames, {rate_words(fps)}"
+    return Clip((frame,) * frames, fps, functools.partial(_read, path, count), note)
+
+
+def _header(path: Path, data: bytes) -> dict[str, Any]:
+    """The JSON. Raises SceneError, ValueError."""
+    if len(data) < _HEADER.size or data[:4] != _MAGIC:
+        raise SceneError(f"{path}: expected a .splat4d file, got {data[:8]!r}")
+    _, version, length = _HEADER.unpack_from(data)
+    if version != _VERSION:
+        raise SceneError(f"{path}: expected .splat4d of version {_VERSION}, got {version}")
+    return dict(json.loads(data[_HEADER.size : _HEADER.size + length]))
+
+
+def _read(path: Path, count: int, frame: int) -> Gaussians:
+    """One frame. Raises SceneError."""
+    places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    command = shutil.which("splat4d", path=places)
+    if command is None:
+        raise SceneError(f"{path}: .splat4d files need splats4d: pip install 'airgs-codec[formats]'")
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(folder) / "frame.splat"
+        arguments = ["decode", str(path.absolute()), "--frame", str(frame), "-o", str(target)]
+        reason = run_limited(Path(command), arguments, count * _ROW_COPIES * ROW_BYTES)
+        if reason or not target.is_file():
+            raise SceneError(f"{path}: expected .splat4d, got what splat4d cannot read at frame {frame}: {reason}")
+        g = read_splat(target)
+    if len(g) != count:
+        raise SceneError(f"{path}: expected {count} Gaussians in frame {frame} as its header says, got {len(g)}")
+    return g

@@ -1,0 +1,190 @@
+"""Clips that libraries read in processes of their own: .4dgs and .splat4d are what was written, or refused."""
+
+import importlib.util
+import random
+import shutil
+import time
+
+import fourdgs
+import numpy as np
+import pytest
+from fourdgs.convert import convert_ply_sequence
+from fourdgs.serialization import put_record
+
+from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.splat import read_splat
+from airgs_codec.scene.gaussians import SH_C0, sigmoid
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.clip_files import gaussian_set, numbered_4dgs, write_splat4d
+from tests.support.mutations import random_bytes
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+
+BOUND = 0.051  # of the median size: how far .4dgs may move a mean
+
+
+def bound(g):
+    return BOUND * float(np.median(np.exp(g.log_scales)))
+
+
+def expect_close(found, expected, means, scales=0.021, alpha=4e-3, rotation=0.02):
+    """Attributes within the bounds that the libraries keep; rows are the same."""
+    assert len(found) == len(expected)
+    np.testing.assert_allclose(found.means, expected.means, atol=means)
+    np.testing.assert_allclose(found.log_scales, expected.log_scales, atol=scales)
+    np.testing.assert_allclose(sigmoid(found.opacity_logits), expected.opacities(), atol=alpha)
+    colours = [np.clip(g.sh_dc * SH_C0 + 0.5, 0, 1) for g in (found, expected)]
+    np.testing.assert_allclose(*colours, atol=alpha)
+    a, b = (g.quaternions.astype(np.float64) for g in (found, expected))
+    a, b = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (a, b))
+    assert 2 * np.arccos(np.clip(np.abs((a * b).sum(axis=1)), 0, 1)).max() < rotation
+
+
+def test_splat4d_frames_are_within_the_bounds_of_its_writer(tmp_path):
+    frames = moving_frames(300, 5)
+    order = write_splat4d(tmp_path / "a.splat4d", frames, fps=24)
+    sequence = open_sequence(tmp_path / "a.splat4d")
+    assert (len(sequence), sequence.fps, sequence.sh_degree) == (5, 24, 0)
+    assert "300 Gaussians in 5 frames, 24 a second" in sequence.clip.note
+    for number in (4, 0):
+        stored = read_splat(tmp_path / "a" / f"frame_{number:04d}.splat")
+        expect_close(sequence.read(number), stored.take(order.astype(np.intp)), 2.1e-3, alpha=0.016, rotation=1e-3)
+    assert plan_groups(sequence).spans == [(0, 5)]
+
+
+def test_numbered_4dgs_rows_are_in_the_order_of_their_numbers(tmp_path):
+    frames, chance = moving_frames(100, 6), np.random.default_rng(0)
+    states = []
+    for i, g in enumerate(frames):
+        ids = np.arange(100) + (i >= 3)  # in the fourth frame one has gone and another come
+        shuffled = chance.permutation(100)
+        states.append((g.take(shuffled), ids[shuffled]))
+    (tmp_path / "a.4dgs").write_bytes(numbered_4dgs(states, fps=12))
+    sequence = open_sequence(tmp_path / "a.4dgs")
+    assert (len(sequence), sequence.fps, sequence.breaks) == (6, 12, (3,))
+    for number in range(6):
+        expect_close(sequence.read(number), frames[number], bound(frames[0]))
+    assert plan_groups(sequence).spans == [(0, 3), (3, 6)]
+    twice = open_sequence(tmp_path / "a.4dgs", bake_fps=24)
+    assert len(twice) == 12
+    np.testing.assert_array_equal(twice.read(5).means, sequence.read(2).means)
+
+
+def moving_set():
+    """Three windows of a second each for 20 rows, and rows that are there all the time; some fade."""
+    g = random_gaussians(80)
+    clip = gaussian_set(g, 3.0, np.arange(80 * 9, dtype=np.int64).reshape(80, 9).astype(np.uint8))
+    window = np.minimum(np.arange(80) // 20, 3)
+    clip.win_lo, clip.win_hi = np.where(window < 3, window, 0.0), np.where(window < 3, window + 1.0, 3.0)
+    clip.mu_t = (clip.win_lo + 0.5).astype(np.float32)
+    clip.sigma_t = np.where(np.arange(80) % 2, np.inf, 0.25).astype(np.float32)
+    clip.colors[:, 3] = np.maximum(clip.colors[:, 3], 0.3)
+    clip.motions = np.random.default_rng(1).normal(size=(80, 3)).astype(np.float32)
+    return clip
+
+
+def test_4dgs_windows_are_runs_of_the_same_rows(tmp_path):
+    fourdgs.write(str(tmp_path / "a.4dgs"), moving_set(), 3.0)
+    sequence = open_sequence(tmp_path / "a.4dgs", bake_fps=10)
+    assert (len(sequence), sequence.sh_degree, sequence.breaks) == (30, 1, (10, 20))
+    assert [h.count for h in sequence.headers] == [40] * 30
+    scene = fourdgs.read(str(tmp_path / "a.4dgs"))
+    for number in (0, 14, 15, 29):
+        g, state = sequence.read(number), scene.state_at((number + 0.5) / 10)
+        alpha = sigmoid(g.opacity_logits)
+        there = alpha > 1 / 255
+        assert there.sum() == len(state["indices"]) and alpha[~there].max(initial=0) < 1 / 1000
+        np.testing.assert_allclose(g.means[there], state["centers"], atol=1e-6)
+        np.testing.assert_allclose(alpha[there], state["opacity"], atol=1e-3)
+        codes = scene.gaussians.sh[state["indices"]].reshape(-1, 3, 3).transpose(0, 2, 1)
+        np.testing.assert_allclose(g.sh_rest[there], codes * (8 / 255) - 4, atol=1e-5)
+    first, last = sequence.read(0), sequence.read(9)
+    speed = np.linalg.norm(last.means - first.means, axis=1) / 0.9
+    assert speed.max() < 5 and (first.means != last.means).any()  # what is not there stays near where it was seen
+
+
+def test_a_converted_sequence_has_its_frames_whole(tmp_path):
+    frames = moving_frames(60, 4, degree=1)
+    clip, seconds = convert_ply_sequence(str(write_sequence(tmp_path / "scene", frames)), fps=25)
+    fourdgs.write(str(tmp_path / "a.4dgs"), clip, seconds)
+    sequence = open_sequence(tmp_path / "a.4dgs")
+    assert (len(sequence), sequence.fps, sequence.sh_degree, sequence.breaks) == (4, 25, 1, ())
+    for number, g in enumerate(frames):
+        found = sequence.read(number)
+        order = ((g.means[None] - found.means[:, None]) ** 2).sum(axis=2).argmin(axis=1)
+        expect_close(found, g.take(order), bound(g))
+        np.testing.assert_allclose(found.sh_rest, g.take(order).sh_rest, atol=0.02)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    """A small file of each kind."""
+    folder = tmp_path_factory.mktemp("clips")
+    frames = moving_frames(40, 3)
+    write_splat4d(folder / "a.splat4d", frames, fps=24)
+    (folder / "a.4dgs").write_bytes(numbered_4dgs([(g, np.arange(40)) for g in frames], fps=24))
+    fourdgs.write(str(folder / "b.4dgs"), moving_set(), 3.0)
+    return folder
+
+
+def test_what_leaves_no_choice_is_not_baked(good):
+    for name, options in (("a.splat4d", {"bake_fps": 3}), ("a.splat4d", {"duration": 1}), ("a.4dgs", {"duration": 1})):
+        with pytest.raises(SceneError, match=f"{name}: expected no"):
+            open_sequence(good / name, **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "says"),
+    [
+        ("a.splat4d", b"SP4D", b"SP5D", "expected a .splat4d file"),
+        ("a.splat4d", b"SP4D\x01", b"SP4D\x02", "version 1, got 2"),
+        ("a.splat4d", b'"n":40,', b'"n":4e9,', "expected a .splat4d header"),
+        ("a.splat4d", b'"n":40,"t"', b'"n":99999999,"t"', "can hold"),
+        ("a.splat4d", b'"t":3', b'"t":9', "frames 0 to 8"),
+        ("a.splat4d", b'"fps":24.0', b'"fps":-4.0', "fps"),
+        ("a.4dgs", b"\x894DGS", b"\x894DGT", "expected a .4dgs file"),
+        ("a.4dgs", np.float64(0.125).tobytes(), np.float64(1e300).tobytes(), "1 to 262144 frames"),
+        ("b.4dgs", b"gaussian-birth", b"gaussian-death", "gaussian-death"),
+    ],
+)
+def test_a_header_that_cannot_be_is_refused(tmp_path, good, name, old, new, says):
+    data = (good / name).read_bytes()
+    assert old in data
+    data = data.replace(old, new, 1)
+    if name.endswith(".splat4d"):
+        data = data[:8] + (int.from_bytes(data[8:12], "little") + len(new) - len(old)).to_bytes(4, "little") + data[12:]
+    (tmp_path / name).write_bytes(data)
+    before = time.monotonic()
+    with pytest.raises(SceneError, match=says) as caught:
+        open_sequence(tmp_path / name)
+    assert time.monotonic() - before < 20 and "\n" not in str(caught.value)
+
+
+def test_object_tracks_are_refused(tmp_path):
+    options = fourdgs.WriteOptions(extra_records=(put_record(fourdgs.opcode.OBJECT_TRACK, b""),))
+    fourdgs.write(str(tmp_path / "a.4dgs"), moving_set(), 3.0, options=options)
+    with pytest.raises(SceneError, match="object tracks are not read"):
+        open_sequence(tmp_path / "a.4dgs")
+
+
+@pytest.mark.parametrize("name", ["a.splat4d", "a.4dgs", "b.4dgs"])
+def test_a_missing_library_and_an_empty_file_are_said(tmp_path, good, name, monkeypatch):
+    (tmp_path / name).write_bytes(b"")
+    with pytest.raises(SceneError, match=f"{name}: expected a "):
+        open_sequence(tmp_path / name)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(shutil, "which", lambda name, path: None)
+    with pytest.raises(SceneError, match=r"airgs-codec\[formats\]"):
+        open_sequence(good / name).read(0)
+
+
+@pytest.mark.parametrize("name", ["a.splat4d", "a.4dgs", "b.4dgs"])
+def test_mutated_clips_are_read_or_refused(tmp_path, good, name):
+    chance, data = random.Random(5), (good / name).read_bytes()
+    for _ in range(10):
+        (tmp_path / name).write_bytes(random_bytes(chance, data, data))
+        try:
+            sequence = open_sequence(tmp_path / name)
+            sequence.read(len(sequence) - 1)
+        except SceneError as error:
+            assert "\n" not in str(error)
