@@ -37,7 +37,7 @@ APART = (0.35, 0.2, 0.1)  # of `gaps`, of the poses that cameras are chosen from
 REGION = 1.5  # of `gaps`, at most, from one pose of a region to the next
 UPRIGHT = np.cos(np.radians(20))  # between the floor's own up and the one that is told
 NOTHING_SEEN = "nothing can be seen: 8 views on an orbit"
-GUESSED_UP = "; up is taken to be -y, which nothing tells"
+GUESSED_UP = "; nothing tells which way is up, {} is taken"
 SURE = 0.05  # score of the best; real captures have 0.1 to 0.2, broken ones mostly up to 0.03
 SURE_COVERED = 0.95  # of most pictures; who films a place fills them, objects with haze about them leave holes
 
@@ -74,8 +74,9 @@ def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> Fo
     except SceneError:
         floor, upright = None, UP if up is None else up
         found = FoundViews(orbit_views(middle, up=upright), [0.0] * 8, False, NOTHING_SEEN)
-    guessed = up is None and floor is None
-    return replace(found, story=found.story + GUESSED_UP * guessed)
+    if up is not None:
+        return found
+    return replace(found, story=found.story + GUESSED_UP.format("-y" if floor is None else "away from the floor"))
 
 
 def _solidity(gaussians: Gaussians) -> float:

@@ -35,7 +35,7 @@ def test_an_object_is_seen_from_all_sides():
 @pytest.mark.parametrize("up", [1, -1])
 def test_an_object_on_a_floor_is_seen_from_above_it(up):
     found = find_viewpoints([joined(ball(), floor(-0.55 * up))])
-    assert found.confident and "floor" in found.story
+    assert found.confident and "above its floor" in found.story and "away from the floor is taken" in found.story
     assert (places_of(found)[:, 1] * up > -0.55).all()
     assert all(camera.world_to_camera[1, 1] * up <= 0 for camera in found.cameras), "up is up in the pictures"
 

@@ -111,7 +111,7 @@ def test_the_specification_of_a_format_tells_up_unless_somebody_does(tmp_path):
 
 def test_where_nobody_tells_up_the_guess_is_said(tmp_path):
     plan = ViewPlan.of(open_sequence(write_sequence(tmp_path, moving_frames(60, 1))), 8)
-    assert plan.world is None and "up is taken to be -y, which nothing tells" in plan.notes[0]
+    assert plan.world is None and "nothing tells which way is up, -y is taken" in plan.notes[0]
 
 
 def test_cameras_keep_their_own_up(fox):

@@ -1,7 +1,9 @@
 """The examples for users of three.js and PlayCanvas in a real browser: they draw a package as we draw it, and go on."""
 
 import base64
+import shutil
 import subprocess
+from dataclasses import replace
 from urllib.parse import urlencode
 
 import numpy as np
@@ -11,7 +13,12 @@ from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.metrics import psnr
-from airgs_codec.package.store import open_package
+from airgs_codec.package.packing import pack_json
+from airgs_codec.package.paths import JSON_NAME
+from airgs_codec.package.region import levelled
+from airgs_codec.package.store import open_package, root_of
+from airgs_codec.package.tables import World
+from airgs_codec.package.world import world_from
 from airgs_codec.render import look_at, render
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import WEB, missing, serve, visit
@@ -42,7 +49,18 @@ def harmonics(tmp_path_factory):
     return open_package(folder / "scene.airgs")
 
 
-@pytest.fixture(params=["fox", "harmonics"])
+@pytest.fixture(scope="module")
+def placed(harmonics, tmp_path_factory):
+    """The same in a world: turned, scaled and shifted."""
+    folder = tmp_path_factory.mktemp("placed") / "scene.airgs"
+    shutil.copytree(harmonics.files.path, folder)
+    transform = world_from((0.3, -1.0, 0.5), 2.5).transform
+    transform[3::4] = [4.0, -2.0, 7.0]
+    (folder / JSON_NAME).write_bytes(pack_json(replace(root_of(harmonics.manifest), world=World(transform, True))))
+    return open_package(folder)
+
+
+@pytest.fixture(params=["fox", "harmonics", "placed"])
 def package(request):
     return open_package(GOLDEN / "fox") if request.param == "fox" else request.getfixturevalue("harmonics")
 
@@ -62,7 +80,7 @@ def look(package, example, wanted, **query):
 def test_an_example_draws_the_first_view_of_a_package_as_we_do(built, package, example):
     words, picture = look(package, example, 1, frame=1)
     assert words == [f"frame 2 of {package.manifest.frames}"]
-    region = package.manifest.region
+    region = levelled(package.manifest)
     place = region.places[0]
     at = (np.array(v) for v in (place.position, place.focus, place.up))
     camera = look_at(*at, size=SIZE, fov_y=np.radians(region.fov_y), name="first")

@@ -6,7 +6,7 @@ import { type GroupEntry, PAGE } from "./index.ts";
 import { pagePath, ROOT_PATH } from "./paths.ts";
 import { colourChannels, KEY_CHANNELS, STATE_CHANNELS } from "./steps.ts";
 import type { Atlas, FileEntry, Group, Page, Region, Root, Segment } from "./types.ts";
-import { faultOf } from "./world.ts";
+import { isSimilarity } from "./world.ts";
 
 const MAX_BITS = 21;
 const MAX_PICTURE_SIDE = 4096;
@@ -56,8 +56,9 @@ export function checkRoot(root: Root): void {
   if (ids !== expected) throw bad(`${ROOT_PATH}.levels`, `expected ${expected}, got ${ids}`);
   checkLadder(root, place);
   checkRegion(root.region, `${ROOT_PATH}.region`);
-  const fault = root.world && faultOf(root.world);
-  if (fault) throw bad(`${ROOT_PATH}.world.transform`, fault);
+  if (root.world && !isSimilarity(root.world)) {
+    throw bad(`${ROOT_PATH}.world.transform`, `expected a similarity, got ${root.world.transform}`);
+  }
   if ((BigInt(root.timescale) * BigInt(root.frame_rate[1]!)) % BigInt(root.frame_rate[0]!)) {
     throw bad(`${ROOT_PATH}.timescale`, "a frame is not a whole number of ticks");
   }

@@ -1,31 +1,22 @@
 // Where a scene stands in a world with y up: FORMAT.md, section 8. A transform is three rows of a turn, times a scale,
 // with a shift.
 import type { World } from "./types.ts";
-import { cross, dot, length, scaled, unit, type Vector } from "./vector.ts";
+import { cross, dot, length, unit, type Vector, vector } from "./vector.ts";
 
-const LEAST_SCALE = 1e-6;
 const MOST_SCALE = 1e6;
-/** Of the products of axes of length 1. */
+/** Of the products of rows, in squares of the scale. */
 const TOLERANCE = 1e-5;
 
-const rowsOf = ({ transform: t }: World): [Vector, Vector, Vector] => [
-  [t[0]!, t[1]!, t[2]!],
-  [t[4]!, t[5]!, t[6]!],
-  [t[8]!, t[9]!, t[10]!],
-];
+const row = ({ transform }: World, i: number): Vector => vector(transform.slice(4 * i));
 
-/** What is wrong with a transform; null: it is a similarity that does not mirror. */
-export function faultOf(world: World): string | null {
-  const rows = rowsOf(world);
-  const scale = rows.reduce((sum, row) => sum + length(row), 0) / 3;
-  if (!(scale >= LEAST_SCALE && scale <= MOST_SCALE)) {
-    return `expected a scale of ${LEAST_SCALE} to ${MOST_SCALE}, got ${scale}`;
-  }
-  const axes = rows.map((row) => scaled(row, 1 / scale)) as [Vector, Vector, Vector];
-  const off = axes.flatMap((a, i) => axes.map((b, j) => Math.abs(dot(a, b) - (i === j ? 1 : 0))));
-  if (Math.max(...off) > TOLERANCE) return `expected a rotation with one scale for all axes, got rows ${rows}`;
-  return dot(cross(axes[0], axes[1]), axes[2]) < 0 ? "expected a right-handed turn, got one that mirrors" : null;
+/** Whether a transform is a similarity that does not mirror. */
+export function isSimilarity(world: World): boolean {
+  const rows = [row(world, 0), row(world, 1), row(world, 2)] as const;
+  const scale = (length(rows[0]) + length(rows[1]) + length(rows[2])) / 3;
+  const near = (product: number, expected: number) => Math.abs(product / scale ** 2 - expected) <= TOLERANCE;
+  const turned = rows.every((a, i) => rows.every((b, j) => near(dot(a, b), +(i === j))));
+  return turned && scale <= MOST_SCALE && scale >= 1 / MOST_SCALE && dot(cross(rows[0], rows[1]), rows[2]) > 0;
 }
 
 /** Which way is up in the coordinates of the scene, of length 1. */
-export const upOf = (world: World): Vector => unit(rowsOf(world)[1]);
+export const upOf = (world: World): Vector => unit(row(world, 1));

@@ -1,7 +1,6 @@
 // An open package on its way to the canvas: files are fetched by a session, decoded ahead by a pipeline, and shown by a
 // screen when their time has come. The schedule (`Playout`) is what these three agree on.
-import { levelled } from "../format/region.ts";
-import type { Region, World } from "../format/types.ts";
+import type { Root } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
 import type { TargetFormat } from "../render/target.ts";
@@ -188,12 +187,8 @@ export class Playback {
     return this.#shown?.clip.rung ?? null;
   }
 
-  get region(): Region {
-    return levelled(this.media.tables.root);
-  }
-
-  get world(): World | null {
-    return this.media.tables.root.world ?? null;
+  get root(): Root {
+    return this.media.tables.root;
   }
 
   get stats(): PlayerStats {

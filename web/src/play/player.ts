@@ -76,7 +76,7 @@ export class Player extends EventTarget {
       media.close();
       throw error;
     }
-    const region = levelled(media.tables.root);
+    const region = levelled(this.#playback.root);
     this.camera = this.#view ?? { ...firstView(region), near: region.near };
     this.resize(this.#size.width, this.#size.height);
     this.#tell("open");
@@ -207,12 +207,12 @@ export class Player extends EventTarget {
 
   /** Where the quality of the package is promised. */
   get region(): Region | null {
-    return this.#playback?.region ?? null;
+    return this.#playback && levelled(this.#playback.root);
   }
 
   /** Where the scene stands in a world with y up, as far as somebody told. */
   get world(): World | null {
-    return this.#playback?.world ?? null;
+    return this.#playback?.root.world ?? null;
   }
 
   /** Where the viewer stands; drawn at the next frame of the display. */
