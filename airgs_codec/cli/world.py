@@ -18,7 +18,7 @@ def add_world(parser: argparse.ArgumentParser) -> None:
         "--up",
         metavar="AXIS",
         help=f"{', '.join(AXES)} or X,Y,Z: the direction that points up in the frames (default: y for .spz and glTF, "
-        "whose specifications say so; for others nothing is told)",
+        "whose specifications say so, what a .4dgs says; for others nothing is told)",
     )
     group.add_argument(
         "--scale", type=float, metavar="METRES", help="with --up: how many metres a unit of the frames is long"

@@ -59,10 +59,11 @@ class ViewPlan:
         `pictures` of each group decide, at least. Which way is up, `world` tells, else the format of the frames, else
         nobody.
         """
-        form, notes = None if sequence.clip else format_of(sequence.paths[0]), []
-        if world is None and form and form.up:
-            world = world_from(form.up, 1.0 if form.metric else None)
-            notes.append(f"{world_words(world)}; the specification of {form.name} says so")
+        axes, notes = sequence.axes, []
+        if world is None and axes:
+            world = world_from(axes.up, axes.metres)
+            source = "the file" if sequence.clip else f"the specification of {format_of(sequence.paths[0]).name}"
+            notes.append(f"{world_words(world)}; {source} says so")
         plan = _plan(sequence, pictures, margin, region, None if world is None else up_of(world))
         return replace(plan, world=world, notes=(*plan.notes, *notes))
 

@@ -19,7 +19,7 @@ from airgs_codec.package.storage import is_address
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
-from airgs_codec.scene.formats.table import format_of
+from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.orbits import UP, orbit_views
 from airgs_codec.scene.sequence import DEFAULT_FPS, SETTINGS_NAME, GaussianSequence, open_sequence
@@ -39,7 +39,7 @@ class Side:
     bytes_per_frame: float  # of a package what a viewer of the rung fetches: keys, states and all tables
     cameras: tuple[Camera, ...]
     region: Region | None
-    up: tuple[int, int, int] | None  # of a scene, as the specification of its format says
+    axes: Axes | None  # of a scene that says which way is up
     claimed: Quality | None  # of the rung, as the tables have it
     read: Callable[[range], Iterator[Gaussians]]  # frames, repaired; raises SceneError or FormatError
 
@@ -81,7 +81,7 @@ def _of_package(name: str, package: Package, rung: str) -> Side:
         bytes_per_frame=rung_bytes(m, q, j, package.manifest_bytes) / m.frames,
         cameras=(),
         region=m.region,
-        up=None,
+        axes=None,
         claimed=pooled_quality(m, j, q),
         read=lambda frames: rung_frames(package, frames, m.levels[j].id, m.qualities[q].id),
     )
@@ -98,7 +98,7 @@ def _of_scene(name: str, sequence: GaussianSequence) -> Side:
         bytes_per_frame=sum(_size(path) for path in set(sequence.paths)) / len(sequence),
         cameras=sequence.cameras,
         region=None,
-        up=None if sequence.clip else format_of(sequence.paths[0]).up,
+        axes=sequence.axes,
         claimed=None,
         read=lambda frames: (sequence.load([number]).frames[0] for number in frames),
     )
@@ -138,7 +138,7 @@ def shared_views(a: Side, b: Side) -> tuple[str, list[Camera]]:
         if side.region:
             views = region_views(side.region, DRAWS, CHECKING)
             return f"{len(views)} views drawn from the viewing region of {side.name}, seed {CHECKING}", views
-    views = orbit_views(next(a.read(range(1))), up=UP if a.up is None else np.array(a.up, np.float64))
+    views = orbit_views(next(a.read(range(1))), up=np.array(a.axes.up) if a.axes else UP)
     return f"{len(views)} views on an orbit around frame 0 of {a.name}", views
 
 

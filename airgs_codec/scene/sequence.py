@@ -16,10 +16,11 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
 from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
+from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.formats.clip import Bake, Clip
 from airgs_codec.scene.formats.clips import SUFFIXES, clip_format
 from airgs_codec.scene.formats.find import Found, find_frames
-from airgs_codec.scene.formats.table import read_frame, read_frame_header
+from airgs_codec.scene.formats.table import format_of, read_frame, read_frame_header
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader
 from airgs_codec.scene.repair import Repaired, repair
@@ -53,6 +54,11 @@ class GaussianSequence:
     def sh_degree(self) -> int:
         """The SH degree of every frame as it is read, 0 to 3."""
         return min(self.headers[0].sh_degree, self.max_sh_degree)
+
+    @property
+    def axes(self) -> Axes | None:
+        """Which way is up, where the file of a clip or the specification of the frames' format says it."""
+        return self.clip.axes if self.clip else format_of(self.paths[0]).axes
 
     def __len__(self) -> int:
         return len(self.paths)

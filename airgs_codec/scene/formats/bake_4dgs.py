@@ -1,8 +1,9 @@
 """A program of its own that bakes a .4dgs file to frames with fourdgs; it imports nothing of this package.
 
 `python bake_4dgs.py FILE TARGET FPS FIRST STOP` writes TARGET, an .npz: `counts` (F,) rows of all frames, `breaks`
-frames whose rows are others than those of the frame before, `fps`, `degree` and `model`, and of frames [FIRST, STOP)
-the rows one frame after the other. FPS 0 stands for what the file says. `limited` runs it.
+frames whose rows are others than those of the frame before, `fps`, `degree` and `model`, `up` and `metres`, the
+direction (3,) that points up and the length of a unit (empty and 0 where the file does not tell), and of frames
+[FIRST, STOP) the rows one frame after the other. FPS 0 stands for what the file says. `limited` runs it.
 
 Frame i is the scene at (i + 1/2) / fps seconds, in the middle of its time: what lasts for one frame is whole there.
 Gaussians of the model `keyframe-delta` have numbers: they are in the order of these. Those of `gaussian-birth` move
@@ -30,6 +31,7 @@ DEFAULT_FPS = 30
 FEWEST_FPS = 10  # pieces of equal length are frames if there are so many a second
 MOST_FRAMES = 1 << 18
 DELTA, BIRTH = "keyframe-delta", "gaussian-birth"
+METRES = {1: 1.0, 2: 0.01, 3: 0.001, 4: 1000.0, 5: 0.3048, 6: 0.0254}  # of the units that have a name
 Frame = dict[str, np.ndarray]  # ids (N,), means (N, 3), quaternions (N, 4) w x y z, scales, alpha, rgb, sh (N, K, 3)
 
 
@@ -38,6 +40,7 @@ class File:
 
     def __init__(self, data: bytes) -> None:
         check_magic(data)
+        self.up, self.metres = np.zeros(0), 0.0
         self.data, self.windows, self.chunks = data, np.zeros((1, 2)), list[tuple[float, float, Any, list[Any]]]()
         for record in iter_records(data, len(MAGIC)):
             self._add(record.opcode, record.content)
@@ -53,6 +56,8 @@ class File:
             self.quantization = records.Quantization.parse(content)
         elif kind == opcode.WINDOW_TABLE:
             self.windows = np.array(records.WindowTable.parse(content).windows, np.float64).reshape(-1, 2)
+        elif kind == opcode.COORDINATE_FRAME:
+            self._set_axes(records.CoordinateFrame.parse(content))
         elif kind in (opcode.CHUNK, opcode.DELTA_CHUNK):
             cursor = Cursor(content)
             self.chunks.append((cursor.f64(), cursor.f64(), content, []))
@@ -60,6 +65,14 @@ class File:
             self.chunks[-1][3].append(content)
         elif kind == opcode.OBJECT_TRACK:
             raise ValueError("object tracks are not read: bake them into the Gaussians")
+
+    def _set_axes(self, frame: Any) -> None:
+        """The frame without a name is that of the scene; section 5.15.2 of the specification."""
+        if frame.name:
+            return
+        self.metres = frame.metres_per_unit if frame.metres_per_unit > 0 else METRES.get(frame.length_unit, 0.0)
+        if frame.up_axis < 6:
+            self.up = np.eye(3)[frame.up_axis % 3] * (1 if frame.up_axis < 3 else -1)
 
     def rate(self) -> Fraction:
         """Frames a second that the file has: pieces of equal length, its states or the windows of its Gaussians."""
@@ -187,6 +200,7 @@ def main(source: str, target: str, fps: str, first: str, stop: str) -> None:
     known |= {name: np.concatenate([frame[name] for frame in frames]).astype(np.float32) for name in columns}
     model = file.header.temporal_model
     degree = file.header.sh_degree if model == BIRTH and any(chunk[3] for chunk in file.chunks) else 0
+    known |= {"up": file.up, "metres": np.float64(file.metres)}
     np.savez(target, fps=str(rate), degree=degree, model=model, stated=file.header.sh_degree, **known)
 
 

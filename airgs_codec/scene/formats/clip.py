@@ -8,6 +8,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader
 
@@ -32,6 +33,7 @@ class Clip:
     read: Callable[[int], Gaussians]  # a frame, unrepaired; raises SceneError
     note: str  # what was read, and how it became frames, for people
     breaks: tuple[int, ...] = ()  # frames whose rows are known to be others than those of the frame before
+    axes: Axes | None = None  # as the file says; None: it does not
 
 
 def count_frames(path: Path, fps: Fraction, seconds: Fraction) -> int:

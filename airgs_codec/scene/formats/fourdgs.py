@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.formats.clip import Bake, Clip, rate_words, refuse_baking
 from airgs_codec.scene.formats.library import check_count, expect_library
 from airgs_codec.scene.formats.opacity import logits_of
@@ -41,7 +42,8 @@ def open_4dgs(path: Path, bake: Bake) -> Clip:
         check_count(path, header)
     headers = tuple(known[count] for count in counts)
     breaks = tuple(int(frame) for frame in found["breaks"])
-    return Clip(headers, fps, functools.partial(_read, path, fps, headers), note, breaks)
+    axes = Axes(tuple(found["up"].tolist()), float(found["metres"]) or None) if len(found["up"]) else None
+    return Clip(headers, fps, functools.partial(_read, path, fps, headers), note, breaks, axes)
 
 
 def _read(path: Path, fps: Fraction, headers: tuple[PlyHeader, ...], frame: int) -> Gaussians:

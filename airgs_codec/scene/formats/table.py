@@ -8,6 +8,7 @@ from pathlib import Path
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats import clips, compressed_ply, gltf, library, sog, splat, spz
+from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.formats.holds import Holds
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader, read_ply, read_ply_header, write_ply
@@ -26,8 +27,7 @@ class Format:
     write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
     holds: Holds
     writer: str = ""  # the library that `write` needs
-    up: tuple[int, int, int] | None = None  # as its specification says; None: it does not, or files do not keep to it
-    metric: bool = False  # whether its specification says that a unit is a metre
+    axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
 
 
 INRIA = Format("INRIA .ply", "ply", (".ply",), read_ply_header, read_ply, write_ply, Holds())
@@ -41,7 +41,7 @@ COMPRESSED = Format(
     compressed_ply.COMPRESSED_PLY,
 )
 SPZ = Format(
-    ".spz", "spz", (".spz",), spz.read_spz_header, spz.read_spz, spz.write_spz, spz.SPZ, spz.WRITER, up=(0, 1, 0)
+    ".spz", "spz", (".spz",), spz.read_spz_header, spz.read_spz, spz.write_spz, spz.SPZ, spz.WRITER, Axes((0, 1, 0))
 )
 SOG = Format("SOG", "sog", (".sog", ".zip"), sog.read_sog_header, sog.read_sog, sog.write_sog, sog.SOG, library.LIBRARY)
 SPLAT = Format(
@@ -55,8 +55,7 @@ GLTF = Format(
     gltf.read_gltf,
     gltf.write_glb,
     gltf.GLB,
-    up=(0, 1, 0),
-    metric=True,
+    axes=Axes((0, 1, 0), metres=1.0),
 )
 FORMATS = (INRIA, COMPRESSED, SPZ, SOG, SPLAT, GLTF)
 _BY_SUFFIX = {suffix: form for form in FORMATS for suffix in form.suffixes}

@@ -8,16 +8,21 @@ import time
 import fourdgs
 import numpy as np
 import pytest
+from fourdgs import CoordinateFrame, Provenance, WriteOptions
 from fourdgs.convert import convert_ply_sequence
 from fourdgs.serialization import put_record
 
 from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.errors import SceneError
+from airgs_codec.package.world import world_from, world_words
+from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.formats.splat import read_splat
 from airgs_codec.scene.gaussians import SH_C0, sigmoid
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.clip_files import gaussian_set, numbered_4dgs, write_splat4d
 from tests.support.mutations import random_bytes
+from tests.support.regions import region
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
 BOUND = 0.051  # of the median size: how far .4dgs may move a mean
@@ -165,6 +170,25 @@ def test_object_tracks_are_refused(tmp_path):
     fourdgs.write(str(tmp_path / "a.4dgs"), moving_set(), 3.0, options=options)
     with pytest.raises(SceneError, match="object tracks are not read"):
         open_sequence(tmp_path / "a.4dgs")
+
+
+@pytest.mark.parametrize(
+    ("frame", "axes"),
+    [
+        ({"up_axis": 5, "metres_per_unit": 0.25}, Axes((0, 0, -1), 0.25)),
+        ({"up_axis": 1, "length_unit": 2}, Axes((0, 1, 0), 0.01)),
+        ({"up_axis": 0, "forward_axis": 4}, Axes((1, 0, 0))),
+        ({"name": "rig", "up_axis": 2}, None),
+    ],
+)
+def test_a_4dgs_tells_which_way_is_up(tmp_path, frame, axes):
+    options = WriteOptions(provenance=Provenance(frames=[CoordinateFrame(**frame)]))
+    fourdgs.write(str(tmp_path / "a.4dgs"), moving_set(), 3.0, options=options)
+    sequence = open_sequence(tmp_path / "a.4dgs")
+    assert sequence.axes == axes
+    plan = ViewPlan.of(sequence, 8, region=region())
+    assert plan.world == (axes and world_from(axes.up, axes.metres))
+    assert plan.notes == (() if axes is None else (f"{world_words(plan.world)}; the file says so",))
 
 
 @pytest.mark.parametrize("name", ["a.splat4d", "a.4dgs", "b.4dgs"])
