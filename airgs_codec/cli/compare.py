@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 from airgs_codec._files import atomic_path
+from airgs_codec.cli.baking import UNTOLD, add_baking, is_told, told_baking
 from airgs_codec.cli.common import PACKAGE, Bar, add_views, parse_range
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import compared_views
@@ -15,6 +16,7 @@ from airgs_codec.inspect.sides import Side, described, expect_same_rate, is_pack
 from airgs_codec.inspect.two import Comparison, compare_two, comparison_json, format_two
 from airgs_codec.media.image import write_png
 from airgs_codec.render import Camera, read_cameras
+from airgs_codec.scene.formats.clips import is_clip
 
 
 def add_compare(parser: argparse.ArgumentParser) -> None:
@@ -27,6 +29,7 @@ def add_compare(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rung", metavar="Q0+L0", help=rung)
     default = "those of A or B, or drawn from the viewing region of a package, or an orbit"
     add_views(parser, "cameras to compare from", default)
+    add_baking(parser)
     pictures = "write pictures of A, B and their difference: worst.png and typical.png"
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help=pictures)
     parser.add_argument("--json", action="store_true", help="the same as JSON")
@@ -59,8 +62,12 @@ def _open_both(args: argparse.Namespace) -> tuple[Side, Side]:
     packages = [is_package(place) for place in (args.a, args.b)]
     if args.rung is not None and not any(packages):
         raise ConfigError("--rung: expected a package, got two scenes")
-    b = open_side(args.b, args.rung if packages[1] else None)
-    a = open_side(args.a, None if packages[1] else args.rung)
+    baking = told_baking(args)
+    baked = {place: baking for place in (args.a, args.b) if is_told(baking) and is_clip(Path(place))}
+    if is_told(baking) and not baked:
+        raise ConfigError(f"--bake-fps, --duration: expected a clip, got {args.a} and {args.b}")
+    b = open_side(args.b, args.rung if packages[1] else None, **baked.get(args.b, UNTOLD))
+    a = open_side(args.a, None if packages[1] else args.rung, **baked.get(args.a, UNTOLD))
     expect_same_rate(a, b)
     return a, b
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from airgs_codec._settings import about
 from airgs_codec.analysis.rows import ROWS
+from airgs_codec.cli.baking import add_baking, is_told, told_baking
 from airgs_codec.cli.common import Bar, add_views, run_command
 from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.training import train_by_default
@@ -66,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
         help="package folder, or s3://, gs://, az:// and a prefix (default: SCENE with .airgs appended)",
     )
     parser.add_argument("--fps", type=Fraction, help="frames a second (default: what sequence.json says, else 30)")
-    _add_baking(parser)
+    add_baking(parser)
     add_views(
         parser, "cameras that usage and quality are measured with", "those beside the frames, else cameras on an orbit"
     )
@@ -100,21 +101,6 @@ def _parser() -> argparse.ArgumentParser:
     _add_ladder(parser)
     _add_coding(parser)
     return parser
-
-
-def _add_baking(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--bake-fps",
-        type=Fraction,
-        metavar="FPS",
-        help="frames a second that a clip of moving Gaussians is baked to (default: what the file says, else 30)",
-    )
-    parser.add_argument(
-        "--duration",
-        type=Fraction,
-        metavar="SECONDS",
-        help="length of a clip whose file states none: .splatv, Spacetime Gaussians .ply (default: 5/3)",
-    )
 
 
 def _add_setting(group: argparse._ActionsContainer, option: str, name: str, **more: Any) -> None:
@@ -240,8 +226,11 @@ def _run(args: argparse.Namespace) -> int:
     target: str = args.output or str(scene.with_name(scene.name + ".airgs"))
     if args.follow:
         return _follow(args, settings, target)
-    folder = train_by_default(args.scene, args.fps, quiet=args.json) if is_multiview(args.scene) else args.scene
-    sequence = open_sequence(folder, views=args.views, fps=args.fps, bake_fps=args.bake_fps, duration=args.duration)
+    baking, multiview = told_baking(args), is_multiview(args.scene)
+    if multiview and is_told(baking):
+        raise ConfigError(f"{args.scene}: expected a clip for --bake-fps or --duration, got multi-view pictures")
+    folder = train_by_default(args.scene, args.fps, quiet=args.json) if multiview else args.scene
+    sequence = open_sequence(folder, views=args.views, fps=args.fps, **baking)
     if sequence.clip and not args.json:
         print(f"clip: {args.scene}: {sequence.clip.note}", flush=True)
     goal, attribution = _goal(args, sequence), args.attribution or read_attribution(args.scene)

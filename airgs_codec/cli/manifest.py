@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec._report import require_matplotlib
+from airgs_codec.cli.baking import add_baking, told_baking
 from airgs_codec.cli.common import PACKAGE, Bar, add_views, parse_range, run_command
 from airgs_codec.cli.compare import add_compare, compare
 from airgs_codec.cli.export import add_export, export
@@ -59,18 +60,21 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="picture of the ladder and of bytes over time")
     parser.add_argument("--ladder", action="store_true", help="measure the dense level space (minutes)")
     parser.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original, for --ladder (default: L0)")
+    add_baking(parser)
     add_views(parser, "cameras, for --ladder", "those of --against, or drawn from the region")
 
 
 def _add_validate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("package", help=PACKAGE)
     parser.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original: measure the errors again")
+    add_baking(parser)
     parser.add_argument("--json", action="store_true", help="findings as JSON")
 
 
 def _add_rungs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("package", help=PACKAGE)
     parser.add_argument("original", type=Path, help="the sequence that it was made of")
+    add_baking(parser)
     parser.add_argument("--level", help="one level, L0, L1, … or its number (default: all)")
     parser.add_argument("--key-quality", help="one key quality, Q0, Q1, … or its number (default: all)")
     parser.add_argument("--frames", default=":", metavar="A:B", help="frames A to B - 1 (default: all)")
@@ -118,7 +122,7 @@ def _inspect(args: argparse.Namespace) -> int:
 
 
 def _ladder(package: Package, args: argparse.Namespace) -> int:
-    original = open_sequence(args.against) if args.against else None
+    original = open_sequence(args.against, **told_baking(args)) if args.against else None
     if original is not None:
         _expect_frames(args.against, len(original), package.manifest.frames)
     cameras = read_cameras(args.views) if args.views else list(original.cameras) if original else []
@@ -133,7 +137,7 @@ def _ladder(package: Package, args: argparse.Namespace) -> int:
 
 
 def _validate(args: argparse.Namespace) -> int:
-    against = open_sequence(args.against) if args.against else None
+    against = open_sequence(args.against, **told_baking(args)) if args.against else None
     findings, measured = validate(args.package), []
     if not findings and against is not None:
         measured = list(measure_errors(open_package(args.package), against))
@@ -152,7 +156,7 @@ def _validate(args: argparse.Namespace) -> int:
 
 
 def _rungs(args: argparse.Namespace) -> int:
-    package, original = open_package(args.package), open_sequence(args.original)
+    package, original = open_package(args.package), open_sequence(args.original, **told_baking(args))
     _expect_frames(args.original, len(original), package.manifest.frames)
     for name, least in (("every", 1), ("draws", 0), ("seed", 0)):
         if getattr(args, name) < least:

@@ -14,6 +14,7 @@ from pathlib import Path
 from airgs_codec._files import to_json
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
+from airgs_codec.cli.baking import add_baking, told_baking
 from airgs_codec.cli.common import PACKAGE, Bar, add_views, run_command
 from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
@@ -76,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     out = parser.add_argument_group("output")
     add_views(out, "cameras that the viewer goes by", "the viewing region")
     out.add_argument("--original", type=Path, metavar="SEQUENCE", help="shown beside the screen in --video")
+    add_baking(out)
     out.add_argument("--report", type=Path, metavar="DIR", help="write pictures and a page")
     out.add_argument("--video", type=Path, metavar="OUT.mp4", help="film what was on the screen")
     out.add_argument("--json", action="store_true", help="print the figures as JSON")
@@ -170,7 +172,7 @@ def _session(package: Package, link: Link, args: argparse.Namespace) -> int:
 
 def _present(package: Package, log: SessionLog, args: argparse.Namespace) -> None:
     """Make the pictures and print the figures that were asked for."""
-    original = open_sequence(args.original) if args.original else None
+    original = open_sequence(args.original, **told_baking(args)) if args.original else None
     viewer = _viewer(log, args) if args.report or args.video else None
     if args.report and viewer:
         args.report.mkdir(parents=True, exist_ok=True)

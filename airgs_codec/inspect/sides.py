@@ -55,8 +55,12 @@ def is_package(place: str) -> bool:
     return is_address(place) or Path(place, JSON_NAME).is_file()
 
 
-def open_side(place: str, rung: str | None = None) -> Side:
+def open_side(
+    place: str, rung: str | None = None, *, bake_fps: Fraction | None = None, duration: Fraction | None = None
+) -> Side:
     """The scene or package at a place, a package in one `rung`, such as Q0+L0 (default: its top).
+
+    `bake_fps` and `duration` are those of `open_sequence`, for a clip.
 
     Raises ConfigError for a rung that it does not have, SceneError, FormatError and TransportError for what cannot be
     opened.
@@ -65,7 +69,7 @@ def open_side(place: str, rung: str | None = None) -> Side:
         return _of_package(place, open_package(place), rung or "Q0+L0")
     if rung is not None:
         raise ConfigError(f"{place}: expected a package for the rung {rung}, got a scene")
-    return _of_scene(place, open_sequence(place))
+    return _of_scene(place, open_sequence(place, bake_fps=bake_fps, duration=duration))
 
 
 def _of_package(name: str, package: Package, rung: str) -> Side:

@@ -39,3 +39,8 @@ def clip_format(path: Path) -> ClipFormat | None:
     """The format of a file that is a clip, None for a frame. Raises SceneError where a .ply has no header."""
     form = None if path.is_dir() else _BY_SUFFIX.get(path.suffix.lower())
     return None if form and form.suffix == ".ply" and not is_spacetime_ply(read_header(path)) else form
+
+
+def is_clip(path: Path) -> bool:
+    """Whether a file is there that is a clip. Raises SceneError where a .ply has no header."""
+    return path.is_file() and clip_format(path) is not None

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.cli import encode
+from airgs_codec.cli import encode, manifest
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import SceneError
 from airgs_codec.inspect.sides import open_side
@@ -189,5 +189,12 @@ def test_a_clip_is_encoded_and_says_how_it_was_baked(tmp_path, splatv, capsys):
     package = open_package(tmp_path / "out")
     assert (package.manifest.frames, package.manifest.fps) == (4, 8)
     assert np.isfinite(decode(package, 3).means).all()
+    baking = ["--bake-fps", "8", "--duration", "0.5"]
+    assert manifest.main(["validate", str(tmp_path / "out"), "--against", str(splatv), *baking]) == 0
+    assert manifest.main(["compare", str(splatv), str(tmp_path / "out"), *baking, "--every", "3", "--json"]) == 0
+    compared = json.loads(capsys.readouterr().out.split("\n")[-2])
+    assert compared["left_out"] == [] and compared["quality"]["psnr"] > 25
+    assert manifest.main(["compare", str(tmp_path / "out"), str(tmp_path / "out"), *baking]) == 2
+    assert "expected a clip" in capsys.readouterr().err
     assert encode.main([str(splatv), "--duration", "-3"]) == 2
     assert "1 to" in capsys.readouterr().err
