@@ -19,7 +19,7 @@ from airgs_codec.scene.gaussians import Gaussians
 FEWEST_ROWS = 8  # below it medians say nothing
 LOOKED_AT = 2000  # rows that tell whether the order was lost
 SURE_RATIO = 0.6  # of the distances to the nearest and to the second nearest row
-LEAST_SURE = 0.5  # share of the rows; with fewer of them frames have nothing to do with each other
+LEAST_SURE = 0.3  # share of the rows; with fewer of them frames take more bytes in one group than alone
 LEAST_ELSEWHERE = 0.05  # share of the rows that are surely at another place, of frames that lost their order
 ALIKE = 0.1  # of the distance between unrelated rows: what tracked rows stay below
 NEARLY_ALL = 95  # percent of the rows

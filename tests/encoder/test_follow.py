@@ -18,7 +18,7 @@ from airgs_codec.scene.growing import GrowingFolder
 from airgs_codec.scene.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.regions import place, region
-from tests.support.scenes import moving_frames, write_sequence
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
 SETTINGS = EncodeSettings(
     calibrate="none",
@@ -95,3 +95,15 @@ def test_without_a_frame_nothing_is_written(tmp_path):
     with pytest.raises(SceneError, match="at least one"):
         list(follow(GrowingFolder(tmp_path / "scene"), tmp_path / "out", SETTINGS, more=lambda count: False))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_rows_that_lost_their_order_are_matched_inside_each_group(tmp_path):
+    scene = tmp_path / "scene"
+    scene.mkdir()
+    frames = [g.take(np.random.default_rng(t).permutation(len(g))) for t, g in enumerate(FRAMES)]
+    frames[7] = random_gaussians(150, seed=9)  # nothing of the scene
+    published = list(follow(GrowingFolder(scene), tmp_path / "out", SETTINGS, more=write_one_at_a_time(scene, frames)))
+    assert [(p.group.start, p.group.stop) for p in published] == [(0, 3), (3, 6), (6, 7), (7, 8)]
+    assert published[1].notes == ["frames 4-5: rows were out of order; matched again, 100.0% of them with confidence"]
+    assert "frame 7: rows are not those of the frame before" in published[2].notes[0] and not published[3].notes
+    assert validate(tmp_path / "out") == []
