@@ -19,8 +19,8 @@ MAY_IMPORT = {
     "gsplat": {"render/cuda.py"},
     "pycolmap": set(),  # of tests alone
     "gaussforge": {"scene/formats/convert.py"},
+    "fourdgs": {"scene/formats/bake_4dgs.py", "scene/formats/write_clips.py"},
     "gsply": {"scene/formats/spz.py"},
-    "fourdgs": {"scene/formats/bake_4dgs.py"},
     "pygltflib": set(),  # of tests alone
     "av": {"media/h264.py", "media/movie.py"},
     "cv2": {"media/image.py"},

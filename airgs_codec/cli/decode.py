@@ -41,7 +41,7 @@ def _run(args: argparse.Namespace) -> int:
     target = choose_target(args.output, args.format, stop - start)
     bar = Bar(args.json)
     try:
-        lost = write_frames(target, _decoded(package, (start, stop), (level, quality), bar))
+        lost = write_frames(target, _decoded(package, (start, stop), (level, quality), bar), float(m.fps))
     finally:
         bar.close()
     report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": args.output}

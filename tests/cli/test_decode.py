@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from airgs_codec.cli import decode
 from airgs_codec.decoder.decode import decode as decode_frame
@@ -58,6 +59,22 @@ def test_sog_as_a_folder_of_pictures(tmp_path):
     assert not list((tmp_path / "sog").glob("*.sog"))
 
 
+@pytest.mark.parametrize("key", ["4dgs", "splat4d"])
+def test_a_clip_holds_a_range_in_one_file(tmp_path, key, capsys):
+    assert run("-o", tmp_path / f"fox.{key}", "--frames", "1:4", "--level", "L1", "--json") == 0
+    report = json.loads(capsys.readouterr().out)
+    assert (report["format"], report["frames"]) == (key, [1, 4]) and len(report["lost"]) == 2
+    assert [p.name for p in tmp_path.iterdir()] == [f"fox.{key}"]
+    package, sequence = open_package(FOX), open_sequence(tmp_path / f"fox.{key}")
+    assert (len(sequence), sequence.fps) == (3, package.manifest.fps)
+    for i in range(3):
+        expected = decode_frame(package, i + 1, level="L1")
+        seen = sequence.read(i).opacities() > 0.01
+        back = sequence.read(i).take(seen)
+        assert seen.sum() >= 0.95 * len(expected)
+        assert np.median(cKDTree(expected.means).query(back.means)[0]) < 1e-3
+
+
 def test_what_a_range_loses_is_said(tmp_path, capsys):
     assert run("-o", tmp_path / "a", "--format", "sog", "--frames", "0:2") == 0
     lines = capsys.readouterr().out.splitlines()
@@ -75,6 +92,8 @@ def test_what_a_range_loses_is_said(tmp_path, capsys):
         (["-o", "file/"], "expected a folder, got a file"),
         (["-o", "folder.spz", "--frames", "0"], "expected a file, got a folder: end it in /"),
         (["-o", "frames", "--frames", "0:9"], "inside 0:4"),
+        (["-o", "frames/", "--format", "4dgs"], "expected a file whose name ends in .4dgs, which holds all frames"),
+        (["-o", "a.4dgs", "--format", "splat4d"], "ends in .splat4d"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_written(tmp_path, monkeypatch, options, words, capsys):
@@ -95,7 +114,7 @@ def test_a_missing_library_is_said_first(tmp_path, monkeypatch, capsys):
 def test_after_a_failure_everything_is_as_it_was(tmp_path, monkeypatch, place, capsys):
     """The disk is full at the last frame."""
     options = ("-o", f"{tmp_path}/{place}", "--format", "splat", "--frames", "2" if place == "a.splat" else "0:3")
-    written = write.FORMATS[KEYS.index("splat")].write
+    written = FORMATS[KEYS.index("splat")].write
 
     def full(path, gaussians):
         written(path, gaussians)
@@ -105,13 +124,13 @@ def test_after_a_failure_everything_is_as_it_was(tmp_path, monkeypatch, place, c
     broken = [type(f)(*(full if n == "write" and f.key == "splat" else getattr(f, n) for n in f.__slots__))
               for f in FORMATS]  # fmt: skip
     with monkeypatch.context() as patched:
-        patched.setattr(write, "FORMATS", broken)
+        patched.setattr(write, "WRITERS", broken)
         assert "No space left" in refusal(capsys, *options)
         assert not any(tmp_path.iterdir())
     assert run(*options) == 0
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     with monkeypatch.context() as patched:
-        patched.setattr(write, "FORMATS", broken)
+        patched.setattr(write, "WRITERS", broken)
         assert "No space left" in refusal(capsys, *options)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
 

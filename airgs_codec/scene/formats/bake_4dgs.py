@@ -29,6 +29,7 @@ from fourdgs.serialization import MAGIC, Cursor, check_magic, decode_stream, ite
 
 DEFAULT_FPS = 30
 FEWEST_FPS = 10  # pieces of equal length are frames if there are so many a second
+SAME_TIME = 1e-4  # seconds
 MOST_FRAMES = 1 << 18
 DELTA, BIRTH = "keyframe-delta", "gaussian-birth"
 METRES = {1: 1.0, 2: 0.01, 3: 0.001, 4: 1000.0, 5: 0.3048, 6: 0.0254}  # of the units that have a name
@@ -75,14 +76,18 @@ class File:
             self.up = np.eye(3)[frame.up_axis % 3] * (1 if frame.up_axis < 3 else -1)
 
     def rate(self) -> Fraction:
-        """Frames a second that the file has: pieces of equal length, its states or the windows of its Gaussians."""
+        """Frames a second that the file has: its states, or all windows of its Gaussians, begin and end with frames."""
         delta = self.header.temporal_model == DELTA
-        pieces = np.array([chunk[:2] for chunk in self.chunks]) if delta else np.unique(self.windows, axis=0)
-        lengths = pieces[:, 1] - pieces[:, 0]
-        even = len(pieces) > 1 and np.allclose(lengths, lengths.mean(), rtol=0.02)
-        if not even or not np.allclose(pieces[1:, 0], pieces[:-1, 1], atol=0.02 * lengths.mean()):
+        edges = np.unique(np.array([chunk[:2] for chunk in self.chunks]) if delta else self.windows)
+        edges = edges[np.isfinite(edges)]
+        edges = edges[np.diff(edges, prepend=-np.inf) > SAME_TIME]
+        lengths = np.diff(edges)
+        if len(lengths) < 2:
             return Fraction(DEFAULT_FPS)
-        rate = Fraction(len(pieces) / float(pieces[-1, 1] - pieces[0, 0])).limit_denominator(1001)
+        frames = lengths / lengths.min()
+        if not np.allclose(frames, np.rint(frames), rtol=0, atol=0.02):
+            return Fraction(DEFAULT_FPS)
+        rate = Fraction(np.rint(frames).sum() / float(edges[-1] - edges[0])).limit_denominator(1001)
         return rate if rate >= FEWEST_FPS else Fraction(DEFAULT_FPS)
 
 

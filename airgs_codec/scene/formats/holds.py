@@ -20,6 +20,7 @@ class Holds:
     sh_degree: int = 3
     rounding: str = ""  # what is rounded to how many bits
     keeps_rows: bool = True  # whether row n is the same Gaussian in all frames
+    keeps_count: bool = False  # whether all frames have the same number of rows
     ranges: tuple[tuple[str, float, float], ...] = ()  # an attribute of Gaussians, its least and largest value
 
 
@@ -28,7 +29,8 @@ class Losses:
 
     def __init__(self, holds: Holds, form: str) -> None:
         self._holds, self._form = holds, form
-        self._frames, self._rows, self._degree = 0, 0, 0
+        self._rows: list[int] = []  # of each frame
+        self._degree = 0
         self._beyond: Counter[str] = Counter()
         self._notes: list[str] = []
 
@@ -40,7 +42,7 @@ class Losses:
         repaired = repair([gaussians], where)
         g = repaired.frames[0]
         self._notes += repaired.notes
-        self._frames, self._rows = self._frames + 1, self._rows + len(g)
+        self._rows.append(len(g))
         self._degree = max(self._degree, g.sh_degree)
         g = g.with_degree(min(g.sh_degree, self._holds.sh_degree))
         for name, low, high in self._holds.ranges:
@@ -58,10 +60,12 @@ class Losses:
             lines.append(f"{self._form} has SH of degree {self._holds.sh_degree} at most, of {self._degree}")
         if self._holds.rounding:
             lines.append(f"{self._form} rounds {self._holds.rounding}")
-        if not self._holds.keeps_rows and self._frames > 1:
-            lines.append(f"{self._form} orders the rows of every frame anew: which Gaussian is which is lost")
+        if not self._holds.keeps_rows and len(self._rows) > 1:
+            lines.append(f"{self._form} has rows in another order in every frame: which Gaussian is which is lost")
+        if self._holds.keeps_count and len(set(self._rows)) > 1:
+            lines.append(f"{self._form} has {max(self._rows)} rows in every frame: the shorter end in some of alpha 0")
         for name, low, high in self._holds.ranges:
             if count := self._beyond[name]:
-                share = f"{count} of {self._rows} Gaussians"
+                share = f"{count} of {sum(self._rows)} Gaussians"
                 lines.append(f"{self._form} has {_WORDS[name]} from {low:.4g} to {high:.4g}: cut off in {share}")
         return lines

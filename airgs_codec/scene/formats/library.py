@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import shutil
+import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -33,6 +36,11 @@ def expect_library(path: Path, form: str, library: str) -> None:
     """Raise SceneError, which says how to install it, when a library that a format needs is not there."""
     if importlib.util.find_spec(library) is None:
         raise SceneError(f"{path}: {form} files need {library}: pip install 'airgs-codec[formats]'")
+
+
+def find_command(name: str) -> str | None:
+    """Where a command is, beside this Python or on the path; None where it is not."""
+    return shutil.which(name, path=os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]))
 
 
 def read_with_library(path: Path, form: str, data: bytes, header: PlyHeader) -> Gaussians:

@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import functools
 import json
-import os
-import shutil
 import struct
-import sys
 import tempfile
 from fractions import Fraction
 from pathlib import Path
@@ -20,7 +17,7 @@ from typing import Any
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.clip import Bake, Clip, count_frames, rate_words, refuse_baking
-from airgs_codec.scene.formats.library import check_count
+from airgs_codec.scene.formats.library import check_count, find_command
 from airgs_codec.scene.formats.process import run_limited
 from airgs_codec.scene.formats.splat import ROW_BYTES, read_splat
 from airgs_codec.scene.gaussians import Gaussians
@@ -67,8 +64,7 @@ def _header(path: Path, data: bytes) -> dict[str, Any]:
 
 def _read(path: Path, count: int, frame: int) -> Gaussians:
     """One frame. Raises SceneError."""
-    places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-    command = shutil.which("splat4d", path=places)
+    command = find_command("splat4d")
     if command is None:
         raise SceneError(f"{path}: .splat4d files need splats4d: pip install 'airgs-codec[formats]'")
     with tempfile.TemporaryDirectory() as folder:

@@ -11,26 +11,29 @@ from pathlib import Path
 from airgs_codec._files import atomic_path, staged_files
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.formats.holds import Losses
+from airgs_codec.scene.formats.library import find_command
 from airgs_codec.scene.formats.sog import META_NAME, write_sog_folder
 from airgs_codec.scene.formats.table import FORMATS, INRIA, SOG, Format
+from airgs_codec.scene.formats.write_clips import CLIP_WRITERS, ClipWriter
 from airgs_codec.scene.gaussians import Gaussians
 
 SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
+WRITERS: tuple[Format | ClipWriter, ...] = (*FORMATS, *CLIP_WRITERS)
 Numbered = tuple[int, Gaussians]  # a frame and its number
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where frames go: a file of one frame, a folder of files 000000.spz and on, or one frame that is a folder."""
+    """Where frames go: a file, a folder of files 000000.spz and on, or one frame that is a folder."""
 
     path: Path
-    form: Format
+    form: Format | ClipWriter
     folder: bool
 
 
 def format_keys() -> list[str]:
     """The names of formats that can be asked for."""
-    return [form.key for form in FORMATS]
+    return [form.key for form in WRITERS]
 
 
 def choose_target(place: str, key: str | None, frames: int) -> Target:
@@ -40,14 +43,14 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
     or the number of frames, is in the way, or the library that writes the format is not there.
     """
     path = Path(place)
-    named = next((form for form in FORMATS if form.key == key), None)
-    ending = max((form for form in FORMATS if path.name.lower().endswith(f".{form.key}")), key=_length, default=None)
+    named = next((form for form in WRITERS if form.key == key), None)
+    ending = max((form for form in WRITERS if path.name.lower().endswith(f".{form.key}")), key=_length, default=None)
     if path.name == META_NAME and named in (None, SOG):
         target = Target(path.parent, SOG_FOLDER, True)
     elif place.endswith(os.sep) or (path.is_dir() and ending is None) or not path.suffix:
         target = Target(path, named or INRIA, True)
     elif ending is None or named not in (None, ending):
-        wanted = f".{named.key}" if named else ", ".join(f".{form.key}" for form in FORMATS)
+        wanted = f".{named.key}" if named else ", ".join(f".{form.key}" for form in WRITERS)
         raise ConfigError(f"{place}: expected a name that ends in {wanted}, or in / for a folder")
     else:
         target = Target(path, ending, False)
@@ -55,7 +58,7 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
     return target
 
 
-def _length(form: Format) -> int:
+def _length(form: Format | ClipWriter) -> int:
     return len(form.key)
 
 
@@ -65,15 +68,18 @@ def _check(place: str, target: Target, frames: int) -> None:
         raise ConfigError(f"{target.path}: expected a folder, got a file")
     if not target.folder and target.path.is_dir():
         raise ConfigError(f"{place}: expected a file, got a folder: end it in / to write frames into it")
-    if frames != 1 and (not target.folder or target.form is SOG_FOLDER):
+    if isinstance(target.form, ClipWriter):
+        if target.folder:
+            raise ConfigError(f"{place}: expected a file whose name ends in .{target.form.key}, which holds all frames")
+    elif frames != 1 and (not target.folder or target.form is SOG_FOLDER):
         hint = f"for more, name a folder and --format {target.form.key.removesuffix('-folder')}"
         raise ConfigError(f"{place}: expected one frame, got {frames} (--frames N; {hint})")
-    if target.form.writer and importlib.util.find_spec(target.form.writer) is None:
-        raise ConfigError(f"{place}: {target.form.name} needs {target.form.writer}: pip install 'airgs-codec[formats]'")
+    if (need := target.form.writer) and importlib.util.find_spec(need) is None and find_command(need) is None:
+        raise ConfigError(f"{place}: {target.form.name} needs {need}: pip install 'airgs-codec[formats]'")
 
 
-def write_frames(target: Target, frames: Iterable[Numbered]) -> list[str]:
-    """Write numbered frames; what the format lost of them, a line for each kind.
+def write_frames(target: Target, frames: Iterable[Numbered], fps: float) -> list[str]:
+    """Write numbered frames, so many a second; what the format lost of them, a line for each kind.
 
     A file or folder that is there keeps what it has until all frames are written, and then what is not replaced by a
     frame of the same name. Raises SceneError, and what the iterator of frames raises.
@@ -81,7 +87,10 @@ def write_frames(target: Target, frames: Iterable[Numbered]) -> list[str]:
     losses = Losses(target.form.holds, target.form.name)
     fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
     target.path.parent.mkdir(parents=True, exist_ok=True)
-    if target.form is SOG_FOLDER:
+    if isinstance(target.form, ClipWriter):
+        with atomic_path(target.path) as temporary:
+            target.form.write(temporary, (g for _, g in fitted), fps)
+    elif target.form is SOG_FOLDER:
         with staged_files(target.path) as stage:
             write_sog_folder(stage, *(g for _, g in fitted))
     elif target.folder:
