@@ -17,7 +17,7 @@ ORDER = (
 MAY_IMPORT = {
     "torch": {"render/absgrad.py", "render/differentiable.py", "render/cuda.py", "render/reference.py", "train"},
     "gsplat": {"render/cuda.py"},
-    "pycolmap": set(),  # of tests alone
+    "pycolmap": {"train/data/structure.py"},
     "gaussforge": {"scene/formats/convert.py"},
     "fourdgs": {"scene/formats/bake_4dgs.py", "scene/formats/write_clips.py"},
     "gsply": {"scene/formats/spz.py"},

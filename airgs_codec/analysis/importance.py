@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, Sensitivity
 from airgs_codec.media.metrics import mse
 from airgs_codec.render import Camera, cpu
+from airgs_codec.scene.camera import Background
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 
@@ -67,10 +68,10 @@ class RowPruning:
         self._unused = min(int(np.count_nonzero(rank == 0)), len(rank) - 1)
 
     @cached_property
-    def _seen(self) -> list[tuple[cpu.Tiles, NDArray[np.float32]]]:
-        """Projected rows and the whole picture of each."""
-        tiles = [cpu.project(cpu.activate(g), camera).tiles for g, camera in self._pictures]
-        return [(t, cpu.draw(t).rgb) for t in tiles]
+    def _seen(self) -> list[tuple[cpu.Tiles, Background, NDArray[np.float32]]]:
+        """Projected rows, background and the whole picture of each."""
+        tiles = [(cpu.project(cpu.activate(g), camera).tiles, camera.background) for g, camera in self._pictures]
+        return [(t, background, cpu.draw(t, background).rgb) for t, background in tiles]
 
     def within(self, allowed: float) -> KeptRows:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
@@ -97,7 +98,7 @@ class RowPruning:
         """Pooled error of pictures without the `count` least important rows."""
         kept = np.ones(len(self._order), bool)
         kept[self._order[:count]] = False
-        errors = [mse(cpu.draw(tiles.keep(kept)).rgb, full) for tiles, full in self._seen]
+        errors = [mse(cpu.draw(t.keep(kept), background).rgb, full) for t, background, full in self._seen]
         return self._errors.setdefault(count, pooled_error(errors))
 
 

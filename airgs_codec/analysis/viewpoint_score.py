@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.render import Camera, cpu
-from airgs_codec.render.inputs import BLACK, RasterInputs
+from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.scene.camera import BLACK
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.scene.rotations import to_matrices
 

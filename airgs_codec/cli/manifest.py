@@ -34,7 +34,7 @@ from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.manifest import Manifest, Quality
-from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, checking_views
+from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background, checking_views
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.world import up_of
 from airgs_codec.render import Camera, read_cameras
@@ -165,8 +165,10 @@ def _rungs(args: argparse.Namespace) -> int:
     cameras = list(read_cameras(args.views) if args.views else original.cameras)
     streams = rung_streams(package, frames, args.level, args.key_quality)
     claimed = claimed_quality(package.manifest, streams)
-    cameras += region_views(package.manifest.region, args.draws, args.seed)
+    region = package.manifest.region
+    cameras += region_views(region, args.draws, args.seed)
     cameras = compared_views(cameras or _around(package.manifest, original), args.split)
+    cameras = before_background(region, cameras)
     bar = Bar(args.json)
     splits = compare_streams(streams, original, frames, cameras, bar)
     bar.close()

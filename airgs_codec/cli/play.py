@@ -20,7 +20,7 @@ from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
 from airgs_codec.package.folder import Folder
-from airgs_codec.package.region import checking_views
+from airgs_codec.package.region import before_background, checking_views
 from airgs_codec.package.store import Package, find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.closed_loop import ClosedLoopSettings, adaptive, closed_loop_table, run_closed_loop
@@ -191,7 +191,7 @@ def _viewer(log: SessionLog, args: argparse.Namespace) -> Viewer:
     cameras = read_cameras(args.views) if args.views else []
     if all(shown.rung is None for shown in log.shown):
         raise ConfigError(f"{args.package}: nothing can be shown: {'; '.join(log.lost)}")
-    return Viewer.of(log, cameras)
+    return Viewer.of(log, before_background(log.catalogue.manifest.region, cameras))
 
 
 def _as_words(log: SessionLog, viewer: Viewer | None, args: argparse.Namespace) -> str:

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
 from airgs_codec.cli.common import parse_frames, run_command
-from airgs_codec.cli.training import default_model, default_settings, pick_device, require_torch, run_training
+from airgs_codec.cli.training import default_model, default_settings, pick_device, pose_rig, require_torch, run_training
 from airgs_codec.errors import ConfigError
+from airgs_codec.scene.camera import BLACK
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.settings import DELTAS, METHODS, PRESETS, Temporal, TrainSettings, preset
@@ -33,8 +34,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "scene",
         type=Path,
-        help="folder with transforms.json, train_meta.json (Panoptic), COLMAP's sparse/ or poses_bounds.npy, and "
-        "pictures or a video of each camera",
+        help="folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's "
+        "sparse/ or poses_bounds.npy, and pictures or a video of each camera; or videos alone, whose cameras' poses "
+        "COLMAP finds",
     )
     parser.add_argument("-o", "--output", type=Path, help="model folder (default: SCENE with .gaussians appended)")
     parser.add_argument("--resume", action="store_true", help="go on with the run in the model folder")
@@ -44,6 +46,7 @@ def _parser() -> argparse.ArgumentParser:
         "--device", choices=("auto", "cpu", "cuda"), default="auto", help="where it runs (default: cuda if it can)"
     )
     _add_pictures(parser.add_argument_group("pictures"))
+    _add_rig(parser.add_argument_group("videos without poses"))
     _add_method(parser.add_argument_group("method"))
     return parser
 
@@ -64,7 +67,17 @@ def _add_pictures(group: argparse._ArgumentGroup) -> None:
         help="hide Gaussians nearer to a camera than this many world units (default: the scene's, else 0.01)",
     )
     group.add_argument("--match-exposure", action="store_true", help=about(TrainSettings, "match_exposure"))
+    _add_setting(group, "--background", "background", str, "COLOUR", "the scene's own, else black")
     group.add_argument("--foreground", action="store_true", help=about(TrainSettings, "foreground"))
+
+
+def _add_rig(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--lenses", choices=("own", "shared"), default="own", help="whether cameras have one lens (default: their own)"
+    )
+    group.add_argument(
+        "--pose-frame", type=int, default=0, metavar="N", help="frame that poses are found from (default: 0)"
+    )
 
 
 def _add_method(group: argparse._ArgumentGroup) -> None:
@@ -127,6 +140,8 @@ def _run(args: argparse.Namespace) -> int:
     device = pick_device(args.device)
     settings = _settings(args, device)
     scene = _scene(args)
+    if settings.background is None and scene.background != BLACK and not args.json:
+        print(f"{args.scene}: its pictures are before a background of {','.join(f'{c:g}' for c in scene.background)}")
     folder = args.output or default_model(args.scene)
     run = open_run(scene, folder, settings, resume=args.resume, device=device)
     model = run_training(run, quiet=args.json)
@@ -141,6 +156,9 @@ def _scene(args: argparse.Namespace) -> MultiviewScene:
         raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
     if args.near is not None and not 0 < args.near < float("inf"):
         raise ConfigError(f"--near: expected a positive distance, got {args.near}")
+    if args.pose_frame < 0:
+        raise ConfigError(f"--pose-frame: expected a frame of at least 0, got {args.pose_frame}")
+    pose_rig(args.scene, frame=args.pose_frame, shared_lens=args.lenses == "shared", quiet=args.json)
     scene = open_scene(args.scene, fps=args.fps, frames=parse_frames(args.frames))
     names = None if args.hold_out is None else [] if args.hold_out == "none" else args.hold_out.split(",")
     scene = with_held_out(scene, names)

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING
 from airgs_codec.cli.common import Bar
 from airgs_codec.errors import ConfigError
 from airgs_codec.train.data.multiview import with_held_out
-from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.data.readers import is_unposed, open_scene
+from airgs_codec.train.data.structure import find_poses
 from airgs_codec.train.settings import TrainSettings
 
 if TYPE_CHECKING:
@@ -30,10 +31,29 @@ def train_by_default(scene: Path, fps: Fraction | None, *, quiet: bool) -> Path:
     require_torch()
     from airgs_codec.train.run import open_run
 
+    pose_rig(scene, quiet=quiet)
     views = with_held_out(open_scene(scene, fps=fps), None)
     device = pick_device("auto")
     run = open_run(views, default_model(scene), default_settings(device), resume=True, device=device)
     return run_training(run, quiet=quiet).folder
+
+
+def pose_rig(scene: Path, *, frame: int = 0, shared_lens: bool = False, quiet: bool) -> None:
+    """Find the poses of a rig that has none (`find_poses`), and say what came of it; other scenes are left alone."""
+    if not is_unposed(scene):
+        return
+    if not quiet:
+        print(f"{scene}: videos without poses; COLMAP finds them from frame {frame}, which takes minutes", flush=True)
+    bar = Bar(quiet)
+    try:
+        report = find_poses(scene, frame=frame, shared_lens=shared_lens, progress=bar)
+    finally:
+        bar.close()
+    if not quiet:
+        print("\n".join([*report.lines(), f"{scene / 'sparse'}: {report.summary()}"]), flush=True)
+    if report.failed:
+        names = ", ".join(camera.name for camera in report.failed)
+        print(f"warning: trained without cameras that have no pose: {names}", file=sys.stderr)
 
 
 def run_training(run: Run, *, quiet: bool) -> Model:

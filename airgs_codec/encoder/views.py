@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.analysis.region import region_around
 from airgs_codec.analysis.viewpoints import find_viewpoints
-from airgs_codec.package.region import DECIDING, MEASURING, draw_views
+from airgs_codec.package.region import DECIDING, MEASURING, draw_views, with_background
 from airgs_codec.package.tables import Region, Views, World
 from airgs_codec.package.world import up_of, world_from, world_words
 from airgs_codec.render import Camera
@@ -104,16 +104,18 @@ def _plan(
     up: NDArray[np.float64] | None,
 ) -> ViewPlan:
     """The plan without a world; `up` (3,), where it is told, matters to views that are found alone."""
+    behind = sequence.background
     if region is not None:
-        return _draw(region, pictures)
+        return _draw(region if region.background else with_background(region, behind), pictures)
     middle = sequence.load([len(sequence) // 2]).frames[0]
     if sequence.cameras:
         held_out = [c for c in sequence.cameras if c.held_out]
-        return _draw(region_around(training_views(sequence.cameras), middle, margin=margin), pictures, held_out)
+        around = region_around(training_views(sequence.cameras), middle, margin=margin)
+        return _draw(with_background(around, behind), pictures, held_out)
     found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), LOOKED_AT)], up)
     source = "found" if found.confident else "orbit"
     around = region_around(found.cameras, middle, margin=margin, source=source)
-    return replace(_draw(around, pictures), trusted=found.confident, notes=(found.story,))
+    return replace(_draw(with_background(around, behind), pictures), trusted=found.confident, notes=(found.story,))
 
 
 def _draw(region: Region, pictures: int, held_out: Sequence[Camera] = ()) -> ViewPlan:

@@ -98,7 +98,7 @@ class Pattern:
 
 def as_required(hint: Any) -> Any:
     """T for the type T | None of a field that may be missing; any other type as it is."""
-    if typing.get_origin(hint) is not types.UnionType:
+    if typing.get_origin(hint) not in (types.UnionType, typing.Union):
         return hint
     (kind,) = (argument for argument in typing.get_args(hint) if argument is not type(None))
     return kind

@@ -28,9 +28,13 @@ def pack_group(group: Group) -> bytes:
 
 
 def _text(table: Any) -> bytes:
-    """The JSON of a table; a field that may be missing is left out where it is None."""
-    fields = {name: value for name, value in dataclasses.asdict(table).items() if value is not None}
+    """The JSON of a table; fields that may be missing are left out where they are None."""
+    fields = dataclasses.asdict(table, dict_factory=_without_none)
     return json.dumps(fields, separators=(",", ":"), allow_nan=False).encode()
+
+
+def _without_none(items: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {name: value for name, value in items if value is not None}
 
 
 def inflate(data: bytes, where: str) -> bytes:

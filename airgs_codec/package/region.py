@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.package.tables import Header, Place, Region
 from airgs_codec.package.world import up_of
-from airgs_codec.scene.camera import Camera, look_at, measured_views, training_views
+from airgs_codec.scene.camera import BLACK, Background, Camera, look_at, measured_views, training_views
 
 SLIGHTLY_DOWN, GIVE_OR_TAKE = 15.0, 10.0  # degrees; a scene is seen best by most people who look down so much
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
@@ -74,7 +74,26 @@ def _ahead(place: Place) -> Vector:
 def view_from(region: Region, position: Vector, target: Vector, up: Vector, name: str) -> Camera:
     """A camera of the region's picture size and field of view at `position` (3,), looking at `target` (3,)."""
     square = look_at(position, target, up, size=region.height, fov_y=float(np.radians(region.fov_y)), name=name)
-    return replace(square, width=region.width, cx=region.width / 2, near=region.near)
+    behind = background_of(region)
+    return replace(square, width=region.width, cx=region.width / 2, near=region.near, background=behind)
+
+
+def background_of(region: Region) -> Background:
+    """The colour behind the scene."""
+    if region.background is None:
+        return BLACK
+    r, g, b = region.background
+    return r, g, b
+
+
+def before_background(region: Region, cameras: Sequence[Camera]) -> list[Camera]:
+    """The cameras, which see the background of a region behind the scene."""
+    return [replace(camera, background=background_of(region)) for camera in cameras]
+
+
+def with_background(region: Region, background: Background) -> Region:
+    """The region before a colour, which stands in it unless it is black."""
+    return replace(region, background=None if background == BLACK else list(background))
 
 
 def draw_views(region: Region, count: int, seed: int) -> list[Camera]:
@@ -106,7 +125,8 @@ def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> 
 def checking_views(region: Region, cameras: Sequence[Camera]) -> tuple[list[Camera], list[Camera]]:
     """Views to rank rows by and other views to measure with: of `cameras` if there are any, else drawn."""
     if cameras:
-        return training_views(cameras), measured_views(cameras)
+        seen = before_background(region, cameras)
+        return training_views(seen), measured_views(seen)
     return draw_views(region, TRAINING_DRAWS, DECIDING), draw_views(region, CHECKING_DRAWS, CHECKING)
 
 

@@ -59,6 +59,7 @@ Gain = Annotated[float, Range(1e-3, 128)]
 Decibels = Annotated[float, Range(-MAX_PSNR, MAX_PSNR)]
 Point = Annotated[list[Annotated[float, Range(-1e30, 1e30)]], Length(3, 3)]
 Similarity = Annotated[list[Annotated[float, Range(-1e30, 1e30)]], Length(12, 12)]
+Colour = Annotated[list[Annotated[float, Range(0, 1)]], Length(3, 3)]
 Choices = Length(1, MAX_CHOICES)
 
 
@@ -103,6 +104,7 @@ class Region:
     near: Annotated[float, Range(1e-30, 1e30)]  # world units: Gaussians nearer than this along the axis are not drawn
     turn: Annotated[float, Range(0, 180)]  # degrees
     places: Annotated[list[Place], Length(1, MAX_PLACES)]
+    background: Colour | None = None  # r, g, b behind the scene; None, and no such field in airgs.json: black
 
 
 @dataclass(frozen=True, slots=True)

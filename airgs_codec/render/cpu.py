@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.render import cpu_kernels as kernels
-from airgs_codec.render.inputs import BLACK, Background, RasterInputs
-from airgs_codec.scene.camera import Camera
+from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.gaussians import Gaussians
 
 Floats = NDArray[np.float32]
@@ -107,15 +107,15 @@ def activate(g: Gaussians) -> RasterInputs[Floats]:
     return RasterInputs(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
 
-def render(gaussians: Gaussians, camera: Camera, background: Background = BLACK) -> Render:
-    """The picture that `camera` sees of the Gaussians before a background."""
-    return blend(activate(gaussians), camera, background).picture
+def render(gaussians: Gaussians, camera: Camera, background: Background | None = None) -> Render:
+    """The picture that `camera` sees of the Gaussians before a background; None: the camera's."""
+    return blend(activate(gaussians), camera, camera.background if background is None else background).picture
 
 
-def render_views(gaussians: Gaussians, cameras: Iterable[Camera], background: Background = BLACK) -> list[Render]:
+def render_views(gaussians: Gaussians, cameras: Iterable[Camera], background: Background | None = None) -> list[Render]:
     """The pictures that several cameras see of the same Gaussians, which are activated once."""
     active = activate(gaussians)
-    return [blend(active, camera, background).picture for camera in cameras]
+    return [blend(active, c, c.background if background is None else background).picture for c in cameras]
 
 
 def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:

@@ -11,8 +11,8 @@ import torch
 
 from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.cpu import DILATION, FAR
-from airgs_codec.render.inputs import BLACK, Background, RasterInputs
-from airgs_codec.scene.camera import Camera
+from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.scene.camera import Background, Camera
 
 
 def missing() -> str | None:
@@ -31,7 +31,7 @@ def missing() -> str | None:
 def rasterize(
     inputs: RasterInputs[torch.Tensor],
     camera: Camera,
-    background: Background = BLACK,
+    background: Background | None = None,
     absgrad: AbsGrad | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """As `differentiable.rasterize`. Pixels may differ by 5e-3 where alpha is next to 1/255, others by 1e-5."""
@@ -52,7 +52,7 @@ def rasterize(
         eps2d=DILATION,
         sh_degree=inputs.sh_degree,
         packed=False,
-        backgrounds=on_device(background)[None],
+        backgrounds=on_device(camera.background if background is None else background)[None],
         absgrad=absgrad is not None,
     )
     if absgrad is not None:  # gsplat leaves absolute gradients on its projected means once the gradient reaches them

@@ -9,8 +9,8 @@ import torch
 
 from airgs_codec.render import cpu
 from airgs_codec.render.absgrad import AbsGrad
-from airgs_codec.render.inputs import BLACK, Background, RasterInputs
-from airgs_codec.scene.camera import Camera
+from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.scene.camera import Background, Camera
 
 
 class _Rasterize(torch.autograd.Function):
@@ -39,13 +39,14 @@ class _Rasterize(torch.autograd.Function):
 def rasterize(
     inputs: RasterInputs[torch.Tensor],
     camera: Camera,
-    background: Background = BLACK,
+    background: Background | None = None,
     absgrad: AbsGrad | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The picture (H, W, 3) and its transmittance (H, W), float32, differentiable, on the device of the inputs.
 
-    `absgrad` can be read after the backward pass.
+    `background`: None for the camera's. `absgrad` can be read after the backward pass.
     """
+    background = camera.background if background is None else background
     if inputs.means.is_cuda:
         from airgs_codec.render import cuda  # gsplat compiles its kernels when it is first imported
 

@@ -1,4 +1,4 @@
-"""What every renderer takes: activated Gaussians, as numpy arrays or torch tensors, and the colour behind them.
+"""What every renderer takes: activated Gaussians, as numpy arrays or torch tensors.
 
 N Gaussians, K = (degree + 1)^2 - 1 SH coefficients past DC.
 """
@@ -7,9 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Generic, NamedTuple, Protocol, TypeVar
-
-Background = tuple[float, float, float]  # r, g, b, 0..1
-BLACK: Background = (0.0, 0.0, 0.0)
 
 
 class Shaped(Protocol):

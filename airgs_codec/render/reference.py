@@ -8,8 +8,8 @@ from __future__ import annotations
 import torch
 
 from airgs_codec.render.cpu import DILATION, FAR
-from airgs_codec.render.inputs import BLACK, Background, RasterInputs
-from airgs_codec.scene.camera import Camera
+from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.scene.camera import Background, Camera
 from airgs_codec.scene.gaussians import SH_C0
 
 Picture = tuple[torch.Tensor, torch.Tensor]  # rgb (H, W, 3), transmittance (H, W)
@@ -46,10 +46,14 @@ def sh_colours(directions: torch.Tensor, sh: torch.Tensor) -> torch.Tensor:
     return ((values[..., None] * sh).sum(-2) + 0.5).clamp_min(0)
 
 
-def render_reference(inputs: RasterInputs[torch.Tensor], camera: Camera, background: Background = BLACK) -> Picture:
+def render_reference(
+    inputs: RasterInputs[torch.Tensor], camera: Camera, background: Background | None = None
+) -> Picture:
     """rgb (H, W, 3) and transmittance (H, W) in the precision of the inputs."""
     weights, transmittance, colours = blending_weights(inputs, camera)
-    rgb = weights @ colours + transmittance[:, None] * torch.tensor(background, dtype=colours.dtype)
+    rgb = weights @ colours + transmittance[:, None] * torch.tensor(
+        camera.background if background is None else background, dtype=colours.dtype
+    )
     return rgb.reshape(camera.height, camera.width, 3), transmittance.reshape(camera.height, camera.width)
 
 

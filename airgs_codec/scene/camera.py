@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced
 
 MOST_MEASURED_VIEWS = 4
+Background = tuple[float, float, float]  # r, g, b, 0..1
+BLACK: Background = (0.0, 0.0, 0.0)
 NEAR = 0.01  # world units, as gsplat has it
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # turns y and z of a camera around; its own inverse
 
@@ -32,6 +34,7 @@ class Camera:
     world_to_camera: NDArray[np.float64]  # (4, 4) rigid: rotation and translation
     split: str = "train"  # "train", or "test" for a held-out camera
     near: float = NEAR  # world units along the view axis; Gaussians whose mean is nearer are not drawn
+    background: Background = BLACK  # what is seen behind the scene
 
     @property
     def position(self) -> NDArray[np.float64]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
 from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
 from airgs_codec.scene.formats.axes import Axes
@@ -45,6 +45,7 @@ class GaussianSequence:
     cameras: tuple[Camera, ...]  # empty where none are given
     max_sh_degree: int = 3  # SH bands above it are not read
     cameras_path: Path | None = None  # the file or folder that the cameras are from
+    background: Background = BLACK  # what its cameras see behind it
     alone: bool = False  # one file, opened by its own name
     orders: Mapping[int, NDArray[np.int32]] = field(default_factory=dict, compare=False)  # (N,) rows of files, by frame
     breaks: tuple[int, ...] = ()  # frames whose rows are not those of the frame before, though they are as many
@@ -112,7 +113,8 @@ def open_sequence(
     Frames are of any format in `scene.formats.table.FORMATS`, all of the same, in natural order of their names (frame2
     before frame10); of an INRIA model the newest iteration is taken. Beside them may lie
 
-    - sequence.json: `{"fps": number, "keyframes": [first frame of each group, ...]}`; 30 frames a second without it;
+    - sequence.json: `{"fps": number, "keyframes": [first frame of each group, ...], "background": [r, g, b]}`; without
+      it 30 frames a second before black;
     - cameras in a form that people have them in, the first of transforms.json, INRIA's cameras.json, COLMAP's sparse/
       and Panoptic's train_meta.json; they may also lie in the INRIA model whose point_cloud/ the frames are in;
     - usage.npz: how much each Gaussian contributes to the training views, as the trainer measured it.
@@ -176,18 +178,23 @@ def sequence_of(
         if header.sh_degree != degree:
             expected = f"expected SH degree {degree} as in {frames[0][0].name}"
             raise SceneError(f"{path}: {expected}, got {header.sh_degree}")
-    own_fps, keyframes = (DEFAULT_FPS, None) if alone else _read_settings(folder / SETTINGS_NAME, len(frames))
+    own_fps, keyframes, background = _DEFAULTS if alone else _read_settings(folder / SETTINGS_NAME, len(frames))
     rate = own_fps if fps is None else _frame_rate(str(folder), fps)
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
-    cameras = tuple(read_cameras(cameras_path)) if cameras_path else ()
+    cameras = tuple(replace(c, background=background) for c in read_cameras(cameras_path)) if cameras_path else ()
     paths, headers = zip(*frames, strict=True)
-    return GaussianSequence(folder, paths, headers, rate, keyframes, cameras, cameras_path=cameras_path, alone=alone)
+    found = GaussianSequence(folder, paths, headers, rate, keyframes, cameras, cameras_path=cameras_path, alone=alone)
+    return replace(found, background=background)
 
 
-def _read_settings(path: Path, frames: int) -> tuple[Fraction, tuple[int, ...] | None]:
-    """Frame rate and keyframes of a sequence.json, or their defaults. Raises SceneError."""
+_Settings = tuple[Fraction, tuple[int, ...] | None, Background]
+_DEFAULTS: _Settings = (DEFAULT_FPS, None, BLACK)
+
+
+def _read_settings(path: Path, frames: int) -> _Settings:
+    """Frame rate, keyframes and background of a sequence.json, or their defaults. Raises SceneError."""
     if not path.exists():
-        return DEFAULT_FPS, None
+        return _DEFAULTS
     try:
         data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         fps = Fraction(str(data.get("fps", DEFAULT_FPS)))
@@ -197,7 +204,17 @@ def _read_settings(path: Path, frames: int) -> tuple[Fraction, tuple[int, ...] |
         raise SceneError(f'{path}: expected {{"fps": number, "keyframes": [frame, ...]}}, got {error}') from error
     if starts and not (starts[0] >= 0 and starts[-1] < frames):
         raise SceneError(f"{path}: expected keyframes in 0..{frames - 1}, got {list(starts)}")
-    return _frame_rate(str(path), fps), starts
+    return _frame_rate(str(path), fps), starts, _background(path, data.get("background", BLACK))
+
+
+def _background(path: Path, data: Any) -> Background:
+    try:
+        r, g, b = (float(value) for value in data)
+        if all(0 <= value <= 1 for value in (r, g, b)):
+            return r, g, b
+    except (TypeError, ValueError):
+        pass
+    raise SceneError(f"{path}: expected a background of r, g, b from 0 to 1, got {data}")
 
 
 def _frame_rate(where: str, fps: Fraction | float) -> Fraction:

@@ -21,6 +21,7 @@ import numpy as np
 
 from airgs_codec._files import PART_SUFFIX, atomic_path, to_json, write_json
 from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.scene.camera import BLACK
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import read_ply, write_ply
 from airgs_codec.scene.sequence import USAGE_NAME
@@ -122,7 +123,9 @@ class Model:
         self.record = replace(self.record, frames=(*self.record.frames, frame), exposure=found)
         fps = self.record.fps
         settings = {"fps": float(fps) if "/" not in fps else fps, "keyframes": self.record.keyframes()}
-        write_json(self.folder / "sequence.json", settings)
+        background = self.record.scene.get("background", BLACK)
+        behind = {} if tuple(background) == BLACK else {"background": background}
+        write_json(self.folder / "sequence.json", settings | behind)
         self.write_record()
         if frame.frame:
             self._networks(frame.frame - 1).unlink(missing_ok=True)

@@ -92,7 +92,7 @@ def open_run(
         raise SceneError(f"{scene.path}: expected training views of the first frame, got none")
     pictures = pictures_for(scene, settings)
     first = pictures.train(0)
-    model = open_model(folder, Record(_identity(scene), settings.table(), len(scene), str(scene.fps)), resume)
+    model = open_model(folder, Record(_identity(scene, pictures), settings.table(), len(scene), str(scene.fps)), resume)
     if model.record.exposure:
         pictures = pictures.with_exposure(model.record.exposure)
     model.write_cameras(_as_transforms(pictures.cameras(), scene))
@@ -201,11 +201,12 @@ def _named(progress: Progress, frame: int, frames: int) -> Progress:
     return lambda stage, done, total: progress(f"frame {frame} of {frames} ({stage})", done, total)
 
 
-def _identity(scene: MultiviewScene) -> dict[str, Any]:
+def _identity(scene: MultiviewScene, pictures: Pictures) -> dict[str, Any]:
     """What of a scene must not change between the sessions of a run."""
     cameras = [f"{c.name} {c.split} {c.width}x{c.height}" for c in scene.cameras]
     first = scene.frames[0][0].source.where()
-    return {"name": scene.path.resolve().name, "first picture": Path(first).name, "cameras": cameras}
+    named = {"name": scene.path.resolve().name, "first picture": Path(first).name, "cameras": cameras}
+    return {**named, "background": list(pictures.background)}
 
 
 def _as_transforms(cameras: Sequence[Camera], scene: MultiviewScene) -> dict[str, Any]:

@@ -9,12 +9,15 @@ from typing import Any
 
 from airgs_codec._settings import computed_setting, documented, setting
 from airgs_codec.errors import ConfigError
+from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.gaussians import SH_REST
 
 METHODS = ("airgs", "naive3dgs", "v3")
 DELTAS = ("direct", "mlp", "mlp+residual")
 PRESETS = ("default", "paper")
 UNITS = ("step", "raw")
+RANDOM = "random"  # a background: another colour at every step
+BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +53,16 @@ class TrainSettings:
     inflation: float = setting(1e-6, "weight of the summed opacity of what a keyframe adds")
     group_frames: int = setting(20, "frames in a group of the method v3")
     max_size: int | None = setting(None, "longest side of the pictures in pixels, larger ones are shrunk")
+    background: str | None = setting(
+        None,
+        "what is behind the scene: black, white, R,G,B, or random: another one at every step, for pictures with alpha",
+    )
     foreground: bool = setting(False, "train only what the scene's masks show")
     match_exposure: bool = setting(False, "find a gain and an offset for each camera at the first frame")
     seed: int = setting(0, "seed of all random numbers")
 
     def __post_init__(self) -> None:
+        named_background(self.background)
         for good, message in (*self._choices(), *self._ranges()):
             if not good:
                 raise ConfigError(message)
@@ -81,12 +89,31 @@ class TrainSettings:
             (self.inflation >= 0, f"expected an inflation weight of at least 0, got {self.inflation}"),
             (self.group_frames >= 1, f"expected at least one frame a group, got {self.group_frames}"),
             (self.max_size is None or self.max_size >= 16, f"expected pictures of 16 pixels, got {self.max_size}"),
+            (
+                not self.match_exposure or self.background != RANDOM,
+                "expected cameras to be exposed alike or a random background, got both",
+            ),
             (self.seed >= 0, f"expected a seed of at least 0, got {self.seed}"),
         ]
 
     def table(self) -> dict[str, Any]:
         """The settings by name, as `settings_from_table` takes them."""
         return asdict(self)
+
+
+def named_background(text: str | None) -> Background | None:
+    """The colour that a `background` names; None for None and RANDOM, which name none. Raises ConfigError."""
+    if text is None or text == RANDOM:
+        return None
+    if text in BACKGROUNDS:
+        return BACKGROUNDS[text]
+    try:
+        r, g, b = (float(part) for part in text.split(","))
+        if all(0 <= value <= 1 for value in (r, g, b)):
+            return r, g, b
+    except ValueError:
+        pass
+    raise ConfigError(f"expected a background of black, white, random or R,G,B of 0 to 1, got {text!r}")
 
 
 def settings_from_table(table: Mapping[str, Any]) -> TrainSettings:

@@ -33,7 +33,7 @@ from airgs_codec.train.fit.points import initial_points, scene_extent
 from airgs_codec.train.fit.seeds import residual_seeds
 from airgs_codec.train.fit.temporal import codec_steps, temporal_weights
 from airgs_codec.train.quality import mean_psnr
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.train.settings import RANDOM, TrainSettings
 
 START_OPACITY = 0.1  # of the points that a first frame starts from
 RANDOM_SHARE = 0.3  # of the budget: points to begin with; random ones fill up
@@ -105,7 +105,7 @@ class Trainer:
             regularisers=FIRST_REGULARISERS,
             densifier=Densifier(Growth(s.budget), len(start), rng),
         )
-        schedule = Schedule("first frame", s.first_iterations, self._rising_sh_degree)
+        schedule = Schedule("first frame", s.first_iterations, self._rising_sh_degree, s.background == RANDOM)
         optimise(variables, target.views, schedule, rng, exposure, progress)
         variables.remove_fainter(HIDDEN_OPACITY)
         return to_gaussians(variables.detached())
@@ -124,14 +124,14 @@ class Trainer:
         if group.networks is not None:
             by_mlp = iterations if s.deltas == "mlp" else round(MLP_SHARE * iterations)
             driven = MlpDriven(base, group.networks, temporal)
-            schedule = Schedule("MLPs", by_mlp, self._sh_degree)
+            schedule = Schedule("MLPs", by_mlp, self._sh_degree, s.background == RANDOM)
             optimise(driven, target.views, schedule, self._rng(target.frame, 1), progress=progress)
             moved = driven.detached()
             if s.deltas == "mlp":
                 return to_gaussians(moved)
             start, iterations = {name: moved[name] - base[name] for name in ATTRIBUTES}, iterations - by_mlp
         variables = PerGaussian(base, self.extent, MOVING_RATES, start, temporal)
-        schedule = Schedule("motion", iterations, self._sh_degree)
+        schedule = Schedule("motion", iterations, self._sh_degree, s.background == RANDOM)
         optimise(variables, target.views, schedule, self._rng(target.frame, 2), progress=progress)
         return to_gaussians(variables.detached())
 
@@ -158,7 +158,7 @@ class Trainer:
         densifier = Densifier(Growth(most), len(base["means"]), rng)
         regularisers = Regularisers(inflation=s.inflation)
         variables = PerGaussian(base, self.extent, KEY_RATES, start, temporal, rows, regularisers, densifier)
-        schedule = Schedule("keyframe", s.key_iterations, self._sh_degree)
+        schedule = Schedule("keyframe", s.key_iterations, self._sh_degree, s.background == RANDOM)
         optimise(variables, target.views, schedule, rng, progress=progress)
         variables.remove_fainter(HIDDEN_OPACITY)
         return to_gaussians(variables.detached())

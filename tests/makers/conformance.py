@@ -29,7 +29,7 @@ from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.parse import parse_root
 from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME
 from airgs_codec.package.store import open_package
-from airgs_codec.package.tables import Grid, digest
+from airgs_codec.package.tables import Grid, Place, Region, digest
 from airgs_codec.package.world import world_from
 from airgs_codec.package.writing import write_tables
 from airgs_codec.scene.gaussians import Gaussians
@@ -69,6 +69,8 @@ def frames(count: int, degree: int, length: int) -> list[Gaussians]:
     return [Gaussians(*(np.asarray(c, np.float32) for c in (means, *columns))) for means in moved]
 
 
+BALL = Region("file", 32, 24, 50.0, 0.01, 5.0, [Place([0.0, 0.0, -3.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 0.2)])
+
 PACKAGES = {
     "moving": (frames(64, 0, 4), replace(SETTINGS, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))),
     "one-gaussian": (frames(1, 1, 1), replace(SETTINGS, key_factors=(1.0,))),
@@ -77,6 +79,7 @@ PACKAGES = {
         replace(SETTINGS, group_frames=1, key_factors=(1.0,), tiers=(1.0,), measure_pictures=0),
     ),
     "placed": (frames(2, 0, 1), replace(SETTINGS, key_factors=(1.0,), world=world_from((0, 0, 1), 0.01))),
+    "white": (frames(2, 0, 1), replace(SETTINGS, key_factors=(1.0,), region=replace(BALL, background=[1.0, 1.0, 1.0]))),
     "two-groups-sh1": (frames(40, 1, 5), replace(SETTINGS, group_frames=3, segment_s=0.07)),
 }
 
@@ -137,6 +140,8 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks 
     "bad_value-world-mirror": (
         set_value(("world",), {"transform": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], "metric": False}),
     ),
+    "bad_value-background": (set_value(("region", "background"), [1, 1, 1.5]),),
+    "bad_value-background-length": (set_value(("region", "background"), [1, 1]),),
     "bad_value-columns": (set_value(("index", "groups", "frames"), [2, 2]),),
     "bad_value-cover": (set_value(("frames",), 5),),
     "bad_value-page-root": (set_value(("index", "groups"), {"frames": [], "segments": [], "bytes": [], "sha256": ""}),),

@@ -9,8 +9,9 @@ import torch
 from airgs_codec.render import Camera, measure_contribution, read_cameras, render, render_views
 from airgs_codec.render.cpu import activate, blend, contribution_and_gradients, draw, gradients, project
 from airgs_codec.render.differentiable import rasterize
-from airgs_codec.render.inputs import BLACK, RasterInputs
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.render.reference import blending_weights, render_reference
+from airgs_codec.scene.camera import BLACK
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import read_ply
 from tests.support.paths import FOX

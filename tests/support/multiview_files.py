@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 
 from airgs_codec.media.image import to_bytes, write_png
@@ -51,6 +52,11 @@ def write_views(folder: Path, frames: list[Gaussians], cameras: list[Camera], po
 def plain(value: int, size: tuple[int, int] = (32, 24)) -> np.ndarray:
     """A grey picture of a width and a height."""
     return np.full((size[1], size[0], 3), value, np.uint8)
+
+
+def write_rgba(path: Path, picture: np.ndarray) -> None:
+    """A PNG of (H, W, 4) RGB and alpha."""
+    cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGBA2BGRA))
 
 
 def write_video(path: Path, pictures: list[np.ndarray], rate: int = 25) -> None:

@@ -1,7 +1,7 @@
 """Multi-view scenes of HiFi4G and DualGS: image_white_undistortion/FRAME/CAM.png and a COLMAP reconstruction.
 
 The reconstruction is in colmap/sparse/0, in the folder of the frames as it is downloaded or moved beside it; its images
-are named as the pictures of a frame are. Frames are numbered folders, from any number on.
+are named as the pictures of a frame are. Frames are numbered folders, from any number on. The background is white.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from airgs_codec.train.data.colmap import read_points3d
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
 from airgs_codec.train.data.videos import find_pictures
 
+WHITE = (1.0, 1.0, 1.0)
 PICTURES = "image_white_undistortion"
 
 
@@ -37,7 +38,7 @@ def read_hifi4g(folder: Path) -> MultiviewScene:
         raise SceneError(f"{pictures}: expected numbered folders, one a frame, got none")
     posed = sorted(colmap.read(model), key=lambda image: natural_key(Path(image.picture)))
     frames = tuple(_frame(path, posed) for path in sorted(numbered, key=natural_key))
-    return MultiviewScene(folder, DEFAULT_FPS, frames, read_points3d(model))
+    return MultiviewScene(folder, DEFAULT_FPS, frames, read_points3d(model), WHITE)
 
 
 def _model(folder: Path) -> Path | None:

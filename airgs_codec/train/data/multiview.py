@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens, read_picture
-from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.cameras.posed import Posed
 
 HELD_OUT_SHARE = 8  # one camera in so many is held out where a scene names none
@@ -74,6 +74,7 @@ class MultiviewScene:
     fps: Fraction  # frames a second
     frames: tuple[tuple[Shot, ...], ...]  # the shots of each frame
     points: Points | None = None  # of the first frame; None: the scene has none
+    background: Background = BLACK  # what its pictures show behind the scene
 
     def __len__(self) -> int:
         return len(self.frames)

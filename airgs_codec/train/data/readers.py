@@ -17,6 +17,7 @@ from airgs_codec.train.data.hifi4g import has_hifi4g, read_hifi4g
 from airgs_codec.train.data.multiview import MultiviewScene, Points
 from airgs_codec.train.data.panoptic import has_panoptic, read_panoptic
 from airgs_codec.train.data.poses_bounds import has_poses_bounds, read_poses_bounds
+from airgs_codec.train.data.rig import has_rig, read_rig
 from airgs_codec.train.data.transforms import has_transforms, read_transforms
 
 POINT_FILES = (
@@ -39,6 +40,7 @@ FORMATS = (  # the first that recognises a folder reads it
     Format("image_white_undistortion/ (HiFi4G)", has_hifi4g, read_hifi4g),
     Format("COLMAP's sparse/", has_colmap, read_colmap),
     Format("poses_bounds.npy", has_poses_bounds, read_poses_bounds),
+    Format("videos of several cameras", has_rig, read_rig),
 )
 
 
@@ -47,6 +49,11 @@ def is_multiview(folder: Path) -> bool:
     if not folder.is_dir() or has_frames(folder, apart_from=POINT_FILES):
         return False
     return any(entry.recognise(folder) for entry in FORMATS)
+
+
+def is_unposed(folder: Path) -> bool:
+    """Whether a folder has videos of cameras whose poses must be found first (`train.data.structure.find_poses`)."""
+    return has_rig(folder) and not any(entry.recognise(folder) for entry in FORMATS if entry.recognise is not has_rig)
 
 
 def open_scene(

@@ -45,6 +45,7 @@ class Schedule:
     stage: str  # what is fitted, for progress
     iterations: int
     sh_degree: Callable[[float], int]  # SH degree in use when a share of the iterations is past
+    random_background: bool = False  # whether every iteration has another one
 
 
 def optimise(
@@ -65,6 +66,8 @@ def optimise(
         deck = deck or rng.permutation(len(views)).tolist()
         index = deck.pop()
         view = views[index]
+        if schedule.random_background:
+            view = view.before(tuple(rng.uniform(size=3).tolist()))
         sh_degree = schedule.sh_degree(iteration / schedule.iterations)
         rgb, _ = render(variables.current(), view.camera, sh_degree, variables.watch())
         seen = exposure.apply(rgb, index) if exposure else rgb

@@ -128,7 +128,8 @@ export class Screen {
 
   #makeRenderer(): Renderer {
     const { target } = this.options;
-    return new Renderer(this.canvas, target ? { target } : {});
+    const [r = 0, g = 0, b = 0] = this.tables.root.region.background ?? [];
+    return new Renderer(this.canvas, { background: [r, g, b], ...(target ? { target } : {}) });
   }
 
   #stage(clip: Clip): Stage | null {
