@@ -164,8 +164,23 @@ def delta_frames(file: File, times: np.ndarray) -> Iterator[Frame]:
                 "sh": np.zeros((len(r["ids"]), 0, 3), np.float32),
             }
             done += 1
+        if done == len(times):
+            return
     if done < len(times):
         raise ValueError(f"states of {done} frames where the duration is that of {len(times)}")
+
+
+def bake_numbered(file: File, times: np.ndarray, wanted: range) -> tuple[dict[str, Any], list[Frame]]:
+    """The frames that are wanted or, where none are, what is to be known of all."""
+    if wanted:
+        return {}, list(delta_frames(file, times[wanted.start : wanted.stop]))
+    counts, breaks, before = [], [], None
+    for number, frame in enumerate(delta_frames(file, times)):
+        if before is not None and not np.array_equal(before, frame["ids"]):
+            breaks.append(number)
+        before = frame["ids"]
+        counts.append(len(before))
+    return {"counts": np.array(counts, np.int64), "breaks": np.array(breaks, np.int64)}, []
 
 
 def bake(file: File, fps: Fraction, wanted: range) -> tuple[dict[str, Any], list[Frame]]:
@@ -174,22 +189,15 @@ def bake(file: File, fps: Fraction, wanted: range) -> tuple[dict[str, Any], list
     if not 0 < file.header.duration_sec * fps <= MOST_FRAMES:
         raise ValueError(f"expected 1 to {MOST_FRAMES} frames, got {file.header.duration_sec:g} s at {fps} fps")
     times = (np.arange(max(1, count)) + 0.5) / float(fps)
-    counts, breaks, frames = np.zeros(len(times), np.int64), [], []
     if file.header.temporal_model == DELTA:
-        before = None
-        for number, frame in enumerate(delta_frames(file, times)):
-            ids, counts[number] = frame["ids"], len(frame["ids"])
-            if before is not None and not np.array_equal(before, ids):
-                breaks.append(number)
-            frames += [frame] * (number in wanted)
-            before = ids
-    else:
-        for start, stop, chunks in birth_runs(file, times):
-            counts[start:stop] = sum(records.parse_chunk(file.chunks[i][2])[0].count for i in chunks)
-            breaks += [start] * (start > 0 and stop - start > 1)
-            inside = range(max(start, wanted.start), min(stop, wanted.stop))
-            rows = read_births(file, chunks) if inside else {}
-            frames += [birth_at(file, rows, times[number]) for number in inside]
+        return bake_numbered(file, times, wanted)
+    counts, breaks, frames = np.zeros(len(times), np.int64), [], []
+    for start, stop, chunks in birth_runs(file, times):
+        counts[start:stop] = sum(records.parse_chunk(file.chunks[i][2])[0].count for i in chunks)
+        breaks += [start] * (start > 0 and stop - start > 1)
+        inside = range(max(start, wanted.start), min(stop, wanted.stop))
+        rows = read_births(file, chunks) if inside else {}
+        frames += [birth_at(file, rows, times[number]) for number in inside]
     return {"counts": counts, "breaks": np.array(breaks, np.int64)}, frames
 
 

@@ -15,7 +15,7 @@ from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.formats.clip import Bake, Clip, rate_words, refuse_baking
 from airgs_codec.scene.formats.library import check_count, expect_library
 from airgs_codec.scene.formats.opacity import logits_of
-from airgs_codec.scene.formats.process import run_limited
+from airgs_codec.scene.formats.process import SECONDS, run_limited
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.scene.ply import PlyHeader
 
@@ -23,6 +23,7 @@ _PROGRAM = Path(__file__).with_name("bake_4dgs.py")
 _BLOCK = 16  # frames that are decoded together
 _KEPT = 2  # blocks that a process keeps
 _COPIES = 128  # of the bytes of a file in the library, at least
+_SECONDS_PER_BYTE = 5e-6  # about five times what the library takes
 _MAGIC = b"\x894DGS"
 _LEAST_SCALE = 1e-9  # of a size of 0, whose logarithm is infinite
 _Arrays = dict[str, NDArray]
@@ -77,7 +78,9 @@ def _run(path: Path, fps: Fraction, frames: range) -> _Arrays:
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "frames.npz"
         arguments = [str(path.absolute()), str(target), str(fps), str(frames.start), str(frames.stop)]
-        reason = run_limited(_PROGRAM, arguments, _COPIES * _size(path))
+        size = _size(path)
+        seconds = SECONDS + _SECONDS_PER_BYTE * size
+        reason = run_limited(_PROGRAM, arguments, _COPIES * size, seconds=seconds)
         if reason or not target.is_file():
             raise SceneError(f"{path}: expected .4dgs, got what fourdgs cannot read: {reason}")
         with np.load(target) as found:

@@ -32,7 +32,7 @@ def run_limited(
     try:
         run = subprocess.run(command, input=data, capture_output=True, timeout=seconds, check=False, env=environment)
     except subprocess.TimeoutExpired:
-        return f"no answer in {seconds} seconds"
+        return f"no answer in {seconds:.0f} seconds"
     if run.returncode == 0:
         return ""
     if run.returncode < 0:
