@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from airgs_codec.cli.common import PACKAGE, Bar, parse_range, run_command
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.world import misread
 from airgs_codec.scene.formats.write import Numbered, choose_target, format_keys, write_frames
 
 _OUTPUT = "folder for the frames, 000000.ply and on; or a file whose ending says its format"
@@ -46,8 +47,9 @@ def _run(args: argparse.Namespace) -> int:
         bar.close()
     report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": args.output}
     report |= {"format": target.form.key, "lost": lost}
+    report |= {"notes": (notes := misread(m.world, target.form.name, target.form.axes))}
     words = f"{stop - start} frames of {quality} + {level} in {args.output}"
-    print(json.dumps(report) if args.json else "\n".join([words, *lost]))
+    print(json.dumps(report) if args.json else "\n".join([words, *lost, *notes]))
     return 0
 
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import World
+from airgs_codec.scene.formats.axes import Axes
 
 Vector = NDArray[np.float64]
 
@@ -111,3 +112,11 @@ def world_words(world: World | None) -> str:
     up = ", ".join(f"{number:.6g}" for number in up_of(world).round(6) + 0.0)
     unit = unit_of(world)
     return f"up: ({up}); units: " + ("not told" if unit is None else f"one is {unit:.6g} m")
+
+
+def misread(world: World | None, form: str, axes: Axes | None) -> list[str]:
+    """A line where the specification of a format says otherwise of up and units than a package: coordinates stay."""
+    if axes is None:
+        return []
+    meant, told = world_words(world_from(axes.up, axes.metres)), world_words(world)
+    return [] if meant == told else [f"coordinates stay: readers of {form} take {meant}; here it is {told}"]

@@ -42,6 +42,7 @@ def test_a_file_is_one_frame_of_a_rung(tmp_path, key, capsys):
     np.testing.assert_allclose(np.sort(back.means, axis=0), np.sort(expected.means, axis=0), atol=5e-3)
     assert any("SH" in line for line in report["lost"]) == (key in ("splat", "sog"))
     assert bool(report["lost"]) == (key not in ("ply", "glb"))
+    assert any("readers of" in line for line in report["notes"]) == (key in ("spz", "glb")), "nobody told what is up"
 
 
 @pytest.mark.parametrize("key", [*KEYS, None])

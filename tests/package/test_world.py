@@ -14,7 +14,8 @@ from airgs_codec.package.parse import parse_root
 from airgs_codec.package.region import first_place, levelled, upright
 from airgs_codec.package.store import open_package, root_of
 from airgs_codec.package.tables import World
-from airgs_codec.package.world import fault_of, parse_up, read_world, unit_of, up_of, world_from, world_words
+from airgs_codec.package.world import fault_of, misread, parse_up, read_world, unit_of, up_of, world_from, world_words
+from airgs_codec.scene.formats.axes import Axes
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 
@@ -136,3 +137,14 @@ def test_the_package_of_the_corpus_says_it_in_words():
     m = open_package(VALID / "placed").manifest
     assert world_words(m.world) == "up: (0, 0, 1); units: one is 0.01 m"
     assert "not told" in world_words(None) and "units: not told" in world_words(world_from((0, 1, 0)))
+
+
+def test_a_format_that_means_another_up_is_named():
+    up, down = world_from((0, 1, 0)), world_from((0, -1, 0))
+    assert misread(up, ".spz", Axes((0, 1, 0))) == [] == misread(down, "INRIA .ply", None)
+    (line,) = misread(down, "glTF", Axes((0, 1, 0), 1.0))
+    assert line == (
+        "coordinates stay: readers of glTF take up: (0, 1, 0); units: one is 1 m; "
+        "here it is up: (0, -1, 0); units: not told"
+    )
+    assert "not told" in misread(None, ".spz", Axes((0, 1, 0)))[0]

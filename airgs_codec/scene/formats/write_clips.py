@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.formats.holds import Holds
 from airgs_codec.scene.formats.library import expect_library, find_command
 from airgs_codec.scene.formats.splat import ROW_BYTES, SPLAT, write_splat
@@ -34,6 +35,7 @@ class ClipWriter:
     write: Callable[[Path, Frames, float], None]  # of frames as `holds` makes them fit, so many a second
     holds: Holds
     writer: str  # the library or command that `write` needs
+    axes: Axes | None = None  # which way is up in its files, where its specification says it
 
 
 @dataclass(frozen=True, slots=True)
