@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.media.metrics import Reference, psnr
 from airgs_codec.package.store import Package
 from airgs_codec.render import render
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.sequence import GaussianSequence
 
 FRAMES = 6  # of the sequence, each looked at from a view of its own
@@ -53,5 +53,4 @@ def _made_exact(whole: Gaussians, shown: Gaussians, rows: NDArray[np.intp]) -> I
     for name, attributes in PARTS.items():
         yield name, replace(shown, **{attribute: getattr(exact, attribute) for attribute in attributes})
     others = whole.with_degree(shown.sh_degree).take(np.setdiff1d(np.arange(len(whole)), rows))
-    both = [np.concatenate([getattr(g, f.name) for g in (shown, others)]) for f in fields(Gaussians)]
-    yield LEFT_OUT, Gaussians(*both)
+    yield LEFT_OUT, join_rows([shown, others])

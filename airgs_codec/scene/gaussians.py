@@ -86,6 +86,11 @@ def mix_rows(a: Gaussians, b: Gaussians, choose: NDArray[np.bool_]) -> Gaussians
     return Gaussians(*(np.where(choose.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in columns))
 
 
+def join_rows(parts: Sequence[Gaussians]) -> Gaussians:
+    """The rows of all parts one after another; all of one SH degree."""
+    return Gaussians(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Gaussians)))
+
+
 def sigmoid(x: NDArray[np.floating]) -> NDArray:
     """1 / (1 + e^-x) without overflow; -inf gives 0 and inf gives 1."""
     z = np.exp(-np.abs(x))

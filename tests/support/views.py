@@ -8,7 +8,7 @@ import numpy as np
 
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.camera import look_at
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.parameters import Parameters, from_gaussians
 from airgs_codec.train.loss.target import Target
@@ -50,7 +50,7 @@ def random_parameters(rows: int, seed: int = 0) -> Parameters:
 
 def joined(*parts: Gaussians) -> Gaussians:
     """All rows, one after another."""
-    return Gaussians(*(np.concatenate([getattr(p, n) for p in parts]) for n in parts[0].__slots__))
+    return join_rows(parts)
 
 
 def moved(g: Gaussians, rows: slice, by: tuple[float, float, float]) -> Gaussians:

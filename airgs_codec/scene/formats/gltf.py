@@ -11,7 +11,7 @@ import json
 import math
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.holds import Holds
 from airgs_codec.scene.formats.nodes import Placed, placed
 from airgs_codec.scene.formats.opacity import logits_of
-from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
 from airgs_codec.scene.ply import PlyHeader
 from airgs_codec.scene.rotations import multiply
 
@@ -65,7 +65,7 @@ def read_gltf(path: Path) -> Gaussians:
         parts = [_read(document.json, buffers, p, degree) for p in primitives]
     except _BROKEN as error:
         raise _refusal(path, error) from error
-    return Gaussians(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Gaussians)))
+    return join_rows(parts)
 
 
 def _refusal(path: Path, error: Exception) -> SceneError:
