@@ -98,7 +98,7 @@ def _find_features(work: Path, pictures: Sequence[str], shared_lens: bool, progr
             work / "database.db",
             work / "images",
             [picture],
-            pycolmap.CameraMode.PER_IMAGE,
+            pycolmap.CameraMode.SINGLE if shared_lens else pycolmap.CameraMode.PER_IMAGE,
             reader_options=reader,
             extraction_options=found,
             device=pycolmap.Device.cpu,

@@ -74,3 +74,9 @@ def test_what_cannot_be_a_rig_is_refused_in_one_line(tmp_path):
     (folder / "sparse").mkdir()
     with pytest.raises(ConfigError, match="expected no poses yet"):
         find_poses(folder)
+
+
+def test_one_lens_may_be_shared(tmp_path):
+    folder = film_rig(tmp_path / "corner", rig(CAMERAS), frames=1)
+    report = find_poses(folder, shared_lens=True)
+    assert not report.failed and len({c.fx for c in open_scene(folder).cameras}) == 1
