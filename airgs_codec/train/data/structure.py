@@ -22,8 +22,11 @@ from airgs_codec.train.data.rig import FEWEST, RigCamera, RigReport, rig_videos
 LENS_MODEL = "SIMPLE_RADIAL"  # one focal length, one coefficient: what one picture of a camera can tell
 LONGEST = 2000  # pixels of a side on which features are looked for
 RATIO = 0.8  # of the distances to the best and the second match
-ATTEMPTS = ((30, 15, 16.0), (20, 10, 8.0))  # inliers of a first pair, inliers of a pose, degrees between a first pair
-ATTEMPT_SECONDS = 600
+FIRST_INLIERS = 30  # matches of the pair that the rest is built on
+# Matches that a pose must explain. With 10, and matching that is guided by geometry, most cameras of a real dome with
+# repeating panels were placed wrongly, at errors below a pixel.
+POSE_INLIERS = 15
+MOST_SECONDS = 600  # for the poses
 SEED = 0
 
 
@@ -127,30 +130,24 @@ def _match(work: Path, pictures: Sequence[str], progress: Progress) -> None:
 
 
 def _place(work: Path, count: int, progress: Progress) -> Any:
-    """The reconstruction with the most cameras of all attempts; None where there is none."""
-    found: list[Any] = []
-    for inliers, pose_inliers, angle in ATTEMPTS:
-        found += _attempt(work, _options(inliers, pose_inliers, angle), count, progress)
-        best = max(found, key=lambda model: (model.num_reg_images(), model.num_points3D()), default=None)
-        if best is not None and best.num_reg_images() == count:
-            break
-    return best
+    """The reconstruction with the most cameras; None where there is none."""
+    found = _reconstruct(work, _options(), count, progress)
+    return max(found, key=lambda model: (model.num_reg_images(), model.num_points3D()), default=None)
 
 
-def _options(inliers: int, pose_inliers: int, angle: float) -> Any:
+def _options() -> Any:
     import pycolmap
 
     options = pycolmap.IncrementalPipelineOptions(
-        min_model_size=FEWEST, min_num_matches=pose_inliers, max_runtime_seconds=ATTEMPT_SECONDS, random_seed=SEED
+        min_model_size=FEWEST, min_num_matches=POSE_INLIERS, max_runtime_seconds=MOST_SECONDS, random_seed=SEED
     )
-    options.mapper.init_min_num_inliers = inliers
-    options.mapper.init_min_tri_angle = angle
-    options.mapper.abs_pose_min_num_inliers = pose_inliers
+    options.mapper.init_min_num_inliers = FIRST_INLIERS
+    options.mapper.abs_pose_min_num_inliers = POSE_INLIERS
     options.triangulation.ignore_two_view_tracks = False  # many points of a wide rig are seen by two cameras only
     return options
 
 
-def _attempt(work: Path, options: Any, count: int, progress: Progress) -> list[Any]:
+def _reconstruct(work: Path, options: Any, count: int, progress: Progress) -> list[Any]:
     import pycolmap
 
     posed = 0
