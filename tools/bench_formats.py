@@ -32,6 +32,7 @@ from airgs_codec._files import atomic_path
 from airgs_codec.inspect.compare import compared_views
 from airgs_codec.inspect.sides import open_side
 from airgs_codec.inspect.two import Comparison, compare_two
+from airgs_codec.scene.formats.clips import CLIP_FORMATS
 from airgs_codec.scene.formats.table import FORMATS, Format
 from airgs_codec.scene.formats.write import choose_target, write_frames
 from airgs_codec.scene.formats.write_clips import CLIP_WRITERS, ClipWriter
@@ -159,7 +160,10 @@ def clips_table(scene: Path) -> str:
     count = len(open_sequence(scene))
     head = ["clip", "SH", "order of rows", "rounds", "PSNR", f"{count} frames", "write a frame", "read a frame"]
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
-    return "\n".join(lines + [clip_row(form, scene) for form in CLIP_WRITERS])
+    written = {form.name for form in CLIP_WRITERS}
+    others = [form.name for form in CLIP_FORMATS if form.name not in written]
+    rows = [clip_row(form, scene) for form in CLIP_WRITERS] + [f"| {name} | not written |" for name in others]
+    return "\n".join(lines + rows)
 
 
 def update(page: Path, tables: str) -> None:
