@@ -143,6 +143,7 @@ def _options() -> Any:
     )
     options.mapper.init_min_num_inliers = FIRST_INLIERS
     options.mapper.abs_pose_min_num_inliers = POSE_INLIERS
+    options.structure_less_registration_fallback = False  # took minutes for a camera, and placed it wrongly
     options.triangulation.ignore_two_view_tracks = False  # many points of a wide rig are seen by two cameras only
     return options
 
