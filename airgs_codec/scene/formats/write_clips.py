@@ -152,7 +152,8 @@ SPLAT4D = ClipWriter(
     write_splat4d,
     Holds(
         sh_degree=0,
-        rounding=f"positions by {100 * _MOST_SHIFT:.0f} % of the median size, sizes by 2 %, colours and opacity by 1.5 of 255",
+        rounding=f"positions by {100 * _MOST_SHIFT:g} % of the median size, sizes by 2 %, "
+        "colours and opacity by 1.5 of 255",
         keeps_count=True,
         ranges=SPLAT.ranges,
     ),
