@@ -1,8 +1,8 @@
 """The poses of a rig by structure from motion on one moment: COLMAP (Schoenberger and Frahm 2016) through pycolmap.
 
 Cameras of a rig are few and far apart, and there is one picture of each. So features keep their affine shape and are
-pooled over sizes (DSP-SIFT, Dong and Soatto 2015), and fewer matches suffice for a pose than in COLMAP's defaults, which
-are for photographs by the thousand.
+pooled over sizes (DSP-SIFT, Dong and Soatto 2015), and fewer matches suffice for a pose than in COLMAP's defaults,
+which are for photographs by the thousand.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ LENS_MODEL = "SIMPLE_RADIAL"  # one focal length, one coefficient: what one pict
 LONGEST = 2000  # pixels of a side on which features are looked for
 RATIO = 0.8  # of the distances to the best and the second match
 FIRST_INLIERS = 30  # matches of the pair that the rest is built on
-# Matches that a pose must explain. On a real dome with repeating panels 12 of 27 cameras had a pose so, all of them within
-# 4 degrees. What placed 26 or 27 (10 matches; matching guided by geometry) had most of them wrong at errors below a pixel.
+# Matches that a pose must explain. On a real dome with repeating panels 12 of 27 cameras had a pose so, each
+# within 4 degrees. What placed 26 or 27 (10 matches; guided matching) had many wrong, at errors of a pixel or less.
 POSE_INLIERS = 15
 MOST_SECONDS = 600  # for the poses
 SEED = 0
