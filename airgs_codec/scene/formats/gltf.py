@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,8 +62,10 @@ def read_gltf(path: Path) -> Gaussians:
     try:
         primitives = list(placed(document.json, EXTENSION))
         degree = _header(document, primitives).sh_degree
-        buffers = [_buffer(document, i) for i in range(len(document.json["buffers"]))]
+        buffers = _buffers(document)
         parts = [_read(document.json, buffers, p, degree) for p in primitives]
+    except SceneError:
+        raise
     except _BROKEN as error:
         raise _refusal(path, error) from error
     return join_rows(parts)
@@ -80,6 +83,8 @@ def _open(path: Path, *, only_json: bool = False) -> _Document:
             head = file.read(20)
             if head[:4] != b"glTF":
                 text, chunk = head + file.read(_MOST_JSON), b""
+                if len(text) > _MOST_JSON:
+                    raise ValueError(f"JSON of at most {_MOST_JSON} bytes; put the buffer in a file, or write a .glb")
             else:
                 length = int.from_bytes(head[12:16], "little")
                 if head[4:8] != b"\2\0\0\0" or head[16:20] != b"JSON" or length > _MOST_JSON:
@@ -128,16 +133,31 @@ def _whole(value: Any) -> int:
     return value
 
 
-def _buffer(document: _Document, index: int) -> bytes:
+def _buffers(document: _Document) -> list[bytes]:
+    """The bytes of all buffers, none of them twice and each as long as it says."""
+    uris = [buffer.get("uri") for buffer in document.json["buffers"]]
+    if len(set(uris)) < len(uris):
+        raise ValueError(f"every buffer once, got {len(uris)} of {len(set(uris))} places")
+    buffers = [_buffer(document, uri) for uri in uris]
+    for data, buffer in zip(buffers, document.json["buffers"], strict=True):
+        if len(data) < _whole(buffer["byteLength"]):
+            raise ValueError(f"a buffer of {buffer['byteLength']} bytes, got {len(data)}")
+    return buffers
+
+
+def _buffer(document: _Document, uri: str | None) -> bytes:
     """The bytes of a buffer: the binary chunk, base64 in the JSON, or a file beside it."""
-    uri = document.json["buffers"][index].get("uri")
     if uri is None:
         return document.chunk
     if uri.startswith("data:"):
         return base64.b64decode(uri.partition(",")[2], validate=True)
-    if Path(uri).name != uri or "\0" in uri:
+    name = unquote(uri)
+    if Path(name).name != name or "\0" in name:
         raise ValueError(f"a buffer beside it, got {uri[:80]!r}")
-    return (document.path.parent / uri).read_bytes()
+    try:
+        return (document.path.parent / name).read_bytes()
+    except OSError as error:
+        raise SceneError(f"{document.path}: expected its buffer {name[:80]} beside it: {error.strerror}") from error
 
 
 def _column(document: dict[str, Any], buffers: list[bytes], accessor: int, width: int) -> NDArray[np.float32]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-_MOST_NODES = 10_000  # that are walked through
+_MOST = 10_000  # nodes that are walked through, and primitives of splats in them
 _TOLERANCE = 1e-3  # of a matrix that turns and scales alike, relative
 _POINTS = 0
 
@@ -34,20 +34,26 @@ def placed(document: dict[str, Any], extension: str) -> Iterator[Placed]:
     """
     nodes = document["nodes"]
     roots = document["scenes"][document.get("scene", 0)]["nodes"] if document.get("scenes") else range(len(nodes))
-    waiting = [(root, np.eye(4)) for root in reversed(roots)]
-    for _ in range(_MOST_NODES):
-        if not waiting:
-            return
+    waiting: list[tuple[int, NDArray[np.float64]]] = []
+    seen = _put(waiting, roots, np.eye(4))
+    while waiting:
         number, above = waiting.pop()
         node = nodes[number]
         matrix = above @ _local(node)
-        waiting += [(child, matrix) for child in reversed(node.get("children", []))]
-        for primitive in document["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ():
+        primitives = document["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ()
+        if (seen := seen + _put(waiting, node.get("children", ()), matrix) + len(primitives)) > _MOST:
+            raise ValueError(f"at most {_MOST} nodes and primitives")
+        for primitive in primitives:
             if (found := primitive.get("extensions", {}).get(extension)) is not None:
                 if primitive.get("mode", 4) != _POINTS:
                     raise ValueError(f"splats as points, got mode {primitive.get('mode', 4)}")
                 yield _placed(primitive["attributes"], found, matrix)
-    raise ValueError(f"at most {_MOST_NODES} nodes")
+
+
+def _put(waiting: list[tuple[int, NDArray[np.float64]]], numbers: Any, matrix: NDArray[np.float64]) -> int:
+    """Append nodes below a matrix, so that the first is the next to be taken; how many they are."""
+    waiting += [(number, matrix) for number in reversed(numbers[: _MOST + 1])]
+    return len(numbers)
 
 
 def _local(node: dict[str, Any]) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ _BROKEN_ARCHIVE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)
 _MOST_META = 1 << 20  # bytes
 _MOST_SPARE = 1 << 20  # pixels of a picture beyond two a Gaussian: the largest palette of SH has so many
 _MOST_FILES = 64
+_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # zipfile unpacks others past the size that an entry states
 _LEVELS = 256  # of a codebook
 _PICTURES = {"means": 2, "quats": 1, "scales": 1, "sh0": 1, "shN": 2}
 Meta = dict[str, Any]
@@ -85,6 +86,8 @@ def _header(path: Path, text: bytes) -> tuple[PlyHeader, list[str]]:
         whole &= len(meta["means"]["mins"]) == len(meta["means"]["maxs"]) == 3 and len(names) >= 5
         if count < 0 or not 0 <= bands < len(SH_REST) or not whole:
             raise ValueError("counts, bands, bounds or codebooks that are not SOG's")
+    except SceneError:
+        raise
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
         reason = f"{type(error).__name__} {error}"[:120]
         raise SceneError(f"{path}: expected {META_NAME} of a SOG file: {reason}") from error
@@ -107,6 +110,8 @@ def _files(path: Path, *, only_meta: bool = False) -> dict[str, bytes]:
             return {META_NAME: meta} | {name: (path / name).read_bytes() for name in names if (path / name).is_file()}
         with zipfile.ZipFile(path) as archive:
             return _unzip(path, archive, only_meta)
+    except SceneError:
+        raise
     except (OSError, ValueError, *_BROKEN_ARCHIVE) as error:
         raise SceneError(f"{path}: expected SOG, a {META_NAME} with WebP pictures: {error}") from error
 
@@ -115,6 +120,8 @@ def _unzip(path: Path, archive: zipfile.ZipFile, only_meta: bool) -> dict[str, b
     entries = {Path(entry.filename).name: entry for entry in archive.infolist()}
     if META_NAME not in entries or len(entries) > _MOST_FILES:
         raise ValueError(f"{len(entries)} files, {META_NAME} {'' if META_NAME in entries else 'not '}among them")
+    if other := [entry.filename for entry in entries.values() if entry.compress_type not in _PACKED]:
+        raise ValueError(f"{other[0][:80]!r} is neither stored nor deflated")
     wanted = {META_NAME: entries[META_NAME]} if only_meta else entries
     size = sum(entry.file_size for entry in wanted.values())  # no more than that is ever unpacked
     if entries[META_NAME].file_size > _MOST_META or size > 4 * path.stat().st_size + _MOST_META:

@@ -36,13 +36,15 @@ def open_splat4d(path: Path, bake: Bake) -> Clip:
     try:
         with path.open("rb") as file:
             header = _header(path, file.read(_HEADER.size + _MOST_JSON))
-        count, frames, fps = header["n"], header["t"], Fraction(str(header["fps"]))
+        count, frames, fps = header["n"], header["t"], Fraction(str(float(header["fps"])))
         if min(count, frames) < 1 or not 0 < fps <= 1000 or not isinstance(count, int) or not isinstance(frames, int):
             raise ValueError(f"{count} Gaussians, {frames} frames, {fps} fps"[:120])
         ends = [0] + [end for gop in header["gops"] for end in (gop["f0"], gop["f1"] + 1)]
         if ends[1::2] != ends[:-1:2] or ends[-1] != frames:
             raise ValueError(f"groups that are not frames 0 to {frames - 1}")
-    except (ValueError, TypeError, KeyError, OverflowError, ZeroDivisionError, RecursionError) as error:
+    except SceneError:
+        raise
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise SceneError(f"{path}: expected a .splat4d header: {type(error).__name__} {error}"[:300]) from error
     except OSError as error:
         raise SceneError(f"{path}: cannot read: {error.strerror}") from error

@@ -137,8 +137,19 @@ def repacked(data, change):
 )
 def test_a_broken_sog_is_refused(tmp_path, change, says):
     (tmp_path / "a.sog").write_bytes(repacked(splat_bytes(small(300), ".sog"), change))
-    with pytest.raises(SceneError, match=says):
+    with pytest.raises(SceneError, match=says) as caught:
         read_frame(tmp_path / "a.sog")
+    assert str(caught.value).count("a.sog") == 1
+
+
+def edited_glb(change):
+    """A .glb of three splats whose JSON is changed."""
+    glb = glb_bytes(small(3, 0))
+    end = 20 + int.from_bytes(glb[12:16], "little")
+    document = json.loads(glb[20:end])
+    change(document)
+    text = json.dumps(document).encode()
+    return glb[:12] + len(text).to_bytes(4, "little") + glb[16:20] + text + glb[end:]
 
 
 def bombs():
@@ -155,6 +166,11 @@ def bombs():
         archive.writestr("meta.json", "{}")
         archive.writestr("means_l.webp", bytes(1 << 24))
     yield "zip.sog", out.getvalue(), "unpacks to"
+    for method in (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):  # zipfile unpacks these whole, whatever size an entry states
+        out = io.BytesIO()
+        with zipfile.ZipFile(out, "w", method) as archive:
+            archive.writestr("meta.json", "{}")
+        yield f"method{method}.sog", out.getvalue(), "neither stored nor deflated"
     packed = ["packed_position", "packed_rotation", "packed_scale", "packed_color"]
     ends = [f"{e}_{w}{a}" for w in ("", "scale_") for e in ("min", "max") for a in "xyz"]
     lines = ["ply", "format binary_little_endian 1.0", f"element chunk {10**9}", *(f"property float {n}" for n in ends)]
@@ -162,6 +178,12 @@ def bombs():
     yield "rows.ply", "\n".join(lines).encode(), "truncated"
     glb = glb_bytes(small(3, 0))
     yield "rows.glb", glb.replace(b'"count":3', b'"count":9').replace(b'"count": 3', b'"count": 9'), "buffer of"
+    yield "children.glb", edited_glb(lambda d: d.update(nodes=[{"children": [0] * 9_000}])), "at most 10000 nodes"
+    yield "roots.glb", edited_glb(lambda d: d.update(scenes=[{"nodes": [0] * 1_000_000}])), "at most 10000 nodes"
+    yield "meshes.glb", edited_glb(lambda d: d["meshes"][0].update(primitives=[{}] * 20_000)), "at most 10000 nodes"
+    yield "short.glb", edited_glb(lambda d: d["buffers"][0].update(byteLength=10**12)), "a buffer of 1000000000000"
+    yield "twice.glb", edited_glb(lambda d: d.update(buffers=d["buffers"] * 100_000)), "every buffer once"
+    yield "long.gltf", b'{"buffers": [' + b" " * (1 << 24), "JSON of at most 16777216 bytes"
 
 
 @pytest.mark.parametrize(("name", "data", "says"), list(bombs()), ids=lambda v: v if isinstance(v, str) else "")
@@ -171,6 +193,16 @@ def test_a_bomb_takes_no_time(tmp_path, name, data, says):
     with pytest.raises(SceneError, match=says):
         read_frame(tmp_path / name)
     assert time.monotonic() - before < 5
+
+
+def test_buffers_lie_beside_a_gltf_by_their_escaped_names(tmp_path):
+    glb = edited_glb(lambda d: d["buffers"][0].update(uri="my%20b%C3%BCffer.bin"))
+    end = 20 + int.from_bytes(glb[12:16], "little")
+    (tmp_path / "a.gltf").write_bytes(glb[20:end])
+    with pytest.raises(SceneError, match=r"a\.gltf: expected its buffer my büffer\.bin beside it: No such file"):
+        read_frame(tmp_path / "a.gltf")
+    (tmp_path / "my büffer.bin").write_bytes(glb[end + 8 :])
+    np.testing.assert_array_equal(read_frame(tmp_path / "a.gltf").means, small(3, 0).means)
 
 
 @pytest.mark.parametrize("name", ["a.spz", "a.sog", "a.splat", "a.glb", "a.gltf", "a.ply", "a.ksplat", "a"])
