@@ -49,7 +49,7 @@ def with_signs(argv: Sequence[str]) -> list[str]:
     """Arguments in which --up -y, of which argparse would take -y for an option, is --up=-y."""
     joined: list[str] = []
     for argument in argv:
-        if joined and joined[-1] == "--up" and argument.startswith("-"):
+        if joined and joined[-1] == "--up" and argument.startswith("-") and not argument.startswith("--"):
             joined[-1] = f"--up={argument}"
         else:
             joined.append(argument)

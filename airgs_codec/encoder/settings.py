@@ -17,6 +17,7 @@ from airgs_codec.encoder.levels import DEFAULT_TIERS
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
 from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, Region, World
+from airgs_codec.package.world import fault_of
 from airgs_codec.scene.usage import MEASURES
 
 
@@ -133,6 +134,7 @@ class EncodeSettings:
         tiers = [self.tiers_of(level) for level in self.levels]
         qualities = [level.quality for level in self.levels]
         ladder = (self.levels, self.tiers)
+        fault = fault_of(self.world.transform) if self.world else None
         checks = [
             (1 <= len(self.levels) <= MAX_CHOICES, f"expected 1 to {MAX_CHOICES} levels"),
             (all(0 <= s <= 1 for s in shares), f"expected pruned shares in [0, 1], got {shares}"),
@@ -166,6 +168,7 @@ class EncodeSettings:
                 'levels and tiers would be replaced: expected calibrate "steps" or "none" with them',
             ),
             (self.margin is None or self.region is None, "expected a margin or a region, got both"),
+            (not fault, f"world: {fault}"),
             (self.decide_pictures >= 1, f"expected 1 or more pictures to decide with, got {self.decide_pictures}"),
             (self.measure_pictures >= 0, f"expected 0 or more pictures to measure, got {self.measure_pictures}"),
             (self.rows in ROWS, f"expected rows {', '.join(ROWS)}, got {self.rows}"),

@@ -21,17 +21,21 @@ from airgs_codec.scene.formats.axes import Axes
 Vector = NDArray[np.float64]
 
 LEAST_SCALE, MOST_SCALE = 1e-6, 1e6
-TOLERANCE = 1e-5  # of the products of axes of length 1
+MOST_NUMBER = 1e30  # of a transform, as of all coordinates in tables
+TOLERANCE = 1e-5  # of the products of axes of length 1, and of the scale, beside its bounds
 AXES = {sign + name: tuple(int(f"{sign}1") * (name == axis) for axis in "xyz") for name in "xyz" for sign in ("", "-")}
 _HALF_TURN = np.diag([1.0, -1.0, -1.0])  # about x
 
 
 def fault_of(transform: Sequence[float]) -> str | None:
-    """What is wrong with a transform of 12 finite numbers, in words; None where it is a similarity without mirror."""
+    """What is wrong with a transform of 12 numbers, in words; None where it is a similarity without mirror."""
+    large = [value for value in transform if not abs(value) <= MOST_NUMBER]
+    if len(transform) != 12 or large:
+        return f"expected 12 finite numbers of at most {MOST_NUMBER:g}, got {large[0] if large else len(transform)}"
     axes = np.reshape(transform, (3, 4))[:, :3]
     sizes = np.linalg.norm(axes, axis=1)
     scale = float(sizes.mean())
-    if not LEAST_SCALE <= scale <= MOST_SCALE:
+    if not LEAST_SCALE * (1 - TOLERANCE) <= scale <= MOST_SCALE * (1 + TOLERANCE):
         return f"expected a scale of {LEAST_SCALE:g} to {MOST_SCALE:g}, got {scale:g}"
     products = axes @ axes.T / scale**2
     if np.abs(products - np.eye(3)).max() > TOLERANCE:
@@ -94,12 +98,12 @@ def read_world(path: Path) -> World:
         values = np.array(json.loads(text) if text.lstrip()[:1] == "[" else text.split(), np.float64).ravel()
     except OSError as error:
         raise ConfigError(f"{path}: cannot read a transform: {error.strerror}") from error
-    except (ValueError, TypeError, RecursionError) as error:
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
         raise ConfigError(f"{path}: expected 12 or 16 numbers, row by row: {str(error)[:120]}") from error
     if len(values) == 16 and not np.array_equal(values[12:], [0, 0, 0, 1]):
         raise ConfigError(f"{path}: expected a last row of 0 0 0 1, got {values[12:].tolist()}")
-    if len(values) not in (12, 16) or not np.isfinite(values).all():
-        raise ConfigError(f"{path}: expected 12 or 16 finite numbers, row by row, got {len(values)} numbers")
+    if len(values) not in (12, 16):
+        raise ConfigError(f"{path}: expected 12 or 16 numbers, row by row, got {len(values)} numbers")
     if fault := fault_of(values[:12].tolist()):
         raise ConfigError(f"{path}: {fault}")
     return World(values[:12].tolist(), metric=True)

@@ -23,7 +23,8 @@ def test_what_is_told_of_up_and_units_is_in_the_package(tmp_path, options, line,
     (tmp_path / "world.txt").write_text("2 0 0 1\n0 0 2 1\n0 -2 0 1\n0 0 0 1\n")
     words = [str(tmp_path / "world.txt") if option == "WORLD" else option for option in options]
     seen = tmp_path / "region.json"
-    seen.write_text(json.dumps(dataclasses.asdict(region())))
+    told = dataclasses.asdict(region())
+    seen.write_text(json.dumps({name: value for name, value in told.items() if value is not None}))
     command = [str(scene), "-o", str(tmp_path / "out"), "--quick", "--measure-pictures", "0", "--region", str(seen)]
     assert encode.main([*command, *words]) == 0 and line in capsys.readouterr().out
     assert manifest.main(["inspect", str(tmp_path / "out")]) == 0 and line in capsys.readouterr().out
@@ -36,6 +37,7 @@ def test_what_is_told_of_up_and_units_is_in_the_package(tmp_path, options, line,
         (["--up", "north"], "--up: expected x, -x, y"),
         (["--up", "0,0,0"], "expected a direction"),
         (["--scale", "2"], "--scale: expected --up with it"),
+        (["--up", "y", "--scale", "nan"], "metres a unit, got nan"),
         (["--up", "y", "--scale", "-1"], "metres a unit, got -1"),
         (["--up", "y", "--transform", "nowhere.txt"], "neither --up nor --scale"),
         (["--transform", "nowhere.txt"], "nowhere.txt: cannot read"),
@@ -47,3 +49,9 @@ def test_worlds_that_cannot_be_are_one_line(tmp_path, options, words, capsys):
     error = capsys.readouterr().err.strip()
     assert words in error and "\n" not in error
     assert not (tmp_path / "out").exists()
+
+
+def test_an_option_after_up_is_no_direction(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        encode.main([str(tmp_path), "--up", "--scale", "2"])
+    assert "argument --up: expected one argument" in capsys.readouterr().err

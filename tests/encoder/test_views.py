@@ -5,8 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.views import CHECKED, DECISION_PIXELS, ViewPlan
+from airgs_codec.errors import ConfigError
 from airgs_codec.package.region import departure
+from airgs_codec.package.tables import World
 from airgs_codec.package.world import up_of, world_from
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
@@ -118,3 +121,8 @@ def test_cameras_keep_their_own_up(fox):
     sequence, plan = fox
     told = ViewPlan.of(sequence, 24, world=world_from((1, 0, 0)))
     assert told.region == plan.region and plan.world is None
+
+
+def test_a_world_that_no_reader_takes_is_refused_before_the_work():
+    with pytest.raises(ConfigError, match="world: expected a right-handed turn, got one that mirrors"):
+        EncodeSettings(world=World([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], metric=False))

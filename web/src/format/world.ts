@@ -4,7 +4,7 @@ import type { World } from "./types.ts";
 import { cross, dot, length, unit, type Vector, vector } from "./vector.ts";
 
 const MOST_SCALE = 1e6;
-/** Of the products of rows, in squares of the scale. */
+/** Of the products of rows, in squares of the scale, and of the scale beside its bounds. */
 const TOLERANCE = 1e-5;
 
 const row = ({ transform }: World, i: number): Vector => vector(transform.slice(4 * i));
@@ -15,7 +15,8 @@ export function isSimilarity(world: World): boolean {
   const scale = (length(rows[0]) + length(rows[1]) + length(rows[2])) / 3;
   const near = (product: number, expected: number) => Math.abs(product / scale ** 2 - expected) <= TOLERANCE;
   const turned = rows.every((a, i) => rows.every((b, j) => near(dot(a, b), +(i === j))));
-  return turned && scale <= MOST_SCALE && scale >= 1 / MOST_SCALE && dot(cross(rows[0], rows[1]), rows[2]) > 0;
+  const bounded = scale <= MOST_SCALE * (1 + TOLERANCE) && scale >= (1 - TOLERANCE) / MOST_SCALE;
+  return turned && bounded && dot(cross(rows[0], rows[1]), rows[2]) > 0;
 }
 
 /** Which way is up in the coordinates of the scene, of length 1. */

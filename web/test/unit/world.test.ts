@@ -29,6 +29,10 @@ test("stretches, shears, mirrors and scales of nothing are refused", () => {
   assert.ok(!isSimilarity(worldOf(1, 0.01, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0)));
   assert.ok(!isSimilarity(worldOf(1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0)));
   assert.ok(!isSimilarity(worldOf(...Array.from({ length: 12 }, () => 0))));
+  const third = [2 / 3, -1 / 3, 2 / 3, 0, 2 / 3, 2 / 3, -1 / 3, 0, -1 / 3, 2 / 3, 2 / 3, 0];
+  for (const scale of [1e6, 1e-6, 1e6 * (1 + 1e-9), 1e-6 * (1 - 1e-9)]) {
+    assert.ok(isSimilarity(worldOf(...third.map((value) => scale * value))), "rounding at the bounds is forgiven");
+  }
   for (const scale of [1e7, 1e-7]) assert.ok(!isSimilarity(worldOf(scale, 0, 0, 0, 0, scale, 0, 0, 0, 0, scale, 0)));
 });
 
