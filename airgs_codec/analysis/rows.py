@@ -7,7 +7,7 @@ frame before; a frame whose rows cannot be matched starts a group.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +32,7 @@ class Restored:
     matched: tuple[int, ...] = ()  # frames whose rows were put into the order of those before
     sure: float = 1.0  # share of their rows, the mean over these frames
     unmatched: tuple[int, ...] = ()  # frames whose rows could not be matched with those of the frame before
-    alone: tuple[int, ...] = ()  # frames that share no rows with any other, because their number changes all the time
+    alone: tuple[int, ...] = ()  # frames with another number of rows than those on both sides
 
     @property
     def notes(self) -> list[str]:
@@ -45,7 +45,7 @@ class Restored:
             reason = f"rows are not those of the frame before (under {LEAST_SURE:.0%} could be matched with confidence)"
             notes.append(f"{_spans(self.unmatched)}: {reason}; each starts a group, and {COST}")
         if self.alone:
-            reason = "every frame has another number of Gaussians, so that rows cannot be matched"
+            reason = "each has another number of Gaussians than the frames beside it, so that rows cannot be matched"
             notes.append(f"{_spans(self.alone)}: {reason}; coded one by one, and {COST}")
         return notes
 
@@ -60,11 +60,11 @@ def restore_rows(
     default all. Raises SceneError for a broken frame.
     """
     asked = range(len(sequence)) if frames is None else frames
-    runs = [(max(a, asked.start), min(b, asked.stop)) for a, b in count_runs(sequence)]
-    runs = [(start, stop) for start, stop in runs if start < stop]
-    alone = _alone(sequence, runs)
     if rows == KEEP:
         return Restored(sequence)
+    runs = [(max(a, asked.start), min(b, asked.stop)) for a, b in count_runs(sequence)]
+    runs = [(start, stop) for start, stop in runs if start < stop]
+    alone = tuple(frame for frame in _alone(sequence) if frame in asked)
     orders: dict[int, NDArray[np.int32]] = {}
     sure, breaks = {}, []
     for start, stop in runs:
@@ -102,16 +102,21 @@ class _Run:
         self.fresh, self.broken = None, False
         if state == LOST:
             matched = match_rows(self._last, frame, self._before)
-            self.order, self.fresh = matched.order, matched.sure
+            as_in_file = np.arange(len(frame))
+            if not np.array_equal(matched.order, as_in_file if self.order is None else self.order):
+                self.order, self.fresh = matched.order, matched.sure
+            if np.array_equal(matched.order, as_in_file):
+                self.order = None
         elif state != IN_ORDER:
             self.order, self.broken = None, True
         self._file, self._before = frame, None if self.broken else self._last
         self._last = frame if self.order is None else frame.take(self.order)
 
 
-def _alone(sequence: GaussianSequence, runs: Iterable[tuple[int, int]]) -> tuple[int, ...]:
+def _alone(sequence: GaussianSequence) -> tuple[int, ...]:
     """Frames between two changes of the number of rows, where there is more than one such; no named keyframes."""
-    ones = [start for start, stop in runs if stop - start == 1]
+    breaks = {*sequence.breaks}
+    ones = [start for start, stop in count_runs(sequence) if stop - start == 1 and not {start, stop} & breaks]
     return tuple(ones) if len(ones) > 1 and sequence.keyframes is None else ()
 
 

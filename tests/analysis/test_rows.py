@@ -1,5 +1,7 @@
 """Sequences whose rows lost their order: matched, split where they cannot be, and said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -70,10 +72,6 @@ def test_rows_are_kept_or_matched_on_demand(tmp_path):
     frames = moving_frames(300, 3)
     lost = open_sequence(write_sequence(tmp_path / "a", shuffled(frames, {1})))
     assert restore_rows(lost, "keep").sequence is lost
-    tracked = open_sequence(write_sequence(tmp_path / "b", frames))
-    restored = restore_rows(tracked, "match")
-    assert restored.matched == (1, 2)
-    np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
 
 
 def test_only_the_frames_that_are_asked_for_are_looked_at(tmp_path):
@@ -92,3 +90,24 @@ def test_usage_of_rows_in_another_order_is_not_taken(tmp_path, monkeypatch):
 @pytest.mark.parametrize("frames", [1, 2])
 def test_short_sequences_have_nothing_to_restore(tmp_path, frames):
     assert restore_rows(open_sequence(write_sequence(tmp_path, moving_frames(50, frames)))).notes == []
+
+
+def test_rows_that_all_are_matched_are_out_of_order_only_where_they_were(tmp_path):
+    """`match` finds the order that files have: nothing was put into another, and what the trainer measured counts."""
+    frames = moving_frames(300, 4)
+    restored = restore_rows(open_sequence(write_sequence(tmp_path, shuffled(frames, {2}))), "match")
+    assert restored.matched == (2, 3) and sorted(restored.sequence.orders) == [2]
+    np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
+    ordered = restore_rows(open_sequence(write_sequence(tmp_path / "ordered", frames)), "match")
+    assert ordered.notes == [] and not ordered.sequence.orders
+
+
+def test_frames_of_a_growing_sequence_that_are_alone_are_said_one_by_one(tmp_path):
+    sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300 + i, seed=i) for i in range(3)]))
+    [note] = restore_rows(sequence, frames=range(1, 2)).notes
+    assert note.startswith("frame 1: each has another number of Gaussians than the frames beside it")
+
+
+def test_frames_that_a_file_says_are_unlike_those_before_have_no_other_number(tmp_path):
+    sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300, seed=i) for i in range(3)]))
+    assert restore_rows(replace(sequence, breaks=(1, 2))).alone == ()
