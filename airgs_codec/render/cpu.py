@@ -181,8 +181,8 @@ def gradients(
 def contribution_and_gradients(
     inputs: RasterInputs[Floats], camera: Camera, grad_rgb: Floats
 ) -> tuple[Contribution, RasterInputs[Floats]]:
-    """What `measure_contribution` and `gradients` give for one picture on black, at once, from dL / d rgb (H, W, 3)."""
-    blended = blend(inputs, camera, BLACK)
+    """What `measure_contribution` and `gradients` give for one picture, at once, from dL / d rgb (H, W, 3)."""
+    blended = blend(inputs, camera, camera.background)
     pairs = _pair_gradients(blended, grad_rgb, np.zeros(grad_rgb.shape[:2], np.float32), True)
     out, _ = _sum_gradients(inputs, camera, blended.projected, pairs)
     return _contribution(blended.projected, pairs, 9), out

@@ -17,6 +17,8 @@ from airgs_codec.scene.rotations import from_rotation_vector, multiply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 
+BLACK_DC = np.full((1, 3), -10, np.float32)
+
 
 @pytest.fixture(scope="module")
 def scene():
@@ -100,6 +102,16 @@ def test_the_cost_of_withholding_is_the_rendered_one(scene):
             columns[name] = (columns[name] + getattr(steps, name) * unit * changes[0, start:stop].T).astype(np.float32)
         rendered = np.mean([mse(render(Gaussians(**columns), c).rgb, render(frame, c).rgb) for c in cameras])
         assert withheld_error(changes, weights).sum() == pytest.approx(rendered, rel=0.3), name
+
+
+def test_what_is_behind_the_scene_counts(scene):
+    """A black row changes nothing before black, whatever its opacity; before white it does."""
+    frame, cameras, _ = scene
+    black = replace(
+        frame.take(np.argsort(frame.opacity_logits)[-1:]), sh_rest=np.zeros_like(frame.sh_rest[:1]), sh_dc=BLACK_DC
+    )
+    white = [replace(view, background=(1.0, 1.0, 1.0)) for view in cameras]
+    assert measure_sensitivity([black], cameras).opacity.max() == 0 < measure_sensitivity([black], white).opacity.max()
 
 
 def test_views_and_frames_are_averaged(scene):

@@ -11,7 +11,6 @@ from airgs_codec.render.cpu import activate, blend, contribution_and_gradients, 
 from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.render.reference import blending_weights, render_reference
-from airgs_codec.scene.camera import BLACK
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import read_ply
 from tests.support.paths import FOX
@@ -178,10 +177,11 @@ def test_nothing_is_counted_behind_opaque_pixels_or_beside_the_picture():
 @pytest.mark.parametrize("logit", [0.0, 8.0])
 def test_contribution_and_gradients_of_one_pass_are_those_of_two(logit):
     g = random_gaussians(300, 2)
-    g, view = replace(g, opacity_logits=g.opacity_logits + np.float32(logit)), camera()
+    behind = (0.2, 0.5, 0.9)
+    g, view = replace(g, opacity_logits=g.opacity_logits + np.float32(logit)), replace(camera(), background=behind)
     active, pull = activate(g), np.random.default_rng(0).normal(size=(50, 70, 3)).astype(np.float32)
     seen, derivatives = contribution_and_gradients(active, view, pull)
-    alone, apart = measure_contribution(g, view), blend(active, view, BLACK)
+    alone, apart = measure_contribution(g, view), blend(active, view, behind)
     np.testing.assert_allclose(seen.total, alone.total, rtol=1e-6)
     np.testing.assert_array_equal(seen.peak, alone.peak)
     np.testing.assert_array_equal(seen.hits, alone.hits)

@@ -19,7 +19,7 @@ from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, Shares
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.scene.sequence import GaussianSequence
 
-REVISION = 5  # of this method, for the cache
+REVISION = 6  # of this method, for the cache
 
 
 @dataclass(frozen=True, slots=True)
