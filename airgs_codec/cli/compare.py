@@ -12,7 +12,16 @@ from airgs_codec.cli.common import PACKAGE, Bar, add_views, parse_range
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import compared_views
 from airgs_codec.inspect.side_by_side import side_by_side
-from airgs_codec.inspect.sides import Side, described, expect_same_rate, is_package, left_out, open_side, shared_views
+from airgs_codec.inspect.sides import (
+    Side,
+    before_both,
+    described,
+    expect_same_rate,
+    is_package,
+    left_out,
+    open_side,
+    shared_views,
+)
 from airgs_codec.inspect.two import Comparison, compare_two, comparison_json, format_two
 from airgs_codec.media.image import write_png
 from airgs_codec.render import Camera, read_cameras
@@ -73,7 +82,8 @@ def _open_both(args: argparse.Namespace) -> tuple[Side, Side]:
 
 
 def _views(a: Side, b: Side, path: Path | None) -> tuple[str, list[Camera]]:
-    return described(compared_views(read_cameras(path), None), str(path)) if path else shared_views(a, b)
+    words, views = described(compared_views(read_cameras(path), None), str(path)) if path else shared_views(a, b)
+    return words, before_both(a, b, views)
 
 
 def _expect_folder(path: Path | None) -> None:

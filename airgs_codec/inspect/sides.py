@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -14,11 +14,12 @@ from airgs_codec.inspect.compare import compared_views, region_views, rung_frame
 from airgs_codec.inspect.summary import rung_bytes
 from airgs_codec.package.manifest import Quality, pooled_quality
 from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.package.region import CHECKING
+from airgs_codec.package.region import CHECKING, background_of
 from airgs_codec.package.storage import is_address
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
+from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.orbits import UP, orbit_views
@@ -39,6 +40,7 @@ class Side:
     bytes_per_frame: float  # of a package what a viewer of the rung fetches: keys, states and all tables
     cameras: tuple[Camera, ...]
     region: Region | None
+    background: Background  # what is seen behind it
     axes: Axes | None  # of a scene that says which way is up
     claimed: Quality | None  # of the rung, as the tables have it
     read: Callable[[range], Iterator[Gaussians]]  # frames, repaired; raises SceneError or FormatError
@@ -85,6 +87,7 @@ def _of_package(name: str, package: Package, rung: str) -> Side:
         bytes_per_frame=rung_bytes(m, q, j, package.manifest_bytes) / m.frames,
         cameras=(),
         region=m.region,
+        background=background_of(m.region),
         axes=None,
         claimed=pooled_quality(m, j, q),
         read=lambda frames: rung_frames(package, frames, m.levels[j].id, m.qualities[q].id),
@@ -102,6 +105,7 @@ def _of_scene(name: str, sequence: GaussianSequence) -> Side:
         bytes_per_frame=sum(_size(path) for path in set(sequence.paths)) / len(sequence),
         cameras=sequence.cameras,
         region=None,
+        background=sequence.background,
         axes=sequence.axes,
         claimed=None,
         read=lambda frames: (sequence.load([number]).frames[0] for number in frames),
@@ -127,6 +131,12 @@ def left_out(a: Side, b: Side) -> list[str]:
     extra = range(short.frames, long.frames)
     which = f"frame {extra[0]}" if len(extra) == 1 else f"frames {extra[0]} to {extra[-1]}"
     return [f"{which} of {long.name}, which {short.name} does not have"]
+
+
+def before_both(a: Side, b: Side, views: Sequence[Camera]) -> list[Camera]:
+    """The views before the background of A or, where that is black, of B: both are seen before the same one."""
+    behind = b.background if a.background == BLACK else a.background
+    return [replace(view, background=behind) for view in views]
 
 
 def shared_views(a: Side, b: Side) -> tuple[str, list[Camera]]:

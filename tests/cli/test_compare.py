@@ -64,6 +64,19 @@ def test_frames_and_views_are_chosen(original, package, tmp_path, capsys):
     assert report["cameras"] == ["cam02", "cam03"] and report["worst"]["frame"] in (1, 3)
 
 
+def test_both_are_seen_before_the_background_that_either_tells(original, tmp_path, capsys):
+    """Whatever the views: on an orbit, of a file, or of a region; next to nothing of the scene is in a corner."""
+    frames = moving_frames(400, 4)
+    white = write_sequence(tmp_path / "white", frames[:1], fps=10, background=[1, 1, 1])
+    views = write_cameras(tmp_path / "views.json", ring(4, size=320))
+    for places in ((white, original), (original, white)):
+        for some in ([], ["--views", views]):
+            figures(capsys, *places, *some, "-o", tmp_path / "out")
+            picture = read_picture(tmp_path / "out" / "worst.png")
+            wide = picture.shape[1] // 3
+            assert min(picture[-1, x * wide].min() for x in (0, 1)) > 200
+
+
 def test_pictures_are_written_and_named(original, package, tmp_path, capsys):
     out = tmp_path / "new" / "pictures"
     assert main(["compare", str(original), str(package), "--frames", "0:2", "-o", str(out)]) == 0
