@@ -2,6 +2,7 @@
 
 import base64
 import json
+import shutil
 from urllib.parse import urlencode
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from airgs_codec.decoder.decode import decode
 from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.region import before_background
 from airgs_codec.package.store import open_package
 from airgs_codec.render.cpu import render
 from airgs_codec.scene.camera import Camera
@@ -65,23 +67,37 @@ def test_a_loop_goes_on_over_changes_of_group_without_a_dark_picture(fox):
     assert report["darkest"] > 0.8 * report["brightest"] > 10
 
 
-@pytest.mark.parametrize("rung", [(0, 0), (1, 1)])
-def test_a_frame_that_is_sought_is_what_the_cpu_renderer_draws(fox, rung):
+def assert_drawn_as_by_the_cpu_renderer(package, rung, frames):
+    """Frames that are sought in one rung, before the background of the package."""
     quality, level = rung
-    m = fox.manifest
-    frames = [3, 0, 2, 1]
+    m = package.manifest
     name = f"{m.qualities[quality].id}+{m.levels[level].id}"
-    report = look(fox.files.path, "seek", frames=json.dumps(frames), rung=name, fps=float(m.fps))
+    report = look(package.files.path, "seek", frames=json.dumps(frames), rung=name, fps=float(m.fps))
     assert report["paused"] and [p["frame"] for p in report["pictures"]] == frames
     lens = report["camera"]
     sides = lens["width"], lens["height"]
     matrix = np.array(lens["worldToCamera"]).reshape(4, 4)
     camera = Camera("page", *sides, *(lens[k] for k in ("fx", "fy", "cx", "cy")), matrix, near=lens["near"])
+    [camera] = before_background(m.region, [camera])
     for seen in report["pictures"]:
         pixels = np.frombuffer(base64.b64decode(seen["picture"]), np.uint8).reshape(*sides[::-1], 4)[..., :3]
-        truth = render(decode(fox, seen["frame"], level=level, key_quality=quality), camera).rgb.clip(0, 1)
+        truth = render(decode(package, seen["frame"], level=level, key_quality=quality), camera).rgb.clip(0, 1)
         assert truth.std() > 0.05
         assert psnr(mse(pixels / np.float32(255), np.round(255 * truth) / np.float32(255))) >= LEAST_DB
+
+
+@pytest.mark.parametrize("rung", [(0, 0), (1, 1)])
+def test_a_frame_that_is_sought_is_what_the_cpu_renderer_draws(fox, rung):
+    assert_drawn_as_by_the_cpu_renderer(fox, rung, [3, 0, 2, 1])
+
+
+@pytest.mark.parametrize("background", [[1, 1, 1], [1, 0.5, 0]])
+def test_the_background_of_the_package_is_behind_the_scene(fox, tmp_path, background):
+    folder = shutil.copytree(fox.files.path, tmp_path / "package")
+    root = json.loads((folder / "airgs.json").read_text())
+    root["region"]["background"] = background
+    (folder / "airgs.json").write_text(json.dumps(root))
+    assert_drawn_as_by_the_cpu_renderer(open_package(folder), (0, 0), [1])
 
 
 def test_a_rung_from_the_menu_is_soon_on_the_screen(fox):

@@ -35,7 +35,7 @@ class Target:
     @property
     def nbytes(self) -> int:
         """Memory that its arrays hold, in bytes."""
-        return 3 * self.rgb.nbytes
+        return 3 * self.rgb.nbytes + (0 if self.clear is None else self.clear.nbytes)
 
 
 def exposed_alike(picture: NDArray[np.float32], values: Sequence[float]) -> NDArray[np.float32]:

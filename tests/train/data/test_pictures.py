@@ -54,6 +54,8 @@ def test_what_is_transparent_shows_the_background(tmp_path, background, left):
     moved = view.before((0.2, 0.4, 0.6))
     assert moved.camera.background == (0.2, 0.4, 0.6)
     assert np.allclose(moved.target.rgb[:, :24], (0.2, 0.4, 0.6)) and np.allclose(moved.target.rgb[:, 24:], (1, 0, 0))
+    arrays = [part for part in vars(view.target).values() if part.base is None]
+    assert view.target.nbytes == sum(part.nbytes for part in arrays)
 
 
 def test_masks_leave_the_background_and_opaque_pictures_have_no_random_one(tmp_path):
