@@ -6,6 +6,8 @@ import argparse
 from fractions import Fraction
 from typing import TypedDict
 
+from airgs_codec.cli.common import fraction
+
 
 class Baking(TypedDict):
     """Arguments of `open_sequence`; None: what the file says, or else the default of its format."""
@@ -21,13 +23,13 @@ def add_baking(parser: argparse._ActionsContainer) -> None:
     """Add --bake-fps and --duration."""
     parser.add_argument(
         "--bake-fps",
-        type=Fraction,
+        type=fraction,
         metavar="FPS",
         help="frames a second that a clip of moving Gaussians is baked to (default: what the file says, else 30)",
     )
     parser.add_argument(
         "--duration",
-        type=Fraction,
+        type=fraction,
         metavar="SECONDS",
         help="length of a clip whose file states none: .splatv, Spacetime Gaussians .ply (default: 5/3)",
     )

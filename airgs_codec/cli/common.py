@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
@@ -19,16 +24,24 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 PACKAGE = "a package: its folder, or its address, s3://, gs:// or az://"
 
 
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM came."""
+
+
 def run_command(name: str, work: Callable[[], int]) -> int:
-    """Exit status of a command: bad input or a failing disk is one line on stderr and 2, a bug keeps its traceback."""
+    """Exit status of a command: bad input or a failing disk is one line on stderr and 2, a bug keeps its traceback.
+
+    SIGINT and SIGTERM end the work where it is, so that it removes what it has begun; the status is 130 or 143.
+    """
     try:
-        return work()
+        with _terminable():
+            return work()
     except AirgsError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as error:
         print(f"{name}: stopped", file=sys.stderr)
-        return 130
+        return 128 + (signal.SIGTERM if isinstance(error, _Terminated) else signal.SIGINT)
     except BrokenPipeError:  # the reader of our output has gone, `| head` for one
         sys.stderr.close()
         return 0
@@ -36,6 +49,31 @@ def run_command(name: str, work: Callable[[], int]) -> int:
         what = error.strerror or f"{error} (is the disk full?)"  # numpy counts bytes instead of asking
         print(f"{name}: {error.filename or 'file system'}: {what}", file=sys.stderr)
         return 2
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Within the block SIGTERM raises _Terminated, unless this is a thread of somebody's program."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_: Any) -> None:
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def fraction(text: str) -> Fraction:
+    """The type of an option that is an exact number, as 30, 29.97 or 30000/1001."""
+    try:
+        return Fraction(text)
+    except (ValueError, ZeroDivisionError) as error:
+        raise argparse.ArgumentTypeError(f"expected a number or a fraction, got {text!r}") from error
 
 
 class Bar:

@@ -8,9 +8,11 @@ from collections.abc import Iterator, Sequence
 
 from airgs_codec.cli.common import PACKAGE, Bar, parse_range, run_command
 from airgs_codec.decoder.decode import decode_frames
+from airgs_codec.errors import ConfigError
+from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.world import misread
-from airgs_codec.scene.formats.write import Numbered, choose_target, format_keys, write_frames
+from airgs_codec.scene.formats.write import Numbered, Target, choose_target, format_keys, write_frames
 
 _OUTPUT = "folder for the frames, 000000.ply and on; or a file whose ending says its format"
 
@@ -40,6 +42,7 @@ def _run(args: argparse.Namespace) -> int:
     level, quality = m.levels[m.level_index(args.level)].id, m.qualities[m.quality_index(args.key_quality)].id
     start, stop = parse_range(args.frames, m.frames)
     target = choose_target(args.output, args.format, stop - start)
+    _expect_outside(target)
     bar = Bar(args.json)
     try:
         lost = write_frames(target, _decoded(package, (start, stop), (level, quality), bar), float(m.fps))
@@ -51,6 +54,13 @@ def _run(args: argparse.Namespace) -> int:
     words = f"{stop - start} frames of {quality} + {level} in {args.output}"
     print(json.dumps(report) if args.json else "\n".join([words, *lost, *notes]))
     return 0
+
+
+def _expect_outside(target: Target) -> None:
+    """Raise ConfigError when frames would lie among the files of a package."""
+    folder = target.path if target.folder else target.path.parent
+    if (folder / JSON_NAME).is_file():
+        raise ConfigError(f"{target.path}: expected a place outside of packages, got one in the package {folder}")
 
 
 def _decoded(package: Package, frames: tuple[int, int], rung: tuple[str, str], bar: Bar) -> Iterator[Numbered]:

@@ -7,14 +7,13 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from airgs_codec._settings import about
 from airgs_codec.analysis.rows import ROWS
 from airgs_codec.cli.baking import add_baking, is_told, told_baking
-from airgs_codec.cli.common import Bar, add_views, run_command
+from airgs_codec.cli.common import Bar, add_views, fraction, run_command
 from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.training import train_by_default
 from airgs_codec.cli.world import add_world, told_world, with_signs
@@ -66,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
         "--output",
         help="package folder, or s3://, gs://, az:// and a prefix (default: SCENE with .airgs appended)",
     )
-    parser.add_argument("--fps", type=Fraction, help="frames a second (default: what sequence.json says, else 30)")
+    parser.add_argument("--fps", type=fraction, help="frames a second (default: what sequence.json says, else 30)")
     add_baking(parser)
     add_views(
         parser, "cameras that usage and quality are measured with", "those beside the frames, else cameras on an orbit"

@@ -6,13 +6,12 @@ import argparse
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, fields, replace
-from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
-from airgs_codec.cli.common import parse_frames, run_command
+from airgs_codec.cli.common import fraction, parse_frames, run_command
 from airgs_codec.cli.training import default_model, default_settings, pick_device, pose_rig, require_torch, run_training
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK
@@ -53,7 +52,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_pictures(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--frames", metavar="A:B", help="train frames A to B - 1 (default: all)")
-    group.add_argument("--fps", type=Fraction, help="frames a second (default: what the scene says, else 30)")
+    group.add_argument("--fps", type=fraction, help="frames a second (default: what the scene says, else 30)")
     _add_setting(group, "--max-size", "max_size", int, "PX", "as they are")
     group.add_argument(
         "--hold-out",

@@ -291,6 +291,15 @@ def test_the_attribution_of_a_scene_is_in_its_package(package):
     assert "tomkranis" in (FOX / "ATTRIBUTION.txt").read_text()
 
 
+@pytest.mark.parametrize("option", ["--fps", "--bake-fps", "--duration"])
+@pytest.mark.parametrize("text", ["1/0", "nan", "fast"])
+def test_numbers_that_are_none_are_refused(tmp_path, option, text, capsys):
+    with pytest.raises(SystemExit) as ended:
+        encode.main([str(tmp_path), option, text])
+    assert ended.value.code == 2
+    assert f"argument {option}: expected a number or a fraction, got '{text}'" in capsys.readouterr().err
+
+
 def test_a_target_that_cannot_be_written_is_one_line(tmp_path, capsys):
     scene = write_sequence(tmp_path / "scene", moving_frames(20, 1))
     (tmp_path / "file").write_text("in the way")

@@ -2,6 +2,9 @@
 
 import importlib.util
 import json
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -95,6 +98,9 @@ def test_what_a_range_loses_is_said(tmp_path, capsys):
         (["-o", "frames", "--frames", "0:9"], "inside 0:4"),
         (["-o", "frames/", "--format", "4dgs"], "expected a file whose name ends in .4dgs, which holds all frames"),
         (["-o", "a.4dgs", "--format", "splat4d"], "ends in .splat4d"),
+        (["-o", ""], "expected the name of a file or folder"),
+        (["-o", str(FOX)], "expected a place outside of packages"),
+        (["-o", f"{FOX}/a.spz", "--frames", "0"], "expected a place outside of packages"),
     ],
 )
 def test_what_cannot_be_is_refused_before_anything_is_written(tmp_path, monkeypatch, options, words, capsys):
@@ -111,10 +117,10 @@ def test_a_missing_library_is_said_first(tmp_path, monkeypatch, capsys):
     assert not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("place", ["frames/", "a.splat"])
+@pytest.mark.parametrize("place", ["frames/", "new/deep/a.splat"])
 def test_after_a_failure_everything_is_as_it_was(tmp_path, monkeypatch, place, capsys):
     """The disk is full at the last frame."""
-    options = ("-o", f"{tmp_path}/{place}", "--format", "splat", "--frames", "2" if place == "a.splat" else "0:3")
+    options = ("-o", f"{tmp_path}/{place}", "--format", "splat", "--frames", "0:3" if place == "frames/" else "2")
     written = FORMATS[KEYS.index("splat")].write
 
     def full(path, gaussians):
@@ -134,6 +140,21 @@ def test_after_a_failure_everything_is_as_it_was(tmp_path, monkeypatch, place, c
         patched.setattr(write, "WRITERS", broken)
         assert "No space left" in refusal(capsys, *options)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_stopped_command_leaves_nothing(tmp_path, number, status):
+    """It is stopped while frames are being written."""
+    code = f"""import os, signal, sys
+from airgs_codec.cli import decode
+from airgs_codec.scene.formats import write
+write._write_all = lambda folder, *_: (folder.joinpath("a").touch(), os.kill(os.getpid(), {int(number)}))
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(decode.main(sys.argv[1:]))"""
+    command = [sys.executable, "-c", code, str(FOX), "-o", f"{tmp_path}/new/frames/"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.strip()) == (status, "airgs-decode: stopped")
+    assert not any(tmp_path.iterdir())
 
 
 def test_frames_join_those_of_a_folder(tmp_path):

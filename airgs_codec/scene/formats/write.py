@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -42,6 +43,8 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
     What ends in a slash or exists as a folder is a folder. Raises ConfigError when the place does not suit the format
     or the number of frames, is in the way, or the library that writes the format is not there.
     """
+    if not place:
+        raise ConfigError("expected the name of a file or folder for the frames, got an empty one")
     path = Path(place)
     named = next((form for form in WRITERS if form.key == key), None)
     ending = max((form for form in WRITERS if path.name.lower().endswith(f".{form.key}")), key=_length, default=None)
@@ -86,20 +89,28 @@ def write_frames(target: Target, frames: Iterable[Numbered], fps: float) -> list
     """
     losses = Losses(target.form.holds, target.form.name)
     fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
-    target.path.parent.mkdir(parents=True, exist_ok=True)
-    if isinstance(target.form, ClipWriter):
-        with atomic_path(target.path) as temporary:
+    with _made_folders(target.path), (staged_files if target.folder else atomic_path)(target.path) as temporary:
+        if isinstance(target.form, ClipWriter):
             target.form.write(temporary, (g for _, g in fitted), fps)
-    elif target.form is SOG_FOLDER:
-        with staged_files(target.path) as stage:
-            write_sog_folder(stage, *(g for _, g in fitted))
-    elif target.folder:
-        with staged_files(target.path) as stage:
-            _write_all(stage, target.form, fitted)
-    else:
-        with atomic_path(target.path) as temporary:
+        elif target.folder and target.form is not SOG_FOLDER:
+            _write_all(temporary, target.form, fitted)
+        else:
             target.form.write(temporary, *(g for _, g in fitted))
     return losses.lines()
+
+
+@contextmanager
+def _made_folders(path: Path) -> Iterator[None]:
+    """Within the block all folders above a path are there; after an error those that were made are gone again."""
+    missing = [folder for folder in path.absolute().parents if not folder.exists()]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        for folder in missing:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
 
 
 def _write_all(folder: Path, form: Format, frames: Iterator[Numbered]) -> None:
