@@ -208,12 +208,10 @@ def _read_settings(path: Path, frames: int) -> _Settings:
 
 
 def _background(path: Path, data: Any) -> Background:
-    try:
-        r, g, b = (float(value) for value in data)
-        if all(0 <= value <= 1 for value in (r, g, b)):
-            return r, g, b
-    except (TypeError, ValueError):
-        pass
+    numbers = data if isinstance(data, (list, tuple)) else ()
+    if len(numbers) == 3 and all(type(value) in (int, float) and 0 <= value <= 1 for value in numbers):
+        r, g, b = map(float, numbers)
+        return r, g, b
     raise SceneError(f"{path}: expected a background of r, g, b from 0 to 1, got {data}")
 
 

@@ -75,7 +75,9 @@ def test_claimed_psnr_is_that_before_the_background(packages):
         assert claim == pytest.approx(found[0], abs=0.006) and abs(claim - found[1]) > 0.05
 
 
-@pytest.mark.parametrize("background", [[1, 1], [1, 1, 2], "white", [0, None, 0], 1])
+@pytest.mark.parametrize(
+    "background", [[1, 1], [1, 1, 2], "white", "111", [0, None, 0], [True, False, True], ["1", 0, 0], 1]
+)
 def test_what_is_no_background_is_refused_in_one_line(tmp_path, background):
     scene = write_scene(tmp_path / "scene", background)
     with pytest.raises(SceneError, match="expected a background of r, g, b from 0 to 1") as caught:
