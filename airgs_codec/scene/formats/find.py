@@ -13,6 +13,7 @@ from airgs_codec.scene.formats.table import INRIA, is_frame
 
 _ARCHIVES = (".zip",)  # of a data set rather
 POINT_CLOUD = "point_cloud"  # of an INRIA model: point_cloud/iteration_7000/point_cloud.ply
+LEVELS = "lod-meta.json"  # of a scene whose folders are pieces of it in levels of detail
 INPUT = "input.ply"  # the points that such a model began with
 
 
@@ -36,8 +37,10 @@ def find_frames(place: Path) -> Found:
         return Found(place.parent, (place,), True)
     if not place.is_dir():
         raise SceneError(f"{place}: expected a folder of frames or a file, got nothing")
-    paths = sorted((path for path in place.iterdir() if is_frame(path)), key=natural_key)
-    paths = [path for path in paths if path.suffix in INRIA.suffixes] or paths
+    if (place / LEVELS).exists():
+        raise SceneError(f"{place}: expected frames, got levels of detail ({LEVELS}): splat-transform converts them")
+    paths = sorted(filter(is_frame, place.iterdir()), key=lambda path: (natural_key(path), path.name))
+    paths = [path for path in paths if path.suffix.lower() in INRIA.suffixes] or paths
     if {path.name for path in paths} <= {INPUT} and (newest := _newest_iteration(place)):
         return Found(newest.parent, (newest,), False)
     if not paths:

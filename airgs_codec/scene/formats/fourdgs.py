@@ -14,7 +14,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.formats.clip import Bake, Clip, rate_words, refuse_baking
 from airgs_codec.scene.formats.library import check_count, expect_library
-from airgs_codec.scene.formats.opacity import logits_of
+from airgs_codec.scene.formats.linear import logits_of, logs_of
 from airgs_codec.scene.formats.process import SECONDS, run_limited
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.scene.ply import PlyHeader
@@ -25,7 +25,6 @@ _KEPT = 2  # blocks that a process keeps
 _COPIES = 128  # of the bytes of a file in the library, at least
 _SECONDS_PER_BYTE = 5e-6  # about five times what the library takes
 _MAGIC = b"\x894DGS"
-_LEAST_SCALE = 1e-9  # of a size of 0, whose logarithm is infinite
 _Arrays = dict[str, NDArray]
 
 
@@ -65,11 +64,9 @@ def _read(path: Path, fps: Fraction, headers: tuple[PlyHeader, ...], frame: int)
 def _block(path: Path, _written: int, fps: Fraction, start: int, stop: int) -> Gaussians:
     """Frames [start, stop), one after the other."""
     found = _run(path, fps, range(start, stop))
-    scales = found["scales"]
-    with np.errstate(invalid="ignore"):
-        log_scales = np.log(np.where(scales == 0, np.float32(_LEAST_SCALE), scales))
     dc = (found["rgb"] - np.float32(0.5)) / np.float32(SH_C0)
-    return Gaussians(found["means"], found["quaternions"], log_scales, logits_of(found["alpha"]), dc, found["sh"])
+    sizes, alphas = logs_of(found["scales"]), logits_of(found["alpha"])
+    return Gaussians(found["means"], found["quaternions"], sizes, alphas, dc, found["sh"])
 
 
 def _run(path: Path, fps: Fraction, frames: range) -> _Arrays:

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.holds import Holds
+from airgs_codec.scene.formats.linear import SIZES, logits_of, logs_of
 from airgs_codec.scene.formats.nodes import Placed, placed
-from airgs_codec.scene.formats.opacity import logits_of
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
 from airgs_codec.scene.ply import PlyHeader
 from airgs_codec.scene.rotations import multiply
@@ -32,9 +32,8 @@ _COLOURS = ("srgb_rec709_display", "BT.709")  # the second is of drafts
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _MOST_JSON = 1 << 24  # bytes
-_LEAST_SCALE = 1e-9  # of a size of 0, whose logarithm is infinite
 _MOST_BYTES = 1 << 32  # of a .glb, whose length is a word of 32 bits
-GLB = Holds()
+GLB = Holds(ranges=(SIZES,))
 _BROKEN = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 
 
@@ -195,7 +194,7 @@ def _read(document: dict[str, Any], buffers: list[bytes], primitive: Placed, deg
     if lengths != {len(means)}:
         raise ValueError(f"{len(means)} rows of every attribute")
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        log_scales = np.log(np.maximum(scales, _LEAST_SCALE)) + math.log(primitive.scale)
+        log_scales = logs_of(scales) + math.log(primitive.scale)
         placed_means = means @ primitive.matrix.T + primitive.translation
     quaternions = multiply(np.broadcast_to(primitive.rotation, rotations.shape), rotations)
     sh = np.stack(rest, axis=1) if rest else np.zeros((len(means), SH_REST[0], 3))

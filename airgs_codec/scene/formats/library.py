@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.opacity import SATURATED_LOGIT
+from airgs_codec.scene.formats.linear import SATURATED_LOGIT
 from airgs_codec.scene.formats.process import run_limited
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.ply import PlyHeader, read_ply, write_ply

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.clip import DEFAULT_BAKE_FPS, Bake, Clip, count_frames, rate_words
-from airgs_codec.scene.formats.opacity import logits_of
+from airgs_codec.scene.formats.linear import logits_of
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.scene.ply import PlyHeader
 

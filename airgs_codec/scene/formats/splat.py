@@ -11,17 +11,19 @@ import numpy as np
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.holds import Holds
-from airgs_codec.scene.formats.opacity import logits_of
+from airgs_codec.scene.formats.linear import SIZES, logits_of, logs_of
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.scene.ply import PlyHeader
 
 _ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 ROW_BYTES = _ROW.itemsize
-_LEAST_SCALE = 1e-9  # of a size of 0, whose logarithm is infinite
 SPLAT = Holds(
     sh_degree=0,
     rounding="colours, opacities and rotations to 8 bits",
-    ranges=(("sh_dc", -0.5 / SH_C0, 0.5 / SH_C0),),
+    ranges=(
+        SIZES,
+        ("sh_dc", -0.5 / SH_C0, 0.5 / SH_C0),
+    ),
 )
 
 
@@ -38,12 +40,10 @@ def read_splat(path: Path) -> Gaussians:
     read_splat_header(path)
     rows = np.fromfile(path, _ROW)
     alpha = rows["rgba"][:, 3] / 255
-    with np.errstate(invalid="ignore"):
-        log_scales = np.log(np.maximum(rows["scales"], _LEAST_SCALE))
     return Gaussians(
         np.ascontiguousarray(rows["means"]),
         (rows["rotation"].astype(np.float32) - np.float32(128)) / np.float32(128),
-        log_scales.astype(np.float32),
+        logs_of(rows["scales"]),
         logits_of(alpha),
         ((rows["rgba"][:, :3] / 255 - 0.5) / SH_C0).astype(np.float32),
         np.zeros((len(rows), 0, 3), np.float32),

@@ -16,12 +16,12 @@ import numpy as np
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.clip import Bake, Clip
+from airgs_codec.scene.formats.linear import logs_of
 from airgs_codec.scene.formats.spacetime import Spacetime, open_spacetime
 
 _MAGIC = 0x674B
 _HEADER = struct.Struct("<II")  # magic, length of the JSON
 _TEXEL = 16  # bytes
-_LEAST_SCALE = 1e-9  # of a size of 0, whose logarithm is infinite
 ROW = np.dtype(
     [
         ("mean", "<f4", 3),
@@ -50,16 +50,13 @@ def read_splatv(path: Path) -> Spacetime:
     except OSError as error:
         raise SceneError(f"{path}: cannot read: {error.strerror}") from error
     rows = _rows(path, data)
-    scales = rows["scale"].astype(np.float32)
-    with np.errstate(invalid="ignore"):
-        log_scales = np.log(np.where(scales == 0, np.float32(_LEAST_SCALE), scales))
     rgba = rows["rgba"].astype(np.float32) / np.float32(255)
     return Spacetime(
         np.ascontiguousarray(rows["mean"]),
         rows["motion"].astype(np.float32),
         rows["quaternion"].astype(np.float32),
         rows["turn"].astype(np.float32),
-        log_scales,
+        logs_of(rows["scale"].astype(np.float32)),
         rgba[:, 3],
         rgba[:, :3],
         rows["centre"].astype(np.float32),

@@ -55,6 +55,21 @@ def test_one_file_is_a_scene_whatever_lies_beside_it(tmp_path):
     assert (len(sequence), sequence.fps, sequence.keyframes) == (1, 30, None)
 
 
+def test_no_frame_is_lost_for_its_capitals_and_equal_numbers_have_an_order(tmp_path):
+    for name in ("2.ply", "1.PLY", "01.ply", "001.ply"):
+        write_ply(tmp_path / name, random_gaussians(9))
+    assert [path.name for path in open_sequence(tmp_path).paths] == ["001.ply", "01.ply", "1.PLY", "2.ply"]
+
+
+def test_levels_of_detail_are_no_frames(tmp_path):
+    """A folder that splat-transform makes of a large scene; every folder in it is a whole SOG."""
+    for name in ("0_0", "1_0"):
+        write_sog_folder(tmp_path / name, random_gaussians(9))
+    (tmp_path / "lod-meta.json").write_text("{}")
+    with pytest.raises(SceneError, match=r"expected frames, got levels of detail"):
+        open_sequence(tmp_path)
+
+
 def test_a_mixture_is_refused_and_ply_goes_first(tmp_path):
     for suffix in (".splat", ".v3.spz"):
         (tmp_path / f"a{suffix}").write_bytes(splat_bytes(random_gaussians(9), suffix))

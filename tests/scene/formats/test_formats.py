@@ -98,6 +98,20 @@ def test_a_splat_row_is_pinned(tmp_path):
     np.testing.assert_allclose(g.sh_dc[0] * SH_C0 + 0.5, [1, 0, 0.2], atol=1e-6)
 
 
+def test_a_size_that_is_none_is_not_made_one(tmp_path):
+    rows = np.frombuffer(splat_bytes(small(4, 0), ".splat"), np.uint8).reshape(4, 32).copy()
+    rows[:, 12:16] = np.array([[1.0], [-1.0], [0.0], [1e-20]], "<f4").view(np.uint8)
+    rows.tofile(tmp_path / "a.splat")
+    glb = edited_glb(lambda d: None)
+    sizes = np.exp(small(3, 0).log_scales).tobytes()
+    assert sizes in glb
+    (tmp_path / "a.glb").write_bytes(glb.replace(sizes, np.full((3, 3), -1, "<f4").tobytes()))
+    np.testing.assert_allclose(
+        read_frame(tmp_path / "a.splat").log_scales[:, 0], [0, np.nan, np.log(1e-9), np.log(1e-20)], rtol=1e-6
+    )
+    assert np.isnan(read_frame(tmp_path / "a.glb").log_scales).all()
+
+
 def test_a_node_moves_turns_and_scales_its_splats(tmp_path):
     g = small(50, 0)
     half = float(np.sqrt(0.5))

@@ -121,7 +121,7 @@ def test_extremes_are_written_without_a_warning_and_counted(tmp_path, form):
     g = Gaussians(*(getattr(random_gaussians(300, 1), name).copy() for name in Gaussians.__slots__))
     g.opacity_logits[:100], g.opacity_logits[100:200] = np.inf, -np.inf
     g.sh_dc.clip(-1.7, 1.7, out=g.sh_dc)
-    g.sh_dc[:7], g.sh_rest[:5], g.log_scales[:3] = 9, -5, 30
+    g.sh_dc[:7], g.sh_rest[:5], g.log_scales[:3] = 9, -5, 100
     g.quaternions[0] = 0
     losses = Losses(form.holds, form.name)
     form.write(tmp_path / f"a.{form.key}", losses.fit(g, "frame 0"))
