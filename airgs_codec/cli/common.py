@@ -16,6 +16,7 @@ from typing import Any
 from tqdm import tqdm
 
 from airgs_codec.errors import AirgsError, ConfigError
+from airgs_codec.scene.rates import exact_number
 
 # OpenMP threads of numba spin while they wait unless told so before the first import that loads them.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -71,7 +72,7 @@ def _terminable() -> Iterator[None]:
 def fraction(text: str) -> Fraction:
     """The type of an option that is an exact number, as 30, 29.97 or 30000/1001."""
     try:
-        return Fraction(text)
+        return exact_number(text)
     except (ValueError, ZeroDivisionError) as error:
         raise argparse.ArgumentTypeError(f"expected a number or a fraction, got {text!r}") from error
 

@@ -87,6 +87,7 @@ class Summary:
     package_bytes: int
     region: RegionSummary
     world: World | None
+    background: tuple[float, ...]  # r, g, b of [0, 1]; empty: black
     views: Views
     groups: tuple[GroupSummary, ...]
     keys: tuple[KeySummary, ...]
@@ -114,6 +115,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
         package_bytes=manifest_bytes + m.media_bytes(),
         region=RegionSummary.of(m.region),
         world=m.world,
+        background=tuple(m.region.background or ()),
         views=m.views,
         groups=tuple(_group(m, g) for g in range(len(m.groups))),
         keys=tuple(_key(m, t, q) for t in range(m.tiers) for q in qualities),

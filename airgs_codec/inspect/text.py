@@ -56,6 +56,7 @@ def _head(s: Summary) -> list[str]:
         f"viewing region {s.region.words}",
         f"views of {s.region.views}",
         world_words(s.world),
+        *([f"background: {', '.join(f'{value:g}' for value in s.background)}"] if s.background else []),
         f"decided on {v.decided} pictures of each group; "
         + (measured if v.reference != "none" else "quality was not measured"),
     ]

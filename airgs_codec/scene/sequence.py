@@ -23,6 +23,7 @@ from airgs_codec.scene.formats.find import Found, find_frames
 from airgs_codec.scene.formats.table import format_of, read_frame, read_frame_header
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader
+from airgs_codec.scene.rates import exact_number
 from airgs_codec.scene.repair import Repaired, repair
 from airgs_codec.scene.usage import Usage, load_usage
 
@@ -197,7 +198,7 @@ def _read_settings(path: Path, frames: int) -> _Settings:
         return _DEFAULTS
     try:
         data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        fps = Fraction(str(data.get("fps", DEFAULT_FPS)))
+        fps = exact_number(str(data.get("fps", DEFAULT_FPS)))
         keyframes = data.get("keyframes")
         starts = None if keyframes is None else tuple(sorted({0, *(int(k) for k in keyframes)}))
     except (OSError, ValueError, TypeError, AttributeError, ZeroDivisionError) as error:

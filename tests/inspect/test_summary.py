@@ -199,3 +199,9 @@ def test_what_many_groups_leave_out_alike_is_one_line():
         "group 0: 5 Gaussians: 50.0 dB by itself, 0.10 kB/frame saved",
         "group 1: 6 Gaussians: 47.0 dB by itself, 0.10 kB/frame saved",
     ]
+
+
+@pytest.mark.parametrize(("name", "lines"), [("white", ["background: 1, 1, 1"]), ("one-gaussian", [])])
+def test_a_background_is_told_where_there_is_one(name, lines):
+    text = format_summary(summarise(open_package(VALID / name)))
+    assert [line for line in text.split("\n") if line.startswith("background")] == lines

@@ -28,7 +28,13 @@ def test_the_embedded_scene_opens_with_its_cameras_and_keyframes():
 
 @pytest.mark.parametrize(
     ("settings", "says"),
-    [("{", "sequence.json"), ('{"fps": 0}', "fps"), ('{"keyframes": [99]}', "keyframes"), ("[]", "sequence.json")],
+    [
+        ("{", "sequence.json"),
+        ('{"fps": 0}', "fps"),
+        ('{"fps": "1e30000000"}', "sequence.json"),
+        ('{"keyframes": [99]}', "keyframes"),
+        ("[]", "sequence.json"),
+    ],
 )
 def test_bad_settings_are_refused(tmp_path, settings, says):
     write_sequence(tmp_path, moving_frames(4, 2))

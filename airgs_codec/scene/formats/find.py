@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.clips import SUFFIXES as CLIP_SUFFIXES
 from airgs_codec.scene.formats.sog import META_NAME, is_sog_folder
 from airgs_codec.scene.formats.table import INRIA, is_frame
 
@@ -44,6 +45,8 @@ def find_frames(place: Path) -> Found:
     if {path.name for path in paths} <= {INPUT} and (newest := _newest_iteration(place)):
         return Found(newest.parent, (newest,), False)
     if not paths:
+        if clip := next((path for path in sorted(place.iterdir()) if path.suffix.lower() in CLIP_SUFFIXES), None):
+            raise SceneError(f"{place}: expected frames, got a clip: give {clip} by its own name")
         raise SceneError(f"{place}: expected at least one .ply frame, or one of another format, got none")
     if len(suffixes := sorted({_kind(path) for path in paths})) > 1:
         raise SceneError(f"{place}: expected frames of one format, got {', '.join(suffixes)}")

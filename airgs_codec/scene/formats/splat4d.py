@@ -11,7 +11,6 @@ import functools
 import json
 import struct
 import tempfile
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from airgs_codec.scene.formats.process import run_limited
 from airgs_codec.scene.formats.splat import ROW_BYTES, read_splat
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader
+from airgs_codec.scene.rates import exact_number
 
 _MAGIC = b"SP4D"
 _HEADER = struct.Struct("<4sII")  # magic, version, length of the JSON
@@ -36,7 +36,7 @@ def open_splat4d(path: Path, bake: Bake) -> Clip:
     try:
         with path.open("rb") as file:
             header = _header(path, file.read(_HEADER.size + _MOST_JSON))
-        count, frames, fps = header["n"], header["t"], Fraction(str(float(header["fps"])))
+        count, frames, fps = header["n"], header["t"], exact_number(str(header["fps"]))
         if min(count, frames) < 1 or not 0 < fps <= 1000 or not isinstance(count, int) or not isinstance(frames, int):
             raise ValueError(f"{count} Gaussians, {frames} frames, {fps} fps"[:120])
         ends = [0] + [end for gop in header["gops"] for end in (gop["f0"], gop["f1"] + 1)]

@@ -63,7 +63,9 @@ SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS for suffix in form.suf
 
 
 def is_frame(path: Path) -> bool:
-    """Whether a name is that of a frame, or a folder is one (SOG)."""
+    """Whether a name is that of a frame, or a folder is one (SOG). Hidden files are none, such as ._1.ply of macOS."""
+    if path.name.startswith("."):
+        return False
     return sog.is_sog_folder(path) if path.is_dir() else path.suffix.lower() in _BY_SUFFIX
 
 

@@ -55,6 +55,18 @@ def test_one_file_is_a_scene_whatever_lies_beside_it(tmp_path):
     assert (len(sequence), sequence.fps, sequence.keyframes) == (1, 30, None)
 
 
+def test_hidden_files_are_no_frames(tmp_path):
+    write_ply(tmp_path / "1.ply", random_gaussians(9))
+    (tmp_path / "._1.ply").write_bytes(b"\0\5\x16\7")
+    assert [path.name for path in open_sequence(tmp_path).paths] == ["1.ply"]
+
+
+def test_a_folder_with_a_clip_says_how_to_give_it(tmp_path):
+    (tmp_path / "spinach.splatv").write_bytes(b"")
+    with pytest.raises(SceneError, match=r"spinach\.splatv by its own name"):
+        open_sequence(tmp_path)
+
+
 def test_no_frame_is_lost_for_its_capitals_and_equal_numbers_have_an_order(tmp_path):
     for name in ("2.ply", "1.PLY", "01.ply", "001.ply"):
         write_ply(tmp_path / name, random_gaussians(9))
