@@ -203,5 +203,5 @@ def test_what_many_groups_leave_out_alike_is_one_line():
 
 @pytest.mark.parametrize(("name", "lines"), [("white", ["background: 1, 1, 1"]), ("one-gaussian", [])])
 def test_a_background_is_told_where_there_is_one(name, lines):
-    text = format_summary(summarise(open_package(VALID / name)))
+    text = format_summary(summarise(open_package(VALID / name).manifest, MANIFESTS))
     assert [line for line in text.split("\n") if line.startswith("background")] == lines
