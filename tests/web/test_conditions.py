@@ -189,3 +189,15 @@ def test_a_pause_and_a_seek_in_a_stall_hold(fox):
 def test_of_a_player_that_was_closed_nothing_is_left(fox):
     report = look(fox(4), "close")
     assert report == {"errors": [], "unhandled": [], "workers": 0}
+
+
+def test_of_two_packages_that_are_opened_at_once_the_last_one_counts(fox):
+    other = GOLDEN / "fox-fine"
+    folders = {"web": WEB, "package": fox(4), "other": other}
+    with serve(folders, {"/page.html": lambda: PAGE}) as site:
+        query = {"src": "/package/", "other": "/other/", "check": "reopen"}
+        seen = visit(f"{site.url}/page.html?{urlencode(query)}")
+    assert [line for line in seen.complaints() if "ERR_ABORTED" not in line] == []
+    report = seen.report
+    assert report["opened"] == [float(open_package(other).manifest.fps), FPS]
+    assert report["running"] > 0 and (report["workers"], report["unhandled"]) == (0, [])
