@@ -24,6 +24,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,7 @@ def one_run(action: str, source: Path, target: Path) -> None:
     if frame is None:
         open_sequence(target).read(0)
     else:
-        write_frames(choose_target(str(target), None, 1), [(0, frame)], 1)
+        write_frames(choose_target(str(target), None, 1), [(0, frame)], Fraction(1))
     seconds = time.perf_counter() - began
     peaks = [resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     print(json.dumps({"seconds": seconds, "peak_mb": sum(peaks) / 1e3}))
@@ -98,7 +99,7 @@ def frame_row(form: Format, scene: Path, large: Path, repeat: int) -> str:
     sequence = open_sequence(scene)
     with tempfile.TemporaryDirectory() as folder:
         small, big = Path(folder) / f"small.{form.key}", Path(folder) / f"big.{form.key}"
-        write_frames(choose_target(str(small), None, 1), [(0, sequence.load([0]).frames[0])], 1)
+        write_frames(choose_target(str(small), None, 1), [(0, sequence.load([0]).frames[0])], Fraction(1))
         quality = round_trip(scene, sequence, small).quality
         write_s, _ = time_runs("write", large, big, 1)
         read_s, peak_mb = time_runs("read", large, big, repeat)
@@ -143,7 +144,7 @@ def clip_row(form: ClipWriter, scene: Path) -> str:
         path = Path(folder) / f"clip.{form.key}"
         frames = [(i, sequence.load([i]).frames[0]) for i in range(count)]
         began = time.perf_counter()
-        write_frames(choose_target(str(path), None, count), frames, float(sequence.fps))
+        write_frames(choose_target(str(path), None, count), frames, sequence.fps)
         written = time.perf_counter()
         again = open_sequence(path)
         for i in range(count):

@@ -16,6 +16,7 @@ import platform
 import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec import EncodeSettings
@@ -68,7 +69,7 @@ def measure(path: Path, folder: Path, above: float, draws: int) -> Row:
     """Write a file's first frame both ways into a folder, and look at them."""
     sequence, bar = open_sequence(path), Bar(False)
     original, spz = open_side(str(path)), folder / "frame.spz"
-    write_frames(choose_target(str(spz), None, 1), [(0, sequence.load([0]).frames[0])], 1)
+    write_frames(choose_target(str(spz), None, 1), [(0, sequence.load([0]).frames[0])], Fraction(1))
     first, final = folder / "first.airgs", folder / "final.airgs"
     encode(sequence, first, as_preview(EncodeSettings()), progress=bar)
     cameras = region_views(_region(first), draws, CHECKING)

@@ -10,6 +10,7 @@ from airgs_codec.cli.common import PACKAGE, Bar, parse_range, run_command
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.paths import JSON_NAME
+from airgs_codec.package.region import background_of
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.world import misread
 from airgs_codec.scene.formats.write import Numbered, Target, choose_target, format_keys, write_frames
@@ -45,7 +46,8 @@ def _run(args: argparse.Namespace) -> int:
     _expect_outside(target)
     bar = Bar(args.json)
     try:
-        lost = write_frames(target, _decoded(package, (start, stop), (level, quality), bar), float(m.fps))
+        frames = _decoded(package, (start, stop), (level, quality), bar)
+        lost = write_frames(target, frames, m.fps, background_of(m.region))
     finally:
         bar.close()
     report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": args.output}

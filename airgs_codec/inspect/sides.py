@@ -23,7 +23,9 @@ from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.orbits import UP, orbit_views
-from airgs_codec.scene.sequence import DEFAULT_FPS, SETTINGS_NAME, GaussianSequence, open_sequence
+from airgs_codec.scene.rates import DEFAULT_FPS
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from airgs_codec.scene.sequence_json import SETTINGS_NAME
 
 DRAWS = 8  # views of a region
 

@@ -9,7 +9,8 @@ from pathlib import Path
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.find import natural_key
 from airgs_codec.scene.ply import PlyHeader, is_whole, read_ply, read_ply_header
-from airgs_codec.scene.sequence import SETTINGS_NAME, GaussianSequence, sequence_of
+from airgs_codec.scene.sequence import GaussianSequence, sequence_of
+from airgs_codec.scene.sequence_json import SETTINGS_NAME
 
 
 class GrowingFolder:

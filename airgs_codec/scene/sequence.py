@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +21,11 @@ from airgs_codec.scene.formats.find import Found, find_frames
 from airgs_codec.scene.formats.table import format_of, read_frame, read_frame_header
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader
-from airgs_codec.scene.rates import exact_number
+from airgs_codec.scene.rates import frame_rate
 from airgs_codec.scene.repair import Repaired, repair
+from airgs_codec.scene.sequence_json import DEFAULTS, read_settings
 from airgs_codec.scene.usage import Usage, load_usage
 
-DEFAULT_FPS = Fraction(30)
-MAX_FPS = 1000
-SETTINGS_NAME = "sequence.json"
 ATTRIBUTION_NAME = "ATTRIBUTION.txt"
 USAGE_NAME = "usage.npz"
 
@@ -133,7 +129,7 @@ def open_sequence(
     than the first, one of the files beside them is malformed, or something is to be baked that leaves no choice.
     """
     found = find_frames(Path(folder))
-    rate = None if bake_fps is None else _frame_rate(str(folder), bake_fps)
+    rate = None if bake_fps is None else frame_rate(str(folder), bake_fps)
     bake = Bake(rate, None if duration is None else Fraction(str(duration)))
     if len(found.paths) == 1 and (form := clip_format(found.paths[0])):
         return _sequence_of_clip(found, form.open(found.paths[0], bake), views, fps)
@@ -179,44 +175,10 @@ def sequence_of(
         if header.sh_degree != degree:
             expected = f"expected SH degree {degree} as in {frames[0][0].name}"
             raise SceneError(f"{path}: {expected}, got {header.sh_degree}")
-    own_fps, keyframes, background = _DEFAULTS if alone else _read_settings(folder / SETTINGS_NAME, len(frames))
-    rate = own_fps if fps is None else _frame_rate(str(folder), fps)
+    own_fps, keyframes, background = DEFAULTS if alone else read_settings(folder, len(frames))
+    rate = own_fps if fps is None else frame_rate(str(folder), fps)
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
     cameras = tuple(replace(c, background=background) for c in read_cameras(cameras_path)) if cameras_path else ()
     paths, headers = zip(*frames, strict=True)
     found = GaussianSequence(folder, paths, headers, rate, keyframes, cameras, cameras_path=cameras_path, alone=alone)
     return replace(found, background=background)
-
-
-_Settings = tuple[Fraction, tuple[int, ...] | None, Background]
-_DEFAULTS: _Settings = (DEFAULT_FPS, None, BLACK)
-
-
-def _read_settings(path: Path, frames: int) -> _Settings:
-    """Frame rate, keyframes and background of a sequence.json, or their defaults. Raises SceneError."""
-    if not path.exists():
-        return _DEFAULTS
-    try:
-        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        fps = exact_number(str(data.get("fps", DEFAULT_FPS)))
-        keyframes = data.get("keyframes")
-        starts = None if keyframes is None else tuple(sorted({0, *(int(k) for k in keyframes)}))
-    except (OSError, ValueError, TypeError, AttributeError, ZeroDivisionError) as error:
-        raise SceneError(f'{path}: expected {{"fps": number, "keyframes": [frame, ...]}}, got {error}') from error
-    if starts and not (starts[0] >= 0 and starts[-1] < frames):
-        raise SceneError(f"{path}: expected keyframes in 0..{frames - 1}, got {list(starts)}")
-    return _frame_rate(str(path), fps), starts, _background(path, data.get("background", BLACK))
-
-
-def _background(path: Path, data: Any) -> Background:
-    numbers = data if isinstance(data, (list, tuple)) else ()
-    if len(numbers) == 3 and all(type(value) in (int, float) and 0 <= value <= 1 for value in numbers):
-        r, g, b = map(float, numbers)
-        return r, g, b
-    raise SceneError(f"{path}: expected a background of r, g, b from 0 to 1, got {data}")
-
-
-def _frame_rate(where: str, fps: Fraction | float) -> Fraction:
-    if not 0 < fps <= MAX_FPS:
-        raise SceneError(f"{where}: expected 0 < fps <= {MAX_FPS}, got {fps}")
-    return Fraction(str(fps))  # 29.97 is 2997/100, not the nearest float

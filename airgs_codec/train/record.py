@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from airgs_codec.scene.camera import BLACK
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import read_ply, write_ply
 from airgs_codec.scene.sequence import USAGE_NAME
+from airgs_codec.scene.sequence_json import write_settings
 from airgs_codec.scene.usage import Usage, save_usage
 from airgs_codec.train.loss.target import Exposure
 
@@ -121,11 +123,8 @@ class Model:
                 _save(temporary, networks)
         found = dict(exposure or self.record.exposure)
         self.record = replace(self.record, frames=(*self.record.frames, frame), exposure=found)
-        fps = self.record.fps
-        settings = {"fps": float(fps) if "/" not in fps else fps, "keyframes": self.record.keyframes()}
-        background = self.record.scene.get("background", BLACK)
-        behind = {} if tuple(background) == BLACK else {"background": background}
-        write_json(self.folder / "sequence.json", settings | behind)
+        red, green, blue = self.record.scene.get("background", BLACK)
+        write_settings(self.folder, Fraction(self.record.fps), self.record.keyframes(), (red, green, blue))
         self.write_record()
         if frame.frame:
             self._networks(frame.frame - 1).unlink(missing_ok=True)

@@ -123,9 +123,10 @@ def test_regions_that_cannot_be_are_one_line(tmp_path, options, words, capsys, m
 
 def test_decode_writes_frames(package, tmp_path, capsys):
     assert decode.main([str(package), "-o", str(tmp_path / "d"), "--level", "L3", "--key-quality", "Q1"]) == 0
-    assert sorted(p.name for p in (tmp_path / "d").iterdir()) == [f"{i:06d}.ply" for i in range(4)]
+    names = [*(f"{i:06d}.ply" for i in range(4)), "sequence.json"]
+    assert sorted(p.name for p in (tmp_path / "d").iterdir()) == names
     assert decode.main([str(package), "-o", str(tmp_path / "e"), "--frames", "3", "--json"]) == 0
-    assert [p.name for p in (tmp_path / "e").iterdir()] == ["000003.ply"]
+    assert [p.name for p in (tmp_path / "e").glob("*.ply")] == ["000003.ply"]
     assert len(read_ply(tmp_path / "e" / "000003.ply")) == 120
 
 

@@ -16,7 +16,7 @@ from airgs_codec.package.store import open_package
 from airgs_codec.scene.formats import write
 from airgs_codec.scene.formats.table import FORMATS, read_frame
 from airgs_codec.scene.sequence import open_sequence
-from tests.support.paths import GOLDEN
+from tests.support.paths import GOLDEN, VALID
 
 FOX = GOLDEN / "fox"
 KEYS = [form.key for form in FORMATS]
@@ -53,8 +53,19 @@ def test_a_file_is_one_frame_of_a_rung(tmp_path, key, capsys):
 def test_a_range_is_a_folder_that_opens_as_a_sequence(tmp_path, key, place):
     assert run("-o", f"{tmp_path}/{place}", *(["--format", key] if key else []), "--frames", "1:3") == 0
     names = [f"00000{i}.{key or 'ply'}" for i in (1, 2)]
-    assert sorted(p.name for p in (tmp_path / place).iterdir()) == names
-    assert len(open_sequence(tmp_path / place)) == 2
+    assert sorted(p.name for p in (tmp_path / place).iterdir()) == [*names, "sequence.json"]
+    sequence = open_sequence(tmp_path / place)
+    assert (len(sequence), sequence.fps) == (2, open_package(FOX).manifest.fps)
+
+
+def test_a_folder_keeps_its_sequence_json_and_gets_the_background_where_it_has_none(tmp_path):
+    for folder in (tmp_path / "had", tmp_path / "new"):
+        folder.mkdir()
+        (tmp_path / "had" / "sequence.json").write_text('{"fps": 5}')
+        assert decode.main([str(VALID / "white"), "-o", str(folder)]) == 0
+    had, new = (open_sequence(tmp_path / name) for name in ("had", "new"))
+    assert (had.fps, had.background) == (5, (0, 0, 0))
+    assert (new.fps, new.background) == (open_package(VALID / "white").manifest.fps, (1, 1, 1))
 
 
 def test_sog_as_a_folder_of_pictures(tmp_path):
@@ -161,4 +172,4 @@ def test_frames_join_those_of_a_folder(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     for number in ("0", "1", "1"):
         assert run("-o", tmp_path, "--frames", number) == 0
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["000000.ply", "000001.ply", "notes.txt"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["000000.ply", "000001.ply", "notes.txt", "sequence.json"]

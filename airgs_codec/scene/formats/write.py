@@ -7,16 +7,19 @@ import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec._files import atomic_path, staged_files
 from airgs_codec.errors import ConfigError
+from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.formats.holds import Losses
 from airgs_codec.scene.formats.library import find_command
 from airgs_codec.scene.formats.sog import META_NAME, write_sog_folder
 from airgs_codec.scene.formats.table import FORMATS, INRIA, SOG, Format
 from airgs_codec.scene.formats.write_clips import CLIP_WRITERS, ClipWriter
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.sequence_json import SETTINGS_NAME, write_settings
 
 SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
 WRITERS: tuple[Format | ClipWriter, ...] = (*FORMATS, *CLIP_WRITERS)
@@ -81,8 +84,12 @@ def _check(place: str, target: Target, frames: int) -> None:
         raise ConfigError(f"{place}: {target.form.name} needs {need}: pip install 'airgs-codec[formats]'")
 
 
-def write_frames(target: Target, frames: Iterable[Numbered], fps: float) -> list[str]:
+def write_frames(
+    target: Target, frames: Iterable[Numbered], fps: Fraction, background: Background = BLACK
+) -> list[str]:
     """Write numbered frames, so many a second; what the format lost of them, a line for each kind.
+
+    A folder of frames without a sequence.json gets one, with the frame rate and the background.
 
     A file or folder that is there keeps what it has until all frames are written, and then what is not replaced by a
     frame of the same name. Raises SceneError, and what the iterator of frames raises.
@@ -91,9 +98,11 @@ def write_frames(target: Target, frames: Iterable[Numbered], fps: float) -> list
     fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
     with _made_folders(target.path), (staged_files if target.folder else atomic_path)(target.path) as temporary:
         if isinstance(target.form, ClipWriter):
-            target.form.write(temporary, (g for _, g in fitted), fps)
+            target.form.write(temporary, (g for _, g in fitted), float(fps))
         elif target.folder and target.form is not SOG_FOLDER:
             _write_all(temporary, target.form, fitted)
+            if not (target.path / SETTINGS_NAME).exists():
+                write_settings(temporary, fps, background=background)
         else:
             target.form.write(temporary, *(g for _, g in fitted))
     return losses.lines()
