@@ -52,9 +52,11 @@ export class Schedule {
     this.pace = speed;
   }
 
+  /** Go on to a moment. One before the last change is that change: what was shown is not due again. */
   private move(nowS: number): void {
-    if (this.holds.size === 1 && this.holds.has("display")) this.displayS += nowS - this.clockS;
-    this.placeS = this.at(nowS);
-    this.clockS = nowS;
+    const thenS = Math.max(nowS, this.clockS);
+    if (this.holds.size === 1 && this.holds.has("display")) this.displayS += thenS - this.clockS;
+    this.placeS = this.at(thenS);
+    this.clockS = thenS;
   }
 }

@@ -109,7 +109,7 @@ const checks: Record<string, () => Promise<unknown>> = {
     return { ...log.report(), brightness: brightness(await picture(log.player)) };
   },
 
-  /** Hides the page for a while; nothing is shown in that time, and it goes on where it was. */
+  /** Hides the page for a while, in which browsers draw nothing; it goes on where it was. */
   async hidden() {
     const log = await start();
     await until("a picture", () => log.has("firstpicture"));
@@ -118,10 +118,15 @@ const checks: Record<string, () => Promise<unknown>> = {
     document.dispatchEvent(new Event("visibilitychange"));
     await shown();
     const before = log.player.currentTime;
+    const request = window.requestAnimationFrame;
+    const asked: FrameRequestCallback[] = [];
+    window.requestAnimationFrame = (callback) => asked.push(callback);
     await sleep(1500);
     const after = log.player.currentTime;
     hidden = false;
     document.dispatchEvent(new Event("visibilitychange"));
+    window.requestAnimationFrame = request;
+    for (const callback of asked) request(callback);
     const { framesShown } = log.player.stats;
     await until("more frames", () => log.player.stats.framesShown > framesShown + 5);
     return { ...log.report(), before, after };

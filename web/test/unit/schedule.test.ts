@@ -1,0 +1,27 @@
+// The time of a schedule: it stands still while it is held, and never goes back.
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Schedule } from "../../src/play/schedule.ts";
+
+test("a schedule passes at its speed, and stands still while there is a reason", () => {
+  const schedule = new Schedule();
+  assert.equal(schedule.at(2), 2);
+  schedule.hold("pause", 2);
+  schedule.hold("hidden", 3);
+  schedule.release("pause", 4);
+  assert.equal(schedule.at(9), 2);
+  schedule.release("hidden", 10);
+  schedule.setSpeed(11, 2);
+  assert.equal(schedule.at(12), 5);
+  assert.equal(schedule.reached(7, 12), 13);
+});
+
+test("a reason from before the last change counts from that change on", () => {
+  const schedule = new Schedule();
+  schedule.hold("hidden", 5);
+  schedule.release("hidden", 100);
+  schedule.hold("display", 4.9); // the last picture was drawn before the page was hidden
+  assert.equal(schedule.at(101), 5);
+  schedule.release("display", 101);
+  assert.deepEqual([schedule.at(102), schedule.displayS], [6, 1]);
+});
