@@ -16,7 +16,7 @@ from typing import Any
 from tqdm import tqdm
 
 from airgs_codec.errors import AirgsError, ConfigError
-from airgs_codec.scene.rates import exact_number
+from airgs_codec.scene.rates import MAX_FPS, exact_number
 
 # OpenMP threads of numba spin while they wait unless told so before the first import that loads them.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
@@ -75,6 +75,12 @@ def fraction(text: str) -> Fraction:
         return exact_number(text)
     except (ValueError, ZeroDivisionError) as error:
         raise argparse.ArgumentTypeError(f"expected a number or a fraction, got {text!r}") from error
+
+
+def expect_rate(option: str, fps: Fraction | None) -> None:
+    """Raise ConfigError where an option is no number of frames a second."""
+    if fps is not None and not 0 < fps <= MAX_FPS:
+        raise ConfigError(f"{option}: expected 0 < fps <= {MAX_FPS}, got {fps}")
 
 
 class Bar:

@@ -13,7 +13,7 @@ from typing import Any
 from airgs_codec._settings import about
 from airgs_codec.analysis.rows import ROWS
 from airgs_codec.cli.baking import add_baking, is_told, told_baking
-from airgs_codec.cli.common import Bar, add_views, fraction, run_command
+from airgs_codec.cli.common import Bar, add_views, expect_rate, fraction, run_command
 from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.training import train_by_default
 from airgs_codec.cli.world import add_world, told_world, with_signs
@@ -219,8 +219,7 @@ def _settings(args: argparse.Namespace) -> EncodeSettings:
 
 def _run(args: argparse.Namespace) -> int:
     settings = _settings(args)
-    if args.fps is not None and not 0 < args.fps <= 1000:
-        raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
+    expect_rate("--fps", args.fps)
     scene = args.scene.resolve()  # "." has no name of its own
     target: str = args.output or str(scene.with_name(scene.name + ".airgs"))
     if args.follow:

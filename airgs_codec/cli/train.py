@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
-from airgs_codec.cli.common import fraction, parse_frames, run_command
+from airgs_codec.cli.common import expect_rate, fraction, parse_frames, run_command
 from airgs_codec.cli.training import default_model, default_settings, pick_device, pose_rig, require_torch, run_training
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK
@@ -151,8 +151,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _scene(args: argparse.Namespace) -> MultiviewScene:
-    if args.fps is not None and not 0 < args.fps <= 1000:
-        raise ConfigError(f"--fps: expected 0 < fps <= 1000, got {args.fps}")
+    expect_rate("--fps", args.fps)
     if args.near is not None and not 0 < args.near < float("inf"):
         raise ConfigError(f"--near: expected a positive distance, got {args.near}")
     if args.pose_frame < 0:

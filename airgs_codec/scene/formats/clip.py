@@ -12,7 +12,6 @@ from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader
 
-DEFAULT_BAKE_FPS = Fraction(30)
 MOST_FRAMES = 1 << 18  # two and a half hours at 30 frames a second
 
 

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.clip import DEFAULT_BAKE_FPS, Bake, Clip, count_frames, rate_words
+from airgs_codec.scene.formats.clip import Bake, Clip, count_frames, rate_words
 from airgs_codec.scene.formats.linear import logits_of
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.scene.ply import PlyHeader
+from airgs_codec.scene.rates import DEFAULT_FPS
 
 DEFAULT_SECONDS = Fraction(50, 30)  # no file states it; the models of the paper are trained on 50 frames of 30 fps
 _KEPT = 2  # models that a process keeps
@@ -60,7 +61,7 @@ Load = Callable[[Path], Spacetime]  # reads a file; raises SceneError
 
 def open_spacetime(path: Path, load: Load, name: str, bake: Bake) -> Clip:
     """A model baked to frames, frame i of F at t = i / F. Raises SceneError."""
-    fps, seconds = bake.fps or DEFAULT_BAKE_FPS, bake.seconds if bake.seconds is not None else DEFAULT_SECONDS
+    fps, seconds = bake.fps or DEFAULT_FPS, bake.seconds if bake.seconds is not None else DEFAULT_SECONDS
     frames = count_frames(path, fps, seconds)
     count = len(_model(load, path).means)
     default = " by default, no length is stated" if bake.seconds is None else ""

@@ -21,7 +21,7 @@ from airgs_codec.scene.formats.process import run_limited
 from airgs_codec.scene.formats.splat import ROW_BYTES, read_splat
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import PlyHeader
-from airgs_codec.scene.rates import exact_number
+from airgs_codec.scene.rates import MAX_FPS, exact_number
 
 _MAGIC = b"SP4D"
 _HEADER = struct.Struct("<4sII")  # magic, version, length of the JSON
@@ -37,14 +37,15 @@ def open_splat4d(path: Path, bake: Bake) -> Clip:
         with path.open("rb") as file:
             header = _header(path, file.read(_HEADER.size + _MOST_JSON))
         count, frames, fps = header["n"], header["t"], exact_number(str(header["fps"]))
-        if min(count, frames) < 1 or not 0 < fps <= 1000 or not isinstance(count, int) or not isinstance(frames, int):
+        whole = isinstance(count, int) and isinstance(frames, int)
+        if not whole or min(count, frames) < 1 or not 0 < fps <= MAX_FPS:
             raise ValueError(f"{count} Gaussians, {frames} frames, {fps} fps"[:120])
         ends = [0] + [end for gop in header["gops"] for end in (gop["f0"], gop["f1"] + 1)]
         if ends[1::2] != ends[:-1:2] or ends[-1] != frames:
             raise ValueError(f"groups that are not frames 0 to {frames - 1}")
     except SceneError:
         raise
-    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, ArithmeticError, RecursionError) as error:
         raise SceneError(f"{path}: expected a .splat4d header: {type(error).__name__} {error}"[:300]) from error
     except OSError as error:
         raise SceneError(f"{path}: cannot read: {error.strerror}") from error

@@ -5,13 +5,12 @@ A mask is not 0 where something moves.
 
 from __future__ import annotations
 
-from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
 from airgs_codec.scene.cameras import panoptic
 from airgs_codec.scene.cameras.posed import Posed, expecting, read_object
-from airgs_codec.scene.rates import DEFAULT_FPS
+from airgs_codec.scene.rates import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot, in_frames
 
 
@@ -25,7 +24,7 @@ def read_panoptic(folder: Path) -> MultiviewScene:
     path = folder / panoptic.NAME
     posed = panoptic.read(path)
     with expecting(path, "a frame rate"):
-        fps = Fraction(str(read_object(path).get("fps", DEFAULT_FPS)))
+        fps = frame_rate(str(path), exact_number(str(read_object(path).get("fps", DEFAULT_FPS))))
     return MultiviewScene(folder, fps, in_frames(posed, partial(_shot, folder)))
 
 

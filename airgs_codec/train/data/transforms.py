@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +10,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.cameras import transforms
 from airgs_codec.scene.cameras.posed import Posed, expecting, read_object
 from airgs_codec.scene.ply import read_points
-from airgs_codec.scene.rates import DEFAULT_FPS
+from airgs_codec.scene.rates import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Points, Shot, in_frames
 from airgs_codec.train.data.videos import VIDEO_SUFFIXES, CameraFilm, scene_from_films
 
@@ -32,7 +31,7 @@ def read_transforms(folder: Path) -> MultiviewScene:
     posed = transforms.read(path)
     with expecting(path, "a frame rate"):
         data = read_object(path)
-        fps = Fraction(str(data.get("fps", DEFAULT_FPS)))
+        fps = frame_rate(str(path), exact_number(str(data.get("fps", DEFAULT_FPS))))
     points = _points(folder, data.get("ply_file_path"))
     films = {p.camera.name: CameraFilm(_shot(folder, p), folder / p.picture) for p in posed}
     if all(film.path.suffix.lower() in VIDEO_SUFFIXES for film in films.values()):

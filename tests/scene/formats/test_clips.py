@@ -3,6 +3,7 @@
 import json
 import pickle
 import random
+import struct
 import time
 from fractions import Fraction
 
@@ -198,3 +199,11 @@ def test_a_clip_is_encoded_and_says_how_it_was_baked(tmp_path, splatv, capsys):
     assert "expected a clip" in capsys.readouterr().err
     assert encode.main([str(splatv), "--duration", "-3"]) == 2
     assert "1 to" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("fps", ["1/0", "1e30000000", "fast", 0, 2000, None])
+def test_a_splat4d_whose_frame_rate_is_none_is_refused_at_once(tmp_path, fps):
+    header = json.dumps({"n": 5, "t": 1, "fps": fps, "gops": [{"f0": 0, "f1": 0}]}).encode()
+    (tmp_path / "a.splat4d").write_bytes(struct.pack("<4sII", b"SP4D", 1, len(header)) + header)
+    with pytest.raises(SceneError, match=r"a\.splat4d: expected"):
+        open_sequence(tmp_path / "a.splat4d")

@@ -30,6 +30,14 @@ def test_transforms_gives_back_the_cameras_that_were_written(moving):
     assert [c.split for c in scene.cameras] == ["train"] * 5 + ["test"]
 
 
+@pytest.mark.parametrize("fps", ["1e30000000", "1/0", 0, -3, "fast"])
+def test_what_is_no_frame_rate_is_refused_at_once(moving, fps):
+    path = moving / "transforms.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"fps": fps}))
+    with pytest.raises(SceneError, match=r"transforms\.json: expected"):
+        open_scene(moving)
+
+
 def test_unnamed_cameras_have_one_name_at_all_times(moving):
     """That of the folder of their pictures: what is held out or exposed alike is told by it."""
     path = moving / "transforms.json"
