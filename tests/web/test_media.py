@@ -1,6 +1,5 @@
 """The player's media part in a real browser: exact luma, frames as the decoder shows them, refusals, faults."""
 
-import json
 from dataclasses import replace
 from functools import partial
 from hashlib import sha256
@@ -19,16 +18,13 @@ from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.store import open_package
 from airgs_codec.play.repr_digest import REPR_DIGEST, repr_digest
 from airgs_codec.scene.sequence import open_sequence
-from tests.makers import probe_clip
-from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit
+from tests.support.browser import Answer, missing
 from tests.support.growing import Growing
-from tests.support.paths import GOLDEN, REPOSITORY, VALID
+from tests.support.media_page import FOLDERS, INVALID, look
+from tests.support.paths import GOLDEN
 from tests.support.scenes import moving_frames, write_sequence
 from tests.support.vectors import cases
 
-PAGE = b'<!doctype html><meta charset="utf-8"><script type="module" src="/web/out/pages/media.js"></script>'
-INVALID = REPOSITORY / "manifests" / "invalid"
-FOLDERS = {"golden": GOLDEN, "valid": VALID, "invalid": INVALID}
 PACKAGES = (
     "golden/fox",
     "golden/fox-fine",
@@ -58,18 +54,6 @@ def encoded(tmp_path_factory):
 def package(name):
     first, _, rest = name.partition("/")
     return open_package(FOLDERS[first] / rest)
-
-
-def look(steps, made=None, folders=None):
-    """What a page reports of steps, name -> (task, arguments); Chromium may say what it thinks of faults."""
-    build_pages()
-    plan = [{"name": name, "task": task} | arguments for name, (task, arguments) in steps.items()]
-    pages = {"/page.html": lambda: PAGE, "/plan.json": lambda: json.dumps(plan).encode()}
-    with serve(FOLDERS | {"web": WEB} | (folders or {}), pages | (made or {})) as site:
-        seen = visit(f"{site.url}/page.html")
-    assert [line for line in seen.failed if "net::" not in line] == []
-    assert seen.report.keys() == steps.keys()
-    return seen.report, site.answers
 
 
 # Exactness
@@ -154,113 +138,6 @@ def test_every_frame_is_the_decoders(frames, number):
 
 def sha(picture):
     return sha256(picture.tobytes()).hexdigest()
-
-
-# What browsers make of luma
-
-
-def test_the_probe_is_what_its_maker_makes():
-    """x264 may change what it writes; what it decodes to is checked in the browser."""
-    sample = probe_clip.encode_probe()
-    (decoded,) = decode_pictures([sample], "probe")
-    assert np.array_equal(decoded, probe_clip.picture())
-    assert probe_clip.text(sample).splitlines()[:8] == probe_clip.PATH.read_text().splitlines()[:8]
-
-
-MOCKS = {
-    ("NV12", "same"): "exact",
-    ("I420", "same"): "exact",
-    ("BGRX", "same"): "exact",
-    ("BGRX", "stretched"): "invertible",
-    ("RGBA", "stretched"): "invertible",
-    ("RGBX", "negative"): "invertible",
-    (None, "stretched"): "invertible",
-    ("NV12", "stretched"): "invertible",
-    ("BGRX", "squeezed"): None,
-    ("I420", "clipped"): None,
-    ("BGRX", "clipped"): None,
-    ("I444", "same"): None,
-}
-
-
-@pytest.fixture(scope="module")
-def probed():
-    steps = {"real": ("probe", {}), "uneven": ("uneven", {}), "unable": ("unable", {})}
-    steps |= {f"{format} {change}": ("probe", {"format": format, "change": change}) for format, change in MOCKS}
-    steps |= {f"hardware {helps}": ("hardware", {"helps": helps}) for helps in (True, False)}
-    steps |= {what: ("lacking", {"what": what}) for what in ("VideoDecoder", "isSecureContext")}
-    steps |= {f"watched {name}": ("watched", {"url": "golden/fox"} | harm) for name, harm in HARMS.items()}
-    return look({name: (task, {"url": ""} | arguments) for name, (task, arguments) in steps.items()})[0]
-
-
-HARMS = {
-    "unharmed": {},
-    "reclaimed": {"after": 1, "times": 1},
-    "reclaimed again": {"after": 1, "times": 2},
-    "broken": {"after": 0, "times": 99},
-    "given up": {"abortAt": 0},
-}
-
-
-def test_this_browser_is_exact(probed):
-    assert probed["real"] == {"luma": "exact", "layouts": ["planar"], "wrong": []}
-
-
-@pytest.mark.parametrize(("format", "change"), MOCKS)
-def test_luma_that_is_changed_is_undone_or_refused(probed, format, change):
-    report, luma = probed[f"{format} {change}"], MOCKS[format, change]
-    if luma is None:
-        assert report["error"]["name"] == "UnsupportedError"
-        assert "luma" in report["error"]["message"]
-    else:
-        layout = "planar" if format in ("NV12", "I420") else "rgb"
-        assert report == {"luma": luma, "layouts": [layout], "wrong": []}
-
-
-def test_software_decodes_what_hardware_gives_otherwise_than_the_probe(probed):
-    assert probed["hardware True"] == {"wrong": [], "asked": ["no-preference", "prefer-software"]}
-    assert probed["hardware False"]["error"]["name"] == "UnsupportedError"
-
-
-@pytest.mark.parametrize(
-    ("what", "words"),
-    [
-        ("uneven", "changes the luma"),
-        ("unable", "does not decode H.264"),
-        ("VideoDecoder", "no WebCodecs"),
-        ("isSecureContext", "https"),
-    ],
-)
-def test_what_a_browser_lacks_is_named(probed, what, words):
-    assert probed[what]["error"]["name"] == "UnsupportedError"
-    assert words in probed[what]["error"]["message"]
-
-
-FRAMES = FOX.manifest.segments[0].stop
-TIERS = sum(tier.count > 0 for tier in FOX.manifest.groups[0].tiers)
-
-
-def test_every_picture_is_closed_whatever_happens(probed):
-    for name in HARMS:
-        assert probed[f"watched {name}"]["unclosed"] == 0, name
-
-
-@pytest.mark.parametrize("name", ["unharmed", "reclaimed"])
-def test_a_decoder_that_was_taken_away_is_made_anew(probed, name):
-    report = probed[f"watched {name}"]
-    assert (report["came"], report["said"]) == (list(range(FRAMES)), "")
-    assert report["made"] == 2 + HARMS[name].get("times", 0)  # one for keys, one for states
-
-
-def test_a_decoder_that_breaks_down_again_counts(probed):
-    report = probed["watched broken"]
-    assert report["came"] == [] and "H.264 does not decode" in report["said"]
-    assert report["made"] == 2
-
-
-def test_decoding_that_is_given_up_ends(probed):
-    report = probed["watched given up"]
-    assert report["came"] == [0] and report["said"] == "given up"
 
 
 # Refusals
