@@ -38,6 +38,14 @@ class Render:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Redraw:
+    """A picture of which only some tiles are drawn again, and what the others show."""
+
+    tiles: NDArray[np.bool_]  # (down, across)
+    rest: Render
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Contribution:
     """What each Gaussian gave to one picture: its blending weights alpha T over all pixels."""
 
@@ -55,6 +63,7 @@ class Tiles:
     flat: Floats  # (N, 12) projected Gaussians, see `cpu_kernels`
     start: Longs  # (tiles + 1,) first pair of each tile
     ids: Ints  # (M,) Gaussian of each pair, tile by tile, front to back inside a tile
+    drawn: NDArray[np.bool_]  # (tiles,) the others have no pairs
 
     def keep(self, rows: NDArray[np.bool_]) -> Tiles:
         """The same without Gaussians that are False in a mask (N,); cheaper than projecting those that are left."""
@@ -64,7 +73,7 @@ class Tiles:
 
     def arguments(self) -> tuple[Floats, Longs, Ints, Ints, int, int]:
         """The first arguments of every kernel that walks through the tiles."""
-        return self.flat, self.start, self.ids, _balanced(np.diff(self.start)), *self.shape
+        return self.flat, self.start, self.ids, _balanced(np.diff(self.start), self.drawn), *self.shape
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,8 +136,8 @@ def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:
     return _contribution(p, pairs, 0)
 
 
-def project(inputs: RasterInputs[Floats], camera: Camera) -> Projected:
-    """Project the Gaussians, sort them by depth, assign them to tiles."""
+def project(inputs: RasterInputs[Floats], camera: Camera, tiles: NDArray[np.bool_] | None = None) -> Projected:
+    """Project the Gaussians, sort them by depth, assign them to tiles; `tiles` (down, across): to these only."""
     _announce()
     n = len(inputs.means)
     flat = np.zeros((n, 12), np.float32)
@@ -137,13 +146,14 @@ def project(inputs: RasterInputs[Floats], camera: Camera) -> Projected:
     size = (camera.width, camera.height)
     geometry = (*inputs, inputs.sh_degree, *view_arguments(camera))
     shape = (-(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE))
+    drawn = np.ones(shape[0] * shape[1], np.bool_) if tiles is None else np.ascontiguousarray(tiles).reshape(-1)
     with _LOCK:
-        kernels.project(*geometry, *size, camera.near, FAR, DILATION, flat, key, touched)
+        kernels.project(*geometry, *size, camera.near, FAR, DILATION, drawn, flat, key, touched)
         visible = np.sort(key[touched > 0])  # depth, then row: the same order every time
         order = (visible & np.uint64(0xFFFFFFFF)).astype(np.int32)
         first_pair = np.concatenate([[0], np.cumsum(touched[order], dtype=np.int64)])
-        start, ids, slots = kernels.bin_tiles(flat, order, first_pair, *shape)
-    return Projected(Tiles(size, shape, flat, start, ids), order, first_pair, slots)
+        start, ids, slots = kernels.bin_tiles(flat, order, first_pair, drawn, *shape)
+    return Projected(Tiles(size, shape, flat, start, ids, drawn), order, first_pair, slots)
 
 
 def draw(tiles: Tiles, background: Background = BLACK) -> Render:
@@ -151,10 +161,14 @@ def draw(tiles: Tiles, background: Background = BLACK) -> Render:
     return _draw(tiles, background)[0]
 
 
-def _draw(tiles: Tiles, background: Background) -> tuple[Render, Ints]:
-    """The picture, and (tiles,) how many pairs of each tile were visited."""
+def _draw(tiles: Tiles, background: Background, rest: Render | None = None) -> tuple[Render, Ints]:
+    """The picture, and (tiles,) how many pairs of each tile were visited; `rest`: what is not drawn shows this."""
     width, height = tiles.size
-    picture = Render(np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32))
+    picture = (
+        Render(np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32))
+        if rest is None
+        else Render(rest.rgb.copy(), rest.transmittance.copy())
+    )
     visited = np.empty(len(tiles.start) - 1, np.int32)
     colour = np.asarray(background, np.float32)
     with _LOCK:
@@ -162,10 +176,12 @@ def _draw(tiles: Tiles, background: Background) -> tuple[Render, Ints]:
     return picture, visited
 
 
-def blend(inputs: RasterInputs[Floats], camera: Camera, background: Background) -> Blended:
-    """Project the Gaussians and blend them front to back."""
-    p = project(inputs, camera)
-    picture, visited = _draw(p.tiles, background)
+def blend(
+    inputs: RasterInputs[Floats], camera: Camera, background: Background, redraw: Redraw | None = None
+) -> Blended:
+    """Project the Gaussians and blend them front to back; `redraw`: in its tiles only."""
+    p = project(inputs, camera, None if redraw is None else redraw.tiles)
+    picture, visited = _draw(p.tiles, background, None if redraw is None else redraw.rest)
     return Blended(picture, p, visited)
 
 
@@ -236,9 +252,10 @@ def view_arguments(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.floa
     return view, np.array([camera.fx, camera.fy, camera.cx, camera.cy])
 
 
-def _balanced(costs: Longs) -> Ints:
-    """Tiles in an order whose equal static chunks cost alike: dealt out by descending cost, like cards."""
+def _balanced(costs: Longs, drawn: NDArray[np.bool_]) -> Ints:
+    """The drawn tiles in an order whose equal static chunks cost alike: dealt out by descending cost, like cards."""
     ranked = np.argsort(-costs, kind="stable").astype(np.int32)
+    ranked = ranked[drawn[ranked]]
     threads = numba.get_num_threads()
     return np.concatenate([ranked[i::threads] for i in range(threads)])
 

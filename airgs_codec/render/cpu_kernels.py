@@ -256,11 +256,30 @@ def _colour_gradient(deg, lens, px, py, pz, sh, i, g0, g1, g2, basis, grad_sh):
 
 
 @njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
-def project(means, quaternions, scales, opacities, sh, deg, view, intrinsics, W, H, near, far, eps2d, flat, key, tiles):
+def project(
+    means,
+    quaternions,
+    scales,
+    opacities,
+    sh,
+    deg,
+    view,
+    intrinsics,
+    W,
+    H,
+    near,
+    far,
+    eps2d,
+    drawn,
+    flat,
+    key,
+    tiles,
+):
     """Project every Gaussian; what is culled keeps tiles = 0 and the largest key.
 
     means (N, 3), quaternions (N, 4), scales (N, 3), opacities (N,), sh (N, K + 1, 3) -> flat, key (depth bits, row),
-    tiles (touched a Gaussian). In float64: only N of them. Comparisons are written so that NaN and Inf are culled.
+    tiles (those of the `drawn` (tiles,) that a Gaussian touches). In float64: only N of them. Comparisons are written
+    so that NaN and Inf are culled.
     """
     N = means.shape[0]
     lens = _lens(view, intrinsics, W, H)
@@ -334,7 +353,7 @@ def project(means, quaternions, scales, opacities, sh, deg, view, intrinsics, W,
             flat[i, 10] = hy
             flat[i, 11] = op
             key[i] = (np.uint64(np.float32(z).view(np.uint32)) << np.uint64(32)) | np.uint64(i)
-            tiles[i] = _ntiles(flat, i, tiles_x, tiles_y)
+            tiles[i] = _ntiles(flat, i, drawn, tiles_x, tiles_y)
             if tiles[i] == 0:
                 key[i] = np.uint64(0xFFFFFFFFFFFFFFFF)
 
@@ -385,21 +404,22 @@ def _xrange(flat, i, ty, tiles_x):
 
 
 @njit
-def _ntiles(flat, i, tiles_x, tiles_y):
-    """Tiles that the ellipse touches."""
+def _ntiles(flat, i, drawn, tiles_x, tiles_y):
+    """Tiles that the ellipse touches, of those that are drawn."""
     a, b = _rows(flat, i, tiles_y)
     n = 0
     for ty in range(a, b):
         x0, x1 = _xrange(flat, i, ty, tiles_x)
-        n += max(0, x1 - x0)
+        for tx in range(x0, x1):
+            n += int(drawn[ty * tiles_x + tx])
     return n
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def bin_tiles(flat, order, first_pair, tiles_x, tiles_y):
+def bin_tiles(flat, order, first_pair, drawn, tiles_x, tiles_y):
     """Pairs of (Gaussian, tile), tile by tile, front to back inside a tile: a counting sort.
 
-    order (V,): visible rows front to back; first_pair (V + 1,): slot of each one's first pair, Gaussian by Gaussian.
+    Only `drawn` (tiles,) have any. order (V,): visible rows front to back; first_pair (V + 1,): slot of each one's first pair, Gaussian by Gaussian.
     Returns tile_start (tiles + 1,), ids (M,) rows tile by tile, slots (M,) place in `ids` of a Gaussian's pairs.
     """
     V = order.shape[0]
@@ -417,6 +437,8 @@ def bin_tiles(flat, order, first_pair, tiles_x, tiles_y):
                 x0, x1 = _xrange(flat, i, ty, tiles_x)
                 for tx in range(x0, x1):
                     tile = ty * tiles_x + tx
+                    if not drawn[tile]:
+                        continue
                     slots[q] = tile
                     place[ch, tile] += 1
                     q += 1
@@ -523,10 +545,10 @@ def _blend_tile(flat, ids, a, b, Y0, buf):
 
 @njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
 def blend(flat, tile_start, ids, tile_order, tiles_x, tiles_y, background, rgb, transmittance, blended):
-    """Blend all tiles: rgb (H, W, 3), transmittance (H, W), blended (tiles,) pairs visited."""
+    """Blend the tiles of `tile_order`: rgb (H, W, 3), transmittance (H, W), blended (tiles,) pairs visited."""
     H = rgb.shape[0]
     W = rgb.shape[1]
-    for tt in prange(tiles_x * tiles_y):
+    for tt in prange(tile_order.shape[0]):
         tile = tile_order[tt]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x
@@ -583,7 +605,7 @@ def blend_gradient(
     """
     H = rgb.shape[0]
     W = rgb.shape[1]
-    for tt in prange(tiles_x * tiles_y):
+    for tt in prange(tile_order.shape[0]):
         tile = tile_order[tt]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x
@@ -858,7 +880,7 @@ def project_gradient(
 @njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
 def blend_statistics(flat, tile_start, ids, tile_order, tiles_x, tiles_y, W, H, pairs):
     """Per pair: sum and maximum of the blending weight alpha T, and pixels blended, into pairs (M, 3)."""
-    for tt in prange(tiles_x * tiles_y):
+    for tt in prange(tile_order.shape[0]):
         tile = tile_order[tt]
         ty = tile // tiles_x
         tx = tile - ty * tiles_x

@@ -16,10 +16,10 @@ from airgs_codec.scene.camera import Background, Camera
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, torch.Tensor]:
-        *tensors, camera, background, absgrad = inputs
+        *tensors, camera, background, absgrad, redraw = inputs
         ctx.inputs = RasterInputs(*(np.ascontiguousarray(t.detach().numpy(), np.float32) for t in tensors))
         ctx.camera, ctx.absgrad = camera, absgrad
-        ctx.blended = cpu.blend(ctx.inputs, camera, background)
+        ctx.blended = cpu.blend(ctx.inputs, camera, background, redraw)
         picture = ctx.blended.picture
         return torch.from_numpy(picture.rgb), torch.from_numpy(picture.transmittance)
 
@@ -33,7 +33,7 @@ class _Rasterize(torch.autograd.Function):
             seen[ctx.blended.projected.order] = True
             result = torch.from_numpy(np.hypot(absolute[:, 0], absolute[:, 1])), torch.from_numpy(seen)
             ctx.absgrad.read = lambda: result
-        return (*(torch.from_numpy(column) for column in gradients.inputs), None, None, None)
+        return (*(torch.from_numpy(column) for column in gradients.inputs), None, None, None, None)
 
 
 def rasterize(
@@ -41,14 +41,16 @@ def rasterize(
     camera: Camera,
     background: Background | None = None,
     absgrad: AbsGrad | None = None,
+    redraw: cpu.Redraw | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The picture (H, W, 3) and its transmittance (H, W), float32, differentiable, on the device of the inputs.
 
-    `background`: None for the camera's. `absgrad` can be read after the backward pass.
+    `background`: None for the camera's. `absgrad` can be read after the backward pass. `redraw`: only its tiles are
+    drawn and have gradients; gsplat draws all.
     """
     background = camera.background if background is None else background
     if inputs.means.is_cuda:
         from airgs_codec.render import cuda  # gsplat compiles its kernels when it is first imported
 
         return cuda.rasterize(inputs, camera, background, absgrad)
-    return _Rasterize.apply(*inputs, camera, background, absgrad)
+    return _Rasterize.apply(*inputs, camera, background, absgrad, redraw)

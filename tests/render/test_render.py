@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from airgs_codec.render import Camera, measure_contribution, read_cameras, render, render_views
-from airgs_codec.render.cpu import activate, blend, contribution_and_gradients, draw, gradients, project
+from airgs_codec.render.cpu import Redraw, activate, blend, contribution_and_gradients, draw, gradients, project
 from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.render.reference import blending_weights, render_reference
@@ -249,3 +249,24 @@ def test_camera_convention_on_a_known_projection():
     y, x = np.unravel_index(picture.argmax(), picture.shape)
     assert x + 0.5 == pytest.approx(view.cx + view.fx * 0.5 / 4, abs=1.0)
     assert y + 0.5 == pytest.approx(view.cy, abs=1.0)
+
+
+def test_only_some_tiles_are_drawn_again():
+    """Picture and gradients are those of the whole picture where it is drawn, and the rest is what was there."""
+    values, view = inputs(), camera()
+    a = RasterInputs(*(values[n].astype(np.float32) for n in NAMES))
+    tiles = np.random.default_rng(3).uniform(size=(4, 5)) < 0.4
+    pixels = np.repeat(np.repeat(tiles, 16, axis=0), 16, axis=1)[:50, :70]
+    before = blend(RasterInputs(*(c * np.float32(0.9) for c in a)), view, (0.2, 0.5, 0.9)).picture
+    whole = blend(a, view, (0.2, 0.5, 0.9))
+    part = blend(a, view, (0.2, 0.5, 0.9), Redraw(tiles, before))
+    assert np.array_equal(part.picture.rgb, np.where(pixels[..., None], whole.picture.rgb, before.rgb))
+    assert np.array_equal(part.picture.transmittance[~pixels], before.transmittance[~pixels])
+    rng = np.random.default_rng(4)
+    grad = rng.normal(size=(50, 70, 3)).astype(np.float32) * pixels[..., None]
+    none = np.zeros((50, 70), np.float32)
+    for x, y in zip(
+        gradients(a, view, part, grad, none).inputs, gradients(a, view, whole, grad, none).inputs, strict=True
+    ):
+        assert np.abs(y).max() > 0 and relative(x, y) < 1e-6
+    assert len(part.projected.slots) < 0.7 * len(whole.projected.slots)
