@@ -419,7 +419,8 @@ def _ntiles(flat, i, drawn, tiles_x, tiles_y):
 def bin_tiles(flat, order, first_pair, drawn, tiles_x, tiles_y):
     """Pairs of (Gaussian, tile), tile by tile, front to back inside a tile: a counting sort.
 
-    Only `drawn` (tiles,) have any. order (V,): visible rows front to back; first_pair (V + 1,): slot of each one's first pair, Gaussian by Gaussian.
+    order (V,): visible rows front to back; first_pair (V + 1,): slot of each one's first pair, Gaussian by Gaussian;
+    drawn (tiles,): whether a tile has any.
     Returns tile_start (tiles + 1,), ids (M,) rows tile by tile, slots (M,) place in `ids` of a Gaussian's pairs.
     """
     V = order.shape[0]
