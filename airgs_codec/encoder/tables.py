@@ -146,7 +146,7 @@ def _tier_table(group: CodedGroup, files: Files, tier: int) -> GroupTier:
     atlases = [_bounded(part.atlas, part.error, shown, KEY) for part, shown in zip(parts, pictures, strict=True)]
     media = [files.get(paths.key_media_path(tier, q, group.number), NO_FILE) for q in range(len(parts))]
     sidecar = files.get(paths.key_sidecar_path(tier, group.number), NO_FILE)
-    return GroupTier(parts[0].atlas.rows, sidecar, atlases, media)
+    return GroupTier(parts[0].atlas.rows, 0, sidecar, atlases, media)
 
 
 def _bounded(

@@ -18,7 +18,7 @@ from airgs_codec.package.constraints import Constraint, as_required
 from airgs_codec.package.index import GroupEntry
 from airgs_codec.package.packing import inflate
 from airgs_codec.package.paths import JSON_NAME, group_path, page_path
-from airgs_codec.package.references import check_group, check_page, check_region, check_root
+from airgs_codec.package.references import check_group, check_keeps, check_page, check_region, check_root
 from airgs_codec.package.tables import VERSION, Group, Header, Region, Root, Spans
 
 
@@ -53,6 +53,7 @@ def parse_group(data: bytes, header: Header, entry: GroupEntry, number: int) -> 
     where = group_path(number + 1)
     group: Group = _parse(Group, _load(inflate(data, where), where), where)
     check_group(header, entry, group, where)
+    check_keeps(group, number, where)
     return group
 
 

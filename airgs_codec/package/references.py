@@ -87,6 +87,22 @@ def check_group(m: Header, entry: GroupEntry, group: Group, where: str) -> None:
         raise _bad(f"{where}.segments", f"end at {stop}, the group at {group.stop}")
 
 
+def check_keeps(group: Group, number: int, where: str) -> None:
+    """Raise FormatError (bad_value) unless a group, counted from 0, keeps rows of one before it, or none."""
+    if group.keeps is None:
+        _check_bounds(where, ((f"tiers[{t}].kept", tier.kept, 0, 0) for t, tier in enumerate(group.tiers)))
+    elif group.keeps > number:
+        raise _bad(f"{where}.keeps", f"expected a group before {number + 1}, got {group.keeps}")
+
+
+def check_kept(group: Group, base: Group, where: str) -> None:
+    """Raise FormatError (bad_value) unless `base`, the group that a group keeps rows of, has them and keeps none."""
+    if base.keeps is not None:
+        raise _bad(f"{where}.keeps", f"expected a group that keeps none, got {group.keeps}, which keeps {base.keeps}")
+    pairs = enumerate(zip(group.tiers, base.tiers, strict=True))
+    _check_bounds(where, ((f"tiers[{t}].kept", tier.kept, 0, other.count) for t, (tier, other) in pairs))
+
+
 def check_region(region: Region, where: str) -> None:
     """Raise FormatError (bad_value) unless every place has a direction to look in and one that is up."""
     for p, place in enumerate(region.places):
@@ -152,10 +168,11 @@ def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
     yield "sum of tier counts", sum(counts), group.count, group.count
     yield f"rows of the first {fewest} tiers", sum(counts[:fewest]), 1, group.count
     for t, tier in enumerate(group.tiers):
+        yield f"tiers[{t}].kept", tier.kept, 0, tier.count
         for q, atlas in enumerate(tier.qualities):
-            where = f"tiers[{t}].qualities[{q}]"
-            yield f"{where}.rows", atlas.rows, tier.count, tier.count
-            yield f"len({where}.planes)", len(atlas.planes), min(1, tier.count), KEY.width(m.colour_channels)
+            where, coded = f"tiers[{t}].qualities[{q}]", tier.count - tier.kept
+            yield f"{where}.rows", atlas.rows, coded, coded
+            yield f"len({where}.planes)", len(atlas.planes), min(1, coded), KEY.width(m.colour_channels)
             yield from _atlas_bounds(where, atlas, KEY, m.colour_channels)
     for j, atlas in enumerate(group.levels):
         yield f"levels[{j}].rows", atlas.rows, 0, group.count - group.static
@@ -181,8 +198,9 @@ def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Ite
 
 
 def _check_tier(where: str, tier: GroupTier) -> None:
-    for name, entry in (("sidecar", tier.sidecar), *((f"pictures[{q}]", e) for q, e in enumerate(tier.pictures))):
-        _check_file(f"{where}.{name}", entry, tier.count > 0)
+    _check_file(f"{where}.sidecar", tier.sidecar, tier.count > 0)
+    for q, entry in enumerate(tier.pictures):
+        _check_file(f"{where}.pictures[{q}]", entry, tier.count > tier.kept)
 
 
 def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> None:

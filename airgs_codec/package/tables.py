@@ -217,9 +217,10 @@ class GroupTier:
     """One key tier of one group."""
 
     count: Count  # rows; a tier without rows has no files
+    kept: Count  # rows of `count`, the first ones, that are rows of the same tier of the group `keeps`
     sidecar: FileEntry  # shared by all its qualities
-    qualities: list[Atlas]
-    pictures: list[FileEntry]  # the picture in each quality
+    qualities: list[Atlas]  # of the rows that are not kept
+    pictures: list[FileEntry]  # the picture in each quality; none where all rows are kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,6 +272,7 @@ class Group:
     segments: Annotated[list[Segment], Length(1, MAX_FRAMES)]
     left_out: list[LeftOut]
     repairs: list[str]  # what was repaired in the input before coding
+    keeps: Annotated[int, Range(1, MAX_FRAMES)] | None = None  # an earlier group, from 1, whose rows this one keeps
 
 
 @dataclass(frozen=True, slots=True)

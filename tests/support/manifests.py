@@ -78,7 +78,7 @@ def tiny_manifest(
             colour_transform="",
             tiers=[
                 mf.GroupTier(
-                    10, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row]
+                    10, 0, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row]
                 )
                 for row in key_bytes
             ],
