@@ -44,12 +44,12 @@ const folder = process.argv[2];
 const { qualities } = JSON.parse(readFileSync(`${folder}/airgs.json`, "utf8"));
 const { grid, tiers } = JSON.parse(gunzipSync(readFileSync(`${folder}/group/1.json.gz`)));
 const coarsest = qualities.at(-1).coarser;
-for (const [t, { count }] of tiers.entries()) {
-  if (!count) continue;
+for (const [t, { count, kept }] of tiers.entries()) {
+  if (!count || kept) continue;
   const [sidecar, key] = [`key/T${t}/1.bin`, `key/T${t}/Q0/1.m4s`];
   const [data, media] = [sidecar, key].map((path) => new Uint8Array(readFileSync(`${folder}/${path}`)));
   const read = () => {
-    const shared = readSidecar(data, count, grid, coarsest, sidecar);
+    const shared = readSidecar(data, { count, kept, base: 0 }, grid, coarsest, sidecar);
     const reader = new ColumnReader(readMedia(media, key).columns, key);
     canonicalMeans(readDetail(reader, shared, grid, qualities[0].coarser, coarsest), grid, qualities[0].coarser);
   };

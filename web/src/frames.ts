@@ -107,10 +107,11 @@ export class FrameReader {
     const { tiers } = levels[level];
     const last = await before?.catch(() => null);
     const kept = last?.group === group && last.canonical.quality === quality && last.canonical.tiers >= tiers;
-    const keys = kept ? [] : Array.from({ length: tiers }, (_, t) => tables.keyFiles(group, t, quality)).flat();
+    const keys = kept ? [] : tables.keysOf(group, quality, tiers);
     await this.#fetch([...keys, ...tables.stateFiles(segment, level)]);
     const canonical = kept ? last.canonical : await this.media.canonical(group, quality, tiers);
-    const base = kept ? last.base : canonicalGaussians(tables.root, tables.group(group), canonical);
+    const table = tables.group(group);
+    const base = kept ? last.base : canonicalGaussians(tables.root, table, canonical, tables.baseTable(group));
     const frames: (StateFrame | null)[] = [];
     const of = { group, quality, tiers: canonical.tiers };
     await this.media.segment(segment, level, of, (t, frame) => {

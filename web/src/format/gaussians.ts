@@ -52,18 +52,35 @@ function basesOf(size: number, changes: BaseChanges | null): Int32Array | null {
   return bases;
 }
 
-/** The canonical space of a group; α is not limited yet. Throws FormatError(bad_value) for numbers not finite. */
-export function canonicalGaussians(root: Root, group: Group, canonical: Canonical): Gaussians {
-  const coding = keyCoding(root, group, canonical.quality);
+/**
+ * The canonical space of a group; α is not limited yet. `base` is the table of the group whose rows it keeps, if any.
+ *
+ * Throws FormatError(bad_value) for numbers not finite.
+ */
+export function canonicalGaussians(
+  root: Root,
+  group: Group,
+  canonical: Canonical,
+  base: Group | null = null,
+): Gaussians {
+  const [coding, baseCoding] = [group, base].map((table) => table && keyCoding(root, table, canonical.quality));
   const gaussians = emptyGaussians(canonical.means, colourChannels(root.sh_degree));
   let first = 0;
-  for (const { atlas, luma, bases } of canonical.parts) {
+  for (const { atlas, kept, luma, bases } of canonical.parts) {
     const codes = readCodes(atlas, luma, basesOf(atlasSamples(atlas), bases));
-    setKey(gaussians, first, codes, coding);
-    first += atlas.rows;
+    setKey(gaussians, first, kept ? codesOf(codes, atlas.rows, kept) : codes, (kept ? baseCoding : coding)!);
+    first += kept ? kept.length : atlas.rows;
   }
   expectFinite(gaussians, "canonical space");
   return gaussians;
+}
+
+/** (channels · K) codes of some of the rows. */
+function codesOf(codes: Int32Array, rows: number, some: Uint32Array): Int32Array {
+  const picked = new Int32Array((codes.length / rows) * some.length);
+  let at = 0;
+  for (let first = 0; first < codes.length; first += rows) for (const row of some) picked[at++] = codes[first + row]!;
+  return picked;
 }
 
 /** N Gaussians of given means (3N) whose other values are 0. */

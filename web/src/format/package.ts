@@ -6,7 +6,7 @@ import { FormatError } from "./errors.ts";
 import { inflate } from "./gzip.ts";
 import { GroupIndex } from "./index.ts";
 import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, ROOT_PATH, stateMediaPath } from "./paths.ts";
-import { checkGroup, checkPage, checkRoot } from "./references.ts";
+import { checkGroup, checkKept, checkPage, checkRoot } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
 
 const VERSION = 2;
@@ -67,7 +67,7 @@ export class Tables {
     const where = groupPath(number + 1);
     const entry = this.index.entry(number);
     const table = parseTable(await inflate(bytes, where), groupSchema, where) as Group;
-    checkGroup(this.root, entry, table, where);
+    checkGroup(this.root, entry, table, number);
     this.#groups.delete(number);
     this.#groups.set(number, table);
     for (const oldest of this.#groups.keys()) {
@@ -91,10 +91,13 @@ export class Tables {
     return this.#groups.has(number);
   }
 
-  /** The table of a group. Throws MissingGroupError. */
+  /** The table of a group. Throws MissingPageError where a page has yet to say where it is, MissingGroupError. */
   group(number: number): Group {
     const found = this.#groups.get(number);
-    if (!found) throw new MissingGroupError(number);
+    if (!found) {
+      this.index.entry(number);
+      throw new MissingGroupError(number);
+    }
     this.#groups.delete(number); // the order of a Map is that of adding: the last used is the last
     this.#groups.set(number, found);
     return found;
@@ -123,10 +126,41 @@ export class Tables {
     return this.index.entry(group).firstSegment + segments.findIndex((segment) => frame < segment.stop);
   }
 
-  /** Sidecar and picture of a key unit; empty when the tier has no rows in that group. */
+  /** The base of a group, whose rows it keeps; null: it keeps none. Throws what `group` does, FormatError(bad_value). */
+  base(group: number): number | null {
+    const table = this.group(group);
+    if (!table.keeps) return null;
+    const base = table.keeps - 1;
+    checkKept(table, this.group(base), groupPath(group + 1));
+    return base;
+  }
+
+  /** Sidecar and picture of a key unit: none of a tier without rows, no picture where all of them are kept. */
   keyFiles(group: number, tier: number, quality: number): string[] {
-    if (!this.group(group).tiers[tier]!.count) return [];
-    return [keySidecarPath(tier, group + 1), keyMediaPath(tier, quality, group + 1)];
+    const { count, kept } = this.group(group).tiers[tier]!;
+    const files = [keySidecarPath(tier, group + 1), keyMediaPath(tier, quality, group + 1)];
+    return files.slice(0, Number(count > 0) + Number(count > kept));
+  }
+
+  /** The table of the base of a group; null: it keeps no rows. Throws what `base` does. */
+  baseTable(group: number): Group | null {
+    const base = this.base(group);
+    return base === null ? null : this.group(base);
+  }
+
+  /** The files of the base's key unit whose rows a key unit keeps; empty when it keeps none. */
+  keptFiles(group: number, tier: number, quality: number): string[] {
+    const base = this.group(group).tiers[tier]!.kept ? this.base(group) : null;
+    return base === null ? [] : this.keyFiles(base, tier, quality);
+  }
+
+  /** All files of the first key tiers of a group, with those of its base. */
+  keysOf(group: number, quality: number, tiers: number): string[] {
+    const units = Array.from({ length: tiers }, (_, tier) => [
+      ...this.keyFiles(group, tier, quality),
+      ...this.keptFiles(group, tier, quality),
+    ]);
+    return units.flat();
   }
 
   /** The file of a segment; empty when there is nothing to fetch. */

@@ -3,7 +3,7 @@
 import { BLOCK, pages, planeHeight } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
 import { type GroupEntry, PAGE } from "./index.ts";
-import { pagePath, ROOT_PATH } from "./paths.ts";
+import { groupPath, pagePath, ROOT_PATH } from "./paths.ts";
 import { colourChannels, KEY_CHANNELS, STATE_CHANNELS } from "./steps.ts";
 import type { Atlas, FileEntry, Group, Page, Region, Root, Segment } from "./types.ts";
 import { isSimilarity } from "./world.ts";
@@ -98,9 +98,11 @@ export function checkPage(root: Root, page: Page, number: number): void {
   place.exactly("segments", sum(page.segments), root.index.pages.segments[number]!);
 }
 
-/** The table of a group fits the package, the index and itself. */
-export function checkGroup(root: Root, entry: GroupEntry, group: Group, where: string): void {
+/** The table of a group, counted from 0, fits the package, the index and itself. */
+export function checkGroup(root: Root, entry: GroupEntry, group: Group, number: number): void {
+  const where = groupPath(number + 1);
   const place = new Place(where);
+  if (group.keeps) place.within("keeps", group.keeps, 1, number);
   place.exactly("start", group.start, entry.start);
   place.exactly("stop", group.stop, entry.stop);
   place.exactly("segments", group.segments.length, entry.segments);
@@ -110,7 +112,7 @@ export function checkGroup(root: Root, entry: GroupEntry, group: Group, where: s
   group.tiers.forEach((tier, t) => {
     place.file(`tiers[${t}].sidecar`, tier.sidecar, tier.count > 0);
     for (const [q, picture] of tier.pictures.entries())
-      place.file(`tiers[${t}].pictures[${q}]`, picture, tier.count > 0);
+      place.file(`tiers[${t}].pictures[${q}]`, picture, tier.count > tier.kept);
   });
   let stop = group.start;
   group.segments.forEach((segment, s) => {
@@ -121,6 +123,15 @@ export function checkGroup(root: Root, entry: GroupEntry, group: Group, where: s
     checkSegment(root, group, segment, here);
   });
   place.exactly("stop of the segments", stop, group.stop);
+}
+
+/** What a group keeps is there: `base` is the table of the group that it names, and has rows of its own alone. */
+export function checkKept(group: Group, base: Group, where: string): void {
+  const place = new Place(where);
+  if (base.keeps) throw bad(`${where}.keeps`, `expected a group that keeps none, got ${group.keeps}`);
+  group.tiers.forEach(({ kept }, t) => {
+    place.within(`tiers[${t}].kept`, kept, 0, base.tiers[t]!.count);
+  });
 }
 
 function checkShapes(root: Root, group: Group, place: Place): void {
@@ -146,10 +157,11 @@ function checkCounts(root: Root, group: Group, place: Place): void {
 function checkAtlases(root: Root, group: Group, place: Place): void {
   const colours = colourChannels(root.sh_degree);
   group.tiers.forEach((tier, t) => {
+    place.within(`tiers[${t}].kept`, tier.kept, 0, group.keeps ? tier.count : 0);
+    const rows = tier.count - tier.kept;
     for (const [q, atlas] of tier.qualities.entries()) {
-      place.exactly(`tiers[${t}].qualities[${q}].rows`, atlas.rows, tier.count);
-      if (tier.count)
-        place.within(`planes of tiers[${t}].qualities[${q}]`, atlas.planes.length, 1, atlas.centres.length);
+      place.exactly(`tiers[${t}].qualities[${q}].rows`, atlas.rows, rows);
+      if (rows) place.within(`planes of tiers[${t}].qualities[${q}]`, atlas.planes.length, 1, atlas.centres.length);
       checkAtlas(
         new Place(`${place.where}.tiers[${t}].qualities[${q}]`),
         atlas,

@@ -7,14 +7,23 @@ export type Grid = Group["grid"];
 /** Depth of a row whose updates no level carries. */
 export const STATIC = 255;
 
-/** The rows of a tier as a sidecar and the detail of a quality give them. */
+/** The rows of a tier as a sidecar and the detail of a quality give them: K kept ones, then M others. */
 export interface TierRows {
-  /** (N) Morton codes of the corners of cells. */
+  /** (K) which rows of the same tier of the base are kept, ascending. */
+  kept: Uint32Array;
+  /** (M) Morton codes of the corners of cells. */
   codes: Wide;
-  /** (N) motion classes, −128 … 127. */
+  /** (M) motion classes, −128 … 127. */
   classes: Int16Array;
-  /** (N) deepest level that carries a row; STATIC: none. */
+  /** (K + M) deepest level that carries a row; STATIC: none. */
   depths: Uint8Array;
+}
+
+/** How many rows a tier has, how many of them are kept, and of how many: N = K + M, K, and those of the base. */
+export interface TierCounts {
+  count: number;
+  kept: number;
+  base: number;
 }
 
 /** b of a row: its cell is 2^b steps of the grid wide. `coarser` is that of a key quality. */
@@ -24,27 +33,47 @@ export function cellBits(motionClass: number, grid: Grid, coarser: number): numb
 }
 
 /**
- * The sidecar of a tier of `rows` rows, whose codes are those of the last quality, `coarsest` its `coarser`.
+ * The sidecar of a tier, whose codes are those of the last quality, `coarsest` its `coarser`.
  *
  * Throws FormatError(bad_sidecar).
  */
-export function readSidecar(data: Uint8Array, rows: number, grid: Grid, coarsest: number, where: string): TierRows {
+export function readSidecar(
+  data: Uint8Array,
+  { count, kept, base }: TierCounts,
+  grid: Grid,
+  coarsest: number,
+  where: string,
+): TierRows {
   const reader = new Reader(data, where);
-  const least = reader.column(1, 0)[0]! - 128;
-  const above = reader.column(rows, 1);
-  const codes = reader.wide(rows, 0);
-  const carried = reader.column(rows, 1);
+  const depths = new Uint8Array(count);
+  const rows = reader.column(kept, 1);
+  readDepths(reader, depths.subarray(0, kept));
+  let next = 0;
+  for (let i = 0; i < kept; i++) {
+    next += rows[i]!;
+    if (next >= base) throw reader.refuse(`expected kept rows among ${base}`);
+    rows[i] = next++;
+  }
+  const others = count - kept;
+  const least = others ? reader.column(1, 0)[0]! - 128 : 0;
+  const above = reader.column(others, 1);
+  const codes = reader.wide(others, 0);
+  readDepths(reader, depths.subarray(kept));
   reader.close();
-  const classes = new Int16Array(rows);
-  const depths = new Uint8Array(rows);
-  for (let i = 0; i < rows; i++) {
+  const classes = new Int16Array(others);
+  for (let i = 0; i < others; i++) {
     const motionClass = least + above[i]!;
-    if (motionClass > 127 || carried[i]! > 255) throw reader.refuse("expected classes up to 127 and depths up to 255");
+    if (motionClass > 127) throw reader.refuse("expected motion classes up to 127");
     classes[i] = motionClass;
-    depths[i] = carried[i]! - 1; // 0 − 1 is STATIC
   }
   if (!sumGaps(codes, classes, grid, coarsest)) throw reader.refuse(`Morton codes leave ${3 * grid.bits} bits`);
-  return { codes, classes, depths };
+  return { kept: rows, codes, classes, depths };
+}
+
+function readDepths(reader: ColumnReader, into: Uint8Array): void {
+  const carried = reader.column(into.length, 1);
+  if (carried.some((depth) => depth > 255)) throw reader.refuse("expected depths up to 255");
+  into.set(carried.map((depth) => depth - 1)); // 0 − 1 is STATIC
 }
 
 /** Turns gaps between neighbours into Morton codes. False when a code does not fit the grid. */

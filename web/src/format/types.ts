@@ -18,9 +18,11 @@ export interface BaseChanges {
   bases: Int32Array;
 }
 
-/** The key pictures of a tier. */
+/** The key pictures of a tier, or those of a tier of the base whose rows are kept: FORMAT.md, section 3. */
 export interface KeyPart {
   atlas: Atlas;
+  /** Which rows of the base's atlas are kept, ascending; null: all rows of an atlas of the group itself. */
+  kept: Uint32Array | null;
   /** Samples of all pages, one after the other, each `atlas.width` × `atlas.height`. */
   luma: Uint8Array;
   /** Samples with another base than 0; null: none. */
@@ -40,7 +42,7 @@ export interface Canonical {
   units: Float32Array;
   /** (N) deepest level that carries a row's updates; 255: static. */
   depths: Uint8Array;
-  /** One a tier that has rows, in order. */
+  /** In the order of rows: of each tier first what is kept, then its own. */
   parts: KeyPart[];
 }
 

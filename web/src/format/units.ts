@@ -8,15 +8,18 @@ import { ColumnReader } from "./rangecoder.ts";
 import { canonicalMeans, motionUnits, readDetail, readSidecar, STATIC } from "./sidecar.ts";
 import type { Atlas, BaseChanges, Group, Root } from "./types.ts";
 
-/** A key unit but for its picture. N rows of the tier. */
+/** A key unit but for its picture. K rows of the tier are kept, M are its own. */
 export interface KeyUnit {
   atlas: Atlas;
-  /** (3N) canonical means, world units. */
+  /** (K) rows of the same tier of the base. */
+  kept: Uint32Array;
+  /** (3M) canonical means, world units. */
   means: Float32Array;
-  /** (N) motion units, world units. */
+  /** (M) motion units, world units. */
   units: Float32Array;
+  /** (K + M) */
   depths: Uint8Array;
-  /** Of each page of the picture. */
+  /** Of each page of the picture; none where all rows are kept. */
   pages: Sample[][];
   /** Samples with another base than 0; null: none. */
   bases: BaseChanges | null;
@@ -30,24 +33,27 @@ export interface KeyPlace {
 }
 
 /**
- * A key unit of the table of its group, from the bytes of its sidecar and of its picture.
+ * A key unit of the table of its group, from the bytes of its sidecar and of its picture, null where it has none. `base`
+ * is the table of the group whose rows it keeps, if it keeps any.
  *
  * Throws FormatError (bad_sidecar, bad_picture, bad_value).
  */
 export function readKeyUnit(
   root: Root,
   table: Group,
+  base: Group | null,
   { group, tier, quality }: KeyPlace,
   sidecar: Uint8Array,
-  media: Uint8Array,
+  media: Uint8Array | null,
 ): KeyUnit {
   const where = keyMediaPath(tier, quality, group + 1);
-  const { count, qualities } = table.tiers[tier]!;
+  const { count, kept, qualities } = table.tiers[tier]!;
   const atlas = qualities[quality]!;
   const coarser = root.qualities[quality]!.coarser;
   const coarsest = root.qualities.at(-1)!.coarser;
-  const shared = readSidecar(sidecar, count, table.grid, coarsest, keySidecarPath(tier, group + 1));
-  const { columns, samples } = readMedia(media, where);
+  const counts = { count, kept, base: base?.tiers[tier]?.count ?? 0 };
+  const shared = readSidecar(sidecar, counts, table.grid, coarsest, keySidecarPath(tier, group + 1));
+  const { columns, samples } = media ? readMedia(media, where) : { columns: null, samples: [] };
   const reader = new ColumnReader(columns, where);
   const rows = readDetail(reader, shared, table.grid, coarser, coarsest);
   const escapes = readEscapes(reader, 1, atlas.planes.length, atlas.rows);
@@ -56,10 +62,11 @@ export function readKeyUnit(
   if (!means.every(Number.isFinite)) throw new FormatError("bad_value", where, "means decode to numbers not finite");
   return {
     atlas,
+    kept: shared.kept,
     means,
     units: motionUnits(rows.classes),
     depths: rows.depths,
-    pages: pageSamples(samples, atlas, 1, where),
+    pages: media ? pageSamples(samples, atlas, 1, where) : [],
     bases: new Bases(escapes, atlas).next(0),
   };
 }

@@ -97,7 +97,7 @@ export class Engine {
   }
 
   async canonical(name: CanonicalName, { signal }: Context<never>): Promise<Canonical> {
-    await this.#gather(this.#keyFiles(name), signal);
+    await this.#gather(this.#keysOf(name), signal);
     const found = await decodeCanonical(this.tables, this.#read, name, this.#keys, { signal });
     const { means, units, depths } = found;
     this.#keep(name, { means, units, depths });
@@ -122,7 +122,7 @@ export class Engine {
       return stop - start;
     }
     const { group, tiers } = of;
-    await this.#gather(this.#spaces.has(nameOf(of)) ? [where] : [where, ...this.#keyFiles(of)], signal);
+    await this.#gather(this.#spaces.has(nameOf(of)) ? [where] : [where, ...this.#keysOf(of)], signal);
     const file = {
       segment: index,
       group,
@@ -169,8 +169,8 @@ export class Engine {
     return { path, limit: entry.bytes, attempts, patient: true, changing: false, accept };
   }
 
-  #keyFiles({ group, quality, tiers }: CanonicalName): string[] {
-    return Array.from({ length: tiers }, (_, t) => this.tables.keyFiles(group, t, quality)).flat();
+  #keysOf({ group, quality, tiers }: CanonicalName): string[] {
+    return this.tables.keysOf(group, quality, tiers);
   }
 
   /** Fetches files again that were fetched so long ago that others took their place. Throws FormatError. */

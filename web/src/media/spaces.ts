@@ -1,8 +1,8 @@
-// Canonical spaces: sidecars and key files -> positions, luma and bases. N rows.
+// Canonical spaces: sidecars and key files, those of a base too -> positions, luma and bases. N rows.
 import { FormatError } from "../format/errors.ts";
 import type { Tables } from "../format/package.ts";
 import type { Canonical, KeyPart } from "../format/types.ts";
-import { type KeyUnit, readKeyUnit } from "../format/units.ts";
+import { type KeyPlace, type KeyUnit, readKeyUnit } from "../format/units.ts";
 import type { DecodeOptions } from "./decoder.ts";
 import type { CanonicalName } from "./messages.ts";
 import type { PictureDecoder } from "./pictures.ts";
@@ -14,12 +14,20 @@ export type Positions = Pick<Canonical, "means" | "units" | "depths">;
 export type ReadFile = (path: string) => Uint8Array;
 
 interface Unit extends KeyUnit {
+  /** The file of its picture. */
   where: string;
+}
+
+/** Rows of a unit that follow each other in a space. */
+interface Run {
+  unit: Unit;
+  /** Which of them; null: all. */
+  kept: Uint32Array | null;
 }
 
 /** The positions of the rows of a canonical space. Throws FormatError. */
 export function readPositions(tables: Tables, read: ReadFile, name: CanonicalName): Positions {
-  return joinPositions(readUnits(tables, read, name));
+  return joinPositions(readTiers(tables, read, name));
 }
 
 /** A canonical space, luma included. Throws FormatError. */
@@ -30,36 +38,61 @@ export async function decodeCanonical(
   decoder: PictureDecoder,
   options: DecodeOptions,
 ): Promise<Canonical> {
-  const units = readUnits(tables, read, name);
+  const tiers = readTiers(tables, read, name);
   const parts: KeyPart[] = [];
-  for (const { atlas, pages, bases, where } of units) {
-    const take = (_: number, luma: Uint8Array) => parts.push({ atlas, luma, bases });
+  for (const { unit, kept } of tiers.flatMap(runsOf)) {
+    const { atlas, pages, bases, where } = unit;
+    const take = (_: number, luma: Uint8Array) => parts.push({ atlas, kept, luma, bases });
     await decoder.decode({ pages, atlas, frames: 1, where }, take, options);
   }
-  return { ...name, ...joinPositions(units), parts };
+  return { ...name, ...joinPositions(tiers), parts };
 }
 
-function readUnits(tables: Tables, read: ReadFile, { group, quality, tiers }: CanonicalName): Unit[] {
-  const table = tables.group(group);
-  const units: Unit[] = [];
-  for (let tier = 0; tier < Math.min(tiers, table.tiers.length); tier++) {
-    const [sidecar, where] = tables.keyFiles(group, tier, quality);
-    if (!where) continue;
-    units.push({ ...readKeyUnit(tables.root, table, { group, tier, quality }, read(sidecar), read(where)), where });
+/** A tier, and that of the base whose rows it keeps. */
+interface Tier {
+  own: Unit;
+  base: Unit | null;
+}
+
+/** Kept rows, then others, as far as there are any. */
+function runsOf({ own, base }: Tier): Run[] {
+  const runs: Run[] = base ? [{ unit: base, kept: own.kept }] : [];
+  return own.where ? [...runs, { unit: own, kept: null }] : runs;
+}
+
+function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: CanonicalName): Tier[] {
+  const base = tables.base(group);
+  const found: Tier[] = [];
+  for (let tier = 0; tier < Math.min(tiers, tables.root.tiers); tier++) {
+    const own = readUnit(tables, read, { group, tier, quality });
+    const keeps = base !== null && own?.kept.length;
+    if (own) found.push({ own, base: keeps ? readUnit(tables, read, { group: base, tier, quality }) : null });
   }
-  if (!units.length) throw new FormatError("missing_entry", `group ${group}`, `${tiers} key tiers have no rows`);
-  return units;
+  if (!found.length) throw new FormatError("missing_entry", `group ${group}`, `${tiers} key tiers have no rows`);
+  return found;
 }
 
-function joinPositions(units: Unit[]): Positions {
-  const rows = units.reduce((sum, { depths }) => sum + depths.length, 0);
+function readUnit(tables: Tables, read: ReadFile, place: KeyPlace): Unit | null {
+  const { group, tier, quality } = place;
+  const [sidecar, where = ""] = tables.keyFiles(group, tier, quality);
+  if (!sidecar) return null;
+  const [table, base] = [tables.group(group), tables.baseTable(group)];
+  return { ...readKeyUnit(tables.root, table, base, place, read(sidecar), where ? read(where) : null), where };
+}
+
+function joinPositions(tiers: Tier[]): Positions {
+  const rows = tiers.reduce((sum, { own }) => sum + own.depths.length, 0);
   const all = { means: new Float32Array(3 * rows), units: new Float32Array(rows), depths: new Uint8Array(rows) };
   let at = 0;
-  for (const { means, units: motion, depths } of units) {
-    all.means.set(means, 3 * at);
-    all.units.set(motion, at);
-    all.depths.set(depths, at);
-    at += depths.length;
+  for (const { own, base } of tiers) {
+    all.depths.set(own.depths, at);
+    for (const row of own.kept) {
+      all.means.set(base!.means.subarray(3 * row, 3 * row + 3), 3 * at);
+      all.units[at++] = base!.units[row];
+    }
+    all.means.set(own.means, 3 * at);
+    all.units.set(own.units, at);
+    at += own.units.length;
   }
   return all;
 }

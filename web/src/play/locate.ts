@@ -4,7 +4,7 @@ import { MissingGroupError } from "../format/package.ts";
 import { groupPath, pagePath } from "../format/paths.ts";
 import type { Media } from "../media/client.ts";
 
-/** The segment that shows a frame; fetches the page and the table that say so. Throws FormatError, TransportError. */
+/** The segment that shows a frame; fetches the pages and tables of its group, and of its base. Throws FormatError, TransportError. */
 export async function locate(media: Media, frame: number, signal: AbortSignal): Promise<number> {
   for (;;) {
     const path = missing(media, frame);
@@ -18,7 +18,7 @@ export async function locate(media: Media, frame: number, signal: AbortSignal): 
 
 function missing({ tables }: Media, frame: number): string | null {
   try {
-    tables.segmentAt(frame);
+    tables.base(tables.index.atFrame(frame));
     return null;
   } catch (error) {
     if (error instanceof MissingPageError) return pagePath(error.page + 1);

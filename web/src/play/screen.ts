@@ -44,7 +44,7 @@ export class Screen {
 
   constructor(
     readonly canvas: HTMLCanvasElement,
-    readonly tables: { root: Root; group(number: number): Group },
+    readonly tables: { root: Root; group(number: number): Group; baseTable(number: number): Group | null },
     readonly options: ScreenOptions = {},
   ) {
     this.#renderer = this.#makeRenderer();
@@ -136,7 +136,8 @@ export class Screen {
     const { canonical } = clip;
     const known = this.#stages.get(canonical);
     if (known || !this.#renderer) return known ?? null;
-    const scene = this.#renderer.scene(this.tables.root, this.tables.group(canonical.group), canonical);
+    const [table, base] = [this.tables.group(canonical.group), this.tables.baseTable(canonical.group)];
+    const scene = this.#renderer.scene(this.tables.root, table, canonical, base);
     const means = clip.frames.find((frame) => frame?.means.length)?.means ?? canonical.means;
     const key = `${this.#made++}`;
     const stage: Stage = { key, canonical, scene, clip: null, frame: -1, means, sorting: false, stale: false };

@@ -6,21 +6,26 @@ import type { InUse, Programs } from "./programs.ts";
 import { Samples } from "./samples.ts";
 import type { Scene } from "./scene.ts";
 import { KEY_GEOMETRY, keyColours, LAYERS_A_PASS, ROW_WIDTH, WHOLE } from "./shaders.ts";
-import { framebuffer, type Texture } from "./textures.ts";
+import { framebuffer, type Texture, texture, writeRows } from "./textures.ts";
 
-/** Steps of the key channels, and those of SH DC and SH rest. */
-export interface KeySteps {
+/** What the key channels of a group count in: their steps, those of SH DC and SH rest, and the colour transform. */
+export interface KeyCoding {
   steps: Float32Array;
   tintSteps: [number, number];
+  transform: Texture;
 }
 
-interface Tier {
+/** The pictures of a tier, or those of which it keeps rows. */
+interface Part {
   samples: Samples;
   codes: CodeTable;
+  coding: KeyCoding;
   /** Rows before it in the group, and its own. */
   first: number;
   rows: number;
 }
+
+const SAMPLERS = ["luma", "bases", "transform", "picked"];
 
 /** Colour layers of passes: [first, first + count). */
 function layerRuns(degree: number): { name: string; first: number; count: number }[] {
@@ -33,7 +38,7 @@ function layerRuns(degree: number): { name: string; first: number; count: number
 
 /** Begins to compile what `KeyPasses.run` needs; gives the names. */
 export function prepareKeys(programs: Programs, degree: number): string[] {
-  const samplers = ["luma", "bases", "transform"];
+  const samplers = SAMPLERS;
   programs.prepare("key geometry", () => ({ vertex: WHOLE, fragment: KEY_GEOMETRY, samplers }));
   const runs = layerRuns(degree);
   for (const { name, first, count } of runs) {
@@ -47,59 +52,73 @@ export function prepareKeys(programs: Programs, degree: number): string[] {
 export class KeyPasses {
   readonly #gl: WebGL2RenderingContext;
   readonly #scene: Scene;
-  readonly #tintSteps: [number, number];
-  readonly #tiers: Tier[] = [];
+  readonly #parts: Part[] = [];
+  readonly #base: KeyCoding | null;
+  readonly #picked: Texture;
 
-  constructor(gl: WebGL2RenderingContext, scene: Scene, parts: KeyPart[], { steps, tintSteps }: KeySteps) {
-    [this.#gl, this.#scene, this.#tintSteps] = [gl, scene, tintSteps];
+  /** `base` is the coding of the group whose rows are kept, and is let go of with the pictures. */
+  constructor(gl: WebGL2RenderingContext, scene: Scene, parts: KeyPart[], own: KeyCoding, base: KeyCoding | null) {
+    [this.#gl, this.#scene, this.#base] = [gl, scene, base];
+    const picked = new Uint32Array(scene.rows);
     let first = 0;
-    for (const { atlas, luma, bases } of parts) {
+    for (const { atlas, kept, luma, bases } of parts) {
       const samples = new Samples(gl, atlas);
       samples.setLuma(luma);
       if (bases) samples.change(bases);
       samples.upload();
-      const rows = Math.min(atlas.rows, scene.rows - first);
-      this.#tiers.push({ samples, codes: codeTable(atlas, steps, KEY_CHANNELS.colours), first, rows });
+      const rows = Math.min(kept ? kept.length : atlas.rows, scene.rows - first);
+      const coding = (kept && base) ?? own;
+      this.#parts.push({ samples, codes: codeTable(atlas, coding.steps, KEY_CHANNELS.colours), coding, first, rows });
+      for (let i = 0; i < rows; i++) picked[first + i] = kept ? kept[i] : i;
       first += rows;
     }
+    const { width, height } = scene.places;
+    this.#picked = texture(gl, "R32UI", [width, height]);
+    writeRows(gl, this.#picked, picked);
   }
 
   /** Draws the row textures and lets go of the pictures. `noBases` stands in where a tier has none. */
   run(programs: Programs, noBases: Texture): void {
     const gl = this.#gl;
-    const { rotations, sizes, layers, transform, degree } = this.#scene;
+    const { rotations, sizes, layers, degree } = this.#scene;
+    const textures = ({ samples, coding }: Part) => [
+      samples.luma,
+      samples.bases ?? noBases,
+      coding.transform,
+      this.#picked,
+    ];
     gl.bindVertexArray(null);
     gl.disable(gl.BLEND);
     gl.enable(gl.SCISSOR_TEST);
-    this.#pass(framebuffer(gl, [rotations, sizes]), (tier) =>
-      programs.use("key geometry", [tier.samples.luma, tier.samples.bases ?? noBases, transform]),
-    );
+    this.#pass(framebuffer(gl, [rotations, sizes]), (part) => programs.use("key geometry", textures(part)));
     for (const { name, first, count } of layerRuns(degree)) {
       const run = Array.from({ length: count }, (_, l) => first + l);
       const into = framebuffer(gl, new Array<Texture>(count).fill(layers), run);
-      this.#pass(into, (tier) => programs.use(name, [tier.samples.luma, tier.samples.bases ?? noBases, transform]));
+      this.#pass(into, (part) => programs.use(name, textures(part)));
     }
     gl.disable(gl.SCISSOR_TEST);
     this.free();
   }
 
   free(): void {
-    for (const { samples } of this.#tiers) samples.free();
-    this.#tiers.length = 0;
+    for (const { samples } of this.#parts) samples.free();
+    this.#parts.length = 0;
+    for (const one of [this.#picked, this.#base?.transform]) if (one) this.#gl.deleteTexture(one.handle);
   }
 
-  /** Draws all tiers into a framebuffer, which it deletes. */
-  #pass(into: WebGLFramebuffer, use: (tier: Tier) => InUse): void {
+  /** Draws all parts into a framebuffer, which it deletes. */
+  #pass(into: WebGLFramebuffer, use: (part: Part) => InUse): void {
     const gl = this.#gl;
     gl.bindFramebuffer(gl.FRAMEBUFFER, into);
     gl.viewport(0, 0, ROW_WIDTH, this.#scene.places.height);
-    for (const tier of this.#tiers) {
-      const { at } = use(tier);
-      setCodes(gl, at, tier.codes, tier.samples);
-      gl.uniform2f(at("tintSteps"), ...this.#tintSteps);
-      gl.uniform2i(at("span"), tier.first, tier.rows);
-      const line = Math.floor(tier.first / ROW_WIDTH);
-      gl.scissor(0, line, ROW_WIDTH, Math.ceil((tier.first + tier.rows) / ROW_WIDTH) - line);
+    for (const part of this.#parts) {
+      const { at } = use(part);
+      const { samples, codes, coding, first, rows } = part;
+      setCodes(gl, at, codes, samples);
+      gl.uniform2f(at("tintSteps"), ...coding.tintSteps);
+      gl.uniform2i(at("span"), first, rows);
+      const line = Math.floor(first / ROW_WIDTH);
+      gl.scissor(0, line, ROW_WIDTH, Math.ceil((first + rows) / ROW_WIDTH) - line);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
     gl.deleteFramebuffer(into);

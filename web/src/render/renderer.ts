@@ -99,12 +99,13 @@ export class Renderer {
 
   /**
    * A group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an order.
+   * `base` is the table of the group whose rows it keeps, if it keeps any.
    *
    * Throws RenderError for more rows or pages than this machine's textures hold.
    */
-  scene(root: Root, group: Group, canonical: Canonical): Scene {
+  scene(root: Root, group: Group, canonical: Canonical, base: Group | null = null): Scene {
     this.prepare(root.sh_degree);
-    const scene = new Scene(this.#gl, root, group, canonical);
+    const scene = new Scene(this.#gl, root, group, canonical, base);
     this.#scenes.add(scene);
     return scene;
   }

@@ -54,7 +54,8 @@ export class Scene {
   /** The level of the pictures that come next. */
   #next: LevelView | null = null;
 
-  constructor(gl: WebGL2RenderingContext, root: Root, group: Group, canonical: Canonical) {
+  /** `base` is the table of the group whose rows it keeps, if it keeps any. */
+  constructor(gl: WebGL2RenderingContext, root: Root, group: Group, canonical: Canonical, base: Group | null) {
     this.rows = canonical.depths.length;
     this.degree = root.sh_degree;
     [this.#gl, this.#root, this.#group, this.#depths] = [gl, root, group, canonical.depths];
@@ -66,19 +67,20 @@ export class Scene {
     this.sizes = texture(gl, "RGBA32UI", size);
     this.ranks = texture(gl, "R32UI", size);
     this.layers = texture(gl, "RGBA32UI", size, layers);
-    this.transform = texture(gl, "RGBA32F", [layers, channels]);
+    this.transform = transformOf(gl, group, channels);
     this.order = texture(gl, "R32UI", size);
     this.firsts = texture(gl, "RGBA32UI", size);
     this.seconds = texture(gl, "RGBA32UI", size);
     this.projection = framebuffer(gl, [this.firsts, this.seconds]);
     writeRows(gl, this.places, interleave(canonical), 4);
-    const transform = padded(colourMatrix(group, channels), channels, 4 * layers);
-    write(gl, this.transform, { y: 0, width: layers, height: channels }, transform);
     this.tintSteps = dcAndRest(group.state_steps, channels);
-    this.keys = new KeyPasses(gl, this, canonical.parts, {
-      steps: keySteps(root, group, canonical.quality),
-      tintSteps: dcAndRest(group.key_steps, channels),
+    const coding = (table: Group, transform: Texture) => ({
+      steps: keySteps(root, table, canonical.quality),
+      tintSteps: dcAndRest(table.key_steps, channels),
+      transform,
     });
+    const baseCoding = base && coding(base, transformOf(gl, base, channels));
+    this.keys = new KeyPasses(gl, this, canonical.parts, coding(group, this.transform), baseCoding);
   }
 
   /** A segment of a level begins. What is shown stays until `setState`. */
@@ -153,11 +155,15 @@ function interleave({ means, units }: Canonical): Uint32Array {
   return new Uint32Array(places.buffer);
 }
 
-/** A square matrix with lines of `width` numbers. */
-function padded(matrix: Float32Array, side: number, width: number): Float32Array {
-  const out = new Float32Array(side * width);
-  for (let k = 0; k < side; k++) out.set(matrix.subarray(k * side, (k + 1) * side), k * width);
-  return out;
+/** The colour transform of a group. */
+function transformOf(gl: WebGL2RenderingContext, group: Group, channels: number): Texture {
+  const width = Math.ceil(channels / 4);
+  const matrix = colourMatrix(group, channels);
+  const lines = new Float32Array(4 * width * channels);
+  for (let k = 0; k < channels; k++) lines.set(matrix.subarray(k * channels, (k + 1) * channels), 4 * width * k);
+  const made = texture(gl, "RGBA32F", [width, channels]);
+  write(gl, made, { y: 0, width, height: channels }, lines);
+  return made;
 }
 
 /** The place of each row among those that a level carries. */

@@ -50,10 +50,15 @@ vec4 turn(vec3 v) { // rotation vector -> quaternion w x y z
 }
 `;
 
-/** The rows of a tier begin at row span.x of the group; there are span.y of them. */
+/** A picture shows span.y rows of the group from row span.x on: `picked` says which of its own. -1: not one of them. */
 const ROW = `
 uniform ivec2 span;
-int row() { return int(gl_FragCoord.y) * ${ROW_WIDTH} + int(gl_FragCoord.x) - span.x; }
+uniform usampler2D picked;
+int row() {
+  ivec2 t = ivec2(gl_FragCoord.xy);
+  int i = t.y * ${ROW_WIDTH} + t.x - span.x;
+  return i < 0 || i >= span.y ? -1 : int(texelFetch(picked, t, 0).r);
+}
 `;
 
 export const KEY_GEOMETRY = `${HEAD}${CODES}${ROW}
@@ -62,7 +67,7 @@ layout(location = 0) out uvec4 rotation;
 layout(location = 1) out uvec4 size;
 void main() {
   int i = row();
-  if (i < 0 || i >= span.y) discard;
+  if (i < 0) discard;
   ivec2 at = place(i);
   rotation = floatBitsToUint(turn(vec3(decode(entries[3], at), decode(entries[4], at), decode(entries[5], at))));
   vec3 scales = vec3(decode(entries[0], at), decode(entries[1], at), decode(entries[2], at));
@@ -83,7 +88,7 @@ export const keyColours = (channels: number, first: number, count: number) => `$
 ${each(count, (l) => `layout(location = ${l}) out uvec4 layer${l};`)}
 void main() {
   int i = row();
-  if (i < 0 || i >= span.y) discard;
+  if (i < 0) discard;
   ivec2 at = place(i);
   ${each(count, (l) => `vec4 sum${l} = vec4(0.0);`)}
   for (int n = 0; n < tintCount; n++) {

@@ -14,12 +14,18 @@ interface FrameTable extends PictureTable {
   pictures: Reference[];
 }
 
+/** `kept`: rows of that tier of the base; null: the tier's own picture. */
+interface PartTable extends PictureTable {
+  tier: number;
+  kept: Reference | null;
+}
+
 interface RungTable {
   quality: number;
   level: number;
   tiers: number;
   groups: {
-    canonical: { means: Reference; units: Reference; depths: Reference; parts: (PictureTable & { tier: number })[] };
+    canonical: { means: Reference; units: Reference; depths: Reference; parts: PartTable[] };
     segments: FrameTable[][];
   }[];
 }
@@ -42,7 +48,7 @@ export interface Frame {
 export interface Rung {
   quality: number;
   level: number;
-  groups: { group: Group; canonical: Canonical; segments: Frame[][] }[];
+  groups: { group: Group; base: Group | null; canonical: Canonical; segments: Frame[][] }[];
 }
 
 export class Decoded {
@@ -59,7 +65,8 @@ export class Decoded {
       ...rung,
       groups: rung.groups.map(({ segments }, g) => ({
         group: groups[g],
-        canonical: this.#canonical(rung, g, groups[g]),
+        base: baseOf(groups, g),
+        canonical: this.#canonical(rung, g, groups),
         segments: segments.map((frames) => frames.map((frame) => this.#frame(frame))),
       })),
     }));
@@ -88,7 +95,7 @@ export class Decoded {
     };
   }
 
-  #canonical({ quality, tiers, groups }: RungTable, group: number, table: Group): Canonical {
+  #canonical({ quality, tiers, groups }: RungTable, group: number, tables: Group[]): Canonical {
     const { means, units, depths, parts } = groups[group].canonical;
     return {
       ...{ group, quality, tiers },
@@ -96,10 +103,17 @@ export class Decoded {
       units: this.#array(units),
       depths: this.#array(depths),
       parts: parts.map((part) => ({
-        atlas: table.tiers[part.tier].qualities[quality],
+        atlas: (part.kept ? baseOf(tables, group)! : tables[group]).tiers[part.tier].qualities[quality],
+        kept: part.kept && this.#array<Uint32Array>(part.kept),
         luma: this.#array<Uint8Array>(part.luma!),
         bases: this.#changes(part),
       })),
     };
   }
+}
+
+/** The table of the group whose rows a group keeps. */
+function baseOf(tables: Group[], group: number): Group | null {
+  const { keeps } = tables[group];
+  return keeps ? tables[keeps - 1] : null;
 }

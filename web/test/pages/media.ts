@@ -42,7 +42,7 @@ async function digests(luma: Uint8Array, atlas: Atlas): Promise<string[]> {
 
 /** The key files and the canonical space of all tiers. */
 async function canonicalOf(media: Media, group: number, quality: number, tiers: number) {
-  const files = Array.from({ length: tiers }, (_, t) => media.tables.keyFiles(group, t, quality)).flat();
+  const files = media.tables.keysOf(group, quality, tiers);
   demand(await media.fetch(files, { attempts: 1 }));
   return { files, canonical: await media.canonical(group, quality, tiers) };
 }
@@ -110,7 +110,7 @@ async function frames(step: Step): Promise<unknown> {
     const { root } = media.tables;
     const table = media.tables.group(group);
     const { canonical } = await canonicalOf(media, group, quality, tiers);
-    const base = canonicalGaussians(root, table, canonical);
+    const base = canonicalGaussians(root, table, canonical, media.tables.baseTable(group));
     const { start, stop } = media.tables.segmentsOf(group);
     for (let segment = start; segment < stop; segment++) {
       const bases = new Int32Array(atlasSamples(table.levels[level]));

@@ -79,8 +79,8 @@ class Stage {
 async function play(stage: Stage, data: Decoded, rung: Rung, number: number, every: number): Promise<Picture[]> {
   const pictures: Picture[] = [];
   let count = 0;
-  for (const { group, canonical, segments } of rung.groups) {
-    const scene = stage.renderer.scene(data.root, group, canonical);
+  for (const { group, base, canonical, segments } of rung.groups) {
+    const scene = stage.renderer.scene(data.root, group, canonical, base);
     stage.look("scene");
     for (const frames of segments) {
       stage.renderer.level(scene, rung.level);
@@ -151,7 +151,7 @@ async function change(data: Decoded) {
   await stage.order(old, frames[0].means, camera);
   stage.draw(old, camera);
   const before = stage.renderer.readBytes();
-  const next = stage.renderer.scene(data.root, second.group, second.canonical);
+  const next = stage.renderer.scene(data.root, second.group, second.canonical, second.base);
   stage.renderer.level(next, level);
   stage.step(next, frames[1], true, second.group.levels[level]);
   const early = stage.renderer.ready(next) || stage.renderer.draw(next, camera);

@@ -42,9 +42,10 @@ export async function walk(folder: string): Promise<number> {
       for (let tier = 0; tier < root.tiers; tier++) {
         const paths = tables.keyFiles(group, tier, quality);
         if (!paths.length) continue;
-        const [sidecar, media] = await Promise.all(paths.map((path) => fetched(tables, folder, path)));
-        depths.push(...readKeyUnit(root, table, { group, tier, quality }, sidecar!, media!).depths);
-        files += 2;
+        const [sidecar, media = null] = await Promise.all(paths.map((path) => fetched(tables, folder, path)));
+        const base = tables.baseTable(group);
+        depths.push(...readKeyUnit(root, table, base, { group, tier, quality }, sidecar!, media).depths);
+        files += paths.length;
       }
       root.levels.forEach((_, level) => {
         checkCount(root, table, level, root.tiers, Uint8Array.from(depths));
