@@ -27,6 +27,8 @@ async function openGroup(media: Media, group: number): Promise<void> {
   const page = media.tables.index.pageOfGroup(group);
   if (page !== null) demand(await media.fetch([pagePath(page + 1)], { attempts: 1 }));
   demand(await media.fetch([groupPath(group + 1)], { attempts: 1 }));
+  const { keeps } = media.tables.group(group);
+  if (keeps && !media.tables.has(keeps - 1)) await openGroup(media, keeps - 1);
 }
 
 /** SHA-256 of the pages of a picture, each in hexadecimal. */
@@ -42,9 +44,8 @@ async function digests(luma: Uint8Array, atlas: Atlas): Promise<string[]> {
 
 /** The key files and the canonical space of all tiers. */
 async function canonicalOf(media: Media, group: number, quality: number, tiers: number) {
-  const files = media.tables.keysOf(group, quality, tiers);
-  demand(await media.fetch(files, { attempts: 1 }));
-  return { files, canonical: await media.canonical(group, quality, tiers) };
+  demand(await media.fetch(media.tables.keysOf(group, quality, tiers), { attempts: 1 }));
+  return media.canonical(group, quality, tiers);
 }
 
 async function framesOf(
@@ -73,9 +74,11 @@ async function luma({ url }: Step): Promise<unknown> {
     await openGroup(media, group);
     const table = media.tables.group(group);
     for (let quality = 0; quality < root.qualities.length; quality++) {
-      const { files, canonical } = await canonicalOf(media, group, quality, table.tiers.length);
+      const canonical = await canonicalOf(media, group, quality, table.tiers.length);
+      const own = canonical.parts.filter((part) => !part.kept);
+      const files = table.tiers.flatMap((_, tier) => media.tables.keyFiles(group, tier, quality));
       const pictures = files.filter((path) => path.endsWith(".m4s"));
-      for (const [i, part] of canonical.parts.entries()) found[pictures[i]] = await digests(part.luma, part.atlas);
+      for (const [i, part] of own.entries()) found[pictures[i]] = await digests(part.luma, part.atlas);
     }
     const of = { group, quality: 0, tiers: table.tiers.length };
     const { start, stop } = media.tables.segmentsOf(group);
@@ -109,7 +112,7 @@ async function frames(step: Step): Promise<unknown> {
     await openGroup(media, group);
     const { root } = media.tables;
     const table = media.tables.group(group);
-    const { canonical } = await canonicalOf(media, group, quality, tiers);
+    const canonical = await canonicalOf(media, group, quality, tiers);
     const base = canonicalGaussians(root, table, canonical, media.tables.baseTable(group));
     const { start, stop } = media.tables.segmentsOf(group);
     for (let segment = start; segment < stop; segment++) {
