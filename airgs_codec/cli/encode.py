@@ -23,6 +23,7 @@ from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import (
     DEFAULT_LEVELS,
     DEFAULT_SETTINGS,
+    KEYS,
     QUALITY_FACTORS,
     UPDATE_RANKS,
     EncodeSettings,
@@ -166,6 +167,7 @@ def _add_coding(parser: argparse.ArgumentParser) -> None:
     words = about(EncodeSettings, "group_frames")
     group.add_argument("--group", dest="group_frames", type=_group, default=None, metavar="auto|FRAMES", help=words)
     _add_setting(group, "--rows", "rows", choices=ROWS)
+    _add_setting(group, "--keys", "keys", choices=KEYS)
     group.add_argument(
         "--quick",
         action="store_true",

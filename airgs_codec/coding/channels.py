@@ -46,9 +46,33 @@ class Canonical:
         rows = {f.name: getattr(self, f.name)[:count] for f in fields(self) if f.name != "transform"}
         return replace(self, **rows)
 
+    def kept(self, rows: NDArray[np.intp], depths: NDArray[np.uint8]) -> Canonical:
+        """Some of its rows as a later group keeps them, with their depths there."""
+        taken = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in ("depths", "transform")}
+        return replace(self, **taken, depths=depths)
+
     def to_gaussians(self) -> Gaussians:
         """The canonical space as a frame: what is shown where no state says otherwise."""
         return _to_gaussians(self.means, self.quaternions, self.log_scales, self.opacity, self.colours)
+
+
+def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -> Canonical:
+    """The rows of several canonical spaces as those of one group, whose (C, C) KLT `transform` is."""
+    names = [f.name for f in fields(Canonical) if f.name != "transform"]
+    return Canonical(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names}, transform=transform)
+
+
+def recolour(
+    channels: NDArray[np.floating],
+    of: tuple[NDArray[np.float64], KeySteps],
+    into: tuple[NDArray[np.float64], KeySteps],
+) -> NDArray[np.float64]:
+    """(7 + C, N) key channels of a group as those of another; of both the (C, C) KLT and the steps are given."""
+    out = channels.astype(np.float64)
+    scales = [colour_steps(steps.sh_dc, steps.sh_rest, len(transform)) for transform, steps in (of, into)]
+    colour = from_klt(out[KEY.slice(COLOUR)].T, of[0]) * scales[0]
+    out[KEY.slice(COLOUR)] = to_klt(colour / scales[1], into[0]).T
+    return out
 
 
 def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps) -> NDArray[np.float64]:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import read_codes
-from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key
+from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key, join_canonical
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.coding.rangecoder import ColumnReader
-from airgs_codec.coding.sidecar import KeySidecar, join_sidecars, read_detail, unpack_key_sidecar
+from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.layout import COLOUR, KEY, STATE
@@ -77,33 +77,54 @@ def decode_frames(
 
 
 def decode_canonical(package: Package, group: int, quality: int, tiers: int | None = None) -> Canonical:
-    """The canonical space of a group from its first `tiers` key tiers (default: all).
+    """The canonical space of a group from its first `tiers` key tiers (default: all), with the rows that it keeps.
 
     Raises ConfigError when none of them has rows, FormatError for a broken package.
     """
     m = package.manifest
     g = m.groups[group]
-    steps = KEY.steps(g.key_steps, m.colour_channels) * m.qualities[quality].factor
-    parts = [decode_key(package, group, t, quality) for t, tier in enumerate(g.tiers[:tiers]) if tier.count]
+    parts = [
+        part
+        for t, tier in enumerate(g.tiers[:tiers])
+        if tier.count
+        for part in _decode_tier(package, group, t, quality)
+    ]
     if not parts:
         raise ConfigError(f"group {group}: expected at least one key tier with rows, got tiers={tiers}")
-    return dequantise_key(
-        np.concatenate([from_codes(codes, steps, m.key_gain) for codes, _ in parts], axis=1),
-        join_sidecars([sidecar for _, sidecar in parts]),
-        unpack_matrix(g.colour_transform, m.colour_channels),
-        g.grid,
-        g.key_steps,
-        m.qualities[quality].coarser,
-    )
+    return join_canonical(parts, unpack_matrix(g.colour_transform, m.colour_channels))
+
+
+def _decode_tier(package: Package, group: int, tier: int, quality: int) -> Iterator[Canonical]:
+    """The rows of a tier, which has some: those that it keeps, then the others."""
+    m = package.manifest
+    g = m.groups[group]
+    codes, sidecar = decode_key(package, group, tier, quality)
+    base, kept = m.base_of(group), sidecar.kept
+    if base is not None and len(kept.rows):
+        transform = unpack_matrix(m.groups[base].colour_transform, m.colour_channels)
+        yield join_canonical(list(_decode_tier(package, base, tier, quality)), transform).kept(kept.rows, kept.depths)
+    if len(sidecar.codes):
+        steps = KEY.steps(g.key_steps, m.colour_channels) * m.qualities[quality].factor
+        values = from_codes(codes, steps, m.key_gain)
+        transform = unpack_matrix(g.colour_transform, m.colour_channels)
+        yield dequantise_key(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser)
 
 
 def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
-    """(KEY.width(C), n) codes of one key unit, and its sidecar with the positions of that quality. FormatError."""
+    """(KEY.width(C), n) codes of the rows of a key unit that are not kept, and its sidecar in that quality.
+
+    Raises FormatError.
+    """
     m = package.manifest
-    unit = m.groups[group].tiers[tier]
-    sidecar_path, media = m.key_files(group, tier, quality)
-    grid, coarser, coarsest = m.groups[group].grid, m.qualities[quality].coarser, m.qualities[-1].coarser
-    shared = unpack_key_sidecar(package.read(sidecar_path), unit.count, grid, coarsest, sidecar_path)
+    g = m.groups[group]
+    unit, base = g.tiers[tier], m.base_of(group)
+    sidecar_path, *pictures = m.key_files(group, tier, quality)
+    grid, coarser, coarsest = g.grid, m.qualities[quality].coarser, m.qualities[-1].coarser
+    kept = unit.kept, 0 if base is None else m.groups[base].tiers[tier].count
+    shared = unpack_key_sidecar(package.read(sidecar_path), unit.count - unit.kept, grid, coarsest, sidecar_path, kept)
+    if not pictures:
+        return np.empty((KEY.width(m.colour_channels), 0), np.int32), shared
+    (media,) = pictures
     segment = open_segment(package.read(media), media)
     atlas = unit.qualities[quality]
     picture = next(decode_pictures(segment.samples, media, atlas.pages), None)

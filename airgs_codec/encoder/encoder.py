@@ -9,16 +9,17 @@ from __future__ import annotations
 import itertools
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.encoder.keys import code_keys, decode_base, encode_keys
-from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
-from airgs_codec.encoder.representation import Clock, Done
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.kept import BaseGroup, keep_known
+from airgs_codec.encoder.keys import CodedKeys, code_keys, decode_base, encode_keys, key_bytes
+from airgs_codec.encoder.plan import CODED_HERE, GroupLayout, keep_rows, lay_out
+from airgs_codec.encoder.representation import Clock, Done, Representation
+from airgs_codec.encoder.settings import KEPT, EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.tables import CodedGroup, Provenance, build_manifest, publish_group
@@ -63,6 +64,7 @@ class Encoded:
     manifest: Manifest  # without measured quality
     layouts: Sequence[GroupLayout]
     depths: Sequence[NDArray[np.uint8]]  # of the rows of each group, in file order
+    base: BaseGroup  # whose rows the next group may keep
 
 
 def encode_sequence(job: EncodeJob, settings: EncodeSettings, folder: Path, progress: Progress = silent) -> Encoded:
@@ -74,17 +76,31 @@ def encode_sequence(job: EncodeJob, settings: EncodeSettings, folder: Path, prog
     finished, most = itertools.count(1), len(job.surveys) * count_streams(settings)
     groups: list[Group] = []
     layouts, depths = [], []
+    base: BaseGroup | None = None
     progress("encoding", 0, most)
     with tempfile.TemporaryDirectory(prefix=".scratch", dir=folder) as scratch:
         for survey in job.surveys:
             first = sum(len(group.segments) for group in groups)
-            task = GroupTask(job.sequence, survey, first, Path(scratch))
+            task = GroupTask(job.sequence, survey, first, Path(scratch), base)
             coded = code_group(task, settings, lambda: progress("encoding", next(finished), most))
             groups.append(publish_group(Folder(folder), coded))
+            base = coded.base
             layouts.append(coded.layout)
             depths.append(coded.states.depths)
     init = Folder(folder).write(INIT_NAME, init_segment(clock.timescale, *largest_picture(groups)))
-    return Encoded(build_manifest(job.about(settings), clock, init, Groups.of(groups)), layouts, depths)
+    about = job.about(settings)
+    about = replace(about, decisions=[*about.decisions, *_note_kept(groups, layouts)])
+    return Encoded(build_manifest(about, clock, init, Groups.of(groups)), layouts, depths, coded.base)
+
+
+def _note_kept(groups: Sequence[Group], layouts: Sequence[GroupLayout]) -> list[str]:
+    """A line on the groups that keep rows, if any do."""
+    keeping = [place for place, group in enumerate(groups) if group.keeps is not None]
+    if not keeping:
+        return []
+    kept = sum(int((layouts[place].base_rows != CODED_HERE).sum()) for place in keeping)
+    share = kept / sum(groups[place].count for place in keeping)
+    return [f"{len(keeping)} of {len(groups)} groups keep {share:.0%} of their Gaussians from an earlier one"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,6 +111,7 @@ class GroupTask:
     survey: Survey
     first_segment: int  # how many segments the groups before it have
     scratch: Path  # a folder for samples that wait to be encoded
+    base: BaseGroup | None = None  # an earlier group whose rows it may keep
 
 
 def count_streams(settings: EncodeSettings) -> int:
@@ -110,14 +127,42 @@ def code_group(task: GroupTask, settings: EncodeSettings, done: Done) -> CodedGr
     sequence, survey = task.sequence, task.survey
     clock = Clock.of(sequence.fps)
     loaded = sequence.load(range(survey.span.start, survey.span.stop))
-    layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
-    keys = code_keys(layout, settings)
-    key_pictures = encode_keys(layout, keys, clock, settings, done)
-    qualities = range(len(settings.key_factors))
-    bases = [decode_base(layout, keys, key_pictures, settings, quality) for quality in qualities]
+    fresh = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
+    coded = _encode_kept(task, fresh, settings, done)
+    layout, keys, key_pictures = coded or (fresh, *_encode_keys(fresh, clock, settings, done))
+    base = task.base if coded else None
+    spaces = [None] * len(settings.key_factors) if base is None else base.spaces
+    decoded = [decode_base(layout, keys, key_pictures, settings, q, space) for q, space in enumerate(spaces)]
+    bases = [part.space for part in decoded]
     states = code_states(layout, bases, loaded.frames, settings, task.scratch)
     state_pictures = encode_states(layout, states, clock, settings, done)
-    return CodedGroup(layout, keys, states, key_pictures, state_pictures, task.first_segment)
+    size = key_bytes(layout, keys, key_pictures, base.layout if base else None)
+    kept_of = base or BaseGroup(layout, [part.channels for part in decoded], bases, size)
+    return CodedGroup(layout, keys, states, key_pictures, state_pictures, task.first_segment, kept_of)
+
+
+def _encode_keys(
+    layout: GroupLayout, clock: Clock, settings: EncodeSettings, done: Done
+) -> tuple[CodedKeys, list[list[Representation]]]:
+    keys = code_keys(layout, settings)
+    return keys, encode_keys(layout, keys, clock, settings, done)
+
+
+def _encode_kept(
+    task: GroupTask, fresh: GroupLayout, settings: EncodeSettings, done: Done
+) -> tuple[GroupLayout, CodedKeys, list[list[Representation]]] | None:
+    """The key of a group that keeps rows; None where it has none to keep or that saves too little."""
+    if task.base is None or settings.keys != KEPT:
+        return None
+    layout = keep_known(fresh, task.base, settings)
+    if layout is None:
+        return None
+    keys, pictures = _encode_keys(layout, Clock.of(task.sequence.fps), settings, lambda: None)
+    if key_bytes(layout, keys, pictures, task.base.layout) > task.base.worth_bytes(len(layout.rows)):
+        return None
+    for _ in itertools.chain(*pictures):
+        done()
+    return layout, keys, pictures
 
 
 def largest_picture(groups: Sequence[Group]) -> tuple[int, int]:

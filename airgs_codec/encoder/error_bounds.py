@@ -48,9 +48,19 @@ class ErrorModel:
         for picture in differences:
             off = np.maximum(off, extract(picture, atlas).max(axis=1))
         errors[atlas.planes] = (0.5 + off) * self.units[atlas.planes]
-        errors += ROUNDING * self.largest
-        places = layout.attribute_index(len(errors))
-        return [_round_up(errors[places == k].max()) for k in range(int(places.max()) + 1)]
+        return _by_attribute(errors + ROUNDING * self.largest, layout)
+
+
+def _by_attribute(errors: NDArray[np.float64], layout: Layout) -> list[float]:
+    """The largest error of each attribute, of (channels,) errors."""
+    places = layout.attribute_index(len(errors))
+    return [_round_up(errors[places == k].max()) for k in range(int(places.max()) + 1)]
+
+
+def widen(atlas: Atlas, errors: NDArray[np.float64], layout: Layout) -> Atlas:
+    """The atlas with bounds that also hold for (channels,) errors of rows that it does not carry."""
+    bounds = _by_attribute(errors, layout)
+    return replace(atlas, max_error=[max(pair) for pair in zip(atlas.max_error, bounds, strict=True)])
 
 
 def _round_up(error: float) -> float:

@@ -12,6 +12,7 @@ from pathlib import Path
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
 from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.encoder.encoder import EncodeJob, GroupTask, code_group
+from airgs_codec.encoder.kept import BaseGroup
 from airgs_codec.encoder.publish import calibrate_job
 from airgs_codec.encoder.quality import Rounds, measure_groups
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, EncodeSettings
@@ -52,6 +53,7 @@ class _Publisher:
     views: ViewPlan
     sh_degree: int  # bands above it are not worth their bytes
     rounds: Rounds  # of pictures that measure a segment
+    bases: list[BaseGroup]  # the newest last: the next group may keep rows of it
 
     def publish(self, sequence: GaussianSequence, start: int, stop: int) -> None:
         """Encode, measure and publish one more group."""
@@ -59,8 +61,9 @@ class _Publisher:
         coded_as = replace(sequence, max_sh_degree=self.sh_degree)
         survey = survey_group(coded_as, GroupSpan(len(m.groups), start, stop), self.views)
         with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
-            task = GroupTask(coded_as, survey, len(m.segments), Path(scratch))
+            task = GroupTask(coded_as, survey, len(m.segments), Path(scratch), self.bases[-1])
             coded = code_group(task, self.settings, lambda: None)
+        self.bases[:] = [coded.base]
         group = publish_group(self.package.files, coded)
         if self.rounds.count:
             package = Package(self.package.files, self.package.expect(group), 0)
@@ -156,7 +159,9 @@ def _begin(
         write_tables(Folder(stage), manifest, LiveClock(available, datetime.now(UTC)))
     turns = manifest.views.measured // max(1, views.measured(rounds.count))
     package = GrowingPackage(storage, manifest, available)
-    return _Publisher(package, verified.settings, views, found.job.sequence.sh_degree, rounds.again(turns))
+    return _Publisher(
+        package, verified.settings, views, found.job.sequence.sh_degree, rounds.again(turns), [verified.base]
+    )
 
 
 def _published(m: Manifest, sequence: GaussianSequence, notes: list[str]) -> PublishedGroup:

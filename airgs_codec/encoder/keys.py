@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import centre_codes, choose_layout, fit_atlas, read_codes
-from airgs_codec.coding.channels import Canonical, dequantise_key
+from airgs_codec.coding.channels import Canonical, dequantise_key, join_canonical
 from airgs_codec.coding.grid import coarse_codes
 from airgs_codec.coding.quantize import from_codes, to_codes
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
-from airgs_codec.coding.sidecar import KeySidecar, detail_columns, join_sidecars, read_detail
+from airgs_codec.coding.sidecar import Kept, KeySidecar, detail_columns, pack_key_sidecar, read_detail
 from airgs_codec.encoder.error_bounds import ErrorModel
 from airgs_codec.encoder.leave_out import KeyOmissions
 from airgs_codec.encoder.plan import GroupLayout
@@ -57,7 +57,7 @@ class CodedKeys:
 
 
 def code_keys(layout: GroupLayout, settings: EncodeSettings) -> CodedKeys:
-    """Quantise the key of a group for every tier and key quality."""
+    """Quantise the key of a group for every tier and key quality, without the rows that are kept."""
     values = layout.key_values()
     steps = KEY.steps(layout.key_steps, layout.colours)
     omissions = KeyOmissions.of(layout, values)
@@ -70,7 +70,7 @@ def code_keys(layout: GroupLayout, settings: EncodeSettings) -> CodedKeys:
         return _code_tier(values[None, :, rows], steps * settings.key_factors[quality], omitted, detail)
 
     qualities = range(len(settings.key_factors))
-    tiers = [layout.tier_rows(tier) for tier in range(len(settings.tiers))]
+    tiers = [layout.coded_rows(tier) for tier in range(len(settings.tiers))]
     coded = tuple(tuple(code(rows, quality) for quality in qualities) for rows in tiers)
     return CodedKeys(coded, coarser, tuple(note for note in (omissions.gaussians(), planes) if note))
 
@@ -119,43 +119,79 @@ def encode_keys(
     return [[next(coded) for _ in tier] for tier in keys.tiers]
 
 
+def key_bytes(
+    layout: GroupLayout,
+    keys: CodedKeys,
+    pictures: Sequence[Sequence[Representation]],
+    base: GroupLayout | None = None,
+) -> int:
+    """Bytes of all key units and sidecars of a group, before there are states; `base` is that whose rows are kept."""
+    total = 0
+    for tier, of_tier in enumerate(pictures):
+        rows = layout.tier_rows(tier)
+        if rows.stop > rows.start:
+            sidecar = key_sidecar(layout, tier, _static(layout), base)
+            total += len(pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1]))
+        total += sum(len(gop.media) for part in of_tier for gop in part.gops)
+        total += sum(len(coded.detail) for coded in keys.tiers[tier])
+    return total
+
+
+def key_sidecar(
+    layout: GroupLayout, tier: int, depths: NDArray[np.uint8], base: GroupLayout | None = None
+) -> KeySidecar:
+    """What the sidecar of a tier holds; `depths` (N,) are those of all rows, `base` is whose rows are kept."""
+    coded, kept = layout.sidecar(layout.coded_rows(tier), depths), layout.kept_rows(tier)
+    if base is None:
+        return coded
+    return replace(coded, kept=Kept(layout.base_rows[kept] - base.tier_rows(tier).start, depths[kept]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecodedKeys:
+    """The key of a group as viewers of a key quality have it."""
+
+    channels: NDArray[np.float32]  # (7 + C, n) of the rows that are not kept
+    space: Canonical  # of all rows, every one static
+
+
 def decode_base(
     layout: GroupLayout,
     keys: CodedKeys,
     pictures: Sequence[Sequence[Representation]],
     settings: EncodeSettings,
     quality: int = 0,
-) -> Canonical:
-    """The canonical space of a group as viewers of a key quality have it, every row static.
+    base: Canonical | None = None,
+) -> DecodedKeys:
+    """The key of a group as viewers of a key quality have it.
 
-    `pictures` are those of `encode_keys`.
+    `pictures` are those of `encode_keys`; `base` is the canonical space, in that quality, of the group whose rows are
+    kept.
     """
     steps = KEY.steps(layout.key_steps, layout.colours) * settings.key_factors[quality]
-    channels, sidecars = [], []
+    channels, parts = [np.empty((len(steps), 0), np.float32)], []
     for tier, of_quality in enumerate(pictures):
         gops, coded = of_quality[quality].gops, keys.tiers[tier][quality]
+        kept = layout.kept_rows(tier)
+        if base is not None and kept.stop > kept.start:
+            parts.append(base.kept(layout.base_rows[kept], _static(layout)[kept]))
         if not gops:
             continue
         where = f"key tier {tier} of frames {layout.span.start}-{layout.span.stop - 1}"
         picture = next(decode_pictures(open_segment(gops[0].media, where).samples, where, gops[0].pages))
         reader = ColumnReader(coded.detail or None, where)
-        sidecars.append(_read_positions(reader, layout, tier, keys.coarser[quality], keys.coarser[-1]))
+        sidecar = _read_positions(reader, layout, tier, keys.coarser[quality], keys.coarser[-1])
         jumps = escapes.read_columns(reader, (1, len(coded.atlas.planes), coded.atlas.rows))
         codes = read_codes(picture, coded.atlas, jumps.bases(0))
-        channels.append(from_codes(codes, steps, qp_step(KEY_QP)))
-    return dequantise_key(
-        np.concatenate(channels, axis=1),
-        join_sidecars(sidecars),
-        layout.transform,
-        layout.grid,
-        layout.key_steps,
-        keys.coarser[quality],
-    )
+        values = from_codes(codes, steps, qp_step(KEY_QP))
+        channels.append(values)
+        coarser = keys.coarser[quality]
+        parts.append(dequantise_key(values, sidecar, layout.transform, layout.grid, layout.key_steps, coarser))
+    return DecodedKeys(np.concatenate(channels, axis=1), join_canonical(parts, layout.transform))
 
 
 def _read_positions(reader: ColumnReader, layout: GroupLayout, tier: int, coarser: int, coarsest: int) -> KeySidecar:
-    """The rows of a tier as a key quality has them, every one static, from the bytes that are sent."""
-    rows = layout.tier_rows(tier)
-    shared = layout.sidecar(rows, _static(layout))
+    """The coded rows of a tier as a key quality has them, every one static, from the bytes that are sent."""
+    shared = layout.sidecar(layout.coded_rows(tier), _static(layout))
     codes = coarse_codes(shared.codes, shared.classes, layout.grid, coarsest)
     return read_detail(reader, replace(shared, codes=codes), layout.grid, coarser, coarsest)

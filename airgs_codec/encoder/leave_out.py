@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import estimate_cost, pooled_error, select_omissions
 from airgs_codec.coding.channels import Canonical, StateApplier
-from airgs_codec.encoder.plan import GroupLayout
+from airgs_codec.encoder.plan import CODED_HERE, GroupLayout
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.views import Pictures
 from airgs_codec.media.metrics import mse, psnr
@@ -77,26 +77,29 @@ class KeyOmissions:
     def of(layout: GroupLayout, values: NDArray[np.float64]) -> KeyOmissions:
         """Estimate the cost of every channel."""
         steps = KEY.steps(layout.key_steps, layout.colours)[:, None]
-        centres = np.median(values, axis=1)
-        sizes, guesses = estimate_cost(values[None] / steps, centres / steps[:, 0], layout.key_weights())
+        coded = layout.base_rows == CODED_HERE
+        centres = np.median(values[:, coded], axis=1) if coded.any() else np.zeros(len(values))
+        weights = layout.key_weights()[:, coded]
+        sizes, guesses = estimate_cost(values[None][:, :, coded] / steps, centres / steps[:, 0], weights)
         return KeyOmissions(layout, values, centres, sizes / layout.span.frames, guesses)
 
     def gaussians(self) -> LeftOut | None:
         """Note the Gaussians that are not written, with the bytes of as many of the written ones, keys alone."""
         written = len(self.layout.rows)
         missing = self.layout.count - written
-        size = float(self.sizes.sum()) / written * missing
+        size = float(self.sizes.sum()) / max(1, int((self.layout.base_rows == CODED_HERE).sum())) * missing
         return note_omission("gaussians", missing, self.layout.removal_error, size)
 
     def planes(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
-        """(7 + C,) channels that every row may take from the channel's median."""
-        if price == 0:
+        """(7 + C,) channels that every row that is coded here may take from the channel's median."""
+        coded = self.layout.base_rows == CODED_HERE
+        if price == 0 or not coded.any():
             return np.zeros(len(self.sizes), bool), None
         shown = self._show(self.values)
         full = [(camera, render(shown, camera).rgb) for _, camera in self.layout.pictures]
 
         def error(omitted: NDArray[np.bool_]) -> float:
-            without = self._show(np.where(omitted[:, None], self.centres[:, None], self.values))
+            without = self._show(np.where(omitted[:, None] & coded, self.centres[:, None], self.values))
             return pooled_error([mse(render(without, camera).rgb, picture) for camera, picture in full])
 
         chosen, cost = select_omissions(self.sizes, self.guesses, error, price)

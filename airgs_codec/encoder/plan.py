@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -31,6 +31,8 @@ from airgs_codec.package.tables import KEY_ATTRIBUTES, Grid, KeySteps, StateStep
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
 from airgs_codec.scene.repair import Repaired
 
+CODED_HERE = -1  # in place of a row of an earlier group
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroupLayout:
@@ -53,6 +55,7 @@ class GroupLayout:
     key_steps: KeySteps
     state_steps: StateSteps
     transform: NDArray[np.float64]  # (C, C) KLT of the colours, as stored
+    base_rows: NDArray[np.intp]  # (N,) rows of an earlier group, in file order, that are kept; CODED_HERE: of no group
 
     @property
     def colours(self) -> int:
@@ -63,6 +66,22 @@ class GroupLayout:
         """Rows of a tier."""
         low, high = np.searchsorted(self.tiers, [tier, tier + 1])
         return slice(int(low), int(high))
+
+    def kept_rows(self, tier: int) -> slice:
+        """Rows of a tier that are kept: the first ones."""
+        rows = self.tier_rows(tier)
+        return slice(rows.start, rows.start + int((self.base_rows[rows] != CODED_HERE).sum()))
+
+    def coded_rows(self, tier: int) -> slice:
+        """Rows of a tier that are coded here."""
+        return slice(self.kept_rows(tier).stop, self.tier_rows(tier).stop)
+
+    def take(self, order: NDArray[np.intp]) -> GroupLayout:
+        """The same rows in another order."""
+        names = ("rows", "tiers", "codes", "classes", "base_rows")
+        arrays = {name: getattr(self, name)[order] for name in names}
+        parts = {name: getattr(self, name).take(order) for name in ("key", "usage", "sensitivity")}
+        return replace(self, **arrays, **parts)
 
     def state_weights(self) -> NDArray[np.float64]:
         """(10 + C, N) what a squared step in a state channel adds to the mean squared error of pictures."""
@@ -83,7 +102,7 @@ class GroupLayout:
         return dequantise_key(channels, sidecar, self.transform, self.grid, self.key_steps)
 
     def sidecar(self, rows: slice, depths: NDArray[np.uint8]) -> KeySidecar:
-        """Some rows with the finest positions, and of (N,) depths those of the rows."""
+        """Some rows, none as kept, with the finest positions, and of (N,) depths those of the rows."""
         return KeySidecar(self.codes[rows], self.classes[rows], depths[rows])
 
 
@@ -117,6 +136,7 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
         key_steps=steps.key,
         state_steps=steps.state,
         transform=unpack_matrix(transform, 3 * (1 + canonical.sh_rest.shape[1])),
+        base_rows=np.full(len(rows), CODED_HERE),
     )
 
 

@@ -19,6 +19,10 @@ class RowUsage:
     hits: NDArray[np.float64]  # (N,) pixels where a row is blended: the paper's usage frequency
     moved: NDArray[np.float64] | None  # (N,) `Usage.moved`, where the trainer left it: it takes precedence over changes
 
+    def take(self, rows: NDArray[np.intp]) -> RowUsage:
+        """The usage of some rows, in the order of `rows`."""
+        return RowUsage(self.score[rows], self.hits[rows], None if self.moved is None else self.moved[rows])
+
     def rank(self, name: str, changes: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N,) score of updates: "hits" alone as in the paper, or "usage" x size of the change.
 

@@ -49,6 +49,8 @@ PAPER_LEVELS = tuple(LevelSettings(share / 10) for share in range(11))  # the la
 QUALITY_FACTORS = {"low": 1.6, "medium": 1.0, "high": 0.6}
 UPDATE_RANKS = ("error", "usage", "hits")
 CELL_GROWTH = 0.75  # cells of positions grow with this power of the key factor: ever fewer rows are updated
+KEYS = ("kept", "apart")
+KEPT, APART = KEYS
 CALIBRATIONS = ("ladder", "steps", "none")
 
 
@@ -89,6 +91,11 @@ class EncodeSettings:
         AUTO,
         "rows of frames that are not tracked: matched with those of the frame before where they lost their order, or "
         "else coded frame by frame (auto); taken as they are (keep); or matched whether they look lost or not (match)",
+    )
+    keys: str = setting(
+        KEPT,
+        "what viewers know of an earlier group: rows that are still as they were are not coded again (kept), or every "
+        "group is coded by itself (apart)",
     )
     margin: float | None = setting(
         None,
@@ -172,6 +179,7 @@ class EncodeSettings:
             (self.decide_pictures >= 1, f"expected 1 or more pictures to decide with, got {self.decide_pictures}"),
             (self.measure_pictures >= 0, f"expected 0 or more pictures to measure, got {self.measure_pictures}"),
             (self.rows in ROWS, f"expected rows {', '.join(ROWS)}, got {self.rows}"),
+            (self.keys in KEYS, f"expected keys {', '.join(KEYS)}, got {self.keys}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
             (self.jobs >= 1, f"expected at least one job, got {self.jobs}"),
         ]
@@ -216,6 +224,7 @@ class EncodeSettings:
             "key_factors": ",".join(f"{factor:g}" for factor in self.key_factors),
             "quality": f"{self.quality:g}",
             "rows": self.rows,
+            "keys": self.keys,
             "usage": self.usage,
             "rank": self.update_rank,
             "codec": "libx264",
@@ -236,6 +245,7 @@ def as_in_paper(settings: EncodeSettings) -> EncodeSettings:
         usage="hits",
         update_rank="hits",
         keep_all=True,
+        keys=APART,
     )
 
 

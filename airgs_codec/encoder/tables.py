@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 from airgs_codec import __version__
 from airgs_codec.coding.sidecar import pack_key_sidecar
-from airgs_codec.encoder.error_bounds import ErrorModel, with_bounds
-from airgs_codec.encoder.keys import CodedKeys
+from airgs_codec.encoder.error_bounds import ErrorModel, widen, with_bounds
+from airgs_codec.encoder.kept import BaseGroup, kept_errors
+from airgs_codec.encoder.keys import CodedKeys, key_sidecar
 from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.representation import Clock, Representation
 from airgs_codec.encoder.settings import EncodeSettings
@@ -33,6 +34,12 @@ class CodedGroup:
     key_pictures: Sequence[Sequence[Representation]]  # T x qualities
     state_pictures: Sequence[Representation]  # L
     first_segment: int  # how many segments the groups before it have
+    base: BaseGroup  # whose rows it keeps, and later groups may; itself where it keeps none
+
+    @property
+    def keeps(self) -> GroupLayout | None:
+        """The group whose rows it keeps."""
+        return None if self.base.layout is self.layout else self.base.layout
 
     @property
     def number(self) -> int:
@@ -54,11 +61,14 @@ def _key_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
     """Path and bytes of the files of every tier that has rows."""
     layout, keys = group.layout, group.keys
     for t, pictures in enumerate(group.key_pictures):
-        if not keys.tiers[t][0].atlas.rows:
+        rows = layout.tier_rows(t)
+        if rows.start == rows.stop:
             continue
-        sidecar = layout.sidecar(layout.tier_rows(t), group.states.depths)
+        sidecar = key_sidecar(layout, t, group.states.depths, group.keeps)
         yield paths.key_sidecar_path(t, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
         for q, (atlas, representation) in enumerate(zip(keys.tiers[t], pictures, strict=True)):
+            if not atlas.atlas.rows:
+                continue
             media = with_columns(representation.gops[0].media, atlas.detail)
             yield paths.key_media_path(t, q, group.number), media
 
@@ -138,15 +148,20 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
         segments=_segment_tables(group, files),
         left_out=[*group.keys.left_out, *states.left_out],
         repairs=list(layout.notes),
+        keeps=group.keeps.span.index + 1 if group.keeps else None,
     )
 
 
 def _tier_table(group: CodedGroup, files: Files, tier: int) -> GroupTier:
-    parts, pictures = group.keys.tiers[tier], group.key_pictures[tier]
+    parts, pictures, layout = group.keys.tiers[tier], group.key_pictures[tier], group.layout
     atlases = [_bounded(part.atlas, part.error, shown, KEY) for part, shown in zip(parts, pictures, strict=True)]
+    rows, kept = (span.stop - span.start for span in (layout.tier_rows(tier), layout.kept_rows(tier)))
+    if kept:
+        errors = (kept_errors(layout, group.base, tier, quality) for quality in range(len(atlases)))
+        atlases = [widen(atlas, error, KEY) for atlas, error in zip(atlases, errors, strict=True)]
     media = [files.get(paths.key_media_path(tier, q, group.number), NO_FILE) for q in range(len(parts))]
     sidecar = files.get(paths.key_sidecar_path(tier, group.number), NO_FILE)
-    return GroupTier(parts[0].atlas.rows, 0, sidecar, atlases, media)
+    return GroupTier(rows, kept, sidecar, atlases, media)
 
 
 def _bounded(

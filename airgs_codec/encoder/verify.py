@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence
+from airgs_codec.encoder.kept import BaseGroup
 from airgs_codec.encoder.quality import Rounds, measure_quality
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.metrics import mse, psnr
@@ -65,6 +66,7 @@ class Verified:
     stories: tuple[str, ...]  # one line a repair
     encode_s: float
     measure_s: float
+    base: BaseGroup  # whose rows the next group may keep
 
 
 def encode_verified(attempt: Attempt, folder: Path, progress: Progress = silent) -> Verified:
@@ -80,7 +82,7 @@ def encode_verified(attempt: Attempt, folder: Path, progress: Progress = silent)
         encode_s += watch.lap()
         manifest = encoded.manifest
         if not attempt.rounds.count:
-            return Verified(manifest, attempt.settings, (), encode_s, 0.0)
+            return Verified(manifest, attempt.settings, (), encode_s, 0.0, encoded.base)
         package = Package(Folder(folder), manifest, 0)
         manifest = measure_quality(package, attempt.original, attempt.job.views, attempt.rounds, progress)
         repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
@@ -88,7 +90,7 @@ def encode_verified(attempt: Attempt, folder: Path, progress: Progress = silent)
         if repair is None:
             ends = f"; top rung now {_rung_psnr(manifest, 0):.2f} dB" if stories else ""
             told = (*stories[:-1], *(s + ends for s in stories[-1:]))
-            return Verified(manifest, attempt.settings, told, encode_s, measure_s)
+            return Verified(manifest, attempt.settings, told, encode_s, measure_s, encoded.base)
         stories.append(repair.story)
         attempt = replace(attempt, settings=repair.settings)
         _empty(folder)

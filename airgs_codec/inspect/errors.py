@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from airgs_codec.analysis.rows import AUTO, restore_rows
-from airgs_codec.coding.channels import Canonical, key_channels, state_channels
+from airgs_codec.coding.channels import Canonical, key_channels, recolour, state_channels
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import STATIC, Group
+from airgs_codec.package.tables import STATIC, Group, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -94,17 +94,29 @@ def _keys(
 ) -> Iterator[Measured]:
     m = package.manifest
     values = key_channels(original, base.transform, group.key_steps)
-    steps = KEY.steps(group.key_steps, m.colour_channels)
     first = 0
     for t, tier in enumerate(group.tiers):
         part = slice(first, first + tier.count)
         first += tier.count
         for q, quality in enumerate(m.qualities):
             if tier.count:
-                codes, _ = decode_key(package, index, t, q)
-                errors = np.abs(values[:, part] - from_codes(codes, steps * quality.factor, m.key_gain))
+                errors = np.abs(values[:, part] - _decode_tier(package, index, t, q))
                 where = f"group {index} key T{t} {quality.id}"
                 yield from _measured(where, KEY, tier.qualities[q].max_error, errors[None], sure[part])
+
+
+def _decode_tier(package: Package, index: int, tier: int, quality: int) -> NDArray[np.floating]:
+    """(7 + C, n) key channels of all rows of a tier, those of kept rows as the channels of this group."""
+    m = package.manifest
+    group, base = m.groups[index], m.base_of(index)
+    codes, sidecar = decode_key(package, index, tier, quality)
+    steps = KEY.steps(group.key_steps, m.colour_channels) * m.qualities[quality].factor
+    coded = from_codes(codes, steps, m.key_gain)
+    if base is None or not len(sidecar.kept.rows):
+        return coded
+    other, mine = ((unpack_matrix(g.colour_transform, m.colour_channels), g.key_steps) for g in (m.groups[base], group))
+    kept = recolour(_decode_tier(package, base, tier, quality)[:, sidecar.kept.rows], other, mine)
+    return np.concatenate([kept, coded], axis=1)
 
 
 def _states(

@@ -87,11 +87,11 @@ def _check_mpd(package: Package) -> None:
 
 
 def _check_tables(package: Package) -> Iterator[Finding]:
-    """Every page and the table of every group can be read."""
-    groups = package.manifest.groups
+    """Every page and the table of every group can be read, and the group whose rows it keeps has them."""
+    m = package.manifest
     found: dict[str, Finding] = {}  # groups of one page share its finding
-    for number in range(len(groups)):
-        for finding in _attempt(group_path(number + 1), partial(groups.__getitem__, number)):
+    for number in range(len(m.groups)):
+        for finding in _attempt(group_path(number + 1), partial(m.base_of, number)):
             found.setdefault(str(finding), finding)
     yield from found.values()
 
@@ -147,9 +147,8 @@ def _decode_key(package: Package, group: int, quality: int) -> None:
         base = decode_canonical(package, group, quality)
         _expect_finite(base.to_gaussians(), f"group {group} Q{quality}")
     for t, tier in enumerate(package.manifest.groups[group].tiers):
-        files = package.manifest.key_files(group, t, quality)
-        if files:
-            _expect_pictures(package, files[1], tier.qualities[quality], 1)
+        for media in package.manifest.key_files(group, t, quality)[1:]:
+            _expect_pictures(package, media, tier.qualities[quality], 1)
 
 
 def _decode_state(package: Package, index: int, level: int, base: Canonical) -> None:

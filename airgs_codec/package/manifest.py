@@ -24,6 +24,7 @@ from airgs_codec.package.paths import (
     page_path,
     state_media_path,
 )
+from airgs_codec.package.references import check_kept
 from airgs_codec.package.tables import MAX_PSNR, FileEntry, Group, Header, Index, Segment, Spans
 
 KEPT = 1024  # tables of groups
@@ -118,9 +119,22 @@ class Manifest(Header):
         return self.segments_of(group)[next(i for i, stop in enumerate(stops) if frame < stop)]
 
     def key_files(self, group: int, tier: int, quality: int) -> list[str]:
-        """Sidecar and picture of one key unit; empty when the tier has no rows in that group."""
-        paths = [key_sidecar_path(tier, group + 1), key_media_path(tier, quality, group + 1)]
-        return paths if self.groups[group].tiers[tier].count else []
+        """Sidecar and picture of one key unit; no picture when all its rows are kept, nothing when it has none."""
+        unit = self.groups[group].tiers[tier]
+        sidecar = [key_sidecar_path(tier, group + 1)] if unit.count else []
+        return sidecar + [key_media_path(tier, quality, group + 1)] * (unit.count > unit.kept)
+
+    def base_of(self, group: int) -> int | None:
+        """The group whose rows a group keeps, counted from 0 as well; None where it keeps none.
+
+        Raises FormatError: bad_value where that group has not so many rows or keeps some itself, and what reading its
+        table raises.
+        """
+        table = self.groups[group]
+        if table.keeps is None:
+            return None
+        check_kept(table, self.groups[table.keeps - 1], group_path(group + 1))
+        return table.keeps - 1
 
     def state_files(self, segment: int, level: int) -> list[str]:
         """The file of one state segment; empty when there is nothing to fetch."""

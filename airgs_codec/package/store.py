@@ -109,6 +109,7 @@ def find_faults(package: Package) -> dict[str, FormatError]:
         table = group_path(number + 1)
         try:
             m.groups.places.entry(number)
+            m.base_of(number)
             paths = m.group_files(number)
         except FormatError as error:
             faults[error.where if locate(error.where)[0] == "page" else table] = error

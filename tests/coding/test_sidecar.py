@@ -1,5 +1,7 @@
 """Positions of key units are exact in every key quality, and any other bytes are refused with a reason."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,7 @@ from hypothesis.extra import numpy as npst
 from airgs_codec.coding.grid import cell_bits, coarse_codes
 from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
 from airgs_codec.coding.sidecar import (
+    Kept,
     KeySidecar,
     detail_columns,
     pack_key_sidecar,
@@ -61,6 +64,37 @@ def test_key_sidecars_are_exact(data):
         reader.close()
         np.testing.assert_array_equal(own.codes, coarse_codes(morton, classes, grid, r))
     np.testing.assert_array_equal(read_detail(ColumnReader(b"\0" * 5, "x"), shared, grid, r, r).codes, shared.codes)
+
+
+GRID = Grid([0.0, 0.0, 0.0], 1.0, 2, 0)
+OTHERS = KeySidecar(np.array([8, 63], np.uint64), np.array([1, 0], np.int16), np.array([255, 1], np.uint8))
+NO_OTHERS = KeySidecar(np.empty(0, np.uint64), np.empty(0, np.int16), np.empty(0, np.uint8))
+
+
+@pytest.mark.parametrize("others", [OTHERS, NO_OTHERS], ids=["with others", "all kept"])
+@pytest.mark.parametrize("rows", [[0, 1, 2, 3], [2], [0, 3]], ids=str)
+def test_kept_rows_stand_in_front(others, rows):
+    kept = Kept(np.array(rows), np.resize(np.array([255, 0, 3], np.uint8), len(rows)))
+    packed = pack_key_sidecar(replace(others, kept=kept), GRID)
+    read = unpack_key_sidecar(packed, len(others.codes), GRID, 0, "x", (len(rows), 4))
+    np.testing.assert_array_equal(read.kept.rows, kept.rows)
+    np.testing.assert_array_equal(read.kept.depths, kept.depths)
+    for name in ("codes", "classes", "depths"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(others, name))
+
+
+@pytest.mark.parametrize("gaps", [[4, 0], [0, 3], [2**62, 2**62]], ids=str)
+def test_kept_rows_past_the_tier_of_their_group_are_refused(gaps):
+    packed = encode_columns([(np.array(gaps), 1), (np.zeros(2, np.int64), 1)])
+    with pytest.raises(FormatError, match="kept rows below 4") as caught:
+        unpack_key_sidecar(packed, 0, GRID, 0, "x", (2, 4))
+    assert caught.value.reason == "bad_sidecar"
+
+
+def test_a_depth_of_a_kept_row_past_255_is_refused():
+    packed = encode_columns([(np.array([1]), 1), (np.array([256]), 1)])
+    with pytest.raises(FormatError, match="depths up to 255"):
+        unpack_key_sidecar(packed, 0, GRID, 0, "x", (1, 4))
 
 
 def test_qualities_with_equal_cells_share_the_whole_of_a_position():

@@ -72,6 +72,7 @@ def test_it_holds_what_encoding_at_once_would(tmp_path):
     encode(open_sequence(scene), tmp_path / "once", SETTINGS)
     list(follow(GrowingFolder(scene), tmp_path / "grown", SETTINGS, more=lambda count: False))
     once, grown = (open_package(tmp_path / name) for name in ("once", "grown"))
+    assert [g.keeps for g in once.manifest.groups] == [g.keeps for g in grown.manifest.groups] == [None, 1, 1]
     paths = [path for group in range(3) for path in once.manifest.group_files(group)]
     assert [once.manifest.entry(path) for path in paths] == [grown.manifest.entry(path) for path in paths]
     for level in (0, 1):

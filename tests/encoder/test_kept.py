@@ -1,0 +1,125 @@
+"""Rows of a group that viewers keep from an earlier one: a room that stands still is coded once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import APART, EncodeSettings, LevelSettings
+from airgs_codec.errors import FormatError
+from airgs_codec.inspect.errors import measure_errors
+from airgs_codec.inspect.validate import exceeded, validate
+from airgs_codec.package.manifest import Groups
+from airgs_codec.package.store import Package, open_package
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.regions import region
+from tests.support.rooms import MOVER, room_frames
+from tests.support.scenes import random_gaussians, write_sequence
+
+ROWS, GROUP = 5000, 3
+SETTINGS = EncodeSettings(
+    calibrate="none",
+    levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, tiers=1, quality=1)),
+    decide_pictures=4,
+    measure_pictures=0,
+    region=region(),
+    keep_all=True,
+)
+
+
+def encoded(folder, frames, settings=SETTINGS):
+    """A package of frames, a group for every GROUP of them, and its sequence."""
+    starts = list(range(0, len(frames), GROUP))
+    sequence = open_sequence(write_sequence(folder / "frames", frames, fps=GROUP, keyframes=starts))
+    encode(sequence, folder / "package", settings)
+    return open_package(folder / "package"), sequence
+
+
+def key_bytes(m, group):
+    """Bytes of all key files of a group."""
+    return m.bytes_of(sorted({f for t in range(m.tiers) for q in range(2) for f in m.key_files(group, t, q)}))
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    return encoded(tmp_path_factory.mktemp("room"), room_frames(ROWS, 2 * GROUP))
+
+
+def test_the_second_key_of_a_room_costs_only_its_mover(room):
+    m = room[0].manifest
+    first, second = m.groups
+    assert (first.keeps, second.keeps) == (None, 1)
+    assert [t.kept for t in first.tiers] == [0, 0]
+    assert sum(t.kept for t in second.tiers) >= ROWS  # all that stands still, bit by bit
+    assert second.count == ROWS + round(MOVER * ROWS)
+    assert key_bytes(m, 1) <= 0.15 * key_bytes(m, 0)
+
+
+def test_such_a_package_is_valid_and_keeps_its_promises(room):
+    package, sequence = room
+    assert validate(package.files.path) == []
+    assert exceeded(measure_errors(package, sequence)) == []
+
+
+@pytest.mark.parametrize("quality", [0, 1])
+def test_kept_rows_are_those_of_the_base(room, quality):
+    """Joining at the second group shows what stands still exactly as in the first."""
+    package, _ = room
+    first, second = (decode_canonical(package, g, quality) for g in (0, 1))
+    m, at, there = package.manifest, 0, 0
+    for tier, base in zip(m.groups[1].tiers, m.groups[0].tiers, strict=True):
+        rows = {row.tobytes() for row in np.hstack([first.means, first.colours])[there : there + base.count]}
+        kept = np.hstack([second.means, second.colours])[at : at + tier.kept]
+        assert {row.tobytes() for row in kept} <= rows and len(kept)
+        at, there = at + tier.count, there + base.count
+
+
+def test_a_viewer_with_fewer_tiers_has_the_first_rows(room):
+    package, _ = room
+    few = next(decode_frames(package, GROUP, GROUP + 1, tiers=1)).gaussians
+    all_ = decode(package, GROUP)
+    np.testing.assert_array_equal(few.means, all_.means[: package.manifest.groups[1].tiers[0].count])
+
+
+def test_a_base_that_cannot_be_one_is_refused(room):
+    package, _ = room
+    first, second = package.manifest.groups
+
+    def opened(*groups):
+        return Package(package.files, replace(package.manifest, groups=Groups.of(groups)), 0)
+
+    for base in (replace(first, keeps=1), replace(first, tiers=[replace(t, count=1) for t in first.tiers])):
+        with pytest.raises(FormatError, match="group/2") as caught:
+            decode_canonical(opened(base, second), 1, 0)
+        assert caught.value.reason == "bad_value"
+
+
+def test_a_group_is_coded_by_itself_when_that_is_asked_for(tmp_path):
+    package, _ = encoded(tmp_path, room_frames(300, 2 * GROUP), replace(SETTINGS, keys=APART))
+    assert [g.keeps for g in package.manifest.groups] == [None, None]
+    assert not any("keep" in line for line in package.manifest.decisions)
+
+
+def test_what_changed_is_coded_anew_and_is_the_next_base(tmp_path):
+    """Another room in the second group; the fourth has the same as the third, of which a part has changed."""
+    one, other = random_gaussians(400, seed=1), random_gaussians(400, seed=2)
+    coloured = replace(other, sh_dc=np.concatenate([other.sh_dc[:100] + 1, other.sh_dc[100:]]))
+    frames = [one] * GROUP + [other] * GROUP + [coloured] * GROUP + [coloured] * GROUP
+    package, sequence = encoded(tmp_path, frames)
+    m = package.manifest
+    assert [g.keeps for g in m.groups] == [None, None, 2, 2]
+    assert [sum(t.kept for t in g.tiers) for g in m.groups] == [0, 0, 300, 300]
+    assert "2 of 4 groups keep 75% of their Gaussians from an earlier one" in m.decisions
+    assert exceeded(measure_errors(package, sequence)) == []
+
+
+def test_a_group_that_keeps_all_has_no_pictures(tmp_path):
+    package, _ = encoded(tmp_path, [random_gaussians(200)] * (2 * GROUP))
+    m = package.manifest
+    assert [len(m.key_files(1, t, 0)) for t in range(2)] == [1, 1]
+    assert validate(package.files.path) == []
+    np.testing.assert_array_equal(
+        np.sort(decode(package, 0).means, axis=0), np.sort(decode(package, GROUP).means, axis=0)
+    )
