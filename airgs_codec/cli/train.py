@@ -17,7 +17,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.settings import DELTAS, METHODS, PRESETS, Temporal, TrainSettings, preset
+from airgs_codec.train.settings import DELTAS, METHODS, PRESETS, STATIC, Temporal, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.train.record import Model
@@ -98,6 +98,7 @@ def _add_method(group: argparse._ArgumentGroup) -> None:
     _add_setting(group, "--max-drop", "max_drop_db", float, "DB")
     _add_setting(group, "--max-growth", "max_growth", float, "SHARE")
     _add_setting(group, "--inflation", "inflation", float, "W")
+    group.add_argument("--static", choices=STATIC, help=_help("static"))
     _add_setting(group, "--group", "group_frames", int, "FRAMES")
     counts = (DEFAULTS.first_iterations, DEFAULTS.key_iterations, DEFAULTS.frame_iterations)
     group.add_argument(

@@ -22,6 +22,7 @@ Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
+TILE = kernels.TILE  # pixels across a tile
 FAR = 1e10  # world units along the view axis
 DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
 
@@ -52,6 +53,18 @@ class Contribution:
     total: NDArray[np.float64]  # (N,) their sum
     peak: NDArray[np.float64]  # (N,) their maximum, 0..1
     hits: Longs  # (N,) pixels where it was blended
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weights:
+    """What each Gaussian gave to one picture, tile by tile, and which part of that inside a mask."""
+
+    picture: Render
+    shape: tuple[int, int]  # tiles down and across
+    ids: Ints  # (M,) Gaussian of each pair
+    tiles: Ints  # (M,) tile of each pair, row by row
+    total: Floats  # (M,) sum of the blending weights alpha T over the pixels of the tile
+    inside: Floats  # (M,) the same over pixels of the mask
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,6 +147,21 @@ def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:
     with _LOCK:
         kernels.blend_statistics(*p.tiles.arguments(), *p.tiles.size, pairs)
     return _contribution(p, pairs, 0)
+
+
+def weights(inputs: RasterInputs[Floats], camera: Camera, mask: NDArray[np.bool_]) -> Weights:
+    """The picture that `camera` sees, and what each Gaussian gives to it, in all and inside a mask (H, W).
+
+    A blending weight is the derivative of the picture's sum by a Gaussian's colour: one channel asks for all pixels,
+    one for those of the mask.
+    """
+    blended = blend(inputs, camera, camera.background)
+    asked = np.zeros((*mask.shape, 3), np.float32)
+    asked[..., 0], asked[..., 1] = 1.0, mask
+    pairs = _pair_gradients(blended, asked, np.zeros(mask.shape, np.float32), None)
+    tiles = blended.projected.tiles
+    of_pair = np.repeat(np.arange(len(tiles.start) - 1, dtype=np.int32), np.diff(tiles.start))
+    return Weights(blended.picture, tiles.shape[::-1], tiles.ids, of_pair, pairs[:, 0].copy(), pairs[:, 1].copy())
 
 
 def project(inputs: RasterInputs[Floats], camera: Camera, tiles: NDArray[np.bool_] | None = None) -> Projected:

@@ -18,6 +18,7 @@ from airgs_codec.scene.camera import OPENGL_TO_OPENCV
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import MultiviewScene
 from airgs_codec.train.data.pictures import Pictures, View, pictures_for
+from airgs_codec.train.data.plates import Plates, Settled, find_plates, settle
 from airgs_codec.train.fit.exposure import ExposureModel
 from airgs_codec.train.fit.temporal import static_shares
 from airgs_codec.train.loss.target import Exposure
@@ -36,13 +37,25 @@ class Run:
     pictures: Pictures
     model: Model
     trainer: Trainer
+    plates: Plates = field(default_factory=dict)  # of every training camera; none: nothing is known to rest
 
     def views(self, frame: int) -> list[View]:
         """The training views of a frame. Raises SceneError when there are none, or a picture cannot be read."""
         views = self.pictures.train(frame)
         if not views:
             raise SceneError(f"{self.scene.path}: expected training views of frame {frame}, got none")
-        return views
+        return [settled.view for settled in self._settled(views)] if self.plates else views
+
+    def target(self, frame: int) -> FrameViews:
+        """A frame that one comes before, as it is fitted. Raises what `views` does."""
+        if not self.plates:
+            return FrameViews(frame, self.views(frame))
+        before, now = (self._settled(self.pictures.train(f)) for f in (frame - 1, frame))
+        moving = [a.moving | b.moving for a, b in zip(before, now, strict=True)]
+        return FrameViews(frame, [settled.view for settled in now], moving)
+
+    def _settled(self, views: Sequence[View]) -> list[Settled]:
+        return [settle(view, self.plates, self.model.record.exposure) for view in views]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +120,8 @@ def train_frames(run: Run, progress: Progress = silent) -> Iterator[FrameRecord]
     model = run.model
     if model.finished():
         return
+    if run.trainer.settings.knows_rest:
+        run = replace(run, plates=find_plates(run.scene, run.pictures.with_exposure({}), progress))
     group = _last_group(run) if model.record.frames else None
     for frame in range(len(model.record.frames), len(run.scene)):
         begun = time.perf_counter()
@@ -136,7 +151,7 @@ def _fit(run: Run, frame: int, group: Group | None, progress: Progress) -> Fitte
         return _fit_first(run, frame, progress)
     if s.method == "v3" and frame - run.model.record.group_start(frame) >= s.group_frames:
         return _fit_first(run, frame, progress)
-    target, before = FrameViews(frame, run.views(frame)), frame_before(run.model, frame)
+    target, before = run.target(frame), frame_before(run.model, frame)
     moved = run.trainer.fit_frame(target, before, group, progress)
     psnr = mean_psnr(moved, target.views)
     static = static_shares(before.gaussians, moved, group.steps)

@@ -16,6 +16,7 @@ METHODS = ("airgs", "naive3dgs", "v3")
 DELTAS = ("direct", "mlp", "mlp+residual")
 PRESETS = ("default", "paper")
 UNITS = ("step", "raw")
+STATIC = ("auto", "off")
 RANDOM = "random"  # a background: another colour at every step
 BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 
@@ -51,6 +52,9 @@ class TrainSettings:
     )
     max_growth: float = setting(0.15, "most Gaussians that a keyframe adds, as a share of those it starts from")
     inflation: float = setting(1e-6, "weight of the summed opacity of what a keyframe adds")
+    static: str = setting(
+        "auto", "auto: what rests before cameras that stand still stays as it is; off: anything may change at any frame"
+    )
     group_frames: int = setting(20, "frames in a group of the method v3")
     max_size: int | None = setting(None, "longest side of the pictures in pixels, larger ones are shrunk")
     background: str | None = setting(
@@ -71,6 +75,7 @@ class TrainSettings:
         choices: list[tuple[str, str, tuple[str, ...]]] = [
             ("method", self.method, METHODS),
             ("deltas", self.deltas, DELTAS),
+            ("static", self.static, STATIC),
             ("a temporal unit of", self.temporal.unit, UNITS),
         ]
         return [(value in known, f"expected {name} {', '.join(known)}, got {value}") for name, value, known in choices]
@@ -95,6 +100,11 @@ class TrainSettings:
             ),
             (self.seed >= 0, f"expected a seed of at least 0, got {self.seed}"),
         ]
+
+    @property
+    def knows_rest(self) -> bool:
+        """Whether plates are made of cameras that stand still; before random backgrounds nothing rests."""
+        return self.static == "auto" and self.method == "airgs" and self.background != RANDOM
 
     def table(self) -> dict[str, Any]:
         """The settings by name, as `settings_from_table` takes them."""
@@ -134,4 +144,6 @@ def preset(name: str, settings: TrainSettings) -> TrainSettings:
     if name != "paper":
         return settings
     temporal = Temporal(weight=1e-3, unit="raw")
-    return replace(settings, deltas="mlp", temporal=temporal, min_psnr_db=30.0, max_drop_db=math.inf, inflation=1e-5)
+    return replace(
+        settings, deltas="mlp", temporal=temporal, min_psnr_db=30.0, max_drop_db=math.inf, inflation=1e-5, static="off"
+    )

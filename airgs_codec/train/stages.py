@@ -16,6 +16,7 @@ from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import View
+from airgs_codec.train.fit.active import Active, Resting, find_active
 from airgs_codec.train.fit.densify import Densifier, Growth
 from airgs_codec.train.fit.exposure import ExposureModel
 from airgs_codec.train.fit.mlp import MlpDriven, Networks
@@ -52,6 +53,8 @@ class FrameViews:
 
     frame: int
     views: Sequence[View]
+    moving: Sequence[NDArray[np.bool_]] | None = None  # (H, W) of each view, what does not rest now or in the frame
+    # before; None: not known, anything may move
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +121,9 @@ class Trainer:
         Raises TrainingError where the loss is not finite.
         """
         s = self.settings
+        active = self._active(before, target)
+        if active is not None and not (len(active.rows) and active.views):
+            return before.gaussians
         base = from_gaussians(before.gaussians, self.device)
         temporal = self._temporal(group.steps)
         start, iterations = self._start(base, before.velocity), s.frame_iterations
@@ -130,9 +136,15 @@ class Trainer:
             if s.deltas == "mlp":
                 return to_gaussians(moved)
             start, iterations = {name: moved[name] - base[name] for name in ATTRIBUTES}, iterations - by_mlp
-        variables = PerGaussian(base, self.extent, MOVING_RATES, start, temporal)
+        views, resting = target.views, None
+        if active is not None:
+            views, resting = active.views, self._resting(base, active)
+            base = _rows(base, resting.active)
+            start = None if start is None else _rows(start, resting.active)
+            temporal = None if temporal is None else _rows(temporal, resting.active)
+        variables = PerGaussian(base, self.extent, MOVING_RATES, start, temporal, resting=resting)
         schedule = Schedule("motion", iterations, self._sh_degree, s.background == RANDOM)
-        optimise(variables, target.views, schedule, self._rng(target.frame, 2), progress=progress)
+        optimise(variables, views, schedule, self._rng(target.frame, 2), progress=progress)
         return to_gaussians(variables.detached())
 
     def fit_keyframe(
@@ -149,6 +161,14 @@ class Trainer:
         seeds = residual_seeds(before.gaussians, target.views, most - rows, 0.1 * self.extent, rng)
         base, temporal = from_gaussians(before.gaussians, self.device), self._temporal(steps)
         start = self._start(base, before.velocity)
+        active, views, resting = self._active(before, target), target.views, None
+        if active is not None:
+            views, resting = active.views, self._resting(base, active)
+            base = _rows(base, resting.active)
+            start = None if start is None else _rows(start, resting.active)
+            temporal = None if temporal is None else _rows(temporal, resting.active)
+            most -= rows - len(active.rows)
+            rows = len(active.rows)
         if seeds is not None:
             new = from_gaussians(seeds, self.device)
             zeros = zeros_like(new)  # seeds begin where they are, and no temporal loss holds them
@@ -157,9 +177,9 @@ class Trainer:
             temporal = None if temporal is None else _joined(temporal, zeros)
         densifier = Densifier(Growth(most), len(base["means"]), rng)
         regularisers = Regularisers(inflation=s.inflation)
-        variables = PerGaussian(base, self.extent, KEY_RATES, start, temporal, rows, regularisers, densifier)
+        variables = PerGaussian(base, self.extent, KEY_RATES, start, temporal, rows, regularisers, densifier, resting)
         schedule = Schedule("keyframe", s.key_iterations, self._sh_degree, s.background == RANDOM)
-        optimise(variables, target.views, schedule, rng, progress=progress)
+        optimise(variables, views, schedule, rng, progress=progress)
         variables.remove_fainter(HIDDEN_OPACITY)
         return to_gaussians(variables.detached())
 
@@ -185,6 +205,13 @@ class Trainer:
         temporal = self.settings.temporal
         return temporal_weights(temporal, steps) if temporal.weight else None
 
+    def _active(self, before: FrameBefore, target: FrameViews) -> Active | None:
+        """What may change at the frame; None: anything."""
+        return None if target.moving is None else find_active(before.gaussians, target.views, target.moving)
+
+    def _resting(self, base: Parameters, active: Active) -> Resting:
+        return Resting(base, torch.from_numpy(active.rows).to(self.device))
+
     def _start(self, base: Parameters, velocity: NDArray[np.float32] | None) -> Parameters | None:
         """A difference that goes on as the Gaussians moved before; None: 0."""
         if velocity is None:
@@ -201,6 +228,10 @@ class Trainer:
 def make_trainer(settings: TrainSettings, views: Sequence[View], points: Points | None, device: str) -> Trainer:
     """The trainer of a scene whose first frame is seen by these views; `device`: cpu or cuda."""
     return Trainer(settings, scene_extent([view.camera for view in views], points), device)
+
+
+def _rows(p: Parameters, rows: torch.Tensor) -> Parameters:
+    return {name: value[rows] for name, value in p.items()}
 
 
 def _joined(a: Parameters, b: Parameters) -> Parameters:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from airgs_codec.render import render
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.fit.points import scene_extent
 from airgs_codec.train.fit.temporal import static_shares
@@ -104,3 +105,33 @@ def test_inflation_removes_added_gaussians():
 
     assert added(1e-1) < 0.6 * added(0.0)
     assert added(1e-6) == pytest.approx(added(0.0), rel=0.1)
+
+
+def moving(before, after, cameras):
+    """Pixels that two clouds show differently."""
+    return [np.abs(render(before, c).rgb - render(after, c).rgb).max(axis=2) > 0.01 for c in cameras]
+
+
+@pytest.mark.parametrize("key", [False, True])
+def test_rows_that_rest_are_no_variables(key):
+    """Bit for bit, without a temporal loss, in a frame of a group and in a keyframe; and what moves is still found."""
+    before, cameras = coloured_cloud(), ring(8)
+    after = joined(moved(before, slice(0, 20), (0.05, 0.0, 0.0)), appeared())
+    views = views_of(after, cameras)
+    t = trainer(temporal=Temporal(weight=0.0), max_growth=0.4)
+    target = FrameViews(1, views, moving(before, after, cameras))
+    if key:
+        g = t.fit_keyframe(target, FrameBefore(before, None), t.steps(before, views))
+    else:
+        g = t.fit_frame(target, FrameBefore(before, None), t.start_group(before, views))
+    same = np.all([getattr(g, n)[:150].reshape(150, -1) == getattr(before, n).reshape(150, -1) for n in ("means",)], 0)
+    assert same.all(axis=1)[20:].mean() > 0.4 and not same.all(axis=1)[:20].all()
+    assert mean_psnr(g, views) > mean_psnr(before, views) + (8 if key else 1)
+
+
+def test_a_frame_where_nothing_moves_is_the_frame_before():
+    g, cameras = coloured_cloud(), ring(8)
+    views = views_of(g, cameras)
+    t = trainer()
+    nothing = [np.zeros((48, 48), bool)] * 8
+    assert t.fit_frame(FrameViews(1, views, nothing), FrameBefore(g, None), t.start_group(g, views)) is g

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import read_mask, resize, undistort
+from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera
 from airgs_codec.train.data.multiview import MultiviewScene, Shot
 from airgs_codec.train.loss.target import Exposure, Target, exposed_alike
@@ -27,6 +28,7 @@ class View:
 
     camera: Camera
     target: Target
+    redraw: Redraw | None = None  # None: the whole picture is drawn
 
     def before(self, background: Background) -> View:
         """The same before another background. Raises ValueError where the picture has no alpha."""
@@ -82,6 +84,10 @@ class Pictures:
     def held_out(self, frame: int) -> list[View]:
         """The held-out views of a frame. Raises SceneError as `train` does."""
         return self._split(frame, held_out=True)
+
+    def view(self, frame: int, index: int) -> View:
+        """The view of a camera, counted as the scene does. Raises SceneError as `train` does."""
+        return self._view(frame, index)
 
     def cameras(self) -> list[Camera]:
         """The cameras of the first frame at training size."""

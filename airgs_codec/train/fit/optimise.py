@@ -69,7 +69,7 @@ def optimise(
         if schedule.random_background:
             view = view.before(tuple(rng.uniform(size=3).tolist()))
         sh_degree = schedule.sh_degree(iteration / schedule.iterations)
-        rgb, _ = render(variables.current(), view.camera, sh_degree, variables.watch())
+        rgb, _ = render(variables.current(), view.camera, sh_degree, variables.watch(), view.redraw)
         seen = exposure.apply(rgb, index) if exposure else rgb
         loss = photometric(seen, view.target).loss + variables.penalty()
         if not math.isfinite(float(loss.detach())):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.cpu import Redraw
 from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Camera
@@ -68,9 +69,16 @@ def from_points(
 
 
 def render(
-    p: Mapping[str, torch.Tensor], camera: Camera, sh_degree: int, absgrad: AbsGrad | None = None
+    p: Mapping[str, torch.Tensor],
+    camera: Camera,
+    sh_degree: int,
+    absgrad: AbsGrad | None = None,
+    redraw: Redraw | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """The picture (H, W, 3) and its transmittance (H, W), differentiable, with SH up to `sh_degree`."""
+    """The picture (H, W, 3) and its transmittance (H, W), differentiable, with SH up to `sh_degree`.
+
+    `redraw`: as in `rasterize`.
+    """
     sh = torch.cat([p["sh_dc"][:, None], p["sh_rest"][:, : SH_REST[sh_degree]]], dim=1)
     activated = RasterInputs(p["means"], p["quaternions"], p["log_scales"].exp(), p["opacity_logits"].sigmoid(), sh)
-    return rasterize(activated, camera, absgrad=absgrad)
+    return rasterize(activated, camera, absgrad=absgrad, redraw=redraw)

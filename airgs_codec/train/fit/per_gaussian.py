@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import torch
 
 from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.train.fit.active import Resting
 from airgs_codec.train.fit.adam import Adam
 from airgs_codec.train.fit.densify import Densifier, is_visible
 from airgs_codec.train.fit.parameters import Parameters, take_and_append, zeros_like
@@ -66,6 +67,7 @@ class PerGaussian:
     kept: int = 0  # U
     regularisers: Regularisers = field(default_factory=Regularisers)
     densifier: Densifier | None = None  # None: no rows are added
+    resting: Resting | None = None  # rows that are in the pictures, too, and are not fitted; None: there are none
     adam: Adam = field(init=False)
     _support: Parameters | None = field(init=False, default=None)  # 1 where D may still change; None: not decided yet
     _absgrad: AbsGrad | None = field(init=False, default=None)
@@ -74,11 +76,12 @@ class PerGaussian:
         self.adam = Adam(self.start or zeros_like(self.base), self.rates.at(0.0, self.extent))
 
     def current(self) -> Parameters:
-        """The Gaussians as they are now, base + D, differentiable by D."""
-        return {name: p + self.adam.parameters[name] for name, p in self.base.items()}
+        """The Gaussians as they are now, base + D, differentiable by D, among those that rest."""
+        fitted = self._fitted()
+        return self.resting.joined(fitted) if self.resting else fitted
 
     def detached(self) -> Parameters:
-        """The Gaussians as they are now."""
+        """The Gaussians as they are now, among those that rest."""
         return {name: p.detach() for name, p in self.current().items()}
 
     def watch(self) -> AbsGrad | None:
@@ -107,16 +110,29 @@ class PerGaussian:
     def step(self, iteration: int, iterations: int) -> None:
         """Move along the gradients; then add rows where it is time to, and remove those that show nothing."""
         if self.densifier and self._absgrad:
-            self.densifier.collect(self._absgrad)
+            self.densifier.collect(self._picked(self._absgrad))
         self._move(iteration / iterations)
         if self.densifier and self.densifier.growth.due(iteration, iterations):
-            self._replace(*self.densifier.grow(self.detached(), self.extent, self.kept, iteration / iterations))
-            self._replace(is_visible(self.detached(), self.kept), None)
+            with torch.no_grad():
+                self._replace(*self.densifier.grow(self._fitted(), self.extent, self.kept, iteration / iterations))
+                self._replace(is_visible(self._fitted(), self.kept), None)
             self.densifier.restart(len(self.base["means"]))
 
     def remove_fainter(self, opacity: float) -> None:
         """Remove rows past the first U whose opacity is under `opacity`."""
-        self._replace(is_visible(self.detached(), self.kept, opacity), None)
+        with torch.no_grad():
+            self._replace(is_visible(self._fitted(), self.kept, opacity), None)
+
+    def _fitted(self) -> Parameters:
+        """Base + D."""
+        return {name: p + self.adam.parameters[name] for name, p in self.base.items()}
+
+    def _picked(self, absgrad: AbsGrad) -> AbsGrad:
+        """Absolute gradients of the rows that are fitted."""
+        if self.resting is None:
+            return absgrad
+        gradients, seen = (self.resting.picked(values) for values in absgrad.read())
+        return AbsGrad(lambda: (gradients, seen))
 
     def _move(self, done: float) -> None:
         """Adam, the temporal loss, and no Gaussian larger than the scene.

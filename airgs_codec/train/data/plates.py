@@ -1,0 +1,124 @@
+"""Plates: what a camera that stands still sees where nothing moves, and the pixels of a frame that differ from it.
+
+A plate is taken from a few frames of the whole run, so that it is the same however often a run is resumed, and its
+noise is less than that of a picture. A pixel rests where the picture differs from the plate by less than the camera's
+noise. Nothing is carried from frame to frame: what drifts away slowly leaves its plate in the end, too.
+
+H x W pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.media.image import box_mean, to_bytes
+from airgs_codec.progress import Progress, silent
+from airgs_codec.train.data.multiview import MultiviewScene
+from airgs_codec.train.data.pictures import Pictures, View
+from airgs_codec.train.loss.target import Exposure, Target, exposed_alike
+
+FEWEST = 3  # frames of a run that has plates
+SAMPLES = 16  # most frames that a plate is the median of
+WINDOW = 5  # pixels that differences are averaged over: noise goes, a shadow's edge stays
+LEAST, MOST = 2 / 255, 5 / 255  # bounds of the tolerance: more than that moves, however noisy a camera is
+DEVIATIONS = 8.0 / WINDOW  # of a pixel's noise: four of the mean's, were it white, and twice that for what codecs leave
+MEDIAN = 0.6745  # of the absolute value of a normal variable
+HALO = 7  # pixels across: what moves, and what the Gaussians that make it reach
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plate:
+    """What one camera sees at rest."""
+
+    rgb: NDArray[np.uint8]  # (H, W, 3)
+    noise: float  # standard deviation of a pixel, 0..1
+    tolerance: float  # of the mean over WINDOW x WINDOW pixels, 0..1
+
+
+Plates = Mapping[str, Plate]  # by the name of the camera
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """A view whose target is the plate where it rests."""
+
+    view: View
+    moving: NDArray[np.bool_]  # (H, W) pixels that do not rest, and those right around them: they are as they were
+
+
+def stands_still(scene: MultiviewScene) -> bool:
+    """Whether every camera of a scene is the same one at all frames."""
+    first = scene.cameras
+    return all(
+        len(shots) == len(first)
+        and all(
+            a.name == s.camera.name
+            and np.array_equal(a.world_to_camera, s.camera.world_to_camera)
+            and (a.fx, a.fy, a.cx, a.cy) == (s.camera.fx, s.camera.fy, s.camera.cx, s.camera.cy)
+            for a, s in zip(first, shots, strict=True)
+        )
+        for shots in scene.frames
+    )
+
+
+def find_plates(scene: MultiviewScene, pictures: Pictures, progress: Progress = silent) -> Plates:
+    """The plates of the training cameras; none where a camera moves or there are too few frames.
+
+    Camera after camera, so that no more than SAMPLES pictures are held. Raises SceneError for a picture that cannot be
+    read.
+    """
+    if len(scene) < FEWEST or not stands_still(scene):
+        return {}
+    frames = np.unique(np.linspace(0, len(scene) - 1, SAMPLES).round().astype(int)).tolist()
+    cameras = [i for i, camera in enumerate(scene.cameras) if not camera.held_out]
+    plates = {}
+    for done, index in enumerate(cameras, 1):
+        seen = [to_bytes(pictures.view(frame, index).target.rgb) for frame in frames]
+        plates[scene.cameras[index].name] = plate_of(seen)
+        progress("what rests", done, len(cameras))
+    return plates
+
+
+def plate_of(pictures: Sequence[NDArray[np.uint8]]) -> Plate:
+    """The plate of a camera that took these pictures (H, W, 3): their lower median, which is a value that was seen."""
+    middle = (len(pictures) - 1) // 2
+    rgb = np.empty_like(pictures[0])
+    for y in range(len(rgb)):  # row by row: a median of all at once takes a copy of all
+        rgb[y] = np.partition(np.stack([picture[y] for picture in pictures]), middle, axis=0)[middle]
+    noise = float(np.median([_noise(as_colours(picture) - as_colours(rgb)) for picture in pictures]))
+    return Plate(rgb, noise, float(np.clip(DEVIATIONS * noise, LEAST, MOST)))
+
+
+def settle(view: View, plates: Plates, exposure: Exposure) -> Settled:
+    """A view as its plate has it where it rests. `exposure`: of the view's picture, as it was read."""
+    plate = plates[view.camera.name]
+    rgb = as_colours(plate.rgb)
+    if view.camera.name in exposure:
+        rgb = exposed_alike(rgb, exposure[view.camera.name])
+    moving = _moving(view.target.rgb - rgb, plate)
+    target = Target(np.where(moving[..., None], view.target.rgb, rgb), view.target.clear)
+    return Settled(View(view.camera, target), moving)
+
+
+def as_colours(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Bytes as 0..1."""
+    return picture.astype(np.float32) / np.float32(255)
+
+
+def _moving(difference: NDArray[np.float32], plate: Plate) -> NDArray[np.bool_]:
+    """(H, W) where a picture less its plate (H, W, 3) is not noise.
+
+    Its mean shows a shadow. The mean of its absolute values shows texture that moves, whose signs cancel.
+    """
+    shade = np.abs(box_mean(difference, WINDOW)).max(axis=2) > plate.tolerance
+    texture = box_mean(np.abs(difference), WINDOW).max(axis=2) > plate.noise + 2 * plate.tolerance
+    return box_mean((shade | texture).astype(np.float32), HALO) > 1e-6
+
+
+def _noise(difference: NDArray[np.float32]) -> float:
+    """Standard deviation of a pixel's noise, from two pictures' difference (H, W, 3) less what neighbours share."""
+    return float(np.median(np.abs(difference - box_mean(difference, WINDOW)))) / MEDIAN

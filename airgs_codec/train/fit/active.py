@@ -1,0 +1,73 @@
+"""What of a scene may change at a frame: the rows that make what moves, and the tiles of the views that show them.
+
+A row is active when a good part of what it gives to all pictures falls on pixels that do not rest. The other rows are
+no variables at all and stay as they are, bit for bit. N Gaussians, A of them active, H x W pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from airgs_codec.render import cpu
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.train.data.pictures import View
+from airgs_codec.train.fit.parameters import Parameters
+
+SHARE = 0.2  # of a row's blending weights over all views that fall on moving pixels, from which it is active
+SHOWN = 2.0  # pixels of active rows in a tile, from which it is drawn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Active:
+    """What may change at a frame."""
+
+    rows: NDArray[np.intp]  # (A,) ascending
+    views: list[View]  # those that show it, with the tiles that do
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Resting:
+    """Rows of which only some are fitted; rows that are added come after them."""
+
+    rows: Parameters  # (N, ...) as they are
+    active: torch.Tensor  # (A,)
+
+    def joined(self, fitted: Parameters) -> Parameters:
+        """All rows, from the A that are fitted and what was added after them."""
+        count = len(self.active)
+        whole = {name: value.index_copy(0, self.active, fitted[name][:count]) for name, value in self.rows.items()}
+        return {name: torch.cat([value, fitted[name][count:]]) for name, value in whole.items()}
+
+    def picked(self, values: torch.Tensor) -> torch.Tensor:
+        """The inverse of `joined`: of a value for each row, those of the rows that are fitted."""
+        n = len(self.rows["means"])
+        return torch.cat([values[:n][self.active], values[n:]])
+
+
+def find_active(before: Gaussians, views: Sequence[View], moving: Sequence[NDArray[np.bool_]]) -> Active:
+    """What may change, from the Gaussians of the frame before and what moves (H, W) in each view."""
+    inputs = cpu.activate(before)
+    weights = [cpu.weights(inputs, view.camera, mask) for view, mask in zip(views, moving, strict=True)]
+    on_moving = sum(np.bincount(w.ids, w.inside, len(before)) for w in weights)
+    whole = sum(np.bincount(w.ids, w.total, len(before)) for w in weights)
+    active = on_moving > SHARE * np.maximum(whole, 1e-9)
+    drawn = []
+    for view, mask, w in zip(views, moving, weights, strict=True):
+        shown = np.bincount(w.tiles, w.total * active[w.ids], w.shape[0] * w.shape[1]).reshape(w.shape)
+        tiles = (shown >= SHOWN) | _any_in_tiles(mask, w.shape)
+        if tiles.any():
+            drawn.append(replace(view, redraw=cpu.Redraw(tiles, w.picture)))
+    return Active(np.flatnonzero(active), drawn)
+
+
+def _any_in_tiles(mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """(down, across) whether a tile has a pixel of the mask (H, W)."""
+    side = cpu.TILE
+    padded = np.zeros((shape[0] * side, shape[1] * side), np.bool_)
+    padded[: mask.shape[0], : mask.shape[1]] = mask
+    return np.asarray(padded.reshape(shape[0], side, shape[1], side).any(axis=(1, 3)))
