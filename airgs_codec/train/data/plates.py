@@ -24,10 +24,10 @@ from airgs_codec.train.loss.target import Exposure, Target, exposed_alike
 FEWEST = 3  # frames of a run that has plates
 SAMPLES = 16  # most frames that a plate is the median of
 WINDOW = 5  # pixels that differences are averaged over: noise goes, a shadow's edge stays
-LEAST, MOST = 2 / 255, 5 / 255  # bounds of the tolerance: more than that moves, however noisy a camera is
+LEAST, MOST = 3 / 255, 5 / 255  # bounds of the tolerance: more than that moves, however noisy a camera is
 DEVIATIONS = 8.0 / WINDOW  # of a pixel's noise: four of the mean's, were it white, and twice that for what codecs leave
 MEDIAN = 0.6745  # of the absolute value of a normal variable
-HALO = 7  # pixels across: what moves, and what the Gaussians that make it reach
+HALO = 5  # pixels across: what moves, and what the Gaussians that make it reach
 
 
 @dataclass(frozen=True, slots=True, eq=False)

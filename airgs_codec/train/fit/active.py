@@ -19,7 +19,7 @@ from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.parameters import Parameters
 
 SHARE = 0.2  # of a row's blending weights over all views that fall on moving pixels, from which it is active
-SHOWN = 2.0  # pixels of active rows in a tile, from which it is drawn
+SHOWN = 8.0  # pixels of active rows in a tile, from which it is drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -73,7 +73,7 @@ def test_a_soft_shadow_is_not_flattened():
     for t in (3, 6, 9):
         settled = settle(seen(noisy[t]), {"cam00": plate}, {})
         lost = (settled.view.target.rgb * 255 - clean[t]).mean(axis=(0, 2))  # down the columns: the shadow's profile
-        assert np.abs(lost).max() < 3.0  # of 8
+        assert np.abs(lost).max() < 4.0  # of 8
         assert settled.moving[:, 4 * t].all()
 
 
