@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import gzip
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, sample_index
 from airgs_codec.coding.rangecoder import ColumnReader
-from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
+from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
 from airgs_codec.decoder.decode import decode_canonical, decode_frames
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.store import Package
@@ -121,16 +121,30 @@ class _Writer:
             "means": self.blob.add(base.means.astype(np.float32)),
             "units": self.blob.add(base.motion_units),
             "depths": self.blob.add(base.depths),
-            "parts": [self._key(group, t) | {"tier": t} for t, tier in enumerate(tiers) if tier.count],
+            "parts": [
+                part | {"tier": t} for t, tier in enumerate(tiers) if tier.count for part in self._tier(group, t)
+            ],
         }
 
-    def _key(self, group: int, tier: int) -> Json:
+    def _tier(self, group: int, tier: int) -> Iterator[Json]:
+        """Pictures of a tier that has rows: those of the rows that it keeps, then its own."""
+        m = self.package.manifest
+        sidecar, *pictures = m.key_files(group, tier, self.rung.quality)
+        base, unit, grid = m.base_of(group), m.groups[group].tiers[tier], m.groups[group].grid
+        kept = unit.kept, 0 if base is None else m.groups[base].tiers[tier].count
+        rows, coarsest = unit.count - unit.kept, m.qualities[-1].coarser
+        shared = unpack_key_sidecar(self.package.read(sidecar), rows, grid, coarsest, sidecar, kept)
+        if base is not None and unit.kept:
+            *_, picture = self._tier(base, tier)
+            yield picture | {"kept": self.blob.add(shared.kept.rows.astype(np.uint32))}
+        for media in pictures:
+            yield self._key(group, tier, media, shared) | {"kept": None}
+
+    def _key(self, group: int, tier: int, media: str, shared: KeySidecar) -> Json:
         m = self.package.manifest
         unit, grid, quality = m.groups[group].tiers[tier], m.groups[group].grid, self.rung.quality
         coarsest = m.qualities[-1].coarser
-        sidecar, media = m.key_files(group, tier, quality)
         file, atlas = open_segment(self.package.read(media), media), unit.qualities[quality]
-        shared = unpack_key_sidecar(self.package.read(sidecar), unit.count, grid, coarsest, sidecar)
         reader = ColumnReader(file.columns, media)
         read_detail(reader, shared, grid, m.qualities[quality].coarser, coarsest)
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))

@@ -22,6 +22,7 @@ from tests.support.browser import Answer, missing
 from tests.support.growing import Growing
 from tests.support.media_page import FOLDERS, INVALID, look
 from tests.support.paths import GOLDEN
+from tests.support.rooms import room_frames
 from tests.support.scenes import moving_frames, write_sequence
 from tests.support.vectors import cases
 
@@ -40,7 +41,8 @@ pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(m
 
 @pytest.fixture(scope="module")
 def encoded(tmp_path_factory):
-    """Folder of packages: `pages`, whose atlases are all cut into pages, and `long`, a segment of many frames."""
+    """Folder of packages: `pages`, whose atlases are all cut into pages, `long`, a segment of many frames, and
+    groups that keep rows of the first: `kept` and, where nothing moves, `still`."""
     folder = tmp_path_factory.mktemp("encoded")
     settings = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", segment_s=0.2)
     with pytest.MonkeyPatch.context() as patched:
@@ -48,6 +50,9 @@ def encoded(tmp_path_factory):
         encode(open_sequence(write_sequence(folder / "paged", moving_frames(600, 7))), folder / "pages", settings)
     settings = replace(settings, segment_s=1.0)
     encode(open_sequence(write_sequence(folder / "scene", moving_frames(100, 20))), folder / "long", settings)
+    for name, room in {"kept": room_frames(600, 6, 1), "still": room_frames(600, 1, 1) * 4}.items():
+        frames = write_sequence(folder / f"{name}-frames", room, fps=4, keyframes=[*range(0, len(room), 2)])
+        encode(open_sequence(frames), folder / name, settings)
     return folder
 
 
@@ -98,9 +103,19 @@ def frames(encoded):
         made[f"/expected/pages/{number}"] = lambda data=data: data
     asked = {"quality": 0, "level": 0, "tiers": PAGED["tiers"], "expected": "/expected/pages"}
     steps["pages"] = "frames", {"url": "encoded/pages"} | asked
+    for name, quality, level, tiers in KEPT:
+        expected = f"/expected/{name}{quality}"
+        rung = {"key_quality": quality, "level": level, "tiers": tiers}
+        all_ = enumerate(frames_of(open_package(encoded / name), rung))
+        made |= {f"{expected}/{i}": lambda data=data: data for i, data in all_}
+        asked = {"quality": quality, "level": level, "tiers": tiers, "expected": expected}
+        steps[f"{name} {quality}"] = "frames", {"url": f"encoded/{name}"} | asked
+    read = {"rung": "Q0+L0", "frames": [5, 3, 0, 2], "expected": "/expected/kept0"}
+    steps["reader"] = "reading", {"url": "encoded/kept"} | read
     return look(steps, made, {"encoded": encoded})[0]
 
 
+KEPT = [("kept", 0, 0, 2), ("kept", 1, 1, 1), ("still", 1, 0, 2)]  # package, key quality, level, tiers
 PAGED = {"key_quality": 0, "level": 0, "tiers": 1}
 
 
@@ -109,6 +124,22 @@ def test_atlases_in_pages_are_put_together(frames, encoded):
     assert all(atlas.pages > 1 for atlas in (m.groups[0].tiers[0].qualities[0], m.groups[0].levels[0]))
     assert frames["pages"]["frames"] == m.frames
     assert all(error <= 1e-6 for error in frames["pages"]["worst"].values()), frames["pages"]
+
+
+@pytest.mark.parametrize(("name", "quality"), [case[:2] for case in KEPT])
+def test_rows_that_are_kept_are_the_decoders(frames, encoded, name, quality):
+    m = open_package(encoded / name).manifest
+    first, *later = m.groups
+    assert first.keeps is None and {group.keeps for group in later} == {1}
+    assert all(tier.kept > 0 for group in later for tier in group.tiers)
+    assert any(tier.kept < tier.count for group in later for tier in group.tiers) == (name == "kept")
+    report = frames[f"{name} {quality}"]
+    assert report.get("frames") == m.frames, report
+    assert all(error <= 1e-6 for error in report["worst"].values()), report
+
+
+def test_frames_are_read_in_any_order_from_a_group_that_keeps_rows(frames):
+    assert all(error <= 1e-6 for error in frames["reader"].values()), frames["reader"]
 
 
 @pytest.mark.parametrize("name", PACKAGES)

@@ -18,6 +18,7 @@ from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import WEB, build_pages, missing, serve, visit
 from tests.support.decoded import Rung, write_decoded
 from tests.support.paths import GOLDEN
+from tests.support.rooms import room_frames
 from tests.support.scenes import frozen, random_gaussians, write_sequence
 
 PAGE = b'<!doctype html><link rel="icon" href="data:,"><script type="module" src="/web/out/pages/render.js"></script>'
@@ -213,6 +214,24 @@ def test_fewer_tiers_than_the_level_asks_for(tmp_path):
     cameras = four_cameras(decode(package, 0))
     write_decoded(package, tmp_path / "scene", [Rung(0, 0, tiers=1), Rung(1, 1, tiers=1)], cameras)
     assert_near(look(tmp_path, "pictures"), 2, range(4), "one-tier")
+
+
+def blushing(gaussians, times):
+    """The mover of a room, redder, so that the colours of groups have other axes."""
+    red = gaussians.sh_dc.copy()
+    red[600:] += np.float32(times) * np.array([0.8, -0.3, 0.1], np.float32) * red[600:, 1:2]
+    return replace(gaussians, sh_dc=red)
+
+
+def test_rows_that_are_kept_look_as_in_the_group_that_has_them(tmp_path):
+    """Three groups of a room, of which the second and third keep what stands still, each with colours of its own."""
+    frames = [blushing(frame, t // 2) for t, frame in enumerate(room_frames(600, 6, 1))]
+    package = encoded(tmp_path, frames, FAST, keyframes=[0, 2, 4])
+    groups = package.manifest.groups
+    assert [g.keeps for g in groups] == [None, 1, 1] and groups[0].colour_transform != groups[1].colour_transform
+    cameras = four_cameras(frames[0])
+    write_decoded(package, tmp_path / "scene", ends(package), cameras)
+    assert_near(look(tmp_path, "pictures"), 2, range(6), "kept")
 
 
 def test_a_segment_without_pictures_shows_the_canonical_space(tmp_path):

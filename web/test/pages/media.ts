@@ -5,6 +5,7 @@ import { FormatError } from "../../src/format/errors.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { groupPath, pagePath } from "../../src/format/paths.ts";
 import type { Atlas, Gaussians, StateFrame } from "../../src/format/types.ts";
+import { FrameReader } from "../../src/frames.ts";
 import { type Fetched, Media } from "../../src/media/client.ts";
 import { decodes } from "./decoders.ts";
 import { probes } from "./mocks.ts";
@@ -144,6 +145,20 @@ function compare(got: Gaussians, expected: Float32Array, worst: Record<string, n
   });
 }
 
+/** How far frames that are read in any order are from /expected files: of each attribute, the largest error. */
+async function reading(step: Step): Promise<unknown> {
+  const { url, rung, frames, expected } = step as Step & { rung: string; frames: number[]; expected: string };
+  const reader = await FrameReader.open(url);
+  const worst = { means: 0, quaternions: 0, logScales: 0, alpha: 0, colours: 0, sorted: 0 };
+  for (const frame of frames) {
+    const got = await reader.gaussians(frame, rung);
+    const data = await (await fetch(`${expected}/${frame}`)).arrayBuffer();
+    compare(got, new Float32Array(data), worst, got.means);
+  }
+  reader.close();
+  return worst;
+}
+
 /** What a fetch of some paths came to, a step of the page's own clock later. */
 async function fetching(step: Step): Promise<unknown> {
   const {
@@ -250,6 +265,7 @@ function describe(error: unknown): unknown {
 const tasks: Record<string, (step: Step) => Promise<unknown>> = {
   luma,
   frames,
+  reading,
   fetching,
   growing,
   ahead,
