@@ -66,7 +66,7 @@ def _with_random(points: Points, count: int, views: Sequence[View], rng: np.rand
         low, high = np.quantile(points.positions, [0.01, 0.99], axis=0)
         centre, reach = (low + high) / 2, BOX_MARGIN * (high - low) / 2
     else:
-        centre, reach = _looked_at(cameras), np.full(3, scene_extent(cameras))
+        centre, reach = looked_at(cameras), np.full(3, scene_extent(cameras))
     drawn = rng.uniform(centre - reach, centre + reach, (2 * count, 3))
     seen = np.zeros(len(drawn))
     for camera in cameras:
@@ -81,7 +81,7 @@ def _with_random(points: Points, count: int, views: Sequence[View], rng: np.rand
     return Points(positions, colours)
 
 
-def _looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
+def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
     """(3,) the point nearest to all optical axes, by least squares."""
     total, right = 1e-6 * np.eye(3), np.zeros(3)  # parallel axes meet nowhere: the system would be singular
     for camera in cameras:
