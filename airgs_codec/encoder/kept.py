@@ -20,7 +20,9 @@ from airgs_codec.media.h264 import KEY_QP, qp_step
 from airgs_codec.package.layout import KEY
 
 WORTH = 0.25  # share of a key's bytes that keeping rows must save
-SAME = 0.01  # steps by which two canonical values may differ and count as one: means of equal frames are rounded
+PROMISED = 0.5 + 0.5 / qp_step(KEY_QP)  # steps that a key channel errs by: half a code, and half a step of the codec
+SLIGHT = 0.25  # steps, or cells, by which a value may change and still be kept with whatever error it has
+SAME = 0.01  # of these by which two canonical values may differ and count as one: means of equal frames are rounded
 CLASSES = 1  # by which the motion class of a row may be finer in the base than it would be in the group
 
 
@@ -69,46 +71,40 @@ def keep_known(layout: GroupLayout, base: BaseGroup, settings: EncodeSettings) -
 def find_kept(layout: GroupLayout, base: BaseGroup) -> NDArray[np.intp]:
     """(N,) for each row the row of the base that viewers may keep in its place, CODED_HERE where there is none.
 
-    That is the same row of the sequence, if its canonical value is still the same, or else if what viewers decoded of
-    it in the best quality is as near to the new one, in every channel, as a fresh coding promises.
+    That is the same row of the sequence, if its canonical value is still the same. Or else what viewers decoded of it
+    in the best quality must be as near to the new value, in every channel and in its position, as a fresh coding
+    promises, or the value may have changed by no more than SLIGHT; and its motion class must do for its states.
     """
     places = np.full(1 + max(int(layout.rows.max()), int(base.layout.rows.max())), CODED_HERE)
     places[base.layout.rows] = np.arange(len(base.layout.rows))
     there: NDArray[np.intp] = places[layout.rows]
     rows = np.flatnonzero(there != CODED_HERE)
-    fits = _same(layout, base, rows, there[rows]) | _near(layout, base, rows, there[rows])
-    there[rows[~fits]] = CODED_HERE
+    errors, changes = _differences(layout, base, rows, there[rows])
+    finer = layout.classes[rows].astype(int) - base.layout.classes[there[rows]]
+    near = ((errors <= 1) | (changes <= SLIGHT)).all(axis=0) & (finer >= 0) & (finer <= CLASSES)
+    there[rows[~(near | (changes <= SAME).all(axis=0))]] = CODED_HERE
     return there
 
 
-def _same(layout: GroupLayout, base: BaseGroup, rows: NDArray[np.intp], there: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """(n,) whether rows have the canonical values that they had in the base."""
-    change = np.abs(base.originals(layout, there) - layout.key_values()[:, rows])
-    moved = np.abs(base.layout.key.means[there].astype(np.float64) - layout.key.means[rows])
-    cells = _half_cells(base.layout)[there]
-    return _within(layout, change, SAME) & (moved <= SAME * cells[:, None]).all(axis=1)
+def _differences(
+    layout: GroupLayout, base: BaseGroup, rows: NDArray[np.intp], there: NDArray[np.intp]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Of rows of the group, and the rows of the base that may stand for them: how far what was decoded in the best
+    quality is from the new value, as shares of what a fresh coding promises, and how far the new value is from the old.
 
-
-def _near(layout: GroupLayout, base: BaseGroup, rows: NDArray[np.intp], there: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """(n,) whether what was decoded in the best quality does for rows: half a step of the codec, half a code, and
-    half a cell are what coding them here would promise.
+    Both are (7 + C + 3, n), of the key channels and then of the position. Promised are half a step of the codec and
+    half a code; half a cell. Changes are in steps and in cells.
     """
-    errors = np.abs(base.values(layout, there, 0) - layout.key_values()[:, rows])
-    moved = np.abs(base.spaces[0].means[there] - layout.key.means[rows])
-    finer = layout.classes[rows].astype(int) - base.layout.classes[there]
-    near = _within(layout, errors, 0.5 + 0.5 / qp_step(KEY_QP))
-    return near & (moved <= _half_cells(layout)[rows, None]).all(axis=1) & (finer >= 0) & (finer <= CLASSES)
-
-
-def _within(layout: GroupLayout, errors: NDArray[np.float64], steps: float) -> NDArray[np.bool_]:
-    """(n,) whether all (7 + C, n) errors are at most so many steps."""
-    limits = steps * KEY.steps(layout.key_steps, layout.colours)
-    return np.asarray((errors <= limits[:, None]).all(axis=0))
-
-
-def _half_cells(layout: GroupLayout) -> NDArray[np.float64]:
-    """(N,) half the sides of the cells of canonical means in the best quality, world units."""
-    return layout.grid.step * np.exp2(cell_bits(layout.classes, layout.grid)) / 2
+    values, means = layout.key_values()[:, rows], layout.key.means[rows].astype(np.float64)
+    steps = KEY.steps(layout.key_steps, layout.colours)[:, None]
+    cells = layout.grid.step * np.exp2(cell_bits(layout.classes, layout.grid))[rows]
+    promised = np.concatenate(
+        [np.broadcast_to(PROMISED * steps, values.shape), np.broadcast_to(cells / 2, (3, len(rows)))]
+    )
+    units = np.concatenate([np.broadcast_to(steps, values.shape), np.broadcast_to(cells, (3, len(rows)))])
+    decoded = np.concatenate([base.values(layout, there, 0) - values, (base.spaces[0].means[there] - means).T])
+    before = np.concatenate([base.originals(layout, there) - values, (base.layout.key.means[there] - means).T])
+    return np.abs(decoded) / promised, np.abs(before) / units
 
 
 def kept_errors(layout: GroupLayout, base: BaseGroup, tier: int, quality: int) -> NDArray[np.float64]:

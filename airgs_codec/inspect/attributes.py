@@ -38,10 +38,10 @@ def _of_keys(package: Package) -> Iterator[tuple[str, float]]:
     m = package.manifest
     for g, group in enumerate(m.groups):
         for t, tier in enumerate(group.tiers):
-            if tier.count:
-                _, media = m.key_files(g, t, 0)
-                fine = min(3 * m.qualities[-1].coarser * tier.count / 8, tier.pictures[0].bytes)
-                yield "means", tier.sidecar.bytes + fine
+            yield "means", tier.sidecar.bytes
+            for media in m.key_files(g, t, 0)[1:]:
+                fine = min(3 * m.qualities[-1].coarser * (tier.count - tier.kept) / 8, tier.pictures[0].bytes)
+                yield "means", fine
                 samples = _samples(package, media, tier.qualities[0])
                 yield from _shares(tier.pictures[0].bytes - fine, tier.qualities[0], samples, KEY)
 

@@ -8,11 +8,15 @@ is the integral of the trace. Any player that shows its slots at those deadlines
 its linear relaxation, is no less than what the player reached. Slots need not be fetched in order: deadlines and
 releases ascend together, and then the order of deadlines is as good as any.
 
+Where a group keeps rows of another one, the base, the key units of the base are fetched for it as well, but for those
+that an earlier slot of the same loop over the sequence had.
+
 K slots, R rungs, Q key qualities, T key tiers. Sizes are kB inside the programme, so that its numbers are of one order.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -25,6 +29,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.play.catalogue import Catalogue
 
 ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must not make a session impossible
+_Unit = tuple[int, int, int]  # 0 of the slot's group, 1 of its base; key quality; key tier
 Terms = list[tuple[int, float]]  # (column of a variable, its coefficient)
 
 
@@ -42,14 +47,14 @@ class Slot:
 class Horizon:
     """What is to be chosen: slots in the order in which they are shown.
 
-    `decoded` (key quality -> tiers) are the keys of the first slot's group that need not be fetched. `idle_bytes` is
+    `decoded` (group -> key quality -> tiers) are the keys that need not be fetched for the first slot. `idle_bytes` is
     what the link could have carried while it waits for the next request, per slot after the first: 0 for a player
     that sends its next request a round trip before the last batch ends, and in a bound.
     """
 
     catalogue: Catalogue
     slots: tuple[Slot, ...]
-    decoded: Mapping[int, int]
+    decoded: Mapping[int, Mapping[int, int]]
     idle_bytes: float = 0.0
 
 
@@ -87,7 +92,10 @@ def solve_horizon(horizon: Horizon, integer: bool = False) -> Schedule | None:
 
 
 class _Programme:
-    """Variables and constraints. Slot k has R shares of rungs, Q T shares of keys that are decoded, and F_k in kB."""
+    """Variables and constraints. Slot k has R shares of rungs, Q T shares of keys that are decoded, and F_k in kB.
+
+    Where any group keeps rows, Q T shares of keys of the base that are decoded come before F_k.
+    """
 
     def __init__(self, horizon: Horizon) -> None:
         self._horizon = horizon
@@ -95,20 +103,41 @@ class _Programme:
         self._qualities = len(self._catalogue.manifest.qualities)
         self._tiers = self._catalogue.manifest.tiers
         self.rungs = len(self._catalogue.rungs)
-        self._width = self.rungs + self._qualities * self._tiers + 1
+        m, slots = self._catalogue.manifest, horizon.slots
+        self._groups = [(group, m.base_of(group)) for group in (m.group_of(slot.segment) for slot in slots)]
+        self._loops = np.cumsum([0, *(b.segment <= a.segment for a, b in itertools.pairwise(slots))])
+        kinds = 1 if all(base is None for _, base in self._groups) else 2
+        self._width = self.rungs + kinds * self._qualities * self._tiers + 1
         self.columns = self._width * len(horizon.slots)
 
     def _share(self, k: int, rung: int) -> int:
         return k * self._width + rung
 
-    def _key(self, k: int, quality: int, tier: int) -> int:
-        return k * self._width + self.rungs + quality * self._tiers + tier
+    def _key(self, k: int, unit: _Unit) -> int:
+        """The share of a key unit that is decoded."""
+        of, quality, tier = unit
+        return k * self._width + self.rungs + (of * self._qualities + quality) * self._tiers + tier
 
     def _carried(self, k: int) -> int:
         return (k + 1) * self._width - 1
 
-    def _keys(self) -> Iterator[tuple[int, int]]:
-        return ((q, t) for q in range(self._qualities) for t in range(self._tiers))
+    def _keys(self, k: int) -> Iterator[_Unit]:
+        """All key units that a slot may need."""
+        kinds = range(1 if self._groups[k][1] is None else 2)
+        return ((of, q, t) for of in kinds for q in range(self._qualities) for t in range(self._tiers))
+
+    def _before(self, k: int, unit: _Unit) -> int | None:
+        """The share of the same key unit in the last slot before that may need it; None: it is not decoded before."""
+        of, quality, tier = unit
+        if of == 0:
+            return self._key(k - 1, unit) if k and not self._horizon.slots[k].starts_group else None
+        group = self._groups[k][of]
+        for i in range(k - 1, -1, -1):
+            if self._loops[i] != self._loops[k]:
+                break
+            if group in self._groups[i]:
+                return self._key(i, (self._groups[i].index(group), quality, tier))
+        return None
 
     def objective(self) -> NDArray[np.float64]:
         """(columns,) minus the dB that each variable adds to the mean over time."""
@@ -134,11 +163,13 @@ class _Programme:
         """One rung is shown, with its keys; its bytes pass after its release and after the slot before it."""
         slot = self._horizon.slots[k]
         constraints.add([(self._share(k, rung), 1.0) for rung in range(self.rungs)], 1.0, 1.0)
-        for quality, tier in self._keys():
-            key = self._key(k, quality, tier)
-            constraints.add([(key, 1.0), *self._users(k, quality, tier)], 0.0, np.inf)
-            if k and not slot.starts_group:
-                constraints.add([(key, 1.0), (key - self._width, -1.0)], 0.0, np.inf)
+        tiers = self._catalogue.manifest.groups[self._groups[k][0]].tiers
+        for of, quality, tier in self._keys(k):
+            key, before = self._key(k, (of, quality, tier)), self._before(k, (of, quality, tier))
+            if of == 0 or tiers[tier].kept:
+                constraints.add([(key, 1.0), *self._users(k, quality, tier)], 0.0, np.inf)
+            if before is not None:
+                constraints.add([(key, 1.0), (before, -1.0)], 0.0, np.inf)
         done = [(self._carried(k), 1.0), *((column, -size) for column, size in self.fetched(k))]
         constraints.add(done, slot.released / 1e3, np.inf)
         if k:
@@ -153,15 +184,16 @@ class _Programme:
     def fetched(self, k: int) -> Terms:
         """kB that are fetched for slot k, for each unit of a variable."""
         slot, c = self._horizon.slots[k], self._catalogue
-        group = c.manifest.group_of(slot.segment)
         state_bytes = c.state_bytes[slot.segment]
         fetched = [(self._share(k, rung), float(state_bytes[j]) / 1e3) for rung, (_, j) in enumerate(c.rungs)]
-        for quality, tier in self._keys():
-            key, size = self._key(k, quality, tier), float(c.key_bytes[group, quality, tier]) / 1e3
-            if k or self._horizon.decoded.get(quality, 0) <= tier:
-                fetched.append((key, size))
-            if k and not slot.starts_group:
-                fetched.append((key - self._width, -size))
+        for of, quality, tier in self._keys(k):
+            group, before = self._groups[k][of], self._before(k, (of, quality, tier))
+            assert group is not None
+            size = float(c.key_bytes[group, quality, tier]) / 1e3
+            if k or self._horizon.decoded.get(group, {}).get(quality, 0) <= tier:
+                fetched.append((self._key(k, (of, quality, tier)), size))
+            if before is not None:
+                fetched.append((before, -size))
         return fetched
 
 

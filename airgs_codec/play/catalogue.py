@@ -23,6 +23,7 @@ from airgs_codec.play.ladder import Option
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
 DecodedTiers = Mapping[int, int]  # key quality -> how many of its tiers are decoded, from the first on
+NONE: DecodedTiers = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +77,7 @@ class Catalogue:
         self.manifest, self.root_bytes, self.live = manifest, root_bytes, manifest.live
 
     @cached_property
-    def _options(self) -> dict[tuple[int, tuple[tuple[int, int], ...]], tuple[Option, ...]]:
+    def _options(self) -> dict[tuple[Any, ...], tuple[Option, ...]]:
         return {}
 
     @cached_property
@@ -162,41 +163,83 @@ class Catalogue:
     @cached_property
     def bytes_after(self) -> Rows:
         """(S, Q L, Q L) wire bytes of rung c in a segment after rung p in the one before, in the same group."""
-        held = [{quality: self.manifest.levels[level].tiers} for quality, level in self.rungs]
-        return Rows(lambda s: np.array([self.sizes(s, decoded) for decoded in held]))
+        return Rows(lambda s: np.array([self.sizes(s, held, held) for held in self._after]))
+
+    @cached_property
+    def _after(self) -> list[DecodedTiers]:
+        """What is decoded of a group after each rung, at least."""
+        return [{quality: self.manifest.levels[level].tiers} for quality, level in self.rungs]
+
+    def bytes_at_start(self, segment: int, known: Mapping[int, DecodedTiers]) -> NDArray[np.int64]:
+        """(1 or Q L, Q L) wire bytes of every rung in the first segment of a group, by the rung in the one before.
+
+        That matters where the group keeps rows of the one before, or of the same as that; `known` are keys decoded
+        before of some groups.
+        """
+        m = self.manifest
+        group = m.group_of(segment)
+        base = m.base_of(group)
+        if base is None:
+            return np.asarray(self.bytes_from_scratch[segment])[None]
+        held = known.get(base, NONE)
+        after = self._after if base in (group - 1, m.base_of(group - 1)) else [NONE]
+        return np.array([self.sizes(segment, NONE, _merged(held, of)) for of in after])
 
     @cached_property
     def bytes_from_scratch(self) -> Rows:
-        """(S, Q L) wire bytes of a rung when no key of its group is decoded."""
-        return Rows(lambda s: np.array(self.sizes(s, {})))
+        """(S, Q L) wire bytes of a rung when no key of its group is decoded, nor of one whose rows it keeps."""
+        return Rows(lambda s: np.array(self.sizes(s, NONE)))
 
-    def sizes(self, segment: int, decoded_tiers: DecodedTiers) -> list[int]:
-        """(Q L,) wire bytes of the keys that are missing and the state."""
+    def base_bytes(self, group: int) -> NDArray[np.int64]:
+        """(Q, T) wire bytes of key units of the group whose rows a group keeps; 0 for a tier that keeps none."""
+        base = self.manifest.base_of(group)
+        if base is None:
+            return np.zeros((len(self.manifest.qualities), self.manifest.tiers), np.int64)
+        keeps = [tier.kept > 0 for tier in self.manifest.groups[group].tiers]
+        return np.asarray(self.key_bytes[base] * np.array(keeps))
+
+    def sizes(self, segment: int, decoded_tiers: DecodedTiers, base_tiers: DecodedTiers = NONE) -> list[int]:
+        """(Q L,) wire bytes of the keys that are missing and the state.
+
+        `decoded_tiers` are those of the segment's group, `base_tiers` those of the group whose rows it keeps.
+        """
         m = self.manifest
         group = m.group_of(segment)
+        own, base, states = self.key_bytes[group], self.base_bytes(group), self.state_bytes[segment]
         return [
             int(
-                self.key_bytes[group, q, decoded_tiers.get(q, 0) : m.levels[j].tiers].sum()
-                + self.state_bytes[segment, j]
+                own[q, decoded_tiers.get(q, 0) : m.levels[j].tiers].sum()
+                + base[q, base_tiers.get(q, 0) : m.levels[j].tiers].sum()
+                + states[j]
             )
             for q, j in self.rungs
         ]
 
-    def options(self, segment: int, decoded_tiers: DecodedTiers) -> tuple[Option, ...]:
+    def options(self, segment: int, decoded_tiers: DecodedTiers, base_tiers: DecodedTiers = NONE) -> tuple[Option, ...]:
         """Every rung of a segment, by number; kept, since a session asks for few combinations over and over."""
-        key = segment, tuple(sorted(decoded_tiers.items()))
+        key = segment, tuple(sorted(decoded_tiers.items())), tuple(sorted(base_tiers.items()))
         if key not in self._options:
-            levels, quality, sizes = self.manifest.levels, self.quality[segment], self.sizes(segment, decoded_tiers)
+            levels, quality = self.manifest.levels, self.quality[segment]
+            sizes = self.sizes(segment, decoded_tiers, base_tiers)
             self._options[key] = tuple(
                 Option(r, sizes[r], float(quality[r]), levels[j].pruned) for r, (_, j) in enumerate(self.rungs)
             )
         return self._options[key]
 
-    def batch(self, segment: int, rung: int, decoded_tiers: DecodedTiers) -> Batch:
-        """The files that a rung of a segment needs beside the decoded tiers."""
+    def batch(self, segment: int, rung: int, decoded_tiers: DecodedTiers, base_tiers: DecodedTiers = NONE) -> Batch:
+        """The files that a rung of a segment needs beside the decoded tiers of its group and of the base.
+
+        They are in tier order, of every tier those of the group first, then those of the group whose rows it keeps.
+        """
         m, (q, j) = self.manifest, self.rungs[rung]
         group = m.group_of(segment)
-        units = [m.key_files(group, t, q) for t in range(decoded_tiers.get(q, 0), m.levels[j].tiers)]
+        base = m.base_of(group)
+        units = []
+        for t, tier in enumerate(m.groups[group].tiers[: m.levels[j].tiers]):
+            if t >= decoded_tiers.get(q, 0):
+                units.append(m.key_files(group, t, q))
+            if base is not None and tier.kept and t >= base_tiers.get(q, 0):
+                units.append(m.key_files(base, t, q))
         return Batch(tuple(path for unit in units for path in unit), tuple(m.state_files(segment, j)))
 
     def index(self, position: int) -> int:
@@ -229,9 +272,10 @@ class Catalogue:
             yield segment, self.starts_group(segment)
 
     def _knows(self, segment: int) -> bool:
-        """Whether the table of a segment's group can be had."""
+        """Whether the tables of a segment's group, and of the one whose rows it keeps, can be had."""
         try:
-            return bool(self.manifest.segments[segment])
+            self.manifest.base_of(self.manifest.group_of(segment))
+            return True
         except FormatError:
             return False
 
@@ -253,3 +297,8 @@ class Catalogue:
 
     def _wire(self, paths: list[str]) -> int:
         return self.wire_bytes([self.file_bytes(path) for path in paths])
+
+
+def _merged(one: DecodedTiers, other: DecodedTiers) -> DecodedTiers:
+    """What is decoded where both are."""
+    return {quality: max(one.get(quality, 0), other.get(quality, 0)) for quality in {*one, *other}}

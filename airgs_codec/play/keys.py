@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from airgs_codec.package.paths import FileKind, file_kind, group_path, page_path
-from airgs_codec.play.catalogue import Batch, Catalogue, DecodedTiers
+from airgs_codec.package.tables import PAGE
+from airgs_codec.play.catalogue import NONE, Batch, Catalogue, DecodedTiers
 from airgs_codec.play.events import Arrival
 
 
@@ -27,7 +30,7 @@ class TableStore:
     def missing(self, positions: range) -> tuple[str, ...]:
         """What these positions still need and can be asked for: pages, and tables that a page or the root leads to."""
         wanted = dict.fromkeys(self._next(self.catalogue.index(position)) for position in positions)
-        return tuple(path for path in wanted if path not in self._paths)
+        return tuple(path for path in wanted if path is not None)
 
     def missing_pages(self) -> tuple[str, ...]:
         """Pages of the index with segments of the session."""
@@ -36,12 +39,24 @@ class TableStore:
         numbers = range(places.pages if first is None else first, places.pages)
         return tuple(path for path in (page_path(n + 1) for n in numbers) if path not in self._paths)
 
-    def _next(self, segment: int) -> str:
+    def _next(self, segment: int) -> str | None:
+        """The first missing of page and table of a segment's group, then of the group whose rows it keeps."""
         m = self.catalogue.manifest
         page = m.groups.places.page_of_segment(segment)
         if page is not None and page_path(page + 1) not in self._paths:
             return page_path(page + 1)
-        return group_path(m.group_of(segment) + 1)
+        group = m.group_of(segment)
+        if group_path(group + 1) not in self._paths:
+            return group_path(group + 1)
+        keeps = m.groups[group].keeps
+        paths = () if keeps is None else self._way(keeps - 1)
+        return next((path for path in paths if path not in self._paths), None)
+
+    def _way(self, group: int) -> tuple[str, ...]:
+        """The page that a group is on, if it is on one, and its table."""
+        page = group // PAGE
+        paged = page < self.catalogue.manifest.groups.places.pages
+        return (*([page_path(page + 1)] if paged else []), group_path(group + 1))
 
 
 @dataclass(slots=True, eq=False)
@@ -49,24 +64,44 @@ class KeyStore:
     """Keys are kept by (loop, group): a group that is played again is fetched again."""
 
     catalogue: Catalogue
-    _tiers: dict[tuple[int, int], dict[int, int]] = field(default_factory=dict)  # key quality -> decoded tiers
+    _units: dict[tuple[int, int], set[tuple[int, int]]] = field(default_factory=dict)  # (key quality, tier) decoded
 
     def decoded_tiers(self, position: int) -> DecodedTiers:
         """Key quality -> how many tiers of it are decoded in the group of a position."""
-        return self._tiers.get(self.catalogue.group(position), {})
+        return self._first_tiers(self.catalogue.group(position), [True] * self.catalogue.manifest.tiers)
+
+    def base_tiers(self, position: int) -> DecodedTiers:
+        """The same of the group whose rows that group keeps, where tiers that keep none count as decoded."""
+        (loop, group), m = self.catalogue.group(position), self.catalogue.manifest
+        base = m.base_of(group)
+        return NONE if base is None else self._first_tiers((loop, base), [t.kept > 0 for t in m.groups[group].tiers])
+
+    def shown_tiers(self, position: int, quality: int) -> int:
+        """How many tiers of a key quality can be shown in the group of a position."""
+        own, keeps = self.decoded_tiers(position), self.catalogue.manifest.base_of(self.catalogue.group(position)[1])
+        tiers = own.get(quality, 0)
+        return tiers if keeps is None else min(tiers, self.base_tiers(position).get(quality, 0))
+
+    def _first_tiers(self, group: tuple[int, int], needed: Sequence[bool]) -> DecodedTiers:
+        """Key quality -> how many tiers, from the first on, are decoded or not needed, where some are."""
+        units, counts = self._units.get(group, set()), {}
+        for quality in range(len(self.catalogue.manifest.qualities)):
+            there = (not wanted or (quality, tier) in units for tier, wanted in enumerate(needed))
+            counts[quality] = sum(1 for _ in itertools.takewhile(bool, there))
+        return {quality: count for quality, count in counts.items() if count}
 
     def missing(self, position: int, rung: int) -> Batch:
         """The files that a rung of the segment at a position still needs."""
         c = self.catalogue
-        return c.batch(c.index(position), rung, self.decoded_tiers(position))
+        return c.batch(c.index(position), rung, self.decoded_tiers(position), self.base_tiers(position))
 
     def add(self, arrival: Arrival) -> None:
         """Decode what arrived: a tier counts once its files are there."""
         c, request = self.catalogue, arrival.request
         quality, level = c.rungs[request.rung]
-        key = c.group(request.position)
-        tiers = self._tiers.setdefault(key, {})
-        for tier in range(tiers.get(quality, 0), c.manifest.levels[level].tiers):
-            if not set(arrival.kept).issuperset(c.manifest.key_files(key[1], tier, quality)):
-                return
-            tiers[quality] = tier + 1
+        loop, group = c.group(request.position)
+        base, arrived = c.manifest.base_of(group), set(arrival.kept)
+        for of in (group,) if base is None else (group, base):
+            for tier in range(c.manifest.levels[level].tiers):
+                if arrived.issuperset(c.manifest.key_files(of, tier, quality)):
+                    self._units.setdefault((loop, of), set()).add((quality, tier))

@@ -170,7 +170,7 @@ class _Player:
         """Show what is buffered of a group with its best keys, where they are decoded in time."""
         c, position = self.catalogue, request.position
         quality = c.rungs[request.rung][0]
-        tiers = self.keys.decoded_tiers(position).get(quality, 0)
+        tiers = self.keys.shown_tiers(position, quality)
         ready_s = self.now_s + self.settings.decode_frame_s
         for slot in self.playout.pending():
             if c.group(slot.position) != c.group(position) or slot.start_s < ready_s:
@@ -208,6 +208,7 @@ class _Player:
             position=position,
             end=self.playout.end,
             decoded_tiers=self.keys.decoded_tiers(position),
+            base_tiers=self.keys.base_tiers(position),
             options=self._options(position),
             now_s=self.now_s,
             deadline_s=self.playout.deadline_s(self.now_s),
@@ -220,7 +221,8 @@ class _Player:
 
     def _options(self, position: int) -> tuple[Option, ...]:
         """The rungs of the next segment that can be had and are smaller than what was given up."""
-        options = self.catalogue.options(self.catalogue.index(position), self.keys.decoded_tiers(position))
+        index = self.catalogue.index(position)
+        options = self.catalogue.options(index, self.keys.decoded_tiers(position), self.keys.base_tiers(position))
         if self.given_up[0] == position:
             options = tuple(p for p in options if p.size_bytes < self.given_up[1])
         if self.unusable:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import dataclasses
 
 from airgs_codec.errors import FormatError
+from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.packing import MAX_ROOT_BYTES
 from airgs_codec.package.parse import parse_root
-from airgs_codec.package.paths import JSON_NAME, locate
+from airgs_codec.package.paths import JSON_NAME, group_path, locate
 from airgs_codec.package.store import check_digest, open_manifest
 from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
 from airgs_codec.play.catalogue import Catalogue
@@ -65,10 +66,22 @@ class RemoteTables:
         if what not in ("group", "page"):
             return
         self._files[path] = data
-        if what == "group":
-            c.manifest.groups[numbers[0] - 1]
-        else:
-            c.manifest.groups.places.entry(PAGE * (numbers[0] - 1))
+        try:
+            if what == "group":
+                self._check_kept(c.manifest, numbers[0] - 1)
+            else:
+                c.manifest.groups.places.entry(PAGE * (numbers[0] - 1))
+        except FormatError:
+            del self._files[path]
+            raise
+
+    def _check_kept(self, m: Manifest, group: int) -> None:
+        """Read a table, and check it with those that came before: one may keep rows of the other. FormatError."""
+        m.groups[group]
+        for number in [found[1][0] - 1 for found in map(locate, self._files) if found[0] == "group"]:
+            keeps = m.groups[number].keeps
+            if keeps is not None and group in (number, keeps - 1) and group_path(keeps) in self._files:
+                m.base_of(number)
 
 
 def _check_growth(before: Root, after: Root) -> None:

@@ -26,7 +26,7 @@ def horizon(*capacities, released=0.0, decoded=None, starts=None, catalogue=CATA
     """One slot for each capacity, segments in turn."""
     starts = [True] * len(capacities) if starts is None else starts
     slots = tuple(Slot(i % 2, o, released, float(c)) for i, (c, o) in enumerate(zip(capacities, starts, strict=True)))
-    return Horizon(catalogue, slots, decoded or {})
+    return Horizon(catalogue, slots, {0: decoded or {}})
 
 
 def test_everything_fits():

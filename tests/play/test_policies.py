@@ -44,6 +44,7 @@ def state(
         position=position,
         end=end,
         decoded_tiers=held,
+        base_tiers={},
         options=catalogue.options(position % 2, held),
         now_s=100.0,
         deadline_s=100.0 + buffer_s,

@@ -25,7 +25,10 @@ class Offer:
         self.levels: list[Numbers] = numbers["levels"]
         self.groups: list[list[list[int]]] = numbers["groups"]  # G x Q x T wire bytes
         self.segments: list[Numbers] = numbers["segments"]
-        self.manifest = SimpleNamespace(levels=self.levels)
+        of_segments = [s["group"] for s in self.segments]
+        self.manifest = SimpleNamespace(
+            levels=self.levels, group_of=of_segments.__getitem__, base_of=lambda group: None
+        )
         self.rungs = [(q, j) for q in range(len(self.groups[0])) for j in range(len(self.levels))]
         self.quality = np.array([[s["psnr"][j][q] for q, j in self.rungs] for s in self.segments])
 
@@ -45,6 +48,10 @@ class Offer:
     def bytes_from_scratch(self) -> NDArray[np.int64]:
         """(S, R) wire bytes where no key of the group is decoded."""
         return np.array([self.sizes(s, {}) for s in range(len(self.segments))])
+
+    def bytes_at_start(self, segment: int, known: object) -> NDArray[np.int64]:
+        """(1, R) wire bytes at the start of a group; no group keeps rows of another."""
+        return self.bytes_from_scratch[segment][None]
 
     @cached_property
     def bytes_after(self) -> NDArray[np.int64]:

@@ -22,6 +22,7 @@ def player_state(offer: Offer, state: State) -> PlayerState:
         position=state["position"],
         end=state["end"],
         decoded_tiers=decoded,
+        base_tiers={},
         options=tuple(option for option in options if option.index not in state["unavailable"]),
         now_s=state["now_s"],
         deadline_s=state["deadline_s"],

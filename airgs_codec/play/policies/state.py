@@ -32,6 +32,7 @@ class PlayerState:
     position: int  # of the segment in the session
     end: int  # positions of the session
     decoded_tiers: DecodedTiers  # of the segment's group
+    base_tiers: DecodedTiers  # of the group whose rows it keeps
     options: tuple[Option, ...]  # every rung that can be had, with its wire bytes
     now_s: float
     deadline_s: float  # when it must arrive to be shown in time; in the past when the player waits
@@ -45,6 +46,14 @@ class PlayerState:
     def segment(self) -> int:
         """The segment in the package."""
         return self.catalogue.index(self.position)
+
+    @property
+    def known_keys(self) -> dict[int, DecodedTiers]:
+        """What is decoded of the segment's group and of the one whose rows it keeps."""
+        m = self.catalogue.manifest
+        group = m.group_of(self.segment)
+        base = m.base_of(group)
+        return {group: self.decoded_tiers} | ({} if base is None else {base: self.base_tiers})
 
     @property
     def segment_s(self) -> float:

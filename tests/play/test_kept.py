@@ -1,0 +1,134 @@
+"""Sessions over packages whose groups keep rows of an earlier one: what must be fetched for that, and no more."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airgs_codec.package.references import check_group, check_kept
+from airgs_codec.package.tables import NO_FILE
+from airgs_codec.play.bound import Horizon, Slot, solve_horizon
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.link import Link
+from airgs_codec.play.regret import session_bound
+from airgs_codec.play.session import simulate
+from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.trace import Trace
+from tests.support.manifests import in_groups, missing, tiny_manifest
+
+RULES = SessionSettings(
+    startup_s=0.0, resume_s=0.0, decode_frame_s=0.0, loops=1, pipelined=False, replace=False, abandon=False
+)
+
+
+def keeping(m, number=2, of=1, kept=(8, 10)):
+    """The manifest with a group that keeps rows; a tier that keeps all 10 of its rows has no pictures."""
+    groups = list(m.groups)
+    group = groups[number - 1]
+    tiers = [
+        replace(
+            tier,
+            kept=count,
+            qualities=[replace(a, rows=10 - count, planes=a.planes if count < 10 else []) for a in tier.qualities],
+            pictures=tier.pictures if count < 10 else [NO_FILE] * len(tier.pictures),
+        )
+        for tier, count in zip(group.tiers, kept, strict=True)
+    ]
+    groups[number - 1] = replace(group, tiers=tiers, keeps=of)
+    return replace(m, groups=in_groups(groups))
+
+
+def link(*rates):
+    return Link(Trace("t", np.arange(len(rates), dtype=float), np.array(rates, float), float(len(rates))), 0.0)
+
+
+def play(m, policy="fixed:0", over=None, faults=None, **options):
+    return simulate(Catalogue(m, 0, 1000), over or link(8e4), policy, replace(RULES, **options), faults)
+
+
+def files(log):
+    """The key files of each batch."""
+    return [[p for p in f.files if p.startswith("key/")] for f in log.fetches if f.kind in ("group", "state")]
+
+
+def test_the_manifest_is_one():
+    m = keeping(tiny_manifest())
+    check_group(m, m.groups.places.entry(1), m.groups[1], "group")
+    check_kept(m.groups[1], m.groups[0], "group")
+
+
+def test_who_has_the_base_fetches_only_what_is_new():
+    """Of 3000 + 1000 B of pictures the second group has the first tier's alone, with both sidecars."""
+    log = play(keeping(tiny_manifest()))
+    assert [f.bytes for f in log.fetches if f.kind == "group"] == [6300, 3000 + 200 + 2100]
+
+
+def test_who_joins_at_a_group_fetches_the_table_and_keys_of_its_base():
+    catalogue = Catalogue(keeping(tiny_manifest()), 0, 1000, first=1)
+    log = simulate(catalogue, link(8e4), "fixed:0", RULES)
+    tables = [f.bytes for f in log.fetches if f.kind == "tables"]
+    assert tables == [1000, 100, 100]  # airgs.json, the table of the group, then that of its base
+    assert [f.bytes for f in log.fetches if f.kind == "group"] == [3000 + 200 + 4200 + 2100]
+
+
+def test_a_tier_that_keeps_nothing_needs_nothing_of_the_base():
+    catalogue = Catalogue(keeping(tiny_manifest(), kept=(0, 4)), 0, 1000, first=1)
+    log = simulate(catalogue, link(8e4), "fixed:0", RULES)
+    assert [f.bytes for f in log.fetches if f.kind == "group"] == [4000 + 200 + 1000 + 100 + 2100]
+
+
+def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
+    m = keeping(tiny_manifest())
+    c = Catalogue(m, 0, 1000)
+    q0, q1 = (c.rungs.index((q, 0)) for q in (0, 1))
+    assert c.sizes(1, {}, {0: 2})[q0] == 3000 + 200 + 2100
+    assert c.sizes(1, {}, {0: 2})[q1] == 1000 + 200 + (1000 + 500 + 200) + 2100
+    batch = c.batch(1, q1, {}, {0: 2})
+    assert batch.keys == (
+        *("key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s"),
+        *("key/T1/2.bin", "key/T1/1.bin", "key/T1/Q1/1.m4s"),
+    )
+    assert c.wire_bytes([c.file_bytes(p) for p in batch.files]) == c.sizes(1, {}, {0: 2})[q1]
+
+
+def test_each_loop_fetches_the_base_again():
+    log = play(keeping(tiny_manifest()), loops=2)
+    assert [f.bytes for f in log.fetches if f.kind == "group"] == [6300, 5300, 6300, 5300]
+
+
+def test_two_groups_after_each_other_keep_rows_of_one():
+    m = keeping(keeping(tiny_manifest(groups=(10, 10, 10))), 3)
+    catalogue = Catalogue(m, 0, 1000, first=1)
+    log = simulate(catalogue, link(8e4), "fixed:0", RULES)
+    assert [f.bytes for f in log.fetches if f.kind == "group"] == [3000 + 200 + 4200 + 2100, 5300]
+
+
+@pytest.mark.parametrize("path", ["group/1.json.gz", "key/T0/1.bin"])
+def test_a_group_whose_base_cannot_be_had_is_lost_and_the_next_one_is_not(path):
+    m = keeping(tiny_manifest(groups=(10, 10, 10)))
+    log = play(m, faults=missing(path))
+    assert [s.rung is None for s in log.shown] == [True, True, False]
+
+
+def test_the_programme_pays_for_a_base_once():
+    c = Catalogue(keeping(tiny_manifest()), 0, 1000)
+    both = (Slot(0, True, 0.0, 6300.0), Slot(1, True, 0.0, 6300.0 + 5300))
+    best = solve_horizon(Horizon(c, both, {}), integer=True)
+    assert best is not None and best.quality == pytest.approx(40.0)
+    alone = solve_horizon(Horizon(c, (replace(both[1], capacity=9500.0),), {}), integer=True)
+    assert alone is not None and alone.first_bytes == pytest.approx(9500)
+    held = solve_horizon(Horizon(c, (replace(both[1], capacity=5300.0),), {0: {0: 2}}), integer=True)
+    assert held is not None and held.quality == pytest.approx(40.0)
+
+
+@given(st.lists(st.floats(2e4, 2e5), min_size=2, max_size=6), st.sampled_from([(8, 10), (0, 4), (3, 0)]))
+@settings(max_examples=20, deadline=None)
+def test_no_session_beats_the_bound(rates, kept):
+    m = keeping(keeping(tiny_manifest(groups=(10, 10, 10, 10)), 2, 1, kept), 4, 1, kept)
+    for policy, loops in itertools.product(("throughput", "robust-mpc", "oracle-lp", "fixed:Q1+L1"), (1, 2)):
+        log = play(m, policy, link(*rates), loops=loops, replace=True, abandon=True)
+        best = session_bound(log)
+        assert best is not None and best >= log.mean_quality - 1e-6
