@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, Sensitivity
 from airgs_codec.media.metrics import mse
-from airgs_codec.render import Camera, cpu
-from airgs_codec.scene.camera import Background
+from airgs_codec.render import Camera
+from airgs_codec.render.backend import CPU, Renderer, Without
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 
@@ -55,23 +55,28 @@ class RowPruning:
     """Leaves out the least important rows of some frames."""
 
     def __init__(
-        self, pictures: Sequence[tuple[Gaussians, Camera]], rank: NDArray[np.float64], errors: dict[int, float]
+        self,
+        pictures: Sequence[tuple[Gaussians, Camera]],
+        rank: NDArray[np.float64],
+        errors: dict[int, float],
+        renderer: Renderer = CPU,
     ) -> None:
         """`rank` is the (N,) `importance` of the rows; `errors` keeps what has been rendered: rows left out -> error.
 
         Whoever asks for the same pictures again gives the same dictionary, at first an empty one.
         """
         self._pictures = pictures
+        self._renderer = renderer
         self._order = np.argsort(rank, kind="stable")
         self._errors = errors
         self._errors[0] = 0.0
         self._unused = min(int(np.count_nonzero(rank == 0)), len(rank) - 1)
 
     @cached_property
-    def _seen(self) -> list[tuple[cpu.Tiles, Background, NDArray[np.float32]]]:
-        """Projected rows, background and the whole picture of each."""
-        tiles = [(cpu.project(cpu.activate(g), camera).tiles, camera.background) for g, camera in self._pictures]
-        return [(t, background, cpu.draw(t, background).rgb) for t, background in tiles]
+    def _seen(self) -> list[tuple[Without, NDArray[np.float32]]]:
+        """What draws each picture without some rows, and the whole picture."""
+        drawn = [self._renderer.load(g).without(camera) for g, camera in self._pictures]
+        return [(without, without(None)) for without in drawn]
 
     def within(self, allowed: float) -> KeptRows:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
@@ -98,7 +103,7 @@ class RowPruning:
         """Pooled error of pictures without the `count` least important rows."""
         kept = np.ones(len(self._order), bool)
         kept[self._order[:count]] = False
-        errors = [mse(cpu.draw(t.keep(kept), background).rgb, full) for t, background, full in self._seen]
+        errors = [mse(without(kept), full) for without, full in self._seen]
         return self._errors.setdefault(count, pooled_error(errors))
 
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.usage import UsageSums
-from airgs_codec.render import Camera, cpu
+from airgs_codec.render import Camera
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
@@ -44,13 +45,15 @@ class Sensitivity:
         return Sensitivity(*(getattr(self, f.name)[rows] for f in fields(self)))
 
 
-def measure_sensitivity(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> Sensitivity:
+def measure_sensitivity(
+    frames: Sequence[Gaussians], cameras: Sequence[Camera], renderer: Renderer = CPU
+) -> Sensitivity:
     """Mean over `frames` (of one group) and at most MAX_VIEWS cameras spread evenly."""
     chosen = [cameras[i] for i in evenly_spaced(len(cameras), MAX_VIEWS)]
-    return measure_views([(frame, camera) for frame in frames for camera in chosen])[1]
+    return measure_views([(frame, camera) for frame in frames for camera in chosen], renderer)[1]
 
 
-def measure_views(pictures: Sequence[tuple[Gaussians, Camera]]) -> tuple[Usage, Sensitivity]:
+def measure_views(pictures: Sequence[tuple[Gaussians, Camera]], renderer: Renderer = CPU) -> tuple[Usage, Sensitivity]:
     """Usage of the rows of a group in some pictures and their sensitivity, each picture drawn once for both.
 
     A picture is a frame of the group and a camera; pictures of one frame that follow each other share work. One random
@@ -63,12 +66,12 @@ def measure_views(pictures: Sequence[tuple[Gaussians, Camera]]) -> tuple[Usage, 
     samples = 0
     for _, same in itertools.groupby(pictures, key=lambda picture: id(picture[0])):
         shown = list(same)
-        active = cpu.activate(shown[0][0])
+        loaded = renderer.load(shown[0][0])
         for _, camera in shown:
             signs = rng.integers(0, 2, (camera.height, camera.width, 3)).astype(np.float32) * 2 - 1
-            contribution, derivatives = cpu.contribution_and_gradients(active, camera, signs)
+            contribution, derivatives = loaded.contribution_and_gradients(camera, signs)
             usage.add(contribution)
-            squares += _squares(active, derivatives)
+            squares += _squares(loaded.inputs, derivatives)
             samples += signs.size
     return usage.usage(), Sensitivity(*(squares / samples))
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from airgs_codec.render import Camera, Contribution, measure_contribution
+from airgs_codec.render import Camera, Contribution
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 
@@ -28,10 +29,11 @@ class UsageSums:
         return Usage(self._total, self._peak, self._hits)
 
 
-def measure_usage(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> Usage:
+def measure_usage(frames: Sequence[Gaussians], cameras: Sequence[Camera], renderer: Renderer = CPU) -> Usage:
     """Usage over some frames of one group, seen by all cameras."""
     sums = UsageSums(len(frames[0]))
     for frame in frames:
+        loaded = renderer.load(frame)
         for camera in cameras:
-            sums.add(measure_contribution(frame, camera))
+            sums.add(loaded.contribution(camera))
     return sums.usage()

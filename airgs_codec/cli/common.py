@@ -116,6 +116,14 @@ def add_views(parser: argparse._ActionsContainer, purpose: str, default: str) ->
     parser.add_argument("--views", type=Path, metavar="PATH", help=words)
 
 
+def add_device(parser: argparse._ActionsContainer, purpose: str) -> None:
+    """The option --device; `purpose` says what the device is for."""
+    from airgs_codec.render.backend import DEVICES  # loads numba, for which OMP_WAIT_POLICY must have been set
+
+    words = f"{purpose}: cuda needs a GPU and the cuda extra (default: auto, cuda where it can)"
+    parser.add_argument("--device", choices=DEVICES, default="auto", help=words)
+
+
 def parse_frames(text: str | None) -> tuple[int, int | None]:
     """First frame and the one after the last of A:B, A:, :B or a single number; None stands for the end.
 

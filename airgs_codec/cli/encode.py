@@ -13,7 +13,7 @@ from typing import Any
 from airgs_codec._settings import about
 from airgs_codec.analysis.rows import ROWS
 from airgs_codec.cli.baking import add_baking, is_told, told_baking
-from airgs_codec.cli.common import Bar, add_views, expect_rate, fraction, run_command
+from airgs_codec.cli.common import Bar, add_device, add_views, expect_rate, fraction, run_command
 from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.training import train_by_default
 from airgs_codec.cli.world import add_world, told_world, with_signs
@@ -176,6 +176,7 @@ def _add_coding(parser: argparse.ArgumentParser) -> None:
     _add_setting(group, "--measure-pictures", "measure_pictures", metavar="N")
     _add_setting(group, "--preset", "preset", choices=PRESETS)
     _add_setting(group, "--jobs", "jobs", metavar="N")
+    add_device(group, "where multi-view video is trained, and pictures that decide and measure are drawn")
 
 
 def _group(text: str) -> int | None:
@@ -229,7 +230,7 @@ def _run(args: argparse.Namespace) -> int:
     baking, multiview = told_baking(args), is_multiview(args.scene)
     if multiview and is_told(baking):
         raise ConfigError(f"{args.scene}: expected a clip for --bake-fps or --duration, got multi-view pictures")
-    folder = train_by_default(args.scene, args.fps, quiet=args.json) if multiview else args.scene
+    folder = train_by_default(args.scene, args.fps, args.device, quiet=args.json) if multiview else args.scene
     sequence = open_sequence(folder, views=args.views, fps=args.fps, **baking)
     if sequence.clip and not args.json:
         print(f"clip: {args.scene}: {sequence.clip.note}", flush=True)

@@ -15,7 +15,7 @@ from airgs_codec._files import to_json
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
 from airgs_codec.cli.baking import add_baking, told_baking
-from airgs_codec.cli.common import PACKAGE, Bar, add_views, run_command
+from airgs_codec.cli.common import PACKAGE, Bar, add_device, add_views, run_command
 from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
@@ -38,6 +38,7 @@ from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import ENDS, open_trace
 from airgs_codec.render import read_cameras
+from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import open_sequence
 
 MODES = ("segments", "frames", "closed-loop")
@@ -80,6 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     add_baking(out)
     out.add_argument("--report", type=Path, metavar="DIR", help="write pictures and a page")
     out.add_argument("--video", type=Path, metavar="OUT.mp4", help="film what was on the screen")
+    add_device(out, "where pictures are drawn")
     out.add_argument("--json", action="store_true", help="print the figures as JSON")
     return parser
 
@@ -176,7 +178,7 @@ def _present(package: Package, log: SessionLog, args: argparse.Namespace) -> Non
     viewer = _viewer(log, args) if args.report or args.video else None
     if args.report and viewer:
         args.report.mkdir(parents=True, exist_ok=True)
-        write_png(args.report / "screen.png", still(package, log, viewer.cameras[0]))
+        write_png(args.report / "screen.png", still(package, log, viewer.cameras[0], viewer.renderer))
         write_report(log, args.report, viewer)
     if args.video and viewer:
         bar = Bar(args.json)
@@ -191,7 +193,8 @@ def _viewer(log: SessionLog, args: argparse.Namespace) -> Viewer:
     cameras = read_cameras(args.views) if args.views else []
     if all(shown.rung is None for shown in log.shown):
         raise ConfigError(f"{args.package}: nothing can be shown: {'; '.join(log.lost)}")
-    return Viewer.of(log, before_background(log.catalogue.manifest.region, cameras))
+    walked = before_background(log.catalogue.manifest.region, cameras)
+    return Viewer.of(log, walked, open_renderer(args.device))
 
 
 def _as_words(log: SessionLog, viewer: Viewer | None, args: argparse.Namespace) -> str:
@@ -217,7 +220,8 @@ def _closed_loop(package: Package, link: Link, args: argparse.Namespace) -> int:
     training, measured = checking_views(package.manifest.region, cameras)
     bar = Bar(args.json)
     loops = Catalogue(package.manifest).loops(args.loops)
-    settings = ClosedLoopSettings(training, measured, link, loops)
+    renderer = open_renderer(args.device)
+    settings = ClosedLoopSettings(training, measured, link, loops, renderer=renderer)
     served = run_closed_loop(package, adaptive, settings, bar)
     bar.close()
     table = closed_loop_table(served)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
-from airgs_codec.cli.common import expect_rate, fraction, parse_frames, run_command
-from airgs_codec.cli.training import default_model, default_settings, pick_device, pose_rig, require_torch, run_training
+from airgs_codec.cli.common import add_device, expect_rate, fraction, parse_frames, run_command
+from airgs_codec.cli.training import default_model, default_settings, pose_rig, require_torch, run_training
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
@@ -41,9 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--resume", action="store_true", help="go on with the run in the model folder")
     parser.add_argument("--report", type=Path, metavar="DIR", help="write curves, pictures, error maps and a page")
     parser.add_argument("--json", action="store_true", help="print the record as JSON instead of a line a frame")
-    parser.add_argument(
-        "--device", choices=("auto", "cpu", "cuda"), default="auto", help="where it runs (default: cuda if it can)"
-    )
+    add_device(parser, "where it runs")
     _add_pictures(parser.add_argument_group("pictures"))
     _add_rig(parser.add_argument_group("videos without poses"))
     _add_method(parser.add_argument_group("method"))
@@ -129,6 +127,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(args: argparse.Namespace) -> int:
     require_torch()
+    from airgs_codec.render.backend import open_renderer
     from airgs_codec.train.data.pictures import pictures_for
     from airgs_codec.train.report import write_report
     from airgs_codec.train.run import open_run
@@ -137,16 +136,16 @@ def _run(args: argparse.Namespace) -> int:
         require_matplotlib("--report")
         if args.report.exists() and not args.report.is_dir():
             raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
-    device = pick_device(args.device)
-    settings = _settings(args, device)
+    renderer = open_renderer(args.device)
+    settings = _settings(args, renderer.device)
     scene = _scene(args)
     if settings.background is None and scene.background != BLACK and not args.json:
         print(f"{args.scene}: its pictures are before a background of {','.join(f'{c:g}' for c in scene.background)}")
     folder = args.output or default_model(args.scene)
-    run = open_run(scene, folder, settings, resume=args.resume, device=device)
+    run = open_run(scene, folder, settings, resume=args.resume, device=renderer.device)
     model = run_training(run, quiet=args.json)
     if args.report:
-        write_report(model, pictures_for(scene, settings), args.report)
+        write_report(model, pictures_for(scene, settings), args.report, renderer)
     print(json.dumps(summary(model)) if args.json else as_words(model, args.report))
     return 0
 

@@ -23,17 +23,18 @@ if TYPE_CHECKING:
     from airgs_codec.train.run import Run
 
 
-def train_by_default(scene: Path, fps: Fraction | None, *, quiet: bool) -> Path:
+def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: bool) -> Path:
     """The model folder of a multi-view scene, trained as far as it is not yet, with default settings.
 
-    `fps`: frames a second, instead of what the scene says. `quiet`: say nothing.
+    `fps`: frames a second, instead of what the scene says. `device`: auto, cpu or cuda. `quiet`: say nothing.
     """
     require_torch()
+    from airgs_codec.render.backend import open_renderer
     from airgs_codec.train.run import open_run
 
     pose_rig(scene, quiet=quiet)
     views = with_held_out(open_scene(scene, fps=fps), None)
-    device = pick_device("auto")
+    device = open_renderer(device).device
     run = open_run(views, default_model(scene), default_settings(device), resume=True, device=device)
     return run_training(run, quiet=quiet).folder
 
@@ -100,15 +101,3 @@ def default_model(scene: Path) -> Path:
 def default_settings(device: str) -> TrainSettings:
     """The settings of a run on cpu or cuda unless others are named."""
     return TrainSettings(deltas="direct" if device == "cpu" else "mlp+residual")
-
-
-def pick_device(wanted: str) -> str:
-    """cpu or cuda for auto, cpu or cuda. Raises ConfigError where cuda is wanted and cannot run."""
-    if wanted == "cpu":
-        return "cpu"
-    from airgs_codec.render import cuda
-
-    reason = cuda.missing()
-    if wanted == "cuda" and reason:
-        raise ConfigError(f"--device cuda: {reason}")
-    return "cpu" if reason else "cuda"

@@ -15,6 +15,7 @@ from airgs_codec.package.layout import STATE
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import STATIC
 from airgs_codec.render import Camera
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
 
 MEASURED = ("sum", "max", "hits", "max x change")  # by which updates can be ranked here
@@ -59,11 +60,11 @@ def load_states(package: Package, group: int) -> GroupStates:
     return GroupStates(base, rows, steps, values, level, g.start)
 
 
-def score_rows(states: GroupStates, cameras: list[Camera]) -> dict[str, NDArray[np.float64]]:
+def score_rows(states: GroupStates, cameras: list[Camera], renderer: Renderer = CPU) -> dict[str, NDArray[np.float64]]:
     """(n,) for each of MEASURED: usage of the rows that move, seen by `cameras` in three frames of the group."""
     count = len(states.values)
     frames = [states.show(states.values[t]) for t in sorted({0, count // 2, count - 1})]
-    usage = measure_usage(frames, cameras)
+    usage = measure_usage(frames, cameras, renderer)
     changed = states.values / states.steps[:, None]
     size = np.sqrt(np.einsum("tcn,tcn->n", changed, changed) / count)
     scores = {name: usage.measure(name)[states.rows] for name in MEASURED[:3]}

@@ -28,6 +28,7 @@ from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Group
 from airgs_codec.package.writing import GrowingPackage, write_tables
 from airgs_codec.progress import Progress, silent
+from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.growing import GrowingFolder
 from airgs_codec.scene.sequence import GaussianSequence, read_attribution
 
@@ -142,7 +143,12 @@ def _begin(
     """Settle everything on the first group, frames [0, stop), and publish it."""
     part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
     views = ViewPlan.of(
-        part, settings.decide_pictures, margin=settings.margin, region=settings.region, world=settings.world
+        part,
+        settings.decide_pictures,
+        margin=settings.margin,
+        region=settings.region,
+        world=settings.world,
+        renderer=open_renderer(settings.device),
     )
     survey = survey_group(part, GroupSpan(0, 0, stop), views)
     credit = read_attribution(sequence.folder) if attribution is None else attribution

@@ -98,7 +98,9 @@ class _Trial:
         frames = dict(zip(numbers, sequence.load(numbers).frames, strict=True))
         share = min(1.0, (PICTURE_PIXELS / (views.deciding[0].width * views.deciding[0].height)) ** 0.5)
         cameras = [resized(camera, share) for camera in views.deciding]
-        _, sensitivity = measure_views([(frames[n], camera) for n, camera in zip(seen, cameras, strict=False)])
+        _, sensitivity = measure_views(
+            [(frames[n], camera) for n, camera in zip(seen, cameras, strict=False)], views.renderer
+        )
         return _Trial(run, frames, sensitivity, settings, sequence, views.trusted)
 
     def cost(self, length: int) -> LengthCost:

@@ -20,7 +20,6 @@ from airgs_codec.encoder.views import Pictures
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import STATIC, LeftOut
-from airgs_codec.render import render
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -41,12 +40,13 @@ def omit_bands(sequence: GaussianSequence, survey: Survey, step: float, price: f
     if not sequence.sh_degree or price == 0:
         return sequence.sh_degree, None
     g = sequence.load([survey.span.middle]).frames[0]
-    full = [(camera, render(g, camera).rgb) for _, camera in survey.checks]
+    draw = survey.renderer.render
+    full = [(camera, draw(g, camera).rgb) for _, camera in survey.checks]
     bands, cost, size = g.sh_degree, 0.0, 0.0
     while bands:
         fewer = g.with_degree(bands - 1)
         band = _band_bytes(g, bands, step) / survey.span.frames
-        error = pooled_error([mse(render(fewer, camera).rgb, picture) for camera, picture in full])
+        error = pooled_error([mse(draw(fewer, camera).rgb, picture) for camera, picture in full])
         if error > price / 2 * (size + band):
             break
         bands, cost, size = bands - 1, error, size + band
@@ -96,11 +96,12 @@ class KeyOmissions:
         if price == 0 or not coded.any():
             return np.zeros(len(self.sizes), bool), None
         shown = self._show(self.values)
-        full = [(camera, render(shown, camera).rgb) for _, camera in self.layout.pictures]
+        draw = self.layout.renderer.render
+        full = [(camera, draw(shown, camera).rgb) for _, camera in self.layout.pictures]
 
         def error(omitted: NDArray[np.bool_]) -> float:
             without = self._show(np.where(omitted[:, None] & coded, self.centres[:, None], self.values))
-            return pooled_error([mse(render(without, camera).rgb, picture) for camera, picture in full])
+            return pooled_error([mse(draw(without, camera).rgb, picture) for camera, picture in full])
 
         chosen, cost = select_omissions(self.sizes, self.guesses, error, price)
         saved = float(self.sizes[chosen].sum())
@@ -196,7 +197,8 @@ class StateOmissions:
         rendered = []
         for t, camera in pictures:
             values = np.where(omitted[:, None], centres[:, None], self.states[t])
-            rendered.append(render(self.applier.apply(values.astype(np.float32)), camera).rgb)
+            shown = self.applier.apply(values.astype(np.float32))
+            rendered.append(self.layout.renderer.render(shown, camera).rgb)
         return rendered
 
 

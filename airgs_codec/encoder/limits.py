@@ -14,7 +14,6 @@ from airgs_codec.encoder.encoder import Encoded
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.media.metrics import Reference, psnr
 from airgs_codec.package.store import Package
-from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -35,13 +34,14 @@ def find_limit(package: Package, encoded: Encoded, original: GaussianSequence, v
     The part is a name of PARTS or LEFT_OUT. Raises FormatError for a package that does not decode.
     """
     errors: dict[str, list[float]] = {}
+    draw = views.renderer.render
     numbers = evenly_spaced(package.manifest.frames, FRAMES)
     for number, camera in zip(numbers, views.measuring, strict=False):
         whole = original.load([number]).frames[0]
         group = next(g for g, layout in enumerate(encoded.layouts) if number < layout.span.stop)
-        reference = Reference.of(render(whole, camera).rgb)
+        reference = Reference.of(draw(whole, camera).rgb)
         for name, shown in _made_exact(whole, decode(package, number), encoded.layouts[group].rows):
-            errors.setdefault(name, []).append(reference.mse(render(shown, camera).rgb))
+            errors.setdefault(name, []).append(reference.mse(draw(shown, camera).rgb))
     means = {name: float(np.mean(found)) for name, found in errors.items()}
     best = min(means, key=lambda name: means[name])
     return best, psnr(means[best])

@@ -28,6 +28,7 @@ from airgs_codec.encoder.survey import GroupSpan, Survey, pair
 from airgs_codec.encoder.views import Pictures
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, Grid, KeySteps, StateSteps, unpack_matrix
+from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
 from airgs_codec.scene.repair import Repaired
 
@@ -56,6 +57,7 @@ class GroupLayout:
     state_steps: StateSteps
     transform: NDArray[np.float64]  # (C, C) KLT of the colours, as stored
     base_rows: NDArray[np.intp]  # (N,) rows of an earlier group, in file order, that are kept; CODED_HERE: of no group
+    renderer: Renderer
 
     @property
     def colours(self) -> int:
@@ -137,12 +139,13 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
         state_steps=steps.state,
         transform=unpack_matrix(transform, 3 * (1 + canonical.sh_rest.shape[1])),
         base_rows=np.full(len(rows), CODED_HERE),
+        renderer=survey.renderer,
     )
 
 
 def prune_rows(frames: Sequence[Gaussians], survey: Survey) -> RowPruning:
     """Pruning of a group's rows by what some of its pictures show; `frames` are all of the group."""
-    return RowPruning(pair(frames, survey.checks), survey.importance, survey.removals)
+    return RowPruning(pair(frames, survey.checks), survey.importance, survey.removals, survey.renderer)
 
 
 def keep_rows(frames: Sequence[Gaussians], survey: Survey, settings: EncodeSettings) -> KeptRows:

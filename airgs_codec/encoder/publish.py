@@ -25,6 +25,7 @@ from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.storage import open_storage
 from airgs_codec.package.writing import write_tables
 from airgs_codec.progress import Progress, Stopwatch, silent
+from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import GaussianSequence, read_attribution
 
 
@@ -79,7 +80,12 @@ def encode(
         rows = restore_rows(sequence, settings.rows, progress)
         sequence, rows_s = rows.sequence, watch.lap()
         views = ViewPlan.of(
-            sequence, settings.decide_pictures, margin=settings.margin, region=settings.region, world=settings.world
+            sequence,
+            settings.decide_pictures,
+            margin=settings.margin,
+            region=settings.region,
+            world=settings.world,
+            renderer=open_renderer(settings.device),
         )
         groups = _plan_groups(sequence, views, settings)
         surveys = survey_groups(sequence, groups.spans, views, progress)

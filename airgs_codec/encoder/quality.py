@@ -17,7 +17,8 @@ from airgs_codec.package.manifest import Groups, Manifest, Quality
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Group, Segment, SegmentLevel
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render import Camera, render
+from airgs_codec.render import Camera
+from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.sequence import GaussianSequence
 
 _Compared = tuple[int, Camera, Reference]  # number of the frame, view, the original's picture
@@ -97,7 +98,8 @@ def measure_groups(
             progress("quality", done * len(indices) + place, (done + 1) * len(indices))
             segment = m.segments[index]
             pictures = views.measure(done * len(m.segments) + index, segment.start, segment.stop, rounds.count)
-            _measure_segment(package, index, sums[index], _references(sequence, pictures))
+            compared = _references(sequence, pictures, views.renderer)
+            _measure_segment(package, index, sums[index], compared, views.renderer)
         if done + 1 >= rounds.least and _standard_error(m, sums) <= UNSURE:
             break
     groups = []
@@ -108,7 +110,11 @@ def measure_groups(
 
 
 def _measure_segment(
-    package: Package, index: int, sums: Sequence[Sequence[QualitySums]], compared: Sequence[_Compared]
+    package: Package,
+    index: int,
+    sums: Sequence[Sequence[QualitySums]],
+    compared: Sequence[_Compared],
+    renderer: Renderer,
 ) -> None:
     """Add pictures of a segment to the sums of every level and key quality."""
     m = package.manifest
@@ -116,7 +122,7 @@ def _measure_segment(
     for j, level in enumerate(m.levels):
         for quality, base in enumerate(bases):
             looked_at = compared if quality == level.quality else compared[::OFF_LADDER]
-            _measure(package, (index, j), base, looked_at, sums[j][quality])
+            _measure(package, (index, j), base, looked_at, sums[j][quality], renderer)
 
 
 def _standard_error(m: Manifest, sums: Mapping[int, Sequence[Sequence[QualitySums]]]) -> float:
@@ -136,15 +142,21 @@ def _with_sums(m: Manifest, segment: Segment, sums: Sequence[Sequence[QualitySum
     )
 
 
-def _references(sequence: GaussianSequence, pictures: Pictures) -> list[_Compared]:
+def _references(sequence: GaussianSequence, pictures: Pictures, renderer: Renderer) -> list[_Compared]:
     """The pictures with what the original shows in them."""
     numbers = sorted({number for number, _ in pictures})
     originals = dict(zip(numbers, sequence.load(numbers).frames, strict=True))
-    return [(number, camera, Reference.of(render(originals[number], camera).rgb)) for number, camera in pictures]
+    draw = renderer.render
+    return [(number, camera, Reference.of(draw(originals[number], camera).rgb)) for number, camera in pictures]
 
 
 def _measure(
-    package: Package, rung: tuple[int, int], base: Canonical, compared: Sequence[_Compared], sums: QualitySums
+    package: Package,
+    rung: tuple[int, int],
+    base: Canonical,
+    compared: Sequence[_Compared],
+    sums: QualitySums,
+    renderer: Renderer,
 ) -> None:
     """Add pictures of `rung`, a segment's level, over the canonical space that all tiers make in a key quality."""
     m, (index, level) = package.manifest, rung
@@ -153,7 +165,7 @@ def _measure(
     places = sorted({number - segment.start for number, _, _ in compared})
     shown = dict(zip(places, decode_segment(package, index, base.first(rows), level, places), strict=True))
     for number, camera, reference in compared:
-        sums.add(render(shown[number - segment.start], camera).rgb, reference)
+        sums.add(renderer.render(shown[number - segment.start], camera).rgb, reference)
 
 
 def _with_quality(m: Manifest, index: int, sums: Sequence[QualitySums], level: SegmentLevel, turn: int) -> SegmentLevel:

@@ -135,6 +135,9 @@ class EncodeSettings:
         lambda: os.cpu_count() or 1,
         "representations encoded at the same time, by default one for each core; the bytes are the same",
     )
+    device: str = setting(
+        "auto", "where pictures that decide and measure are drawn: cpu, cuda, or auto, cuda where gsplat can run"
+    )
 
     def __post_init__(self) -> None:
         shares = [level.pruned for level in self.levels]

@@ -13,6 +13,7 @@ from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.encoder.views import Pictures, ViewPlan
 from airgs_codec.progress import Progress
 from airgs_codec.render import Camera
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 from airgs_codec.scene.usage import Usage
@@ -47,6 +48,7 @@ class Survey:
     sensitivity: Sensitivity
     importance: NDArray[np.float64]  # (N,) of `analysis.importance`
     trusted: bool  # rows that no picture shows may be left out
+    renderer: Renderer = CPU
     removals: dict[int, float] = field(default_factory=dict)  # errors in `checks` known so far, see `RowPruning`
 
     def score(self, name: str) -> NDArray[np.float64]:
@@ -63,12 +65,12 @@ def survey_group(sequence: GaussianSequence, span: GroupSpan, views: ViewPlan) -
     """Survey one group over all of its frames; where the trainer's usage fits its rows, it takes precedence."""
     frames = sequence.load(range(span.start, span.stop)).frames
     pictures = sorted(views.decide(span.frames), key=lambda picture: picture[0])  # those of one frame share work
-    usage, sensitivity = measure_views(pair(frames, pictures))
+    usage, sensitivity = measure_views(pair(frames, pictures), views.renderer)
     known = sequence.usage(span.start, span.stop)
     if known is not None and len(known.peak) == len(frames[0]):
         usage = known
     ranked = importance(frames, usage, sensitivity)
-    return Survey(span, views.check(span.frames), usage, sensitivity, ranked, views.trusted)
+    return Survey(span, views.check(span.frames), usage, sensitivity, ranked, views.trusted, views.renderer)
 
 
 def survey_groups(

@@ -26,7 +26,6 @@ from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import STATIC
 from airgs_codec.progress import Progress, Stopwatch, silent
-from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -168,18 +167,19 @@ def _take_back(attempt: Attempt, encoded: Encoded, measured: float, promised: fl
 def _part_errors(attempt: Attempt, encoded: Encoded) -> tuple[float, float]:
     """Mean squared error of pictures without the rows left out, and with updates of the top level withheld."""
     errors: list[tuple[float, float]] = []
+    draw = attempt.job.views.renderer.render
     views = iter(draw_views(attempt.job.views.region, CHECKED, CHECKING))
     picked = evenly_spaced(len(encoded.layouts), CHECKED)
     for i in picked:
         layout, depths = encoded.layouts[i], encoded.depths[i]
         frames = attempt.job.sequence.load(range(layout.span.start, layout.span.stop)).frames
         for place, camera in zip(evenly_spaced(len(frames), max(1, CHECKED // len(picked))), views, strict=False):
-            whole = render(frames[place], camera).rgb
+            whole = draw(frames[place], camera).rgb
             canonical = mean_frame(frames)
             errors.append(
                 (
-                    mse(render(_only(frames[place], layout.rows), camera).rgb, whole),
-                    mse(render(_held(frames[place], canonical, layout.rows[depths == STATIC]), camera).rgb, whole),
+                    mse(draw(_only(frames[place], layout.rows), camera).rgb, whole),
+                    mse(draw(_held(frames[place], canonical, layout.rows[depths == STATIC]), camera).rgb, whole),
                 )
             )
     rows, held = np.mean(errors, axis=0)

@@ -19,6 +19,7 @@ from airgs_codec.package.region import DECIDING, MEASURING, draw_views, with_bac
 from airgs_codec.package.tables import Region, Views, World
 from airgs_codec.package.world import up_of, world_from, world_words
 from airgs_codec.render import Camera
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.camera import resized, training_views
 from airgs_codec.scene.formats.table import format_of
 from airgs_codec.scene.sequence import GaussianSequence
@@ -44,6 +45,7 @@ class ViewPlan:
     small: bool  # pictures are small, so that twice as many decide and measure
     notes: tuple[str, ...] = ()  # how the region was found, for people
     world: World | None = None  # which way is up, where it is told
+    renderer: Renderer = CPU  # draws all pictures
 
     @staticmethod
     def of(
@@ -53,11 +55,12 @@ class ViewPlan:
         margin: float | None = None,
         region: Region | None = None,
         world: World | None = None,
+        renderer: Renderer = CPU,
     ) -> ViewPlan:
         """The region that is given, else the one about the scene's cameras, else about places that were found.
 
         `pictures` of each group decide, at least. Which way is up, `world` tells, else the format of the frames, else
-        nobody.
+        nobody. `renderer` draws all pictures.
         """
         axes, notes = sequence.axes, []
         if world is None and axes:
@@ -65,7 +68,7 @@ class ViewPlan:
             source = "the file" if sequence.clip else f"the specification of {format_of(sequence.paths[0]).name}"
             notes.append(f"{world_words(world)}; {source} says so")
         plan = _plan(sequence, pictures, margin, region, None if world is None else up_of(world))
-        return replace(plan, world=world, notes=(*plan.notes, *notes))
+        return replace(plan, world=world, renderer=renderer, notes=(*plan.notes, *notes))
 
     def decide(self, frames: int) -> Pictures:
         """Pictures of a group of so many frames: all frames or evenly many of them, each from a view of its own."""

@@ -24,7 +24,8 @@ from airgs_codec.package.store import Package
 from airgs_codec.play.ladder import frame_budget
 from airgs_codec.play.link import Link
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render import Camera, render
+from airgs_codec.render import Camera
+from airgs_codec.render.backend import CPU, Renderer
 
 KeptRows = Mapping[float, NDArray[np.bool_]]  # pruned share -> (n,) rows whose changes are sent
 Chooser = Callable[["Server", int, float], float]  # server, frame of the group, budget in bytes -> pruned share
@@ -52,6 +53,7 @@ class ClosedLoopSettings:
     link: Link | None = None  # None: budgets are unlimited
     loops: int = 1  # times that the sequence is played
     ranking: str = "hits"  # measure of usage that rows are ranked by (the paper's: hits), one of MEASURED
+    renderer: Renderer = CPU
 
 
 def encode_change(change: NDArray[np.int32], kept: KeptRows, share: float) -> bytes:
@@ -175,7 +177,7 @@ class _Group:
 
 def _open_group(package: Package, group: int, settings: ClosedLoopSettings) -> _Group:
     states = load_states(package, group)
-    score = score_rows(states, list(settings.training))[settings.ranking]
+    score = score_rows(states, list(settings.training), settings.renderer)[settings.ranking]
     return _Group(states, {share: kept_rows(score, share) for share in SHARES}, float(package.manifest.fps))
 
 
@@ -196,16 +198,16 @@ def _serve(group: _Group, choose: Chooser, settings: ClosedLoopSettings, played:
             budget=budget,
             stale=server.stale(t),
             drift=int(np.abs(viewer.held - server.sent).max(initial=0)),
-            mse=np.nan if played else _error(states, viewer, t, settings.views),
+            mse=np.nan if played else _error(states, viewer, t, settings),
         )
 
 
-def _error(states: GroupStates, viewer: Viewer, t: int, views: Sequence[Camera]) -> float:
+def _error(states: GroupStates, viewer: Viewer, t: int, settings: ClosedLoopSettings) -> float:
     """Mean squared error, over pixels and views, of what the viewer shows of a frame against the top rung."""
     steps = states.steps[:, None].astype(np.float32)
-    shown = states.show(viewer.held.astype(np.float32) * steps)
-    top = states.show(states.values[t])
-    return float(np.mean([mse(render(shown, camera).rgb, render(top, camera).rgb) for camera in views]))
+    shown = settings.renderer.load(states.show(viewer.held.astype(np.float32) * steps))
+    top = settings.renderer.load(states.show(states.values[t]))
+    return float(np.mean([mse(shown.draw(camera).rgb, top.draw(camera).rgb) for camera in settings.views]))
 
 
 def closed_loop_table(served: Sequence[ServedFrame]) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -14,11 +14,21 @@ def _before_backward() -> tuple[torch.Tensor, torch.Tensor]:
 
 @dataclass(slots=True, eq=False)
 class AbsGrad:
-    """Absolute gradients of one picture by the places of its Gaussians (AbsGS, Ye et al. 2024).
+    """Absolute gradients of one picture or several by the places of their Gaussians (AbsGS, Ye et al. 2024).
 
     The gradients of single pixels are summed by their absolute values, so that opposite ones do not cancel. A renderer
     that is given one sets `read`.
     """
 
-    # () -> (N,) |dL / d(place in pixels)|, and (N,) whether the Gaussian is in the picture; after the backward pass
+    # () -> (N,) |dL / d(place in pixels)| summed over pictures, and (N,) in how many of them the Gaussian is; after the
+    # backward pass
     read: Callable[[], tuple[torch.Tensor, torch.Tensor]] = _before_backward
+
+    def collect(self, parts: Sequence[AbsGrad]) -> None:
+        """Become the sum of those of several pictures, which may not be known yet."""
+
+        def read() -> tuple[torch.Tensor, torch.Tensor]:
+            gradients, seen = zip(*(part.read() for part in parts), strict=True)
+            return torch.stack(gradients).sum(dim=0), torch.stack(seen).sum(dim=0)
+
+        self.read = read

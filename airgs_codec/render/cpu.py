@@ -142,7 +142,12 @@ def render_views(gaussians: Gaussians, cameras: Iterable[Camera], background: Ba
 
 def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:
     """How much each Gaussian contributes to what `camera` sees."""
-    p = project(activate(gaussians), camera)
+    return contribution(activate(gaussians), camera)
+
+
+def contribution(inputs: RasterInputs[Floats], camera: Camera) -> Contribution:
+    """How much each of some activated Gaussians contributes to what `camera` sees."""
+    p = project(inputs, camera)
     pairs = np.empty((len(p.slots), 3), np.float32)
     with _LOCK:
         kernels.blend_statistics(*p.tiles.arguments(), *p.tiles.size, pairs)

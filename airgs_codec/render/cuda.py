@@ -1,18 +1,27 @@
-"""gsplat behind the same function as the CPU renderer, for tensors on a CUDA device. Imported only where it is used.
+"""gsplat 1.5 behind the functions of the CPU renderer, for tensors on a CUDA device. Imported only where it is used.
 
-gsplat 1.5 imports without its kernels and fails later, so they are looked for: `missing` says what is not there.
+gsplat imports without its kernels and fails later, so they are looked for: `missing` says what is not there. It waits
+for the device twice a call (an inverse of the cameras' matrices, the number of pairs), which several cameras share;
+nothing here waits besides. C cameras, N Gaussians, M pixels that Gaussians are blended into, H x W pixels.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 
 from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.cpu import DILATION, FAR
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Background, Camera
+
+BAND_PAIRS = 1 << 17  # (Gaussian, tile) pairs whose pixels are listed at once: at most 256 each, of 70 bytes
+ALL_BATCHES = 2**31 - 1  # of the pairs of a tile; the kernel takes a 32-bit number
+MOST_ALPHA = 0.999  # of a Gaussian in a pixel, as in the CPU renderer
 
 
 def missing() -> str | None:
@@ -28,34 +37,129 @@ def missing() -> str | None:
     return None
 
 
+def upload(values: Any, device: torch.device | str) -> torch.Tensor:
+    """A float32 tensor of an array or numbers on a device; a CUDA device takes it in its own time, nobody waits."""
+    host = torch.tensor(np.asarray(values, np.float32))
+    return host.pin_memory().to(device, non_blocking=True) if torch.device(device).type == "cuda" else host
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawn:
+    """What C cameras of one size see."""
+
+    rgb: torch.Tensor  # (C, H, W, 3)
+    transmittance: torch.Tensor  # (C, H, W)
+    meta: dict[str, Any]  # what gsplat says of its projection
+
+
+def alike(cameras: Sequence[Camera]) -> bool:
+    """Whether gsplat can draw for these cameras at once: they have one size and one near plane."""
+    return len({(camera.width, camera.height, camera.near) for camera in cameras}) == 1
+
+
 def rasterize(
     inputs: RasterInputs[torch.Tensor],
-    camera: Camera,
-    background: Background | None = None,
+    cameras: Sequence[Camera],
+    backgrounds: Sequence[Background],
     absgrad: AbsGrad | None = None,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """As `differentiable.rasterize`. Pixels may differ by 5e-3 where alpha is next to 1/255, others by 1e-5."""
+) -> Drawn:
+    """What cameras that are `alike` see, each before a background of its own.
+
+    Pixels may differ from the CPU renderer's by 5e-3 where alpha is next to 1/255, others by 1e-5.
+    """
     from gsplat import rasterization
 
-    def on_device(values: Any) -> torch.Tensor:
-        return torch.as_tensor(values, dtype=torch.float32, device=inputs.means.device)
-
-    matrix = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+    device, first = inputs.means.device, cameras[0]
+    lenses = [[[c.fx, 0.0, c.cx], [0.0, c.fy, c.cy], [0.0, 0.0, 1.0]] for c in cameras]
     rgb, alpha, meta = rasterization(
         *inputs,
-        on_device(camera.world_to_camera)[None],
-        on_device(matrix)[None],
-        camera.width,
-        camera.height,
-        near_plane=camera.near,
+        upload(np.stack([camera.world_to_camera for camera in cameras]), device),
+        upload(lenses, device),
+        first.width,
+        first.height,
+        near_plane=first.near,
         far_plane=FAR,
         eps2d=DILATION,
         sh_degree=inputs.sh_degree,
         packed=False,
-        backgrounds=on_device(camera.background if background is None else background)[None],
+        backgrounds=upload(backgrounds, device),
         absgrad=absgrad is not None,
     )
     if absgrad is not None:  # gsplat leaves absolute gradients on its projected means once the gradient reaches them
         means2d, radii = meta["means2d"], meta["radii"]
-        absgrad.read = lambda: (means2d.absgrad[0].norm(dim=-1), (radii[0] > 0).all(dim=-1))
-    return rgb[0], 1 - alpha[0, ..., 0]
+        absgrad.read = lambda: (means2d.absgrad.norm(dim=-1).sum(dim=0), (radii > 0).all(dim=-1).sum(dim=0))
+    return Drawn(rgb, 1 - alpha[..., 0], meta)
+
+
+def measure_weights(drawn: Drawn) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Sum (N,) and maximum (N,) over the pixels of one camera of each Gaussian's alpha T, and pixels (N,), float64.
+
+    The weights are made from gsplat's lists of the Gaussians in every pixel, front to back.
+    """
+    rows = drawn.meta["means2d"].shape[1]
+    device = drawn.rgb.device
+    total, peak, hits = (torch.zeros(rows, dtype=torch.float64, device=device) for _ in range(3))
+    for ids, weights in _blended(drawn.meta):
+        total.index_add_(0, ids, weights)
+        peak.scatter_reduce_(0, ids, weights, "amax")
+        hits += torch.bincount(ids, minlength=rows)
+    return total, peak, hits
+
+
+@torch.no_grad()
+def _blended(meta: dict[str, Any]) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+    """Gaussians (M,) and their alpha T (M,) in the pixels of some rows of tiles; all rows come in turn."""
+    from gsplat import rasterize_to_indices_in_range
+
+    size, width, offsets, ids = meta["tile_size"], meta["width"], meta["isect_offsets"], meta["flatten_ids"]
+    means, conics, opacities = (meta[name].detach() for name in ("means2d", "conics", "opacities"))
+    starts = [*offsets[0, :, 0].tolist(), len(ids)]
+    for first, stop in _bands(starts):
+        height = min(meta["height"], stop * size) - first * size
+        moved = means - upload([0.0, float(first * size)], means.device)
+        found, pixels, _ = rasterize_to_indices_in_range(
+            0,
+            ALL_BATCHES,
+            torch.ones(1, height, width, device=means.device),
+            moved,
+            conics,
+            opacities,
+            width,
+            height,
+            size,
+            offsets[:, first:stop].contiguous(),
+            ids[: starts[stop]],
+        )
+        alpha = _alpha(moved[0, found], conics[0, found], opacities[0, found], pixels, width)
+        yield found, alpha * _transmittance(alpha, pixels)
+
+
+def _bands(starts: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Rows of tiles [first, stop) with at most BAND_PAIRS pairs, or one row; `starts` is the first pair of each row."""
+    first, rows = 0, len(starts) - 1
+    while first < rows:
+        stop = first + 1
+        while stop < rows and starts[stop + 1] - starts[first] <= BAND_PAIRS:
+            stop += 1
+        yield first, stop
+        first = stop
+
+
+def _alpha(
+    means: torch.Tensor, conics: torch.Tensor, opacities: torch.Tensor, pixels: torch.Tensor, width: int
+) -> torch.Tensor:
+    """(M,) float64 alpha of Gaussians at the centres of pixels, which are numbered row by row."""
+    dx = means[:, 0] - (pixels % width + 0.5)
+    dy = means[:, 1] - (torch.div(pixels, width, rounding_mode="floor") + 0.5)
+    a, b, c = conics.unbind(-1)
+    power = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy
+    return (opacities * torch.exp(-power)).clamp_max(MOST_ALPHA).double()
+
+
+def _transmittance(alpha: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
+    """(M,) what is left of the light before each entry; entries of one pixel follow each other, front to back."""
+    logs = torch.log1p(-alpha)
+    before = logs.cumsum(0) - logs
+    _, counts = torch.unique_consecutive(pixels, return_counts=True)
+    first = counts.cumsum(0) - counts
+    return torch.exp(before - before[first].repeat_interleave(counts))

@@ -1,7 +1,11 @@
-"""The renderer as a torch function with gradients: the CPU kernels, or gsplat for tensors on a CUDA device."""
+"""The renderer as a torch function with gradients: the CPU kernels, or gsplat for tensors on a CUDA device.
+
+C cameras, N Gaussians, H x W pixels.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,10 +16,12 @@ from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Background, Camera
 
+Picture = tuple[torch.Tensor, torch.Tensor]  # rgb (H, W, 3) and transmittance (H, W)
+
 
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    def forward(ctx: Any, *inputs: Any) -> Picture:
         *tensors, camera, background, absgrad, redraw = inputs
         ctx.inputs = RasterInputs(*(np.ascontiguousarray(t.detach().numpy(), np.float32) for t in tensors))
         ctx.camera, ctx.absgrad = camera, absgrad
@@ -42,7 +48,7 @@ def rasterize(
     background: Background | None = None,
     absgrad: AbsGrad | None = None,
     redraw: cpu.Redraw | None = None,
-) -> tuple[torch.Tensor, torch.Tensor]:
+) -> Picture:
     """The picture (H, W, 3) and its transmittance (H, W), float32, differentiable, on the device of the inputs.
 
     `background`: None for the camera's. `absgrad` can be read after the backward pass. `redraw`: only its tiles are
@@ -52,5 +58,26 @@ def rasterize(
     if inputs.means.is_cuda:
         from airgs_codec.render import cuda  # gsplat compiles its kernels when it is first imported
 
-        return cuda.rasterize(inputs, camera, background, absgrad)
+        drawn = cuda.rasterize(inputs, [camera], [background], absgrad)
+        return drawn.rgb[0], drawn.transmittance[0]
     return _Rasterize.apply(*inputs, camera, background, absgrad, redraw)
+
+
+def rasterize_views(
+    inputs: RasterInputs[torch.Tensor], cameras: Sequence[Camera], absgrad: AbsGrad | None = None
+) -> list[Picture]:
+    """What several cameras see, each before its own background, as `rasterize` gives it.
+
+    On CUDA cameras of one size and near plane are drawn at once. `absgrad` is that of all pictures together.
+    """
+    if inputs.means.is_cuda and len(cameras) > 1:
+        from airgs_codec.render import cuda
+
+        if cuda.alike(cameras):
+            drawn = cuda.rasterize(inputs, cameras, [camera.background for camera in cameras], absgrad)
+            return list(zip(drawn.rgb, drawn.transmittance, strict=True))
+    if absgrad is None or len(cameras) == 1:
+        return [rasterize(inputs, camera, absgrad=absgrad) for camera in cameras]
+    parts = [AbsGrad() for _ in cameras]
+    absgrad.collect(parts)
+    return [rasterize(inputs, camera, absgrad=part) for camera, part in zip(cameras, parts, strict=True)]

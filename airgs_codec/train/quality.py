@@ -11,18 +11,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from airgs_codec.media.metrics import mse, psnr, ssim
-from airgs_codec.render import cpu
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.pictures import View
 
 PSNR_DEFINITION = "mean over views of the PSNR of each, in dB"
 
 
-def mean_psnr(g: Gaussians, views: Sequence[View]) -> float:
+def mean_psnr(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> float:
     """Mean over views of each view's PSNR in dB."""
-    return float(np.mean([psnr(mse(cpu.render(g, view.camera).rgb, view.target.rgb)) for view in views]))
+    loaded = renderer.load(g)
+    return float(np.mean([psnr(mse(loaded.draw(view.camera).rgb, view.target.rgb)) for view in views]))
 
 
-def mean_ssim(g: Gaussians, views: Sequence[View]) -> float:
+def mean_ssim(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> float:
     """Mean over views of each view's SSIM, 1 for equal pictures."""
-    return float(np.mean([ssim(cpu.render(g, view.camera).rgb, view.target.rgb) for view in views]))
+    loaded = renderer.load(g)
+    return float(np.mean([ssim(loaded.draw(view.camera).rgb, view.target.rgb) for view in views]))

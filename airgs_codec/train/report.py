@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec._report import new_figure, page, save_figure
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import label, to_bytes, write_png
-from airgs_codec.render import cpu
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.quality import PSNR_DEFINITION
 from airgs_codec.train.record import FrameRecord, Model
@@ -25,7 +25,7 @@ _BLUE, _ORANGE, _GREEN, _RED = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b"
 ERROR_GAIN = 5  # of the error maps
 
 
-def write_report(model: Model, pictures: Pictures, directory: Path) -> Path:
+def write_report(model: Model, pictures: Pictures, directory: Path, renderer: Renderer = CPU) -> Path:
     """Write training.png, frame-*.png and index.html into a directory, and give the path of the page.
 
     Raises ConfigError when they cannot be written, or without matplotlib.
@@ -36,7 +36,7 @@ def write_report(model: Model, pictures: Pictures, directory: Path) -> Path:
         plot_curves(records, directory / "training.png")
         shown = {frame: f"frame-{frame:06d}.png" for frame in frames_to_show(records)}
         for frame, name in shown.items():
-            write_png(directory / name, compare(model, pictures, frame))
+            write_png(directory / name, compare(model, pictures, frame, renderer))
         path = directory / "index.html"
         path.write_text(_page(model, shown), encoding="utf-8")
     except OSError as error:
@@ -44,13 +44,13 @@ def write_report(model: Model, pictures: Pictures, directory: Path) -> Path:
     return path
 
 
-def compare(model: Model, pictures: Pictures, frame: int) -> NDArray[np.uint8]:
+def compare(model: Model, pictures: Pictures, frame: int, renderer: Renderer = CPU) -> NDArray[np.uint8]:
     """Picture, rendering and error map side by side, (H, 3 W, 3), of the first held-out view of a frame.
 
     Where no view is held out, of the first training view.
     """
     view = (pictures.held_out(frame) or pictures.train(frame))[0]
-    rendered = cpu.render(model.read(frame), view.camera).rgb
+    rendered = renderer.render(model.read(frame), view.camera).rgb
     error = np.abs(np.clip(rendered, 0, 1) - view.target.rgb).mean(axis=2) * ERROR_GAIN
     panels = [
         label(to_bytes(view.target.rgb), f"frame {frame} {view.camera.name} ({view.camera.split})"),

@@ -153,7 +153,7 @@ def _fit(run: Run, frame: int, group: Group | None, progress: Progress) -> Fitte
         return _fit_first(run, frame, progress)
     target, before = run.target(frame), frame_before(run.model, frame)
     moved = run.trainer.fit_frame(target, before, group, progress)
-    psnr = mean_psnr(moved, target.views)
+    psnr = mean_psnr(moved, target.views, run.trainer.renderer)
     static = static_shares(before.gaussians, moved, group.steps)
     fitted = Fitted(moved, "frame", psnr, group, static=static)
     if s.method == "v3" or (psnr >= s.min_psnr_db and psnr >= group.first_psnr - s.max_drop_db):
@@ -175,7 +175,7 @@ def _fit_first(run: Run, frame: int, progress: Progress) -> Fitted:
 def _fit_keyframe(run: Run, target: FrameViews, before: FrameBefore, moved: Fitted, progress: Progress) -> Fitted:
     """A keyframe in the place of a frame that `moved` in its group; the frame as it moved where that is as good."""
     g = run.trainer.fit_keyframe(target, before, moved.group.steps, progress)
-    psnr = mean_psnr(g, target.views)
+    psnr = mean_psnr(g, target.views, run.trainer.renderer)
     if psnr <= moved.psnr:
         return replace(moved, rejected_psnr=psnr)
     added = len(g) - len(before.gaussians)
@@ -195,7 +195,7 @@ def _last_group(run: Run) -> Group:
 
 
 def _record(run: Run, frame: int, fitted: Fitted, seconds: float) -> FrameRecord:
-    held_out = run.pictures.held_out(frame)
+    held_out, renderer = run.pictures.held_out(frame), run.trainer.renderer
     rejected = fitted.rejected_psnr
     return FrameRecord(
         frame=frame,
@@ -203,8 +203,8 @@ def _record(run: Run, frame: int, fitted: Fitted, seconds: float) -> FrameRecord
         gaussians=len(fitted.gaussians),
         added=fitted.added,
         psnr=round(fitted.psnr, 3),
-        held_out_psnr=round(mean_psnr(fitted.gaussians, held_out), 3) if held_out else None,
-        held_out_ssim=round(mean_ssim(fitted.gaussians, held_out), 5) if held_out else None,
+        held_out_psnr=round(mean_psnr(fitted.gaussians, held_out, renderer), 3) if held_out else None,
+        held_out_ssim=round(mean_ssim(fitted.gaussians, held_out, renderer), 5) if held_out else None,
         rejected_psnr=None if rejected is None else round(rejected, 3),
         static={name: round(share, 4) for name, share in fitted.static.items()},
         seconds=round(seconds, 2),

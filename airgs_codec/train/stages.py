@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from airgs_codec.progress import Progress, silent
+from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import View
@@ -80,7 +81,12 @@ class Trainer:
 
     settings: TrainSettings
     extent: float  # of the scene in world units
-    device: str = "cpu"
+    renderer: Renderer = CPU
+
+    @property
+    def device(self) -> str:
+        """Where everything is computed: cpu or cuda."""
+        return self.renderer.device
 
     def fit_first(
         self,
@@ -158,7 +164,7 @@ class Trainer:
         rows = len(before.gaussians)
         most = min(round((1 + s.max_growth) * rows), s.capacity)
         rng = self._rng(target.frame, 3)
-        seeds = residual_seeds(before.gaussians, target.views, most - rows, 0.1 * self.extent, rng)
+        seeds = residual_seeds(before.gaussians, target.views, most - rows, 0.1 * self.extent, rng, self.renderer)
         base, temporal = from_gaussians(before.gaussians, self.device), self._temporal(steps)
         start = self._start(base, before.velocity)
         active, views, resting = self._active(before, target), target.views, None
@@ -185,11 +191,12 @@ class Trainer:
 
     def start_group(self, g: Gaussians, views: Sequence[View]) -> Group:
         """The group whose first frame is `g`, seen by the training views of that frame."""
-        return Group(mean_psnr(g, views), self.steps(g, views), self.networks(g))
+        return Group(mean_psnr(g, views, self.renderer), self.steps(g, views), self.networks(g))
 
     def steps(self, g: Gaussians, views: Sequence[View]) -> Parameters:
         """Codec steps where the Gaussians are, on the device; see `codec_steps`."""
-        return {name: s.to(self.device) for name, s in codec_steps(g, [v.camera for v in views]).items()}
+        steps = codec_steps(g, [v.camera for v in views], renderer=self.renderer)
+        return {name: s.to(self.device) for name, s in steps.items()}
 
     def networks(self, g: Gaussians) -> Networks | None:
         """Networks that have learnt nothing yet; None where frames move without."""
@@ -227,7 +234,7 @@ class Trainer:
 
 def make_trainer(settings: TrainSettings, views: Sequence[View], points: Points | None, device: str) -> Trainer:
     """The trainer of a scene whose first frame is seen by these views; `device`: cpu or cuda."""
-    return Trainer(settings, scene_extent([view.camera for view in views], points), device)
+    return Trainer(settings, scene_extent([view.camera for view in views], points), open_renderer(device))
 
 
 def _rows(p: Parameters, rows: torch.Tensor) -> Parameters:

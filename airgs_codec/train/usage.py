@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.grouping import middle_frame
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render import measure_contribution
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 from airgs_codec.train.data.pictures import Pictures
@@ -33,9 +32,9 @@ def group_usage(
     total, peak, hits, moved = np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n)
     for done, frame in enumerate(range(*span), 1):
         g = model.read(frame)
-        seen = np.zeros(n)
+        loaded, seen = trainer.renderer.load(g), np.zeros(n)
         for view in pictures.train(frame):
-            c = measure_contribution(g, view.camera)
+            c = loaded.contribution(view.camera)
             total += c.total
             hits += c.hits
             seen = np.maximum(seen, c.peak)

@@ -39,6 +39,7 @@ def digest(sequence: GaussianSequence, survey: Survey, views: ViewPlan, settings
     """
     h = hashlib.sha256()
     choices = dataclasses.replace(settings, quality=1.0, calibrate="none", measure_pictures=0, jobs=1, world=None)
+    choices = dataclasses.replace(choices, device="auto")
     versions = [__version__, REVISION, library_versions()]
     words = [*versions, dataclasses.asdict(choices), str(sequence.fps), views.trusted, dataclasses.astuple(survey.span)]
     h.update(json.dumps(words, sort_keys=True).encode())

@@ -20,7 +20,6 @@ from airgs_codec.encoder.rank import rank_updates
 from airgs_codec.encoder.settings import LevelSettings, Shares
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.layout import STATE
-from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians, mix_rows
 
 # Of each level: the factor on every step, its key quality, its key tiers. A rung costs what a package with only that
@@ -77,11 +76,12 @@ class Withholding:
         score, moving = _rank(subject, [canonical, *frames])
         depths = assign_depths(score, moving, SHARES)
         shown = [(frame, camera) for frame, (_, camera) in zip(frames, pictures, strict=True)]
-        full = [render(frame, camera).rgb for frame, camera in shown]
+        draw = subject.layout.renderer.render
+        full = [draw(frame, camera).rgb for frame, camera in shown]
         errors = [0.0]
         for i in range(1, len(SHARES)):
             updated = (moving & (depths >= i)) | ~moving
-            held = [render(mix_rows(frame, canonical, updated), camera).rgb for frame, camera in shown]
+            held = [draw(mix_rows(frame, canonical, updated), camera).rgb for frame, camera in shown]
             errors.append(pooled_error([mse(a, b) for a, b in zip(held, full, strict=True)]))
         return Withholding(score, tuple(errors))
 

@@ -17,7 +17,8 @@ from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.report.viewer import Viewer
 from airgs_codec.play.session import SessionLog
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render import Camera, render
+from airgs_codec.render import Camera
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -81,7 +82,7 @@ def _pictures(
     original: GaussianSequence | None,
     progress: Progress,
 ) -> Iterator[NDArray[np.uint8]]:
-    c, ticks = log.catalogue, log.screen_ticks
+    c, ticks, draw = log.catalogue, log.screen_ticks, viewer.renderer.render
     best: dict[int, tuple[list[Gaussians], str]] = {}
     beside: Gaussians | None
     seen = [0] * len(log.shown)
@@ -94,7 +95,7 @@ def _pictures(
         picture = (
             np.zeros((camera.height, camera.width, 3), np.uint8)
             if gaussians is None
-            else to_bytes(render(gaussians, camera).rgb)
+            else to_bytes(draw(gaussians, camera).rgb)
         )
         words = "lost" if s.rung is None else c.names[s.rung]
         picture = label(picture, words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
@@ -108,7 +109,7 @@ def _pictures(
                 best = {s.segment: _best(package, c, s.segment)}
             frames, name = best[s.segment]
             beside = frames[frame] if frames else None
-        shown = np.zeros_like(picture) if beside is None else to_bytes(render(beside, camera).rgb)
+        shown = np.zeros_like(picture) if beside is None else to_bytes(draw(beside, camera).rgb)
         yield np.concatenate([picture, label(shown, name)], axis=1)
         at += 1 / c.fps
 
@@ -132,7 +133,7 @@ def buffer_bar(picture: NDArray[np.uint8], seconds: float, limit: float, waits: 
     return out
 
 
-def still(package: Package, log: SessionLog, camera: Camera) -> NDArray[np.uint8]:
+def still(package: Package, log: SessionLog, camera: Camera, renderer: Renderer = CPU) -> NDArray[np.uint8]:
     """(H, W, 3) the first frame of the worst segment shown: at the package's best rung, and as it was shown."""
     c = log.catalogue
     shown = [s for s in log.shown if s.rung is not None]
@@ -143,5 +144,5 @@ def still(package: Package, log: SessionLog, camera: Camera) -> NDArray[np.uint8
     worst_frames = _segment(package, worst.segment, *c.rungs[worst.rung or 0])
     text = f"worst shown: {c.names[worst.rung or 0]}" + ("" if worst.psnr is None else f"  {worst.psnr:.1f} dB")
     for frames, words in (_best(package, c, worst.segment), (worst_frames, text)):
-        pictures.append(label(to_bytes(render(frames[0], camera).rgb), words))
+        pictures.append(label(to_bytes(renderer.render(frames[0], camera).rgb), words))
     return np.concatenate(pictures, axis=1)

@@ -13,6 +13,7 @@ from airgs_codec.package.tables import Region
 from airgs_codec.package.viewpath import walk_cameras, walk_region
 from airgs_codec.play.session import SessionLog
 from airgs_codec.render import Camera
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.camera import resized
 
 MOST_PIXELS = 640  # of the longer side of a picture of the screen
@@ -27,9 +28,10 @@ class Viewer:
     cameras: list[Camera]  # one a display tick
     departures: list[Departure]  # from the region, one a display tick
     unreached: int = 0  # stops that the walk does not come by
+    renderer: Renderer = CPU  # draws what he sees
 
     @staticmethod
-    def of(log: SessionLog, cameras: Sequence[Camera] = ()) -> Viewer:
+    def of(log: SessionLog, cameras: Sequence[Camera] = (), renderer: Renderer = CPU) -> Viewer:
         """The walk through the package's region, or by way of `cameras`, at most MOST_STOPS of them."""
         region, ticks, fps = levelled(log.catalogue.manifest), len(log.screen_ticks), log.catalogue.fps
         if cameras:
@@ -38,7 +40,7 @@ class Viewer:
         else:
             walk = walk_region(region, ticks, fps)
         shown = [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in walk.cameras]
-        return Viewer(region, shown, departures(region, shown), walk.unreached)
+        return Viewer(region, shown, departures(region, shown), walk.unreached, renderer)
 
     @property
     def outside(self) -> int:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from airgs_codec.media.image import box_mean
-from airgs_codec.render import cpu
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.parameters import from_points
@@ -43,13 +43,19 @@ class _Surface:
 
 
 def residual_seeds(
-    g: Gaussians, views: Sequence[View], most: int, largest: float, rng: np.random.Generator
+    g: Gaussians,
+    views: Sequence[View],
+    most: int,
+    largest: float,
+    rng: np.random.Generator,
+    renderer: Renderer = CPU,
 ) -> Gaussians | None:
     """Up to `most` new Gaussians where the pictures of `g` differ from the views; None where nothing has appeared.
 
     `largest`: their largest radius in world units.
     """
-    wrong = [box_mean(np.abs(cpu.render(g, v.camera).rgb - v.target.rgb).mean(axis=2), 3) > RESIDUAL for v in views]
+    loaded = renderer.load(g)
+    wrong = [box_mean(np.abs(loaded.draw(v.camera).rgb - v.target.rgb).mean(axis=2), 3) > RESIDUAL for v in views]
     coarse = _hull(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
     if len(coarse) < FEWEST or most < 1:
         return None
@@ -101,7 +107,7 @@ def _surface(hull: NDArray[np.float64], views: Sequence[View]) -> _Surface:
     for view in views:
         rows, columns, inside = project(view.camera, hull)
         depth = hull[inside] @ view.camera.world_to_camera[2, :3] + view.camera.world_to_camera[2, 3]
-        nearest = np.full(view.target.rgb.shape[:2], np.inf)
+        nearest = np.full((view.camera.height, view.camera.width), np.inf)
         np.minimum.at(nearest, (rows, columns), depth)
         first = depth <= nearest[rows, columns] + tolerance
         colour = view.target.rgb[rows[first], columns[first]].astype(np.float64)

@@ -16,6 +16,7 @@ from airgs_codec.analysis.sensitivity import measure_sensitivity
 from airgs_codec.coding.motion import classify_motion, motion_units
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.render import Camera
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.fit.parameters import ATTRIBUTES, Parameters
 from airgs_codec.train.settings import Temporal
@@ -31,14 +32,16 @@ def temporal_weights(temporal: Temporal, steps: Mapping[str, torch.Tensor]) -> P
     return {name: temporal.weight / (len(step) * step) for name, step in steps.items()}
 
 
-def codec_steps(g: Gaussians, cameras: Sequence[Camera], steps: StepSettings | None = None) -> Parameters:
+def codec_steps(
+    g: Gaussians, cameras: Sequence[Camera], steps: StepSettings | None = None, renderer: Renderer = CPU
+) -> Parameters:
     """One codec step for every element of the stored attributes, to first order, where the Gaussians are now.
 
     Means: the row's motion unit, by how much pictures depend on it. Quaternions: half the rotation's step, as a small
     rotation w changes a unit quaternion by w / 2. Opacity: the step of alpha over alpha's derivative by the logit.
     """
     state = (steps or StepSettings()).state
-    sensitivity = measure_sensitivity([g], cameras)
+    sensitivity = measure_sensitivity([g], cameras, renderer)
     unit = motion_units(classify_motion(sensitivity, g))
     alpha = g.opacities()
     length = np.linalg.norm(g.quaternions, axis=1, keepdims=True)

@@ -1,0 +1,93 @@
+"""What is made around gsplat, with a stand-in that has its shapes: several cameras at once, weights, rows left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from airgs_codec.render import cuda
+from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.backend import CPU
+from airgs_codec.render.cuda_loaded import OnCuda
+from airgs_codec.render.differentiable import rasterize_views
+from airgs_codec.render.inputs import RasterInputs
+from tests.support import fake_gsplat
+from tests.support.scenes import random_gaussians
+from tests.support.views import ring
+
+
+@pytest.fixture(autouse=True)
+def _gsplat(monkeypatch):
+    fake_gsplat.install(monkeypatch)
+
+
+def camera():
+    return replace(ring(1, size=72)[0], height=56, fx=80.0, fy=85.0, cy=30.0, background=(0.2, 0.4, 0.6))
+
+
+def loaded(g):
+    return CPU.load(g), OnCuda.of(CPU.load(g).inputs, "cpu")
+
+
+def test_pictures_and_rows_left_out_are_those_of_the_cpu():
+    there, here = loaded(random_gaussians(200, 1))
+    for background in (None, (1.0, 0.0, 0.5)):
+        a, b = there.draw(camera(), background), here.draw(camera(), background)
+        np.testing.assert_allclose(b.rgb, a.rgb, atol=1e-5)
+        np.testing.assert_allclose(b.transmittance, a.transmittance, atol=1e-5)
+    kept = np.arange(200) % 3 > 0
+    for rows in (None, kept, np.zeros(200, bool)):
+        np.testing.assert_allclose(here.without(camera())(rows), there.without(camera())(rows), atol=1e-5)
+
+
+@pytest.mark.parametrize("pairs", [1, 300, cuda.BAND_PAIRS])
+def test_weights_of_bands_of_tiles_are_those_of_the_picture(pairs, monkeypatch):
+    monkeypatch.setattr(cuda, "BAND_PAIRS", pairs)
+    there, here = loaded(random_gaussians(150, 0, seed=3))
+    a, b = there.contribution(camera()), here.contribution(camera())
+    np.testing.assert_allclose(b.total, a.total, rtol=1e-3, atol=1e-3)
+    np.testing.assert_allclose(b.peak, a.peak, atol=1e-4)
+    assert np.abs(b.hits - a.hits).max() <= 2 and a.hits.max() > 100  # alpha next to 1/255 may fall on either side
+    assert b.total.dtype == a.total.dtype and b.hits.dtype == a.hits.dtype
+
+
+def test_contribution_and_gradients_are_those_of_the_cpu():
+    there, here = loaded(random_gaussians(80, 1))
+    pull = np.random.default_rng(0).normal(size=(56, 72, 3)).astype(np.float32)
+    (a, by), (b, by_here) = (side.contribution_and_gradients(camera(), pull) for side in (there, here))
+    np.testing.assert_allclose(b.peak, a.peak, atol=1e-4)
+    for name in RasterInputs._fields:
+        np.testing.assert_allclose(getattr(by_here, name), getattr(by, name), atol=1e-4, rtol=1e-4)
+
+
+def test_an_empty_scene_is_its_background():
+    _, here = loaded(random_gaussians(3, 1).take(np.arange(0)))
+    assert (here.draw(camera()).rgb == np.float32([0.2, 0.4, 0.6])).all()
+    contribution, gradients = here.contribution_and_gradients(camera(), np.ones((56, 72, 3), np.float32))
+    assert len(contribution.total) == 0 and gradients.sh.shape == (0, 4, 3)
+
+
+def test_cameras_that_are_alike_are_drawn_in_one_call():
+    inputs = RasterInputs(*(torch.tensor(c).requires_grad_() for c in CPU.load(random_gaussians(90)).inputs))
+    cameras = [replace(c, background=(0.1 * i, 0.5, 0.2)) for i, c in enumerate(ring(3, size=40))]
+    drawn = cuda.rasterize(inputs, cameras, [c.background for c in cameras])
+    assert drawn.rgb.shape == (3, 40, 40, 3) and drawn.transmittance.shape == (3, 40, 40)
+    for i, (rgb, transmittance) in enumerate(rasterize_views(inputs, cameras)):
+        torch.testing.assert_close(drawn.rgb[i], rgb)
+        torch.testing.assert_close(drawn.transmittance[i], transmittance)
+    assert cuda.alike(cameras)
+    assert not cuda.alike([*cameras, ring(1, size=41)[0]]) and not cuda.alike([*cameras, replace(cameras[0], near=1.0)])
+
+
+def test_absolute_gradients_of_several_pictures_are_their_sum():
+    inputs = RasterInputs(*(torch.tensor(c).requires_grad_() for c in CPU.load(random_gaussians(90)).inputs))
+    cameras, alone, together = ring(3, size=40), [], AbsGrad()
+    for c in cameras:
+        one = AbsGrad()
+        rasterize_views(inputs, [c], one)[0][0].square().sum().backward()
+        alone.append(one.read())
+    sum(rgb.square().sum() for rgb, _ in rasterize_views(inputs, cameras, together)).backward()
+    gradients, seen = together.read()
+    torch.testing.assert_close(gradients, sum(g for g, _ in alone))
+    assert torch.equal(seen, sum(s.long() for _, s in alone)) and seen.max() == 3
