@@ -15,7 +15,14 @@ ORDER = (
     "inspect", "cli",
 )  # fmt: skip
 MAY_IMPORT = {
-    "torch": {"render/absgrad.py", "render/differentiable.py", "render/cuda.py", "render/reference.py", "train"},
+    "torch": {
+        "render/absgrad.py",
+        "render/differentiable.py",
+        "render/cuda.py",
+        "render/cuda_loaded.py",
+        "render/reference.py",
+        "train",
+    },
     "gsplat": {"render/cuda.py"},
     "pycolmap": {"train/data/structure.py"},
     "gaussforge": {"scene/formats/convert.py"},

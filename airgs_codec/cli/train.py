@@ -104,6 +104,7 @@ def _add_method(group: argparse._ArgumentGroup) -> None:
         metavar="FIRST,KEY,FRAME",
         help=f"iterations of a first frame, a keyframe and any other frame (default: {','.join(map(str, counts))})",
     )
+    _add_setting(group, "--iteration-views", "iteration_views", int, "N", "1; 4 on CUDA")
     _add_setting(group, "--seed", "seed", int, "N")
 
 

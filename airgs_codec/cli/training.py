@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from airgs_codec.train.record import FrameRecord, Model
     from airgs_codec.train.run import Run
 
+CUDA_VIEWS = 4  # an iteration sees on a GPU, which a single picture does not fill
+
 
 def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: bool) -> Path:
     """The model folder of a multi-view scene, trained as far as it is not yet, with default settings.
@@ -100,4 +102,6 @@ def default_model(scene: Path) -> Path:
 
 def default_settings(device: str) -> TrainSettings:
     """The settings of a run on cpu or cuda unless others are named."""
-    return TrainSettings(deltas="direct" if device == "cpu" else "mlp+residual")
+    if device == "cpu":
+        return TrainSettings()
+    return TrainSettings(deltas="mlp+residual", iteration_views=CUDA_VIEWS)

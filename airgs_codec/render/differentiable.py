@@ -64,9 +64,12 @@ def rasterize(
 
 
 def rasterize_views(
-    inputs: RasterInputs[torch.Tensor], cameras: Sequence[Camera], absgrad: AbsGrad | None = None
+    inputs: RasterInputs[torch.Tensor],
+    cameras: Sequence[Camera],
+    absgrad: AbsGrad | None = None,
+    redraws: Sequence[cpu.Redraw | None] | None = None,
 ) -> list[Picture]:
-    """What several cameras see, each before its own background, as `rasterize` gives it.
+    """What several cameras see, each before its own background, as `rasterize` gives it; `redraws`: one for each.
 
     On CUDA cameras of one size and near plane are drawn at once. `absgrad` is that of all pictures together.
     """
@@ -76,8 +79,9 @@ def rasterize_views(
         if cuda.alike(cameras):
             drawn = cuda.rasterize(inputs, cameras, [camera.background for camera in cameras], absgrad)
             return list(zip(drawn.rgb, drawn.transmittance, strict=True))
-    if absgrad is None or len(cameras) == 1:
-        return [rasterize(inputs, camera, absgrad=absgrad) for camera in cameras]
-    parts = [AbsGrad() for _ in cameras]
-    absgrad.collect(parts)
-    return [rasterize(inputs, camera, absgrad=part) for camera, part in zip(cameras, parts, strict=True)]
+    alone = absgrad is None or len(cameras) == 1
+    parts = [absgrad if alone else AbsGrad() for _ in cameras]
+    if absgrad is not None and not alone:
+        absgrad.collect([part for part in parts if part is not None])
+    each = zip(cameras, parts, redraws or [None] * len(cameras), strict=True)
+    return [rasterize(inputs, camera, None, part, redraw) for camera, part, redraw in each]

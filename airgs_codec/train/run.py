@@ -104,12 +104,12 @@ def open_run(
     if not any(not camera.held_out for camera in scene.cameras):
         raise SceneError(f"{scene.path}: expected training views of the first frame, got none")
     pictures = pictures_for(scene, settings)
-    first = pictures.train(0)
+    pictures.check(0)
     model = open_model(folder, Record(_identity(scene, pictures), settings.table(), len(scene), str(scene.fps)), resume)
     if model.record.exposure:
         pictures = pictures.with_exposure(model.record.exposure)
     model.write_cameras(_as_transforms(pictures.cameras(), scene))
-    return Run(scene, pictures, model, make_trainer(settings, first, scene.points, device))
+    return Run(scene, pictures, model, make_trainer(settings, pictures.train(0), scene.points, device))
 
 
 def train_frames(run: Run, progress: Progress = silent) -> Iterator[FrameRecord]:

@@ -44,6 +44,7 @@ class TrainSettings:
     first_iterations: int = setting(2500, "iterations of the first frame, and of every frame from scratch")
     key_iterations: int = setting(1500, "iterations of a keyframe")
     frame_iterations: int = setting(300, "iterations of a frame in a group")
+    iteration_views: int = setting(1, "pictures that an iteration sees")
     deltas: str = setting("direct", "how frames in a group move: each Gaussian on its own, by six MLPs, or by both")
     temporal: Temporal = computed_setting(Temporal, "weight and unit of the temporal loss")
     min_psnr_db: float = setting(30.0, "mean PSNR over training views below which a frame becomes a keyframe")
@@ -88,6 +89,7 @@ class TrainSettings:
             (self.capacity >= self.budget, f"expected a capacity of at least the budget, got {self.capacity}"),
             (0 <= self.sh_degree < len(SH_REST), f"expected an SH degree of 0 to 3, got {self.sh_degree}"),
             (iterations >= 1, f"expected at least one iteration of each kind of frame, got {iterations}"),
+            (self.iteration_views >= 1, f"expected at least one picture an iteration, got {self.iteration_views}"),
             (self.min_psnr_db >= 0, f"expected a least PSNR of at least 0 dB, got {self.min_psnr_db}"),
             (self.max_drop_db > 0, f"expected a positive drop in dB, got {self.max_drop_db}"),
             (self.max_growth >= 0, f"expected a growth of at least 0, got {self.max_growth}"),

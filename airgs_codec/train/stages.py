@@ -5,7 +5,7 @@ N Gaussians, U of them those of the frame before, P points.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,7 +114,7 @@ class Trainer:
             regularisers=FIRST_REGULARISERS,
             densifier=Densifier(Growth(s.budget), len(start), rng),
         )
-        schedule = Schedule("first frame", s.first_iterations, self._rising_sh_degree, s.background == RANDOM)
+        schedule = self._schedule("first frame", s.first_iterations, self._rising_sh_degree)
         optimise(variables, target.views, schedule, rng, exposure, progress)
         variables.remove_fainter(HIDDEN_OPACITY)
         return to_gaussians(variables.detached())
@@ -136,7 +136,7 @@ class Trainer:
         if group.networks is not None:
             by_mlp = iterations if s.deltas == "mlp" else round(MLP_SHARE * iterations)
             driven = MlpDriven(base, group.networks, temporal)
-            schedule = Schedule("MLPs", by_mlp, self._sh_degree, s.background == RANDOM)
+            schedule = self._schedule("MLPs", by_mlp, self._sh_degree)
             optimise(driven, target.views, schedule, self._rng(target.frame, 1), progress=progress)
             moved = driven.detached()
             if s.deltas == "mlp":
@@ -149,7 +149,7 @@ class Trainer:
             start = None if start is None else _rows(start, resting.active)
             temporal = None if temporal is None else _rows(temporal, resting.active)
         variables = PerGaussian(base, self.extent, MOVING_RATES, start, temporal, resting=resting)
-        schedule = Schedule("motion", iterations, self._sh_degree, s.background == RANDOM)
+        schedule = self._schedule("motion", iterations, self._sh_degree)
         optimise(variables, views, schedule, self._rng(target.frame, 2), progress=progress)
         return to_gaussians(variables.detached())
 
@@ -184,7 +184,7 @@ class Trainer:
         densifier = Densifier(Growth(most), len(base["means"]), rng)
         regularisers = Regularisers(inflation=s.inflation)
         variables = PerGaussian(base, self.extent, KEY_RATES, start, temporal, rows, regularisers, densifier, resting)
-        schedule = Schedule("keyframe", s.key_iterations, self._sh_degree, s.background == RANDOM)
+        schedule = self._schedule("keyframe", s.key_iterations, self._sh_degree)
         optimise(variables, views, schedule, rng, progress=progress)
         variables.remove_fainter(HIDDEN_OPACITY)
         return to_gaussians(variables.detached())
@@ -224,6 +224,10 @@ class Trainer:
         if velocity is None:
             return None
         return zeros_like(base) | {"means": torch.from_numpy(velocity.astype(np.float32)).to(self.device)}
+
+    def _schedule(self, stage: str, iterations: int, sh_degree: Callable[[float], int]) -> Schedule:
+        s = self.settings
+        return Schedule(stage, iterations, sh_degree, s.background == RANDOM, s.iteration_views)
 
     def _rising_sh_degree(self, done: float) -> int:
         return min(self.settings.sh_degree, int(done / SH_SHARE))

@@ -1,25 +1,42 @@
 """The pictures of a multi-view scene as they are trained on: undistorted, shrunk, masked, exposed alike.
 
-Pictures are read when they are asked for, and the last ones used are kept. H x W pixels.
+Pictures are read when they are asked for and kept in 8 bits at training size; targets in float32 are made of them when
+they are needed. Of both, those used last are kept, so that memory is bounded however many pictures there are. H x W
+pixels.
 """
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from copy import copy
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.media.image import read_mask, resize, undistort
+from airgs_codec.media.image import read_mask, resize, to_bytes, undistort
 from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera
+from airgs_codec.train.data.kept import Kept
 from airgs_codec.train.data.multiview import MultiviewScene, Shot
-from airgs_codec.train.loss.target import Exposure, Target, exposed_alike
+from airgs_codec.train.loss.target import Exposure, Stored, Target
 from airgs_codec.train.settings import RANDOM, TrainSettings, named_background
 
-CACHE_BYTES = 1 << 30
+PICTURE_BYTES = 1 << 30  # of pictures in 8 bits: 40 in 4K, or 170 in 1080p
+TARGET_BYTES = 2 << 30  # of targets: 7 in 4K, or 28 in 1080p
+
+_Key = tuple[int, int]  # frame, and place of the shot in it
+
+
+class Picture(Protocol):
+    """A picture that is at hand, or can be."""
+
+    def target(self) -> Target:
+        """The picture in float32. Raises SceneError where it cannot be read."""
+
+    def expect(self) -> None:
+        """It will be asked for soon: it is read in another thread where it is not at hand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,8 +44,13 @@ class View:
     """A picture and the camera that took it, at the size that is trained on."""
 
     camera: Camera
-    target: Target
+    picture: Picture
     redraw: Redraw | None = None  # None: the whole picture is drawn
+
+    @property
+    def target(self) -> Target:
+        """The picture in float32; hold it no longer than it is needed. Raises SceneError where it cannot be read."""
+        return self.picture.target()
 
     def before(self, background: Background) -> View:
         """The same before another background. Raises ValueError where the picture has no alpha."""
@@ -46,68 +68,63 @@ class Pictures:
         max_size: int | None = None,
         foreground: bool = False,
         background: str | None = None,
-        exposure: Exposure | None = None,
-        cache_bytes: int = CACHE_BYTES,
+        picture_bytes: int = PICTURE_BYTES,
+        target_bytes: int = TARGET_BYTES,
     ) -> None:
         """Read nothing yet.
 
         `max_size`: longest side in pixels; None keeps the size. `foreground`: what the masks leave out becomes
         background. `background`: as in `TrainSettings`; pictures and cameras have the one of the scene unless it names
-        a colour, and with RANDOM pictures must have alpha.
-        `exposure`: pictures of these cameras come as the average camera would have exposed them. `cache_bytes`: most
-        memory that pictures in use may hold together.
+        a colour, and with RANDOM pictures must have alpha. `picture_bytes`, `target_bytes`: most memory that pictures
+        in 8 bits and targets may hold; one of each is kept whatever it takes.
         """
         self._scene = scene
         self._max_size = max_size
         self._foreground = foreground
         self._choice = background
         self.background = named_background(background) or scene.background
-        self._exposure = exposure or {}
-        self._cache_bytes = cache_bytes
-        self._kept: OrderedDict[tuple[int, int], View] = OrderedDict()
+        self._exposure: Exposure = {}
+        self._target_bytes = target_bytes
+        self._stored = Kept(self._load, picture_bytes)
+        self._targets = Kept(self._make_target, target_bytes)
 
     def with_exposure(self, exposure: Exposure) -> Pictures:
-        """The same pictures as the average camera would have exposed them."""
-        return Pictures(
-            self._scene,
-            max_size=self._max_size,
-            foreground=self._foreground,
-            background=self._choice,
-            exposure=exposure,
-            cache_bytes=self._cache_bytes,
-        )
+        """The same pictures as the average camera would have exposed them; what is kept in 8 bits is shared."""
+        other = copy(self)
+        other._exposure = dict(exposure)
+        other._targets = Kept(other._make_target, self._target_bytes)
+        return other
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that pictures and targets hold now, in bytes."""
+        return self._stored.nbytes + self._targets.nbytes
 
     def train(self, frame: int) -> list[View]:
-        """The training views of a frame. Raises SceneError for a picture that cannot be read or has a wrong size."""
+        """The training views of a frame; their pictures are read when they are asked for."""
         return self._split(frame, held_out=False)
 
     def held_out(self, frame: int) -> list[View]:
-        """The held-out views of a frame. Raises SceneError as `train` does."""
+        """The held-out views of a frame, as `train` gives them."""
         return self._split(frame, held_out=True)
 
     def view(self, frame: int, index: int) -> View:
-        """The view of a camera, counted as the scene does. Raises SceneError as `train` does."""
-        return self._view(frame, index)
+        """The view of a camera, counted as the scene does."""
+        return View(self._scaled(self._scene.frames[frame][index].camera), _Shown(self, (frame, index)))
 
     def cameras(self) -> list[Camera]:
         """The cameras of the first frame at training size."""
         return [self._scaled(camera) for camera in self._scene.cameras]
 
+    def check(self, frame: int) -> None:
+        """Read every training picture of a frame. Raises SceneError for one that cannot be read or has a wrong size."""
+        for index, shot in enumerate(self._scene.frames[frame]):
+            if not shot.camera.held_out:
+                self._stored.get((frame, index))
+
     def _split(self, frame: int, held_out: bool) -> list[View]:
         shots = self._scene.frames[frame]
-        return [self._view(frame, i) for i, s in enumerate(shots) if s.camera.held_out == held_out]
-
-    def _view(self, frame: int, index: int) -> View:
-        key = (frame, index)
-        if key in self._kept:
-            self._kept.move_to_end(key)
-            return self._kept[key]
-        shot = self._scene.frames[frame][index]
-        view = View(self._scaled(shot.camera), self._load(shot))
-        self._kept[key] = view
-        while len(self._kept) > 1 and sum(v.target.nbytes for v in self._kept.values()) > self._cache_bytes:
-            self._kept.popitem(last=False)
-        return view
+        return [self.view(frame, i) for i, s in enumerate(shots) if s.camera.held_out == held_out]
 
     def _scaled(self, camera: Camera) -> Camera:
         camera = replace(camera, background=self.background)
@@ -120,33 +137,59 @@ class Pictures:
         focal, centre = (camera.fx * x, camera.fy * y), (camera.cx * x, camera.cy * y)
         return replace(camera, width=width, height=height, fx=focal[0], fy=focal[1], cx=centre[0], cy=centre[1])
 
-    def _load(self, shot: Shot) -> Target:
-        size = shot.lens.size if shot.lens else (shot.camera.width, shot.camera.height)
-        rgb, alpha = _as_colours(shot, size)
-        if self._foreground:
-            if shot.mask is None:
-                raise SceneError(f"{shot.source.where()}: expected a mask of the foreground, the scene has none")
-            mask = read_mask(shot.mask, size)
-            alpha = mask if alpha is None else alpha * mask
-        if alpha is None:
+    def _make_target(self, key: _Key) -> Target:
+        frame, index = key
+        return self._stored.get(key).target(self._exposure.get(self._scene.frames[frame][index].camera.name))
+
+    def _load(self, key: _Key) -> Stored:
+        shot = self._scene.frames[key[0]][key[1]]
+        data = _read(shot)
+        mask = self._mask(shot)
+        if mask is None and data.shape[2] == 3:
             if self._choice == RANDOM:
                 raise SceneError(f"{shot.source.where()}: expected alpha for random backgrounds, got an opaque picture")
-            return Target(self._fitted(rgb, shot))
-        clear = 1 - alpha[..., None]
-        whole = np.concatenate([alpha[..., None] * rgb + clear * np.array(self.background, np.float32), clear], axis=2)
-        fitted = self._fitted(whole, shot)
-        return Target(fitted[..., :3], np.ascontiguousarray(fitted[..., 3]))
+            changes = self._changes(shot)
+            return Stored(to_bytes(self._fitted(_as_floats(data), shot)) if changes else np.ascontiguousarray(data))
+        values = _as_floats(data)
+        rgb, alpha = values[..., :3], values[..., 3] if data.shape[2] == 4 else np.ones(data.shape[:2], np.float32)
+        clear = 1 - (alpha if mask is None else alpha * mask)[..., None]
+        whole = np.concatenate([(1 - clear) * rgb + clear * np.array(self.background, np.float32), clear], axis=2)
+        fitted = to_bytes(self._fitted(whole, shot))
+        return Stored(np.ascontiguousarray(fitted[..., :3]), np.ascontiguousarray(fitted[..., 3]))
+
+    def _mask(self, shot: Shot) -> NDArray[np.float32] | None:
+        """(H, W) of 0 and 1, the foreground; None where all of the picture is trained."""
+        if not self._foreground:
+            return None
+        if shot.mask is None:
+            raise SceneError(f"{shot.source.where()}: expected a mask of the foreground, the scene has none")
+        return read_mask(shot.mask, _full_size(shot))
+
+    def _changes(self, shot: Shot) -> bool:
+        """Whether the picture is another one at training size."""
+        camera = self._scaled(shot.camera)
+        return shot.lens is not None or _full_size(shot) != (camera.width, camera.height)
 
     def _fitted(self, picture: NDArray[np.float32], shot: Shot) -> NDArray[np.float32]:
-        """A picture (H, W, C) without its lens, at training size, its colours exposed alike."""
+        """A picture (H, W, C) without its lens, at training size."""
         if shot.lens:
             picture = undistort(picture, shot.lens)
         camera = self._scaled(shot.camera)
-        picture = resize(picture, camera.width, camera.height)
-        if camera.name in self._exposure:
-            alike = exposed_alike(picture[..., :3], self._exposure[camera.name])
-            picture = np.concatenate([alike, picture[..., 3:]], axis=2)
-        return picture
+        return resize(picture, camera.width, camera.height)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shown:
+    """A picture of a scene."""
+
+    pictures: Pictures
+    key: _Key
+
+    def target(self) -> Target:
+        return self.pictures._targets.get(self.key)
+
+    def expect(self) -> None:
+        self.pictures._stored.expect(self.key)
 
 
 def pictures_for(scene: MultiviewScene, settings: TrainSettings) -> Pictures:
@@ -154,11 +197,18 @@ def pictures_for(scene: MultiviewScene, settings: TrainSettings) -> Pictures:
     return Pictures(scene, max_size=settings.max_size, foreground=settings.foreground, background=settings.background)
 
 
-def _as_colours(shot: Shot, size: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
-    """(H, W, 3) colours and (H, W) alpha, 0..1; None without alpha."""
-    data = shot.source.read()
+def _read(shot: Shot) -> NDArray[np.uint8]:
+    """(H, W, 3) RGB or (H, W, 4) with alpha."""
+    data, size = shot.source.read(), _full_size(shot)
     if data.shape[1::-1] != size:
         got = f"{data.shape[1]}x{data.shape[0]}"
         raise SceneError(f"{shot.source.where()}: expected a picture of {size[0]}x{size[1]}, got {got}")
-    values = data.astype(np.float32) / np.float32(255)
-    return values[..., :3], values[..., 3] if data.shape[2] == 4 else None
+    return data
+
+
+def _full_size(shot: Shot) -> tuple[int, int]:
+    return shot.lens.size if shot.lens else (shot.camera.width, shot.camera.height)
+
+
+def _as_floats(data: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return data.astype(np.float32) / np.float32(255)

@@ -58,10 +58,10 @@ class Densifier:
         self._count = torch.zeros(rows)
 
     def collect(self, absgrad: AbsGrad) -> None:
-        """Add the absolute gradients of a picture, after its backward pass."""
+        """Add the absolute gradients of an iteration's pictures, after their backward pass, on their device."""
         gradients, seen = absgrad.read()
-        self._sum += gradients.cpu()
-        self._count += seen.cpu()
+        self._sum = self._sum.to(gradients.device) + gradients
+        self._count = self._count.to(seen.device) + seen
 
     def mean(self) -> torch.Tensor:
         """(N,) mean over the pictures that showed a row; 0 where none did."""
@@ -81,7 +81,7 @@ class Densifier:
 def strongest(score: torch.Tensor, count: int) -> torch.Tensor:
     """(N,) mask of the `count` rows of highest score; rows of score 0 are never among them."""
     count = max(0, min(count, int((score > 0).sum())))
-    mask = torch.zeros(len(score), dtype=torch.bool)
+    mask = torch.zeros_like(score, dtype=torch.bool)
     mask[torch.topk(score, count).indices] = True
     return mask
 

@@ -5,7 +5,6 @@ N Gaussians, V views.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,8 +17,10 @@ from airgs_codec.progress import Progress, silent
 from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.exposure import ExposureModel
-from airgs_codec.train.fit.parameters import Parameters, render
+from airgs_codec.train.fit.parameters import Parameters, render_views
 from airgs_codec.train.loss.photometric import photometric
+
+LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite; rows are added no more often
 
 
 class Variables(Protocol):
@@ -40,12 +41,55 @@ class Variables(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """How long a fit runs."""
+    """How long a fit runs, and how much an iteration sees."""
 
     stage: str  # what is fitted, for progress
     iterations: int
     sh_degree: Callable[[float], int]  # SH degree in use when a share of the iterations is past
-    random_background: bool = False  # whether every iteration has another one
+    random_background: bool = False  # whether every picture has another one
+    views: int = 1  # pictures an iteration, whose losses are averaged
+
+
+class Deck:
+    """The numbers of V views in random order, each as often as the others, all of them before any comes again."""
+
+    def __init__(self, views: int, rng: np.random.Generator) -> None:
+        self._views, self._rng = views, rng
+        self._next: list[int] = []  # the last one comes first
+
+    def take(self, count: int) -> list[int]:
+        """The next so many."""
+        self._fill(count)
+        return [self._next.pop() for _ in range(count)]
+
+    def ahead(self, count: int) -> list[int]:
+        """Up to so many of those that come next; fewer where they are not dealt yet."""
+        return self._next[-count:][::-1]
+
+    def _fill(self, count: int) -> None:
+        while len(self._next) < count:
+            self._next = [*self._rng.permutation(self._views).tolist(), *self._next]
+
+
+class Losses:
+    """Whether losses are finite, looked at seldom where looking means to wait for the device."""
+
+    def __init__(self, every: int) -> None:
+        """`every`: iterations between two looks."""
+        self._every = every
+        self._kept: list[tuple[int, str, torch.Tensor]] = []
+
+    def add(self, iteration: int, views: Sequence[View], loss: torch.Tensor, last: bool) -> None:
+        """The loss of an iteration. Raises TrainingError, at the latest at the `last` one, naming the first fault."""
+        names = ", ".join(view.camera.name for view in views)
+        self._kept.append((iteration, names, loss.detach()))
+        if iteration % self._every and not last:
+            return
+        finite = torch.isfinite(torch.stack([kept for _, _, kept in self._kept])).tolist()
+        for good, (at, names, _) in zip(finite, self._kept, strict=True):
+            if not good:
+                raise TrainingError(f"the loss is not finite at iteration {at} in view {names}")
+        self._kept.clear()
 
 
 def optimise(
@@ -59,23 +103,32 @@ def optimise(
     """Fit `variables` to the V views in random order, each as often as the others.
 
     `exposure`: gains and offsets of the views' cameras, which are fitted too. Raises TrainingError when the loss is not
-    finite.
+    finite, on CUDA up to LOOK_EVERY iterations later.
     """
-    deck: list[int] = []
+    deck = Deck(len(views), rng)
+    losses: Losses | None = None
+    count = min(schedule.views, len(views))
     for iteration in range(1, schedule.iterations + 1):
-        deck = deck or rng.permutation(len(views)).tolist()
-        index = deck.pop()
-        view = views[index]
-        if schedule.random_background:
-            view = view.before(tuple(rng.uniform(size=3).tolist()))
+        chosen = deck.take(count)
+        for index in deck.ahead(count):
+            views[index].picture.expect()
+        seen = [_before(views[i], rng) if schedule.random_background else views[i] for i in chosen]
         sh_degree = schedule.sh_degree(iteration / schedule.iterations)
-        rgb, _ = render(variables.current(), view.camera, sh_degree, variables.watch(), view.redraw)
-        seen = exposure.apply(rgb, index) if exposure else rgb
-        loss = photometric(seen, view.target).loss + variables.penalty()
-        if not math.isfinite(float(loss.detach())):
-            raise TrainingError(f"the loss is not finite at iteration {iteration} in view {view.camera.name}")
+        cameras, redraws = zip(*((view.camera, view.redraw) for view in seen), strict=True)
+        pictures = render_views(variables.current(), cameras, sh_degree, variables.watch(), redraws)
+        parts = []
+        for index, view, (rgb, _) in zip(chosen, seen, pictures, strict=True):
+            parts.append(photometric(exposure.apply(rgb, index) if exposure else rgb, view.target).loss)
+        loss = (parts[0] if count == 1 else torch.stack(parts).mean()) + variables.penalty()
+        losses = losses or Losses(LOOK_EVERY if loss.is_cuda else 1)
+        losses.add(iteration, seen, loss, iteration == schedule.iterations)
         loss.backward()
         variables.step(iteration, schedule.iterations)
         if exposure:
             exposure.step()
         progress(schedule.stage, iteration, schedule.iterations)
+
+
+def _before(view: View, rng: np.random.Generator) -> View:
+    """The view before a random background."""
+    return view.before(tuple(rng.uniform(size=3).tolist()))

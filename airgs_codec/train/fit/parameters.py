@@ -6,7 +6,7 @@ N Gaussians, K SH coefficients past DC, P points. Names are those of `Gaussians`
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.cpu import Redraw
-from airgs_codec.render.differentiable import rasterize
+from airgs_codec.render.differentiable import Picture, rasterize_views
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
@@ -68,17 +68,22 @@ def from_points(
     )
 
 
-def render(
+def render(p: Mapping[str, torch.Tensor], camera: Camera, sh_degree: int, absgrad: AbsGrad | None = None) -> Picture:
+    """The picture (H, W, 3) and its transmittance (H, W), differentiable, with SH up to `sh_degree`."""
+    return rasterize_views(_activated(p, sh_degree), [camera], absgrad)[0]
+
+
+def render_views(
     p: Mapping[str, torch.Tensor],
-    camera: Camera,
+    cameras: Sequence[Camera],
     sh_degree: int,
     absgrad: AbsGrad | None = None,
-    redraw: Redraw | None = None,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """The picture (H, W, 3) and its transmittance (H, W), differentiable, with SH up to `sh_degree`.
+    redraws: Sequence[Redraw | None] | None = None,
+) -> list[Picture]:
+    """The same for each of several cameras; `redraws`: one for each, as in `rasterize`."""
+    return rasterize_views(_activated(p, sh_degree), cameras, absgrad, redraws)
 
-    `redraw`: as in `rasterize`.
-    """
+
+def _activated(p: Mapping[str, torch.Tensor], sh_degree: int) -> RasterInputs[torch.Tensor]:
     sh = torch.cat([p["sh_dc"][:, None], p["sh_rest"][:, : SH_REST[sh_degree]]], dim=1)
-    activated = RasterInputs(p["means"], p["quaternions"], p["log_scales"].exp(), p["opacity_logits"].sigmoid(), sh)
-    return rasterize(activated, camera, absgrad=absgrad, redraw=redraw)
+    return RasterInputs(p["means"], p["quaternions"], p["log_scales"].exp(), p["opacity_logits"].sigmoid(), sh)

@@ -30,7 +30,7 @@ def triangulate(views: Sequence[View]) -> Points:
     Features are matched between neighbouring views, matches that share a feature are joined to tracks, and each track
     is triangulated and checked (`intersect`).
     """
-    features = [sift(view.target.rgb, FEATURES) for view in views]
+    features = [_features(view) for view in views]
     first = np.concatenate([[0], np.cumsum([len(f[0]) for f in features])])
     links = [
         match_features(features[a][1], features[b][1], RATIO) + np.array([first[a], first[b]])
@@ -39,7 +39,7 @@ def triangulate(views: Sequence[View]) -> Points:
     pairs = np.concatenate(links) if links else np.empty((0, 2), np.intp)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(first[-1], first[-1]))
     _, track = connected_components(graph, directed=False)
-    places = np.concatenate([f[0] for f in features])
+    places, seen_colours = (np.concatenate([f[i] for f in features]) for i in (0, 2))
     view_of = np.repeat(np.arange(len(views)), np.diff(first))
     positions, colours = [], []
     for members in _tracks(track, view_of):
@@ -47,10 +47,17 @@ def triangulate(views: Sequence[View]) -> Points:
         point = intersect(cameras, places[members])
         if point is not None:
             positions.append(point)
-            seen = [views[view_of[m]].target.rgb[tuple(places[m][::-1].astype(int))] for m in members]
-            colours.append(np.median(seen, axis=0))
+            colours.append(np.median(seen_colours[members], axis=0))
     shape = (-1, 3)
     return Points(np.array(positions, np.float32).reshape(shape), np.array(colours, np.float32).reshape(shape))
+
+
+def _features(view: View) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
+    """Places (F, 2) in pixels, descriptors (F, 128) and colours (F, 3) of a view's SIFT features."""
+    picture = view.target.rgb
+    places, descriptors = sift(picture, FEATURES)
+    columns, rows = places.astype(int).T
+    return places, descriptors, picture[rows, columns]
 
 
 def _neighbours(cameras: Sequence[Camera]) -> list[tuple[int, int]]:

@@ -5,14 +5,15 @@ On the CPU one fused pass (`kernels`); on CUDA the same numbers from separable c
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from airgs_codec.render.cuda import upload
 from airgs_codec.train.loss import kernels
 from airgs_codec.train.loss.target import Target
 
@@ -24,8 +25,18 @@ class Comparison:
     """How a rendered picture compares with its target."""
 
     loss: torch.Tensor  # scalar, differentiable
-    mse: float  # mean squared error of samples that are not clipped to 0..1
-    ssim: float  # mean over samples, pictures being zero outside
+    _mse: Callable[[], float]
+    _ssim: Callable[[], float]
+
+    @property
+    def mse(self) -> float:
+        """Mean squared error of samples that are not clipped to 0..1; computed when it is asked for."""
+        return self._mse()
+
+    @property
+    def ssim(self) -> float:
+        """Mean over samples, pictures being zero outside."""
+        return self._ssim()
 
 
 def photometric(rgb: torch.Tensor, target: Target, weight: float = LAMBDA) -> Comparison:
@@ -34,7 +45,7 @@ def photometric(rgb: torch.Tensor, target: Target, weight: float = LAMBDA) -> Co
         return _on_cuda(rgb, target, weight)
     sums: list[float] = []
     loss = _Fused.apply(rgb, target, weight, sums)
-    return Comparison(loss, sums[2], sums[1])
+    return Comparison(loss, lambda: sums[2], lambda: sums[1])
 
 
 class _Fused(torch.autograd.Function):
@@ -45,7 +56,7 @@ class _Fused(torch.autograd.Function):
         sums = np.empty((len(rows), 3))
         scratch = _scratch(rows.shape)
         arguments = (1 - weight, weight, *scratch, gradient, sums)
-        kernels.l1_dssim(rows, target.rows, target.mean, target.variance, *arguments)
+        kernels.l1_dssim(rows, target.rows, *target.moments, *arguments)
         l1, ssim, square = sums.sum(axis=0) / rows.size
         out += [float(l1), float(ssim), float(square)]
         ctx.gradient = torch.from_numpy(gradient.reshape(rgb.shape))
@@ -66,22 +77,20 @@ def _scratch(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.fl
     return _SCRATCH[shape]
 
 
-_ON_DEVICE: WeakKeyDictionary[Target, torch.Tensor] = WeakKeyDictionary()
-
-
 def _on_cuda(rgb: torch.Tensor, target: Target, weight: float) -> Comparison:
-    if target not in _ON_DEVICE:
-        _ON_DEVICE[target] = torch.from_numpy(target.rgb).to(rgb)
-    truth = _ON_DEVICE[target]
+    """Nothing here waits for the device."""
+    if target.on_device is None:
+        target.on_device = upload(target.rgb, rgb.device)
+    truth = target.on_device
     similarity = windowed_ssim(rgb, truth)
     loss = (1 - weight) * (rgb - truth).abs().mean() + weight * (1 - similarity)
-    return Comparison(loss, float((rgb.detach() - truth).square().mean()), float(similarity.detach()))
+    return Comparison(loss, lambda: float((rgb.detach() - truth).square().mean()), lambda: float(similarity.detach()))
 
 
 def windowed_ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     """Mean SSIM (Wang et al. 2004) of pictures (H, W, 3) that are zero outside, on any device in any precision."""
     half = [kernels.W0, kernels.W1, kernels.W2, kernels.W3, kernels.W4]
-    window = torch.tensor([*half, kernels.W5, *half[::-1]], dtype=a.dtype, device=a.device)
+    window = upload([*half, kernels.W5, *half[::-1]], a.device).to(a.dtype)
 
     def blur(x: torch.Tensor) -> torch.Tensor:
         x = x.permute(2, 0, 1)[:, None]

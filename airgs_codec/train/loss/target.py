@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +17,25 @@ Exposure = Mapping[str, Sequence[float]]  # camera -> gains r, g, b and offsets 
 
 
 class Target:
-    """A picture to be matched, and its windowed mean and variance (H, n) for SSIM."""
+    """A picture to be matched."""
 
     def __init__(self, rgb: NDArray[np.float32], clear: NDArray[np.float32] | None = None) -> None:
         """`rgb`: (H, W, 3), 0..1. `clear`: (H, W) share of the background in it; None: not known."""
         self.rgb = np.ascontiguousarray(rgb, np.float32)
         self.clear = clear
-        height, width, _ = self.rgb.shape
-        self.rows = self.rgb.reshape(height, 3 * width)
-        self.mean, self.variance = np.empty_like(self.rows), np.empty_like(self.rows)
-        kernels.window_moments(self.rows, self.mean, self.variance)
+        self.on_device: Any = None  # a tensor of `rgb`, where the loss is computed on a device
+
+    @property
+    def rows(self) -> NDArray[np.float32]:
+        """The samples (H, n)."""
+        return self.rgb.reshape(len(self.rgb), -1)
+
+    @cached_property
+    def moments(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Windowed mean and variance for SSIM, (H, n) each."""
+        mean, variance = np.empty_like(self.rows), np.empty_like(self.rows)
+        kernels.window_moments(self.rows, mean, variance)
+        return mean, variance
 
     def before(self, there: Background, now: Background) -> Target:
         """The picture before the background `now` instead of the one that is there. Raises ValueError without alpha."""
@@ -34,8 +46,39 @@ class Target:
 
     @property
     def nbytes(self) -> int:
-        """Memory that its arrays hold, in bytes."""
+        """Memory that its arrays hold when the moments are known, in bytes."""
         return 3 * self.rgb.nbytes + (0 if self.clear is None else self.clear.nbytes)
+
+    def target(self) -> Target:
+        """Itself: a picture that is at hand."""
+        return self
+
+    def expect(self) -> None:
+        """Nothing: it is at hand."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stored:
+    """A picture in 8 bits, 3 or 4 bytes a pixel, of which a target takes 36 or 40."""
+
+    rgb: NDArray[np.uint8]  # (H, W, 3) before the background of the scene
+    clear: NDArray[np.uint8] | None = None  # (H, W) share of the background in it; None: not known
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that its arrays hold, in bytes."""
+        return self.rgb.nbytes + (0 if self.clear is None else self.clear.nbytes)
+
+    def target(self, exposure: Sequence[float] | None) -> Target:
+        """The picture in float32, as the average camera would have exposed it; None: exposed as it is."""
+        rgb = _as_floats(self.rgb)
+        if exposure is not None:
+            rgb = exposed_alike(rgb, exposure)
+        return Target(rgb, None if self.clear is None else _as_floats(self.clear))
+
+
+def _as_floats(values: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return values.astype(np.float32) / np.float32(255)
 
 
 def exposed_alike(picture: NDArray[np.float32], values: Sequence[float]) -> NDArray[np.float32]:

@@ -4,13 +4,15 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
 from airgs_codec.errors import TrainingError
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.fit.optimise import Schedule, optimise
-from airgs_codec.train.fit.parameters import from_gaussians, to_gaussians
+from airgs_codec.train.fit.optimise import Deck, Losses, Schedule, optimise
+from airgs_codec.train.fit.parameters import from_gaussians, render, to_gaussians
 from airgs_codec.train.fit.per_gaussian import PerGaussian
-from tests.support.views import coloured_cloud, ring, views_of
+from airgs_codec.train.loss.photometric import photometric
+from tests.support.views import coloured_cloud, moved, ring, views_of
 
 
 def test_a_loss_that_is_not_finite_ends_the_fit_with_the_view():
@@ -49,3 +51,42 @@ def test_progress_counts_every_iteration():
     variables, rng = PerGaussian(from_gaussians(g), 5.0), np.random.default_rng(0)
     optimise(variables, views_of(g, ring(2)), schedule, rng, progress=lambda *what: said.append(what))
     assert said == [("fit", 1, 3), ("fit", 2, 3), ("fit", 3, 3)]
+
+
+def test_a_deck_deals_every_view_before_any_comes_again():
+    deck = Deck(7, np.random.default_rng(0))
+    dealt = []
+    for _ in range(14):
+        expected = deck.ahead(3)
+        taken = deck.take(3)
+        assert taken[: len(expected)] == expected
+        dealt += taken
+    assert [sorted(dealt[i : i + 7]) for i in range(0, 42, 7)] == [list(range(7))] * 6
+    rng, alone = np.random.default_rng(0), Deck(5, np.random.default_rng(0))
+    orders = [rng.permutation(5).tolist()[::-1] for _ in range(2)]
+    assert [alone.take(1)[0] for _ in range(10)] == [i for order in orders for i in order]
+
+
+def test_losses_that_are_looked_at_seldom_still_name_the_first_fault():
+    views, losses = views_of(coloured_cloud(5), ring(2)), Losses(50)
+    for iteration in range(1, 50):
+        losses.add(iteration, views, torch.tensor(math.nan if iteration in (7, 30) else 1.0), last=False)
+    with pytest.raises(TrainingError, match="iteration 7 in view cam00, cam01"):
+        losses.add(50, views, torch.tensor(1.0), last=False)
+    late = Losses(50)
+    with pytest.raises(TrainingError, match="iteration 3 in view cam01"):
+        late.add(3, views[1:], torch.tensor(math.inf), last=True)
+
+
+def test_an_iteration_of_several_pictures_follows_the_mean_of_their_losses():
+    """One step over all views is the step of the averaged gradients, whatever their order."""
+    g = coloured_cloud(30)
+    views = views_of(moved(g, slice(0, 10), (0.1, 0, 0)), ring(3))
+    together, by_hand = (PerGaussian(from_gaussians(g), 5.0) for _ in range(2))
+    optimise(together, views, Schedule("fit", 1, lambda done: 0, views=3), np.random.default_rng(0))
+    parts = [render(by_hand.current(), v.camera, 0)[0] for v in views]
+    sum(photometric(rgb, v.target).loss / 3 for rgb, v in zip(parts, views, strict=True)).backward()
+    by_hand.step(1, 1)
+    for name, value in together.detached().items():
+        torch.testing.assert_close(value, by_hand.detached()[name], atol=1e-4, rtol=1e-3)
+    assert not torch.equal(together.detached()["means"], from_gaussians(g)["means"])

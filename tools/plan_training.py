@@ -1,0 +1,205 @@
+"""What training takes in memory and time: its parts measured here, and what they come to for a whole frame.
+
+    python -m tools.plan_training SEQUENCE --views CAMERAS [--rows 200000] [--cameras 20] [--size 1920x1080]
+        [--device cpu|cuda] [--iteration-views N]
+
+The middle frame of SEQUENCE is grown to --rows Gaussians (each split into as many smaller ones, drawn from it), seen by
+a camera of CAMERAS at --size. One iteration is taken apart: drawing, its gradient, the loss, Adam. Nothing is fitted:
+a plan, not a result. With --device cuda the same is measured on a GPU, with its peak of memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import numpy as np
+import torch
+
+from airgs_codec.render import cpu
+from airgs_codec.render.backend import open_renderer
+from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.train.data.pictures import PICTURE_BYTES, TARGET_BYTES
+from airgs_codec.train.fit.adam import Adam
+from airgs_codec.train.fit.parameters import Parameters, from_gaussians, render_views
+from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates
+from airgs_codec.train.loss.photometric import photometric
+from airgs_codec.train.loss.target import Stored, Target
+from airgs_codec.train.settings import TrainSettings
+
+REPEATS = 3  # of each part, of which the fastest counts
+# float32 values of a Gaussian's channel that a fit with a temporal loss holds at once: the base, D, its gradient, two
+# moments, the step of the codec, its weight, what D may still change, the sum of base and D, activated, its gradient.
+COPIES = 11
+# Of a pixel that is drawn: the picture, two gradients by it, those of the transmittance, and the scratch of SSIM.
+PIXEL_BYTES = 3 * 12 + 2 * 4 + 72
+PAIR_BYTES = 12 * 4 + 4 + 4 + 8  # of a (Gaussian, tile) pair on the CPU: gradients, its Gaussian, its place, its key
+MIB = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """What was measured of one iteration that sees so many `views`."""
+
+    rows: int
+    channels: int  # of a Gaussian
+    pixels: int  # of a picture
+    views: int
+    pairs: int  # (Gaussian, tile) pairs of a picture
+    draw_s: float  # of all views
+    gradient_s: float  # of drawing and loss
+    loss_s: float
+    adam_s: float
+    target_s: float  # of one picture, from 8 bits, with what SSIM needs
+    peak_bytes: int | None  # on the GPU; None: measured on the CPU
+
+    @property
+    def iteration_s(self) -> float:
+        """Of one iteration whose targets are at hand."""
+        return self.draw_s + self.gradient_s + self.loss_s + self.adam_s
+
+
+def grown(g: Gaussians, rows: int, seed: int = 0) -> Gaussians:
+    """So many Gaussians of a frame: each becomes several smaller ones, drawn from it, that cover the same area."""
+    rng = np.random.default_rng(seed)
+    taken = np.arange(rows) % len(g)
+    out = g.take(taken)
+    shift = np.where(np.arange(rows)[:, None] < len(g), 0.0, np.exp(out.log_scales) * rng.normal(size=(rows, 3)))
+    shrink = 0.5 * np.log(max(1.0, rows / len(g)))
+    means = (out.means + shift).astype(np.float32)
+    return replace(out, means=means, log_scales=(out.log_scales - shrink).astype(np.float32))
+
+
+def sized(camera: Camera, width: int, height: int) -> Camera:
+    """The camera with another picture, in which its scene is as high."""
+    share = height / camera.height
+    fx, fy = camera.fx * share, camera.fy * share
+    return replace(camera, width=width, height=height, fx=fx, fy=fy, cx=width / 2, cy=height / 2)
+
+
+def measure(g: Gaussians, cameras: Sequence[Camera], device: str) -> Parts:
+    """The parts of an iteration in which `cameras`, of one size, see `g`."""
+    base = from_gaussians(g, device)
+    targets = [Target(cpu.render(g, camera).rgb.clip(0, 1)) for camera in cameras]
+    stored = Stored((targets[0].rgb * 255).astype(np.uint8))
+    made = _fastest(device, lambda: stored.target(None).moments)
+    for target in targets:
+        _ = target.moments
+    if device == "cuda":
+        torch.cuda.reset_peak_memory_stats()
+    variables = PerGaussian(base, 5.0)
+    best = [_iteration(variables.adam, base, cameras, targets) for _ in range(REPEATS)]
+    draw, loss, gradient, adam = (min(times) for times in zip(*best, strict=True))
+    view = cpu.project(cpu.activate(g), cameras[0])
+    channels = sum(v[0].numel() for v in base.values())
+    peak = torch.cuda.max_memory_allocated() if device == "cuda" else None
+    size = cameras[0].width * cameras[0].height
+    return Parts(
+        len(g), channels, size, len(cameras), len(view.slots), draw, gradient, loss, adam, made, peak
+    )  # fmt: skip
+
+
+def _iteration(
+    adam: Adam, base: Parameters, cameras: Sequence[Camera], targets: Sequence[Target]
+) -> tuple[float, float, float, float]:
+    """Seconds of drawing, loss, gradient and Adam, each until the device is done."""
+    marks = [_now(adam)]
+    degree = round((1 + base["sh_rest"].shape[1]) ** 0.5) - 1
+    pictures = render_views({n: p + adam.parameters[n] for n, p in base.items()}, cameras, degree)
+    marks.append(_now(adam))
+    loss = torch.stack([photometric(rgb, t).loss for (rgb, _), t in zip(pictures, targets, strict=True)]).mean()
+    marks.append(_now(adam))
+    loss.backward()
+    marks.append(_now(adam))
+    adam.rates = Rates().at(0.5, 5.0)
+    adam.step()
+    marks.append(_now(adam))
+    draw, loss_s, gradient, step = np.diff(marks).tolist()
+    return draw, loss_s, gradient, step
+
+
+def _now(adam: Adam) -> float:
+    if adam.parameters["means"].is_cuda:
+        torch.cuda.synchronize()
+    return time.perf_counter()
+
+
+def _fastest(device: str, work: Callable[[], object]) -> float:
+    times = []
+    for _ in range(REPEATS):
+        begun = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - begun)
+    return min(times)
+
+
+def memory_table(parts: Parts, cameras: int) -> list[tuple[str, str, float]]:
+    """(what, how it is counted, MiB) of the main memory that a fit on the CPU holds, but for the program itself."""
+    pictures, rows = cameras * 3 * parts.pixels, 4 * COPIES * parts.channels * parts.rows
+    most = f"{cameras} x 36 bytes a pixel, at most {TARGET_BYTES / MIB:,.0f} MiB"
+    return [
+        ("pictures in 8 bits", f"{cameras} cameras x 3 bytes a pixel", min(PICTURE_BYTES, pictures) / MIB),
+        ("targets with their moments", most, min(TARGET_BYTES, 12 * pictures) / MIB),
+        ("Gaussians, gradients, Adam", f"{COPIES} x {parts.channels} float32 a row", rows / MIB),
+        ("pairs of a picture", f"{parts.pairs:,} x {PAIR_BYTES} bytes", parts.pairs * PAIR_BYTES / MIB),
+        ("a picture, its gradient, SSIM", f"{PIXEL_BYTES} bytes a pixel", PIXEL_BYTES * parts.pixels / MIB),
+    ]
+
+
+def time_table(parts: Parts, settings: TrainSettings) -> list[tuple[str, str]]:
+    """(what, value) of the time that frames take, if there were as many rows from the first iteration on."""
+    counts = (settings.first_iterations, settings.key_iterations, settings.frame_iterations)
+    hours = [f"{n} iterations: {n * parts.iteration_s / 60:.1f} min" for n in counts]
+    return list(zip(("a first frame", "a keyframe", "a frame in a group"), hours, strict=True))
+
+
+def report(parts: Parts, cameras: int) -> str:
+    """Everything in lines of markdown tables."""
+    ms = [("drawing", parts.draw_s), ("loss", parts.loss_s), ("gradient", parts.gradient_s), ("Adam", parts.adam_s)]
+    lines = ["| part of an iteration | ms |", "|---|---:|", *(f"| {name} | {1e3 * s:.0f} |" for name, s in ms)]
+    lines += [f"| together | {1e3 * parts.iteration_s:.0f} |", f"| a target from 8 bits | {1e3 * parts.target_s:.0f} |"]
+    lines += ["", "| frame | time |", "|---|---|", *(f"| {a} | {b} |" for a, b in time_table(parts, TrainSettings()))]
+    if parts.peak_bytes is not None:
+        return "\n".join([*lines, "", f"peak of GPU memory in an iteration: {parts.peak_bytes / MIB:.0f} MiB"])
+    held = memory_table(parts, cameras)
+    lines += ["", "| memory | counted as | MiB |", "|---|---|---:|"]
+    lines += [f"| {what} | {how} | {size:,.0f} |" for what, how, size in held]
+    return "\n".join([*lines, f"| together | | {sum(size for _, _, size in held):,.0f} |"])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sequence", type=Path)
+    parser.add_argument("--views", type=Path, required=True, help="cameras, of which the first ones are taken")
+    parser.add_argument("--rows", type=int, default=200_000)
+    parser.add_argument("--cameras", type=int, default=20, help="of the rig, whose pictures are kept")
+    parser.add_argument("--size", default="1920x1080", metavar="WxH")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu")
+    parser.add_argument("--iteration-views", type=int, default=1)
+    args = parser.parse_args(argv)
+    device = open_renderer(args.device).device
+    torch.set_num_threads(1)
+    sequence = open_sequence(args.sequence, views=args.views)
+    width, height = (int(part) for part in args.size.split("x"))
+    seen = [sized(camera, width, height) for camera in sequence.cameras[: args.iteration_views]]
+    parts = measure(grown(sequence.read(len(sequence) // 2), args.rows), seen, device)
+    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores; {parts.rows:,} Gaussians of")
+    print(
+        f"{parts.channels} channels, {len(seen)} pictures of {args.size} an iteration, {parts.pairs:,} pairs in one\n"
+    )
+    print(report(parts, args.cameras))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
