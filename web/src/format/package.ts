@@ -68,6 +68,11 @@ export class Tables {
     const entry = this.index.entry(number);
     const table = parseTable(await inflate(bytes, where), groupSchema, where) as Group;
     checkGroup(this.root, entry, table, number);
+    const others = new Map(this.#groups).set(number, table);
+    for (const [n, one] of others) {
+      const base = others.get((one.keeps ?? 0) - 1);
+      if (base && (one === table || base === table)) checkKept(one, base, groupPath(n + 1));
+    }
     this.#groups.delete(number);
     this.#groups.set(number, table);
     for (const oldest of this.#groups.keys()) {
@@ -126,13 +131,10 @@ export class Tables {
     return this.index.entry(group).firstSegment + segments.findIndex((segment) => frame < segment.stop);
   }
 
-  /** The base of a group, whose rows it keeps; null: it keeps none. Throws what `group` does, FormatError(bad_value). */
+  /** The base of a group, whose rows it keeps; null: it keeps none. Throws what `group` does. */
   base(group: number): number | null {
-    const table = this.group(group);
-    if (!table.keeps) return null;
-    const base = table.keeps - 1;
-    checkKept(table, this.group(base), groupPath(group + 1));
-    return base;
+    const { keeps } = this.group(group);
+    return keeps ? keeps - 1 : null;
   }
 
   /** Sidecar and picture of a key unit: none of a tier without rows, no picture where all of them are kept. */
@@ -142,7 +144,7 @@ export class Tables {
     return files.slice(0, Number(count > 0) + Number(count > kept));
   }
 
-  /** The table of the base of a group; null: it keeps no rows. Throws what `base` does. */
+  /** The table of the base of a group; null: it keeps no rows. Throws what `group` does. */
   baseTable(group: number): Group | null {
     const base = this.base(group);
     return base === null ? null : this.group(base);

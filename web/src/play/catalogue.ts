@@ -17,6 +17,11 @@ const KEPT_OPTIONS = 4096;
 
 /** Key quality → how many of its tiers are decoded, from the first on. */
 export type DecodedTiers = ReadonlyMap<number, number>;
+export const NONE: DecodedTiers = new Map();
+
+/** What is decoded where both are. */
+const merged = (one: DecodedTiers, other: DecodedTiers): DecodedTiers =>
+  new Map([...one, ...[...other].map(([q, tiers]) => [q, Math.max(tiers, one.get(q) ?? 0)] as const)]);
 
 /** Paths of the files that are requested together, in the order in which they arrive. */
 export interface Batch {
@@ -57,13 +62,18 @@ export interface Offers {
     readonly pages: number;
     entry(group: number): { start: number; stop: number; firstSegment: number; segments: number };
     pageOfSegment(segment: number): number | null;
+    pageOfGroup(group: number): number | null;
     hasPage(page: number): boolean;
     guessSpan(segment: number): { start: number; stop: number };
   };
   has(group: number): boolean;
   segment(segment: number): Pick<Segment, "start" | "stop"> & { levels: readonly { psnr: readonly number[] }[] };
   groupOf(segment: number): number;
+  /** The group whose rows a group keeps; null: none. */
+  base(group: number): number | null;
   keyFiles(group: number, tier: number, quality: number): string[];
+  /** Those of the key unit of the base whose rows a key unit keeps. */
+  keptFiles(group: number, tier: number, quality: number): string[];
   stateFiles(segment: number, level: number): string[];
   entry(path: string): { bytes: number };
 }
@@ -84,10 +94,12 @@ export class Catalogue {
     quality: new Kept<Float64Array>(KEPT_SEGMENTS),
     state: new Kept<Float64Array>(KEPT_SEGMENTS),
     key: new Kept<Float64Array>(KEPT_SEGMENTS),
+    base: new Kept<Float64Array>(KEPT_SEGMENTS),
     after: new Kept<Float64Array>(KEPT_SEGMENTS),
     scratch: new Kept<Float64Array>(KEPT_SEGMENTS),
     options: new Kept<readonly Option[], string>(KEPT_OPTIONS),
   };
+  /** What is decoded of a group after each rung, at least. */
   private readonly held: readonly DecodedTiers[];
 
   constructor(
@@ -127,10 +139,13 @@ export class Catalogue {
     return (entry.stop - entry.start) / this.fps;
   }
 
-  /** Whether the table of a segment's group is there. */
+  /** Whether the tables of a segment's group, and of the one whose rows it keeps, are there. */
   knows(segment: number): boolean {
-    const page = this.tables.index.pageOfSegment(segment);
-    return (page === null || this.tables.index.hasPage(page)) && this.tables.has(this.tables.groupOf(segment));
+    const { tables } = this;
+    const page = tables.index.pageOfSegment(segment);
+    if (page !== null && !tables.index.hasPage(page)) return false;
+    const group = tables.groupOf(segment);
+    return tables.has(group) && tables.has(tables.base(group) ?? group);
   }
 
   /** Frames of a segment; where its table cannot be had, as if its neighbours were of one length. */
@@ -162,47 +177,73 @@ export class Catalogue {
 
   /** (Q T) wire bytes of the key units of a group; 0 for a tier without rows. */
   keyBytes(group: number): Float64Array {
+    return this.kept.key.get(group, () => this.units((tier, q) => this.tables.keyFiles(group, tier, q)));
+  }
+
+  /** (Q T) wire bytes of key units of the group whose rows a group keeps; 0 for a tier that keeps none. */
+  baseBytes(group: number): Float64Array {
+    return this.kept.base.get(group, () => this.units((tier, q) => this.tables.keptFiles(group, tier, q)));
+  }
+
+  private units(filesOf: (tier: number, quality: number) => string[]): Float64Array {
     const { tiers, qualities } = this.tables.root;
-    const unit = (i: number) => this.tables.keyFiles(group, i % tiers, Math.floor(i / tiers));
-    return this.kept.key.get(group, () =>
-      Float64Array.from({ length: qualities.length * tiers }, (_, i) => this.wire(unit(i))),
+    return Float64Array.from({ length: qualities.length * tiers }, (_, i) =>
+      this.wire(filesOf(i % tiers, Math.floor(i / tiers))),
     );
   }
 
   /** (Q L · Q L) wire bytes of rung c after rung p in the segment before, of the same group, at place p Q L + c. */
   bytesAfter(segment: number): Float64Array {
-    return this.kept.after.get(segment, () => {
-      const after = new Float64Array(this.rungs.length ** 2);
-      this.held.forEach((decoded, p) => {
-        after.set(this.sizes(segment, decoded), p * this.rungs.length);
-      });
-      return after;
-    });
+    return this.kept.after.get(segment, () => this.table(this.held, (held) => this.sizes(segment, held, held)));
   }
 
-  /** (Q L) wire bytes of a rung when no key of its group is decoded. */
+  /**
+   * (Q L · Q L) wire bytes of rung c in the first segment of a group after rung p in the one before, at place p Q L + c;
+   * (Q L) where the rung before makes no difference. It does where the group keeps rows of the one before, or of the same
+   * as that. `known` are keys of some groups that are decoded.
+   */
+  bytesAtStart(segment: number, known: ReadonlyMap<number, DecodedTiers>): Float64Array {
+    const { tables } = this;
+    const group = tables.groupOf(segment);
+    const base = tables.base(group);
+    if (base === null) return this.bytesFromScratch(segment);
+    const held = known.get(base) ?? NONE;
+    const near = base === group - 1 || base === tables.base(group - 1);
+    return this.table(near ? this.held : [NONE], (after) => this.sizes(segment, NONE, merged(held, after)));
+  }
+
+  private table(rows: readonly DecodedTiers[], row: (held: DecodedTiers) => Float64Array): Float64Array {
+    const table = new Float64Array(rows.length * this.rungs.length);
+    for (const [p, held] of rows.entries()) table.set(row(held), p * this.rungs.length);
+    return table;
+  }
+
+  /** (Q L) wire bytes of a rung when no key of its group is decoded, nor of one whose rows it keeps. */
   bytesFromScratch(segment: number): Float64Array {
-    return this.kept.scratch.get(segment, () => this.sizes(segment, new Map()));
+    return this.kept.scratch.get(segment, () => this.sizes(segment, NONE));
   }
 
-  /** (Q L) wire bytes of the keys that are missing and the state. */
-  sizes(segment: number, decoded: DecodedTiers): Float64Array {
+  /** (Q L) wire bytes of the keys that are missing, of the group and of the one whose rows it keeps, and the state. */
+  sizes(segment: number, decoded: DecodedTiers, base: DecodedTiers = NONE): Float64Array {
     const { tiers, levels } = this.tables.root;
-    const keys = this.keyBytes(this.tables.groupOf(segment));
+    const group = this.tables.groupOf(segment);
     const states = this.stateBytes(segment);
+    const keys = [[this.keyBytes(group), decoded] as const, [this.baseBytes(group), base] as const];
     return Float64Array.from(this.rungs, ([q, j]) => {
       let size = states[j];
-      for (let tier = decoded.get(q) ?? 0; tier < levels[j].tiers; tier++) size += keys[q * tiers + tier];
+      for (const [bytes, held] of keys) {
+        for (let tier = held.get(q) ?? 0; tier < levels[j].tiers; tier++) size += bytes[q * tiers + tier];
+      }
       return size;
     });
   }
 
   /** Every rung of a segment, by number; kept, since a session asks for few combinations over and over. */
-  options(segment: number, decoded: DecodedTiers): readonly Option[] {
-    const held = [...decoded].sort(([a], [b]) => a - b).join(" ");
-    return this.kept.options.get(`${segment}: ${held}`, () => {
+  options(segment: number, decoded: DecodedTiers, base: DecodedTiers = NONE): readonly Option[] {
+    const held = [decoded, base].map((tiers) => [...tiers].sort(([a], [b]) => a - b).join(" "));
+    return this.kept.options.get(`${segment}: ${held.join("; ")}`, () => {
       const quality = this.quality(segment);
-      const sizes = this.sizes(segment, decoded);
+      const sizes = this.sizes(segment, decoded, base);
       const { levels } = this.tables.root;
       return this.rungs.map(([, j], index) => {
         return { index, sizeBytes: sizes[index], quality: quality[index], pruned: levels[j].pruned };
@@ -210,15 +251,17 @@ export class Catalogue {
     });
   }
 
-  /** The files that a rung of a segment needs beside the decoded tiers. */
-  batch(segment: number, rung: number, decoded: DecodedTiers): Batch {
+  /** The files that a rung of a segment needs beside the decoded tiers of its group, and of the one whose rows it keeps. */
+  batch(segment: number, rung: number, decoded: DecodedTiers, base: DecodedTiers = NONE): Batch {
+    const { tables } = this;
     const [q, j] = this.rungs[rung];
-    const group = this.tables.groupOf(segment);
+    const group = tables.groupOf(segment);
     const keys: string[] = [];
-    for (let tier = decoded.get(q) ?? 0; tier < this.tables.root.levels[j].tiers; tier++) {
-      keys.push(...this.tables.keyFiles(group, tier, q));
+    for (let tier = 0; tier < tables.root.levels[j].tiers; tier++) {
+      if (tier >= (decoded.get(q) ?? 0)) keys.push(...tables.keyFiles(group, tier, q));
+      if (tier >= (base.get(q) ?? 0)) keys.push(...tables.keptFiles(group, tier, q));
     }
-    return { keys, state: this.tables.stateFiles(segment, j), tables: [] };
+    return { keys, state: tables.stateFiles(segment, j), tables: [] };
   }
 
   /** The segment of the package that a session plays at a position. */

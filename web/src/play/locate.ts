@@ -18,7 +18,7 @@ export async function locate(media: Media, frame: number, signal: AbortSignal): 
 
 function missing({ tables }: Media, frame: number): string | null {
   try {
-    tables.base(tables.index.atFrame(frame));
+    tables.baseTable(tables.index.atFrame(frame));
     return null;
   } catch (error) {
     if (error instanceof MissingPageError) return pagePath(error.page + 1);

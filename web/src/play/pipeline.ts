@@ -135,7 +135,7 @@ export class Pipeline {
   async #space(position: number, quality: number, signal: AbortSignal): Promise<Canonical> {
     const { media, catalogue, stores } = this.parts;
     const group = media.tables.groupOf(catalogue.index(position));
-    const tiers = stores.keys.decodedTiers(position).get(quality) ?? 0;
+    const tiers = stores.keys.shownTiers(position, quality);
     const name = `${group} ${quality} ${tiers}`;
     const canonical = this.#spaces.get(name) ?? (await media.canonical(group, quality, tiers, signal));
     signal.throwIfAborted();

@@ -83,7 +83,7 @@ export class Receiver {
   private useKeys({ position, rung }: Request): void {
     const { catalogue: c, playout, settings, stores } = this.parts;
     const quality = c.rungs[rung][0];
-    const tiers = stores.keys.decodedTiers(position).get(quality) ?? 0;
+    const tiers = stores.keys.shownTiers(position, quality);
     const of = c.group(position);
     for (const slot of playout.pending()) {
       const { loop, group } = c.group(slot.position);

@@ -36,7 +36,7 @@ export function bestReplacement(c: Catalogue, playout: Playout, stores: Stores, 
   for (const slot of playout.pending()) {
     const startS = playout.startS(slot, link.nowS);
     if (!(link.nowS < startS && startS < Infinity)) continue;
-    for (const option of c.options(c.index(slot.position), stores.keys.decodedTiers(slot.position))) {
+    for (const option of stores.keys.options(slot.position)) {
       const worth = worthOf(c, slot, option, { ...link, startS, decodeS });
       if (worth === null || (best && worth <= best.worth)) continue;
       if (usable(stores, replacing(c, stores, slot, option.index))) best = { worth, slot, option };

@@ -1,5 +1,5 @@
 // The rungs of a package as people choose one: what they look like and cost on the whole.
-import type { Catalogue, RungInfo } from "./catalogue.ts";
+import { type Catalogue, NONE, type RungInfo } from "./catalogue.ts";
 
 /** Sums over the segments of the groups whose tables were there when somebody asked. */
 export class RungTotals {
@@ -41,7 +41,8 @@ export class RungTotals {
     const c = this.catalogue;
     const seconds = c.seconds(s);
     this.#seconds += seconds;
-    const sizes = c.bytesFromScratch(s);
+    const { tiers, qualities } = c.tables.root;
+    const sizes = c.sizes(s, NONE, new Map(qualities.map((_, q) => [q, tiers]))); // what is kept was there before
     const states = c.stateBytes(s);
     const quality = c.quality(s);
     const begins = c.startsGroup(s);

@@ -207,6 +207,7 @@ class Run {
       position,
       end: playout.end,
       decodedTiers: stores.keys.decodedTiers(position),
+      baseTiers: stores.keys.baseTiers(position),
       options: this.options(position),
       nowS: this.nowS,
       deadlineS: playout.deadlineS(playout.dueAt(this.nowS), this.nowS),
@@ -220,9 +221,9 @@ class Run {
 
   /** The rungs of the next segment that can be had and are smaller than what was given up. */
   private options(position: number): readonly Option[] {
-    const { catalogue: c, stores } = this.parts;
+    const { stores } = this.parts;
     const most = this.givenUp.position === position ? this.givenUp.sizeBytes : Infinity;
-    const options = c.options(c.index(position), stores.keys.decodedTiers(position));
+    const options = stores.keys.options(position);
     return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index)));
   }
 

@@ -19,6 +19,9 @@ export interface GroupNumbers {
   /** By tier and quality. */
   pictures: number[][];
   segments: SegmentNumbers[];
+  /** The group, from 1, whose rows it keeps, and how many of each tier. */
+  keeps?: number;
+  kept?: number[];
 }
 
 export interface PackageNumbers {
@@ -101,8 +104,19 @@ export class NumberOffers implements Offers {
   }
 
   keyFiles(group: number, tier: number, quality: number): string[] {
-    if (!this.numbers.groups[group].sidecars[tier]) return [];
-    return [keySidecarPath(tier, group + 1), keyMediaPath(tier, quality, group + 1)];
+    const { sidecars, pictures } = this.numbers.groups[group];
+    const files = sidecars[tier] ? [keySidecarPath(tier, group + 1)] : [];
+    return pictures[tier][quality] ? [...files, keyMediaPath(tier, quality, group + 1)] : files;
+  }
+
+  base(group: number): number | null {
+    const { keeps } = this.numbers.groups[group];
+    return keeps ? keeps - 1 : null;
+  }
+
+  keptFiles(group: number, tier: number, quality: number): string[] {
+    const base = this.base(group);
+    return base !== null && this.numbers.groups[group].kept![tier] ? this.keyFiles(base, tier, quality) : [];
   }
 
   stateFiles(segment: number, level: number): string[] {

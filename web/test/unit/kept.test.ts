@@ -83,6 +83,16 @@ function keeping(group: Group, keeps: number, kept: number[]): Group {
   return table;
 }
 
+/** Tables of a group whose second tier has 139 rows, one less than before, and of one that keeps 140 of them. */
+async function fewer(): Promise<{ base: Group; keeper: Group }> {
+  const group = (await readTables(FOX)).group(1);
+  const base = structuredClone(group);
+  base.tiers[0]!.count += 1;
+  base.tiers[1]!.count -= 1;
+  for (const tier of base.tiers) for (const atlas of tier.qualities) atlas.rows = tier.count;
+  return { base, keeper: keeping(group, 2, [0, 140]) };
+}
+
 const packed = (table: Group) => new Uint8Array(gzipSync(JSON.stringify(table)));
 
 /** The tables of the fox, of which group 2 keeps so many rows. */
@@ -119,13 +129,30 @@ test("what is kept must be there", async () => {
   const [first, second] = [tables.group(0), tables.group(1)];
   const { keeps, ...alone } = second;
   await assert.rejects(tables.addGroup(1, packed(alone)), refused); // rows kept of nobody
-  const others: Group[] = [
-    { ...first, tiers: first.tiers.map((tier) => ({ ...tier, count: 139 })) }, // fewer rows than are kept
-    { ...first, keeps: 1 }, // which keeps rows itself
-  ];
-  for (const base of others) {
-    tables.group = (number: number) => (number ? second : base);
-    assert.throws(() => tables.base(1), refused);
+  await assert.rejects(tables.addGroup(0, packed({ ...first, keeps: 1 })), refused); // of itself
+  const late = await readTables(FOX);
+  const entry = late.index.entry(1);
+  late.index.entry = () => entry;
+  const third = keeping(late.group(1), 2, [0, 0]);
+  await late.addGroup(1, packed(second));
+  await assert.rejects(late.addGroup(2, packed(third)), refused); // of a group that keeps rows itself
+  await late.addGroup(3, packed({ ...third, keeps: 3 }));
+  await assert.rejects(late.addGroup(2, packed(second)), refused); // which is known before its base
+});
+
+test("a base with fewer rows than are kept is refused, whichever is read first", async () => {
+  const { base, keeper } = await fewer();
+  const refused = { reason: "bad_value", message: /group\/3.json.gz.tiers\[1\].kept: expected 0 to 139, got 140/ };
+  for (const order of [
+    [base, keeper],
+    [keeper, base],
+  ]) {
+    const tables = Tables.parse(readBytes(`${FOX}/airgs.json`));
+    const entry = tables.index.entry(1);
+    tables.index.entry = () => entry;
+    const add = (table: Group) => tables.addGroup(table === base ? 1 : 2, packed(table));
+    await add(order[0]!);
+    await assert.rejects(add(order[1]!), refused);
   }
 });
 
@@ -134,9 +161,10 @@ test("without the table of the base nothing of it can be said", async () => {
   const whole = await fox([500, 140]);
   const tables = Tables.parse(read("airgs.json"));
   await tables.addGroup(1, packed(whole.group(1)));
-  assert.throws(() => tables.base(1), /group\/1.json.gz has not been read/);
+  assert.throws(() => tables.baseTable(1), /group\/1.json.gz has not been read/);
+  assert.throws(() => tables.keptFiles(1, 0, 0), /group\/1.json.gz has not been read/);
   await tables.add(groupPath(1), read(groupPath(1)));
-  assert.equal(tables.base(1), 0);
+  assert.equal(tables.baseTable(1), tables.group(0));
 });
 
 // Values

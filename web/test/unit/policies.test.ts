@@ -36,6 +36,7 @@ function playerState(state: State, speed = 1): PlayerState {
     position: state.position,
     end: state.end,
     decodedTiers,
+    baseTiers: new Map(),
     options: options.filter((option) => !state.unavailable.includes(option.index)),
     nowS: state.now_s,
     deadlineS: state.deadline_s,

@@ -8,6 +8,7 @@ import {
   bufferS,
   type Download,
   fullLadder,
+  knownKeys,
   limitS,
   type PlayerState,
   RESERVE_S,
@@ -97,11 +98,13 @@ const downloadS = (model: Pick<Model, "latencyS" | "rateBps">, bytes: number): n
 /** The positions looked at, this one first. */
 function horizon(state: PlayerState): Step[] {
   const c = state.catalogue;
+  const known = knownKeys(state);
   const steps: Step[] = [];
   let total = 0;
   for (const { segment, startsGroup } of c.upcoming(state.position, HORIZON_SEGMENTS, state.end)) {
     if (steps.length && total >= HORIZON_S) break;
-    const sizes = startsGroup ? c.bytesFromScratch(segment) : c.bytesAfter(segment);
+    const sizesOf = () => (startsGroup ? c.bytesAtStart(segment, known) : c.bytesAfter(segment));
+    const sizes = steps.length ? sizesOf() : new Float64Array(0); // those of the first are in its options
     steps.push({ seconds: shownS(state, segment), sizes, quality: c.quality(segment) });
     total += steps[steps.length - 1].seconds;
   }

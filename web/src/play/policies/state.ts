@@ -29,6 +29,8 @@ export interface PlayerState {
   end: number;
   /** Of the segment's group. */
   decodedTiers: DecodedTiers;
+  /** Of the group whose rows it keeps. */
+  baseTiers: DecodedTiers;
   /** Every rung that can be had, with its wire bytes. */
   options: readonly Option[];
   nowS: number;
@@ -58,6 +60,15 @@ export interface Policy {
   needsQuality: boolean;
   /** Segments whose sizes it looks at, the next one first. */
   horizon: number;
+}
+
+/** What is decoded of the segment's group, and of the one whose rows it keeps. */
+export function knownKeys({ catalogue, position, decodedTiers, baseTiers }: PlayerState): Map<number, DecodedTiers> {
+  const { group } = catalogue.group(position);
+  return new Map([
+    [catalogue.tables.base(group) ?? group, baseTiers],
+    [group, decodedTiers],
+  ]);
 }
 
 /** Seconds for which a segment is on the screen. */

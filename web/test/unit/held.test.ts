@@ -1,0 +1,144 @@
+// What a player fetches for groups that keep rows of an earlier one: numbers that can be added up by hand.
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Catalogue, NONE } from "../../src/play/catalogue.ts";
+import { Playout } from "../../src/play/playout.ts";
+import { makePolicy } from "../../src/play/policies/named.ts";
+import { RungTotals } from "../../src/play/rungs.ts";
+import { Session } from "../../src/play/session.ts";
+import { sessionSettings } from "../../src/play/settings.ts";
+import { Stores } from "../../src/play/stores.ts";
+import { SimulatedDownloader, Trace } from "../support/link.ts";
+import { type GroupNumbers, NumberOffers } from "../support/offers.ts";
+
+const SEGMENT = {
+  frames: 10,
+  bytes: [7, 3],
+  psnr: [
+    [40, 38],
+    [36, 35],
+  ],
+};
+const BASE: GroupNumbers = {
+  table: 10,
+  sidecars: [100, 200],
+  pictures: [
+    [1000, 300],
+    [2000, 600],
+  ],
+  segments: [SEGMENT, SEGMENT],
+};
+
+/** A group that keeps rows of group 1: some of tier 0, or all; of tier 1 all, or none. */
+const keeping = (kept: number[], pictures: number[][]): GroupNumbers => ({
+  ...BASE,
+  ...{ sidecars: [10, 20], pictures, keeps: 1, kept },
+});
+const SOME = keeping([5, 5], [[50, 15], [0, 0]]); // biome-ignore format: by tier
+const ONE = keeping([0, 5], [[70, 35], [0, 0]]); // biome-ignore format: by tier
+
+/** Three groups of two segments; L0 needs both tiers, L1 the first. Files come without headers. */
+class Viewer {
+  readonly offers = new NumberOffers({
+    ...{ name: "", frame_rate: [10, 1], header_bytes: 0, root_bytes: 1, page_bytes: 0, qualities: ["Q0", "Q1"] },
+    levels: [0, 1].map((j) => ({ id: `L${j}`, tiers: 2 - j, pruned: j / 2 })),
+    groups: [BASE, SOME, ONE],
+  });
+  readonly catalogue = new Catalogue(this.offers, 0);
+  readonly settings = sessionSettings({ loops: 2, startupS: 0 });
+  readonly playout = new Playout(this.catalogue, this.settings);
+  readonly stores = new Stores(this.catalogue);
+  readonly downloader = new SimulatedDownloader({ trace: new Trace([0], [1e9], 3600), rttS: 0.05 }, this.catalogue);
+
+  /** Plays from a position on in a rung, and gives the keys that are asked for by position. */
+  async keys(policy: string, from = 0): Promise<Map<number, readonly string[]>> {
+    const first = this.downloader.requests.length;
+    const parts = { ...this, policy: makePolicy(policy, this.catalogue), from };
+    for await (const _ of new Session(parts).run(new AbortController().signal));
+    const asked = this.downloader.requests.slice(first).filter(({ batch }) => batch.keys.length);
+    return new Map(asked.map(({ position, batch }) => [position, batch.keys]));
+  }
+}
+
+const all = (quality: number, ...groups: number[]) =>
+  groups.flatMap((group) =>
+    [0, 1].flatMap((tier) => [`key/T${tier}/${group}.bin`, `key/T${tier}/Q${quality}/${group}.m4s`]),
+  );
+
+test("the bytes of a group that keeps rows depend on what is held of the other", () => {
+  const { catalogue: c } = new Viewer();
+  const both = new Map([[0, 2]]);
+  assert.deepEqual([...c.sizes(2, NONE)], [3387, 1163, 1252, 428]);
+  assert.deepEqual([...c.sizes(2, NONE, both)], [87, 63, 1252, 428]);
+  assert.deepEqual([...c.sizes(2, both, both)], [7, 3, 1252, 428]);
+  assert.deepEqual([...c.sizes(4, NONE, new Map([[0, 1]]))], [2307, 83, 872, 48]);
+  assert.equal(c.options(2, NONE, both)[0].sizeBytes, 87);
+  assert.equal(c.options(2, NONE)[0].sizeBytes, 3387);
+});
+
+test("at the start of a group the rung before tells what is held", () => {
+  const { catalogue: c } = new Viewer();
+  assert.deepEqual([...c.bytesAtStart(0, new Map())], [...c.bytesFromScratch(0)]);
+  const second = [...c.bytesAtStart(2, new Map())];
+  assert.deepEqual(second.slice(0, 4), [...c.sizes(2, NONE, new Map([[0, 2]]))]);
+  assert.deepEqual(second.slice(12), [...c.sizes(2, NONE, new Map([[1, 1]]))]);
+  const known = [...c.bytesAtStart(4, new Map([[0, new Map([[1, 2]])]]))]; // as group 2 keeps rows of group 1, too
+  assert.deepEqual(known.slice(0, 4), [107, 83, 72, 48]);
+  const { groups } = new Viewer().offers.numbers;
+  groups[1] = { ...BASE };
+  const other = new Catalogue(new NumberOffers({ ...new Viewer().offers.numbers, groups }), 0);
+  assert.deepEqual([...other.bytesAtStart(4, new Map())], [...other.bytesFromScratch(4)]); // group 2 tells nothing of it
+});
+
+test("what was decoded of a group is not fetched for another, and again in the next loop", async () => {
+  const keys = await new Viewer().keys("fixed:0");
+  const later = ["key/T0/2.bin", "key/T0/Q0/2.m4s", "key/T1/2.bin"];
+  const last = ["key/T0/3.bin", "key/T0/Q0/3.m4s", "key/T1/3.bin"];
+  const loop = [all(0, 1), later, last];
+  assert.deepEqual([...keys.keys()], [0, 2, 4, 6, 8, 10]);
+  assert.deepEqual([...keys.values()], [...loop, ...loop]);
+});
+
+test("who joins in the middle reads what is kept there, and needs it but once", async () => {
+  const viewer = new Viewer();
+  const keys = await viewer.keys("fixed:0", 2);
+  const second = ["key/T0/2.bin", "key/T0/Q0/2.m4s", "key/T0/1.bin", "key/T0/Q0/1.m4s"];
+  assert.deepEqual(keys.get(2), [...second, "key/T1/2.bin", "key/T1/1.bin", "key/T1/Q0/1.m4s"]);
+  assert.deepEqual(keys.get(4), ["key/T0/3.bin", "key/T0/Q0/3.m4s", "key/T1/3.bin"]);
+  const tables = viewer.downloader.requests.flatMap(({ batch }) => batch.tables);
+  assert.deepEqual(tables, ["airgs.json", "group/2.json.gz", "group/1.json.gz", "group/3.json.gz"]);
+});
+
+test("a tier that keeps none needs nothing of the other group", async () => {
+  const keys = await new Viewer().keys("fixed:0", 4);
+  const third = ["key/T0/3.bin", "key/T0/Q0/3.m4s", "key/T1/3.bin"];
+  assert.deepEqual(keys.get(4), [...third, "key/T1/1.bin", "key/T1/Q0/1.m4s"]);
+});
+
+test("another quality needs the other group in that quality", async () => {
+  const viewer = new Viewer();
+  await viewer.keys("fixed:Q0+L0");
+  viewer.playout.restart();
+  const again = await viewer.keys("fixed:Q1+L0", 2);
+  const second = ["key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s"];
+  assert.deepEqual(again.get(2), [...second, "key/T1/2.bin", "key/T1/1.bin", "key/T1/Q1/1.m4s"]);
+});
+
+test("a tier is shown when what it keeps is there as well", async () => {
+  const { catalogue, stores, downloader, playout } = new Viewer();
+  const batch = stores.keys.missing(2, 0);
+  const request = { kind: "group" as const, position: 2, rung: 0, batch, sentS: 0, latencyS: 0 };
+  const arrival = await downloader.fetch(request, null, new AbortController().signal);
+  stores.keys.add({ ...arrival, whole: batch.keys.slice(0, 5) }); // no table of tier 1 of the other group
+  assert.deepEqual([stores.keys.decodedTiers(2).get(0), stores.keys.shownTiers(2, 0)], [2, 1]);
+  assert.deepEqual(stores.keys.missing(2, 0).keys, ["key/T1/1.bin", "key/T1/Q0/1.m4s"]);
+  stores.keys.add(arrival);
+  assert.equal(stores.keys.shownTiers(2, 0), 2);
+  assert.deepEqual([catalogue.knows(2), playout.end], [true, 12]);
+});
+
+test("people see what a rung costs where the group before is there", () => {
+  const { catalogue } = new Viewer();
+  const bytes = 3300 + 80 + 100 + 6 * 7; // keys of three groups in Q0, six states
+  assert.equal(new RungTotals(catalogue).read()[0].kbps, (8 * bytes) / 6 / 1000);
+});
