@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import cpu
-from airgs_codec.render.cpu import Contribution, Floats, Render
+from airgs_codec.render.cpu import Contribution, Floats, Render, Weights
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Background, Camera
 from airgs_codec.scene.gaussians import Gaussians
@@ -40,6 +40,9 @@ class Loaded(Protocol):
 
     def contribution_and_gradients(self, camera: Camera, pull: Floats) -> tuple[Contribution, RasterInputs[Floats]]:
         """The contribution, and the derivatives by the activated Gaussians of sum(picture * pull), pull (H, W, 3)."""
+
+    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> Weights:
+        """The picture that `camera` sees, and what each Gaussian gives to tiles, in all and in a mask (H, W)."""
 
     def without(self, camera: Camera) -> Without:
         """Draws what `camera` sees of some of the rows, again and again; cheaper than loading them each time."""
@@ -113,6 +116,9 @@ class _OnCpu:
 
     def contribution_and_gradients(self, camera: Camera, pull: Floats) -> tuple[Contribution, RasterInputs[Floats]]:
         return cpu.contribution_and_gradients(self.inputs, camera, pull)
+
+    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> Weights:
+        return cpu.weights(self.inputs, camera, mask)
 
     def without(self, camera: Camera) -> Without:
         tiles = cpu.project(self.inputs, camera).tiles

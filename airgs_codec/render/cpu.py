@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -43,7 +43,7 @@ class Redraw:
     """A picture of which only some tiles are drawn again, and what the others show."""
 
     tiles: NDArray[np.bool_]  # (down, across)
-    rest: Render
+    rest: Callable[[], Render]  # the whole picture, which may have to be drawn for it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,7 +214,7 @@ def blend(
 ) -> Blended:
     """Project the Gaussians and blend them front to back; `redraw`: in its tiles only."""
     p = project(inputs, camera, None if redraw is None else redraw.tiles)
-    picture, visited = _draw(p.tiles, background, None if redraw is None else redraw.rest)
+    picture, visited = _draw(p.tiles, background, None if redraw is None else redraw.rest())
     return Blended(picture, p, visited)
 
 

@@ -99,16 +99,35 @@ def measure_weights(drawn: Drawn) -> tuple[torch.Tensor, torch.Tensor, torch.Ten
     rows = drawn.meta["means2d"].shape[1]
     device = drawn.rgb.device
     total, peak, hits = (torch.zeros(rows, dtype=torch.float64, device=device) for _ in range(3))
-    for ids, weights in _blended(drawn.meta):
+    for ids, _, weights in _blended(drawn.meta):
         total.index_add_(0, ids, weights)
         peak.scatter_reduce_(0, ids, weights, "amax")
         hits += torch.bincount(ids, minlength=rows)
     return total, peak, hits
 
 
+def measure_pairs(drawn: Drawn, mask: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Gaussian and tile (P,) of each pair that one camera sees, and its alpha T (P,) there, in all and in a mask.
+
+    `mask`: (H, W), 1 inside. Tiles are counted row by row.
+    """
+    meta, rows, found = drawn.meta, drawn.meta["means2d"].shape[1], []
+    size, width, across = meta["tile_size"], meta["width"], meta["isect_offsets"].shape[2]
+    for ids, pixels, weights in _blended(meta):
+        row, column = torch.div(pixels, width, rounding_mode="floor"), pixels % width
+        tile = torch.div(row, size, rounding_mode="floor") * across + torch.div(column, size, rounding_mode="floor")
+        keys, pair = torch.unique(tile * rows + ids, return_inverse=True)
+        sums = torch.zeros(2, len(keys), dtype=weights.dtype, device=weights.device)
+        sums[0].index_add_(0, pair, weights)
+        sums[1].index_add_(0, pair, weights * mask.reshape(-1)[pixels])
+        found.append((keys % rows, torch.div(keys, rows, rounding_mode="floor"), sums[0], sums[1]))
+    ids, tiles, total, inside = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return ids, tiles, total, inside
+
+
 @torch.no_grad()
-def _blended(meta: dict[str, Any]) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
-    """Gaussians (M,) and their alpha T (M,) in the pixels of some rows of tiles; all rows come in turn."""
+def _blended(meta: dict[str, Any]) -> Iterator[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
+    """Gaussians (M,), pixels (M,) of the picture row by row and alpha T (M,), some rows of tiles after the others."""
     from gsplat import rasterize_to_indices_in_range
 
     size, width, offsets, ids = meta["tile_size"], meta["width"], meta["isect_offsets"], meta["flatten_ids"]
@@ -131,7 +150,7 @@ def _blended(meta: dict[str, Any]) -> Iterator[tuple[torch.Tensor, torch.Tensor]
             ids[: starts[stop]],
         )
         alpha = _alpha(moved[0, found], conics[0, found], opacities[0, found], pixels, width)
-        yield found, alpha * _transmittance(alpha, pixels)
+        yield found, pixels + first * size * width, alpha * _transmittance(alpha, pixels)
 
 
 def _bands(starts: Sequence[int]) -> Iterator[tuple[int, int]]:

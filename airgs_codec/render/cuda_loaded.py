@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from airgs_codec.render.cpu import Contribution, Floats, Render
-from airgs_codec.render.cuda import Drawn, measure_weights, rasterize, upload
+from airgs_codec.render.cpu import TILE, Contribution, Floats, Render, Weights
+from airgs_codec.render.cuda import Drawn, measure_pairs, measure_weights, rasterize, upload
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Background, Camera
 
@@ -47,6 +48,19 @@ class OnCuda:
         gradients = torch.autograd.grad((drawn.rgb[0] * upload(pull, drawn.rgb.device)).sum(), leaves)
         return _contribution(drawn), RasterInputs(*(_array(g) for g in gradients))
 
+    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> Weights:
+        """The picture that `camera` sees, and what each Gaussian gives to tiles, in all and in a mask (H, W)."""
+        shape = (-(-camera.height // TILE), -(-camera.width // TILE))
+        if not len(self.inputs.means):
+            none = np.zeros(0, np.int32)
+            return Weights(self.draw(camera), shape, none, none, np.zeros(0, np.float32), np.zeros(0, np.float32))
+        with torch.no_grad():
+            drawn = rasterize(self.tensors, [camera], [camera.background])
+            ids, tiles, total, inside = measure_pairs(drawn, upload(mask, drawn.rgb.device))
+        picture = Render(_array(drawn.rgb[0]), _array(drawn.transmittance[0]))
+        pairs = (_array(ids.int()), _array(tiles.int()), _array(total.float()), _array(inside.float()))
+        return Weights(picture, shape, *pairs)
+
     def without(self, camera: Camera) -> Callable[[NDArray[np.bool_] | None], Floats]:
         """Draws what `camera` sees of the rows of a mask (N,), None for all, as often as it is asked."""
 
@@ -76,5 +90,5 @@ def _contribution(drawn: Drawn | None) -> Contribution:
     return Contribution(total, peak, hits.astype(np.int64))
 
 
-def _array(values: torch.Tensor) -> Floats:
+def _array(values: torch.Tensor) -> NDArray[Any]:
     return values.detach().cpu().numpy()

@@ -18,7 +18,7 @@ from airgs_codec.scene.camera import OPENGL_TO_OPENCV
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import MultiviewScene
 from airgs_codec.train.data.pictures import Pictures, View, pictures_for
-from airgs_codec.train.data.plates import Plates, Settled, find_plates, settle
+from airgs_codec.train.data.plates import Masks, Plates, find_moving, find_plates, settle
 from airgs_codec.train.fit.exposure import ExposureModel
 from airgs_codec.train.fit.temporal import static_shares
 from airgs_codec.train.loss.target import Exposure
@@ -44,18 +44,16 @@ class Run:
         views = self.pictures.train(frame)
         if not views:
             raise SceneError(f"{self.scene.path}: expected training views of frame {frame}, got none")
-        return [settled.view for settled in self._settled(views)] if self.plates else views
+        return settle(views, self.plates, self.model.record.exposure).views if self.plates else views
 
     def target(self, frame: int) -> FrameViews:
         """A frame that one comes before, as it is fitted. Raises what `views` does."""
         if not self.plates:
             return FrameViews(frame, self.views(frame))
-        before, now = (self._settled(self.pictures.train(f)) for f in (frame - 1, frame))
-        moving = [a.moving | b.moving for a, b in zip(before, now, strict=True)]
-        return FrameViews(frame, [settled.view for settled in now], moving)
-
-    def _settled(self, views: Sequence[View]) -> list[Settled]:
-        return [settle(view, self.plates, self.model.record.exposure) for view in views]
+        exposure = self.model.record.exposure
+        before = find_moving(self.pictures.train(frame - 1), self.plates, exposure)
+        now = settle(self.pictures.train(frame), self.plates, exposure)
+        return FrameViews(frame, now.views, Masks(a | b for a, b in zip(before, now.moving, strict=True)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -214,7 +214,9 @@ class Trainer:
 
     def _active(self, before: FrameBefore, target: FrameViews) -> Active | None:
         """What may change at the frame; None: anything."""
-        return None if target.moving is None else find_active(before.gaussians, target.views, target.moving)
+        if target.moving is None:
+            return None
+        return find_active(before.gaussians, target.views, target.moving, self.renderer)
 
     def _resting(self, base: Parameters, active: Active) -> Resting:
         return Resting(base, torch.from_numpy(active.rows).to(self.device))

@@ -52,6 +52,24 @@ def test_weights_of_bands_of_tiles_are_those_of_the_picture(pairs, monkeypatch):
     assert b.total.dtype == a.total.dtype and b.hits.dtype == a.hits.dtype
 
 
+@pytest.mark.parametrize("pairs", [1, cuda.BAND_PAIRS])
+def test_weights_of_tiles_are_those_of_the_cpu(pairs, monkeypatch):
+    monkeypatch.setattr(cuda, "BAND_PAIRS", pairs)
+    there, here = loaded(random_gaussians(150, 0, seed=4))
+    mask = np.random.default_rng(0).random((56, 72)) < 0.4
+    a, b = there.weights(camera(), mask), here.weights(camera(), mask)
+    assert a.shape == b.shape == (4, 5)
+    np.testing.assert_allclose(b.picture.rgb, a.picture.rgb, atol=1e-5)
+    sums = []
+    for w in (a, b):
+        table = np.zeros((2, 150, 20))
+        np.add.at(table[0], (w.ids, w.tiles), w.total)
+        np.add.at(table[1], (w.ids, w.tiles), w.inside)
+        sums.append(table)
+    np.testing.assert_allclose(sums[1], sums[0], rtol=1e-3, atol=6e-3)  # alpha next to 1/255 may fall on either side
+    assert 0.3 < sums[1][1].sum() / sums[1][0].sum() < 0.5
+
+
 def test_contribution_and_gradients_are_those_of_the_cpu():
     there, here = loaded(random_gaussians(80, 1))
     pull = np.random.default_rng(0).normal(size=(56, 72, 3)).astype(np.float32)

@@ -259,7 +259,7 @@ def test_only_some_tiles_are_drawn_again():
     pixels = np.repeat(np.repeat(tiles, 16, axis=0), 16, axis=1)[:50, :70]
     before = blend(RasterInputs(*(c * np.float32(0.9) for c in a)), view, (0.2, 0.5, 0.9)).picture
     whole = blend(a, view, (0.2, 0.5, 0.9))
-    part = blend(a, view, (0.2, 0.5, 0.9), Redraw(tiles, before))
+    part = blend(a, view, (0.2, 0.5, 0.9), Redraw(tiles, lambda: before))
     assert np.array_equal(part.picture.rgb, np.where(pixels[..., None], whole.picture.rgb, before.rgb))
     assert np.array_equal(part.picture.transmittance[~pixels], before.transmittance[~pixels])
     rng = np.random.default_rng(4)

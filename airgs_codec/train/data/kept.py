@@ -48,6 +48,10 @@ class Kept(Generic[Key, Value]):
             found = self._find(key)  # somebody may have made it meanwhile
             return self._keep(key, self._make(key)) if found is None else found
 
+    def put(self, key: Key, value: Value) -> None:
+        """Keep a value that is known already."""
+        self._keep(key, value)
+
     def expect(self, key: Key) -> None:
         """Make the value of a key in another thread, where it is not kept; a failure is left for `get` to find."""
         if self._find(key) is None:

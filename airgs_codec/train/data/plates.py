@@ -9,16 +9,19 @@ H x W pixels.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.media.image import box_mean, to_bytes
 from airgs_codec.progress import Progress, silent
+from airgs_codec.train.data.kept import Kept
 from airgs_codec.train.data.multiview import MultiviewScene
-from airgs_codec.train.data.pictures import Pictures, View
+from airgs_codec.train.data.pictures import PICTURE_BYTES, TARGET_BYTES, Picture, Pictures, View
 from airgs_codec.train.loss.target import Exposure, Target, exposed_alike
 
 FEWEST = 3  # frames of a run that has plates
@@ -42,12 +45,26 @@ class Plate:
 Plates = Mapping[str, Plate]  # by the name of the camera
 
 
+class Masks(Sequence[NDArray[np.bool_]]):
+    """Masks (H, W), a bit a pixel."""
+
+    def __init__(self, masks: Iterable[NDArray[np.bool_]]) -> None:
+        self._packed = [(mask.shape, np.packbits(mask)) for mask in masks]
+
+    def __len__(self) -> int:
+        return len(self._packed)
+
+    def __getitem__(self, index: Any) -> Any:
+        shape, bits = self._packed[index]
+        return np.unpackbits(bits, count=shape[0] * shape[1]).reshape(shape).astype(np.bool_)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
-    """A view whose target is the plate where it rests."""
+    """Views whose targets are the plates where they rest."""
 
-    view: View
-    moving: NDArray[np.bool_]  # (H, W) pixels that do not rest, and those right around them: they are as they were
+    views: list[View]
+    moving: Masks  # pixels that do not rest, and those right around them: they are as they were
 
 
 def stands_still(scene: MultiviewScene) -> bool:
@@ -68,8 +85,8 @@ def stands_still(scene: MultiviewScene) -> bool:
 def find_plates(scene: MultiviewScene, pictures: Pictures, progress: Progress = silent) -> Plates:
     """The plates of the training cameras; none where a camera moves or there are too few frames.
 
-    Camera after camera, so that no more than SAMPLES pictures are held. Raises SceneError for a picture that cannot be
-    read.
+    Camera after camera, so that no more than SAMPLES pictures are held; the plates of large rigs are kept on disk.
+    Raises SceneError for a picture that cannot be read.
     """
     if len(scene) < FEWEST or not stands_still(scene):
         return {}
@@ -78,7 +95,9 @@ def find_plates(scene: MultiviewScene, pictures: Pictures, progress: Progress = 
     plates = {}
     for done, index in enumerate(cameras, 1):
         seen = [to_bytes(pictures.view(frame, index).target.rgb) for frame in frames]
-        plates[scene.cameras[index].name] = plate_of(seen)
+        plate = plate_of(seen)
+        large = plate.rgb.nbytes * len(cameras) > PICTURE_BYTES
+        plates[scene.cameras[index].name] = replace(plate, rgb=_on_disk(plate.rgb)) if large else plate
         progress("what rests", done, len(cameras))
     return plates
 
@@ -93,15 +112,42 @@ def plate_of(pictures: Sequence[NDArray[np.uint8]]) -> Plate:
     return Plate(rgb, noise, float(np.clip(DEVIATIONS * noise, LEAST, MOST)))
 
 
-def settle(view: View, plates: Plates, exposure: Exposure) -> Settled:
-    """A view as its plate has it where it rests. `exposure`: of the view's picture, as it was read."""
-    plate = plates[view.camera.name]
-    rgb = as_colours(plate.rgb)
-    if view.camera.name in exposure:
-        rgb = exposed_alike(rgb, exposure[view.camera.name])
-    moving = _moving(view.target.rgb - rgb, plate)
-    target = Target(np.where(moving[..., None], view.target.rgb, rgb), view.target.clear)
-    return Settled(View(view.camera, target), moving)
+def settle(views: Sequence[View], plates: Plates, exposure: Exposure) -> Settled:
+    """Views as their plates have them where they rest. `exposure`: of their pictures, as they were read."""
+
+    def flatten(place: int) -> Target:
+        target, rgb = views[place].target, _rest_of(views[place], plates, exposure)
+        return Target(np.where(masks[place][..., None], target.rgb, rgb), target.clear)
+
+    masks = find_moving(views, plates, exposure)
+    kept = Kept(flatten, TARGET_BYTES)
+    return Settled([View(v.camera, _Flattened(kept, place, v.picture)) for place, v in enumerate(views)], masks)
+
+
+def find_moving(views: Sequence[View], plates: Plates, exposure: Exposure) -> Masks:
+    """The pixels of views that do not rest, as `Settled` has them."""
+    return Masks(_moving(v.target.rgb - _rest_of(v, plates, exposure), plates[v.camera.name]) for v in views)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Flattened:
+    """The picture of a view, as its plate has it where it rests."""
+
+    kept: Kept[int, Target]
+    place: int
+    picture: Picture
+
+    def target(self) -> Target:
+        return self.kept.get(self.place)
+
+    def expect(self) -> None:
+        self.picture.expect()
+
+
+def _rest_of(view: View, plates: Plates, exposure: Exposure) -> NDArray[np.float32]:
+    """(H, W, 3) what a view sees at rest, exposed as the view is."""
+    rgb = as_colours(plates[view.camera.name].rgb)
+    return exposed_alike(rgb, exposure[view.camera.name]) if view.camera.name in exposure else rgb
 
 
 def as_colours(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -117,6 +163,14 @@ def _moving(difference: NDArray[np.float32], plate: Plate) -> NDArray[np.bool_]:
     shade = np.abs(box_mean(difference, WINDOW)).max(axis=2) > plate.tolerance
     texture = box_mean(np.abs(difference), WINDOW).max(axis=2) > plate.noise + 2 * plate.tolerance
     return box_mean((shade | texture).astype(np.float32), HALO) > 1e-6
+
+
+def _on_disk(values: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The same array in a file without a name, which is there as long as the array is used."""
+    with tempfile.TemporaryFile() as file:
+        file.write(values.tobytes())
+        file.flush()
+        return np.memmap(file, values.dtype, "r", shape=values.shape)
 
 
 def _noise(difference: NDArray[np.float32]) -> float:

@@ -8,17 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from airgs_codec.render import cpu
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.train.data.kept import Kept
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.parameters import Parameters
 
 SHARE = 0.2  # of a row's blending weights over all views that fall on moving pixels, from which it is active
+REST_BYTES = 1 << 30  # of whole pictures, 16 bytes a pixel; those that are not kept are drawn again
 SHOWN = 8.0  # pixels of active rows in a tile, from which it is drawn
 
 
@@ -49,20 +53,43 @@ class Resting:
         return torch.cat([values[:n][self.active], values[n:]])
 
 
-def find_active(before: Gaussians, views: Sequence[View], moving: Sequence[NDArray[np.bool_]]) -> Active:
+def find_active(
+    before: Gaussians, views: Sequence[View], moving: Sequence[NDArray[np.bool_]], renderer: Renderer = CPU
+) -> Active:
     """What may change, from the Gaussians of the frame before and what moves (H, W) in each view."""
-    inputs = cpu.activate(before)
-    weights = [cpu.weights(inputs, view.camera, mask) for view, mask in zip(views, moving, strict=True)]
-    on_moving = sum(np.bincount(w.ids, w.inside, len(before)) for w in weights)
-    whole = sum(np.bincount(w.ids, w.total, len(before)) for w in weights)
+    loaded = renderer.load(before)
+    rests: Kept[int, _Rest] = Kept(lambda place: _Rest(loaded.draw(views[place].camera)), REST_BYTES)
+    weights, on_moving, whole = [], np.zeros(len(before)), np.zeros(len(before))
+    for place, (view, mask) in enumerate(zip(views, moving, strict=True)):
+        w = loaded.weights(view.camera, mask)
+        on_moving += np.bincount(w.ids, w.inside, len(before))
+        whole += np.bincount(w.ids, w.total, len(before))
+        rests.put(place, _Rest(w.picture))
+        weights.append((w.shape, w.tiles, w.ids, w.total))
     active = on_moving > SHARE * np.maximum(whole, 1e-9)
     drawn = []
-    for view, mask, w in zip(views, moving, weights, strict=True):
-        shown = np.bincount(w.tiles, w.total * active[w.ids], w.shape[0] * w.shape[1]).reshape(w.shape)
-        tiles = (shown >= SHOWN) | _any_in_tiles(mask, w.shape)
+    for place, (view, mask, (shape, of_pair, ids, total)) in enumerate(zip(views, moving, weights, strict=True)):
+        shown = np.bincount(of_pair, total * active[ids], shape[0] * shape[1]).reshape(shape)
+        tiles = (shown >= SHOWN) | _any_in_tiles(mask, shape)
         if tiles.any():
-            drawn.append(replace(view, redraw=cpu.Redraw(tiles, w.picture)))
+            drawn.append(replace(view, redraw=cpu.Redraw(tiles, partial(_picture, rests, place))))
     return Active(np.flatnonzero(active), drawn)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rest:
+    """The whole picture of a view before anything changes."""
+
+    picture: cpu.Render
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of its arrays, in bytes."""
+        return self.picture.rgb.nbytes + self.picture.transmittance.nbytes
+
+
+def _picture(rests: Kept[int, _Rest], place: int) -> cpu.Render:
+    return rests.get(place).picture
 
 
 def _any_in_tiles(mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:

@@ -19,6 +19,7 @@ from airgs_codec.media.image import box_mean
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.pictures import View
+from airgs_codec.train.data.plates import Masks
 from airgs_codec.train.fit.parameters import from_points
 from airgs_codec.train.fit.projection import project
 
@@ -55,7 +56,7 @@ def residual_seeds(
     `largest`: their largest radius in world units.
     """
     loaded = renderer.load(g)
-    wrong = [box_mean(np.abs(loaded.draw(v.camera).rgb - v.target.rgb).mean(axis=2), 3) > RESIDUAL for v in views]
+    wrong = Masks(box_mean(np.abs(loaded.draw(v.camera).rgb - v.target.rgb).mean(axis=2), 3) > RESIDUAL for v in views)
     coarse = _hull(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
     if len(coarse) < FEWEST or most < 1:
         return None

@@ -1,14 +1,16 @@
 """Plates: what rests, what does not, and what is never flattened."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 from airgs_codec.media.image import box_mean
+from airgs_codec.train.data import plates as data_plates
 from airgs_codec.train.data.multiview import with_held_out
 from airgs_codec.train.data.pictures import Pictures, View
-from airgs_codec.train.data.plates import WINDOW, find_plates, plate_of, settle, stands_still
+from airgs_codec.train.data.plates import WINDOW, Plate, find_plates, plate_of, settle, stands_still
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.loss.target import Target
 from tests.support.paths import FOX_VIEWS
@@ -45,6 +47,16 @@ def seen(picture: np.ndarray, name="cam00") -> View:
     return View(replace(ring(1, SIZE)[0], name=name), Target(picture.astype(np.float32) / 255))
 
 
+class SettledOne(NamedTuple):
+    target: Target
+    moving: np.ndarray
+
+
+def settled_one(view: View, plate: Plate) -> SettledOne:
+    settled = settle([view], {view.camera.name: plate}, {})
+    return SettledOne(settled.views[0].target, settled.moving[0])
+
+
 def test_a_plate_shows_the_wall_behind_what_moves_with_less_noise_than_a_picture():
     _, noisy = filmed(12, ball)
     plate = plate_of(noisy)
@@ -54,11 +66,11 @@ def test_a_plate_shows_the_wall_behind_what_moves_with_less_noise_than_a_picture
 
 def test_what_moves_is_kept_and_what_rests_is_the_plate():
     clean, noisy = filmed(12, ball)
-    settled = settle(seen(noisy[5]), {"cam00": plate_of(noisy)}, {})
+    settled = settled_one(seen(noisy[5]), plate_of(noisy))
     there = np.abs(clean[5] - background()).max(axis=2) > 0
     assert settled.moving[there].all() and settled.moving.mean() < 0.3
-    assert (settled.view.target.rgb[there] == noisy[5][there].astype(np.float32) / 255).all()
-    assert np.abs(settled.view.target.rgb * 255 - clean[5])[~settled.moving].mean() < 0.7 * NOISE
+    assert (settled.target.rgb[there] == noisy[5][there].astype(np.float32) / 255).all()
+    assert np.abs(settled.target.rgb * 255 - clean[5])[~settled.moving].mean() < 0.7 * NOISE
 
 
 def shadow(t, picture):
@@ -71,8 +83,8 @@ def test_a_soft_shadow_is_not_flattened():
     clean, noisy = filmed(12, shadow)
     plate = plate_of(noisy)
     for t in (3, 6, 9):
-        settled = settle(seen(noisy[t]), {"cam00": plate}, {})
-        lost = (settled.view.target.rgb * 255 - clean[t]).mean(axis=(0, 2))  # down the columns: the shadow's profile
+        settled = settled_one(seen(noisy[t]), plate)
+        lost = (settled.target.rgb * 255 - clean[t]).mean(axis=(0, 2))  # down the columns: the shadow's profile
         assert np.abs(lost).max() < 4.0  # of 8
         assert settled.moving[:, 4 * t].all()
 
@@ -85,7 +97,7 @@ def test_what_drifts_slowly_does_not_rest_for_ever():
 
     _, noisy = filmed(24, brighter)
     plate = plate_of(noisy)
-    moving = [settle(seen(p), {"cam00": plate}, {}).moving.mean() for p in noisy]
+    moving = [settled_one(seen(p), plate).moving.mean() for p in noisy]
     assert moving[0] > 0.9 and moving[-1] > 0.9 and min(moving) < 0.1
 
 
@@ -93,7 +105,7 @@ def test_plates_are_seen_through_the_exposure_of_their_camera():
     _, noisy = filmed(12, ball)
     exposure = {"cam00": [1.2, 1.2, 1.2, 0.02, 0.02, 0.02]}
     alike = View(seen(noisy[5]).camera, Target((noisy[5].astype(np.float32) / 255 - 0.02) / 1.2))
-    assert settle(alike, {"cam00": plate_of(noisy)}, exposure).moving.mean() < 0.3
+    assert settle([alike], {"cam00": plate_of(noisy)}, exposure).moving[0].mean() < 0.3
 
 
 def test_real_pictures_are_nowhere_changed_by_more_than_the_tolerance():
@@ -102,10 +114,10 @@ def test_real_pictures_are_nowhere_changed_by_more_than_the_tolerance():
     plates = find_plates(scene, pictures)
     assert set(plates) == {camera.name for camera in scene.cameras if not camera.held_out}
     for view in pictures.train(3):
-        settled = settle(view, plates, {})
-        change = np.abs(box_mean(settled.view.target.rgb - view.target.rgb, WINDOW))
+        settled = settled_one(view, plates[view.camera.name])
+        change = np.abs(box_mean(settled.target.rgb - view.target.rgb, WINDOW))
         assert change.max() <= plates[view.camera.name].tolerance + 1e-6
-        assert np.abs(settled.view.target.rgb - view.target.rgb).max() < 40 / 255
+        assert np.abs(settled.target.rgb - view.target.rgb).max() < 40 / 255
         assert 0.02 < settled.moving.mean() < 0.7
 
 
@@ -123,3 +135,20 @@ def test_cameras_that_move_have_no_plates(what):
     scene = replace(scene, frames=(*scene.frames[:2], tuple(shots), *scene.frames[3:]))
     assert not stands_still(scene)
     assert find_plates(scene, Pictures(scene)) == {}
+
+
+def test_plates_of_large_rigs_are_on_disk_and_settled_targets_are_kept_within_their_bytes(monkeypatch):
+    scene = with_held_out(open_scene(FOX_VIEWS), None)
+    pictures = Pictures(scene)
+    small = find_plates(scene, pictures)
+    monkeypatch.setattr(data_plates, "PICTURE_BYTES", 128 * 128 * 3 * len(small) - 1)
+    monkeypatch.setattr(data_plates, "TARGET_BYTES", 3 * 128 * 128 * 36)
+    large = find_plates(scene, pictures)
+    for name, plate in large.items():
+        assert isinstance(plate.rgb, np.memmap) and not isinstance(small[name].rgb, np.memmap)
+        np.testing.assert_array_equal(plate.rgb, small[name].rgb)
+    settled = settle(pictures.train(3), large, {})
+    wanted = [view.target.rgb for view in settle(pictures.train(3), small, {}).views]
+    for view, rgb in zip(settled.views, wanted, strict=True):
+        np.testing.assert_array_equal(view.target.rgb, rgb)
+        assert view.picture.kept.nbytes <= 3 * 128 * 128 * 36

@@ -36,7 +36,7 @@ def test_tiles_hold_all_that_moves_and_views_without_any_are_left_out():
     redraw = drawn[views[1].camera.name]
     pixels = np.repeat(np.repeat(redraw.tiles, cpu.TILE, axis=0), cpu.TILE, axis=1)[:96, :96]
     assert pixels[masks[1]].all() and not redraw.tiles.all()
-    assert (redraw.rest.rgb == render(g, views[1].camera).rgb).all()
+    assert (redraw.rest().rgb == render(g, views[1].camera).rgb).all()
     nothing = find_active(g, views, [np.zeros_like(m) for m in masks[:1]] * len(views))
     assert not len(nothing.rows) and not nothing.views
 
