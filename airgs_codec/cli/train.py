@@ -64,6 +64,7 @@ def _add_pictures(group: argparse._ArgumentGroup) -> None:
         help="hide Gaussians nearer to a camera than this many world units (default: the scene's, else 0.01)",
     )
     group.add_argument("--match-exposure", action="store_true", help=about(TrainSettings, "match_exposure"))
+    _add_setting(group, "--reference", "reference", str, "CAMERA", "the average of all")
     _add_setting(group, "--background", "background", str, "COLOUR", "the scene's own, else black")
     group.add_argument("--foreground", action="store_true", help=about(TrainSettings, "foreground"))
 
@@ -86,6 +87,7 @@ def _add_method(group: argparse._ArgumentGroup) -> None:
     _add_setting(group, "--budget", "budget", int, "N")
     _add_setting(group, "--capacity", "capacity", int, "N", "1.5 times the budget")
     _add_setting(group, "--sh-degree", "sh_degree", int, "D")
+    _add_setting(group, "--ssim-weight", "ssim_weight", float, "SHARE")
     group.add_argument(
         "--temporal",
         type=float,

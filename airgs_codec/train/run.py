@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from airgs_codec.errors import SceneError
+from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV
@@ -163,11 +163,16 @@ def _fit_first(run: Run, frame: int, progress: Progress) -> Fitted:
     """The first frame of the run, or a keyframe from scratch."""
     views, trainer = run.views(frame), run.trainer
     points = None if frame else run.scene.points  # they are of the first frame
-    model = ExposureModel(len(views), trainer.device) if trainer.settings.match_exposure and not frame else None
+    model = _exposures(views, trainer) if trainer.settings.match_exposure and not frame else None
     g = trainer.fit_first(FrameViews(frame, views), points, model, progress)
     exposure = model.table([view.camera.name for view in views]) if model else {}
     group = trainer.start_group(g, run.pictures.with_exposure(exposure).train(frame) if exposure else views)
     return Fitted(g, "key" if frame else "first", group.first_psnr, group, exposure=exposure)
+
+
+def _exposures(views: Sequence[View], trainer: Trainer) -> ExposureModel:
+    names, reference = [view.camera.name for view in views], trainer.settings.reference
+    return ExposureModel(len(views), trainer.device, None if reference is None else names.index(reference))
 
 
 def _fit_keyframe(run: Run, target: FrameViews, before: FrameBefore, moved: Fitted, progress: Progress) -> Fitted:

@@ -46,6 +46,7 @@ class TrainSettings:
     frame_iterations: int = setting(300, "iterations of a frame in a group")
     iteration_views: int = setting(1, "pictures that an iteration sees")
     deltas: str = setting("direct", "how frames in a group move: each Gaussian on its own, by six MLPs, or by both")
+    ssim_weight: float = setting(0.4, "share of 1 - SSIM in the loss of a picture; the rest is the absolute difference")
     temporal: Temporal = computed_setting(Temporal, "weight and unit of the temporal loss")
     min_psnr_db: float = setting(30.0, "mean PSNR over training views below which a frame becomes a keyframe")
     max_drop_db: float = setting(
@@ -64,6 +65,7 @@ class TrainSettings:
     )
     foreground: bool = setting(False, "train only what the scene's masks show")
     match_exposure: bool = setting(False, "find a gain and an offset for each camera at the first frame")
+    reference: str | None = setting(None, "camera whose exposure the Gaussians have, where cameras are exposed alike")
     seed: int = setting(0, "seed of all random numbers")
 
     def __post_init__(self) -> None:
@@ -90,6 +92,7 @@ class TrainSettings:
             (0 <= self.sh_degree < len(SH_REST), f"expected an SH degree of 0 to 3, got {self.sh_degree}"),
             (iterations >= 1, f"expected at least one iteration of each kind of frame, got {iterations}"),
             (self.iteration_views >= 1, f"expected at least one picture an iteration, got {self.iteration_views}"),
+            (0 <= self.ssim_weight <= 1, f"expected an SSIM weight of 0 to 1, got {self.ssim_weight}"),
             (self.min_psnr_db >= 0, f"expected a least PSNR of at least 0 dB, got {self.min_psnr_db}"),
             (self.max_drop_db > 0, f"expected a positive drop in dB, got {self.max_drop_db}"),
             (self.max_growth >= 0, f"expected a growth of at least 0, got {self.max_growth}"),
@@ -99,6 +102,10 @@ class TrainSettings:
             (
                 not self.match_exposure or self.background != RANDOM,
                 "expected cameras to be exposed alike or a random background, got both",
+            ),
+            (
+                self.match_exposure or self.reference is None,
+                f"expected cameras to be exposed alike where one is the reference, got {self.reference} alone",
             ),
             (self.seed >= 0, f"expected a seed of at least 0, got {self.seed}"),
         ]
@@ -147,5 +154,12 @@ def preset(name: str, settings: TrainSettings) -> TrainSettings:
         return settings
     temporal = Temporal(weight=1e-3, unit="raw")
     return replace(
-        settings, deltas="mlp", temporal=temporal, min_psnr_db=30.0, max_drop_db=math.inf, inflation=1e-5, static="off"
+        settings,
+        deltas="mlp",
+        ssim_weight=0.2,
+        temporal=temporal,
+        min_psnr_db=30.0,
+        max_drop_db=math.inf,
+        inflation=1e-5,
+        static="off",
     )

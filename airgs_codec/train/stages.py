@@ -229,7 +229,7 @@ class Trainer:
 
     def _schedule(self, stage: str, iterations: int, sh_degree: Callable[[float], int]) -> Schedule:
         s = self.settings
-        return Schedule(stage, iterations, sh_degree, s.background == RANDOM, s.iteration_views)
+        return Schedule(stage, iterations, sh_degree, s.background == RANDOM, s.iteration_views, s.ssim_weight)
 
     def _rising_sh_degree(self, done: float) -> int:
         return min(self.settings.sh_degree, int(done / SH_SHARE))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.cli.encode import main as encode_main
+from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.train.data.readers import open_scene
@@ -84,6 +85,20 @@ def test_exposure_is_found(blobs, tmp_path):
     gains = {name: np.mean(values[:3]) for name, values in model.record.exposure.items()}
     assert gains["cam01"] - np.mean([g for n, g in gains.items() if n != "cam01"]) == pytest.approx(0.2, abs=0.08)
     assert np.mean(list(gains.values())) == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_reference_keeps_its_exposure(blobs, tmp_path):
+    settings = replace(SETTINGS, match_exposure=True, reference="cam01", first_iterations=60)
+    model = train(open_scene(blobs, frames=(0, 1)), tmp_path / "m", settings)
+    assert model.record.exposure["cam01"] == [1, 1, 1, 0, 0, 0]
+    assert any(values != [1, 1, 1, 0, 0, 0] for values in model.record.exposure.values())
+
+
+def test_a_reference_that_is_no_training_camera_leaves_nothing(blobs, tmp_path):
+    settings = replace(SETTINGS, match_exposure=True, reference="cam99")
+    with pytest.raises(ConfigError, match="expected a training camera of cam"):
+        train(open_scene(blobs), tmp_path / "m", settings)
+    assert not (tmp_path / "m").exists()
 
 
 def test_a_keyframe_that_is_no_better_is_not_kept(blobs, tmp_path, monkeypatch):

@@ -1,7 +1,8 @@
 """Exposure and white balance of real cameras: a gain and an offset for each camera and colour. V views.
 
 Cameras that see one wall differently bright are otherwise explained by haze in front of them. The mean over cameras is
-the identity, so that a camera nobody trained on is rendered as the average one.
+the identity, so that a camera nobody trained on is rendered as the average one; or that of a reference camera is, whose
+look the Gaussians then have.
 """
 
 from __future__ import annotations
@@ -19,8 +20,9 @@ RATE = 2e-3  # learning rate
 class ExposureModel:
     """Gains and offsets of V cameras, fitted beside the Gaussians."""
 
-    def __init__(self, views: int, device: str) -> None:
-        """The identity for every camera."""
+    def __init__(self, views: int, device: str, reference: int | None = None) -> None:
+        """The identity for every camera. `reference`: the view whose camera keeps it; None: the average camera does."""
+        self._reference = reference
         self._logs = torch.zeros(views, 3, device=device, requires_grad=True)
         self._offsets = torch.zeros(views, 3, device=device, requires_grad=True)
         self._adam = torch.optim.Adam([self._logs, self._offsets], lr=RATE, betas=BETAS)
@@ -43,5 +45,6 @@ class ExposureModel:
 
     def _tables(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Gains and offsets, (V, 3) each."""
-        logs, offsets = (t - t.mean(dim=0, keepdim=True) for t in (self._logs, self._offsets))
+        own = slice(None) if self._reference is None else slice(self._reference, self._reference + 1)
+        logs, offsets = (t - t[own].mean(dim=0, keepdim=True) for t in (self._logs, self._offsets))
         return logs.exp(), offsets

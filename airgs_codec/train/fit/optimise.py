@@ -18,7 +18,7 @@ from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.exposure import ExposureModel
 from airgs_codec.train.fit.parameters import Parameters, render_views
-from airgs_codec.train.loss.photometric import photometric
+from airgs_codec.train.loss.photometric import LAMBDA, photometric
 
 LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite; rows are added no more often
 
@@ -48,6 +48,7 @@ class Schedule:
     sh_degree: Callable[[float], int]  # SH degree in use when a share of the iterations is past
     random_background: bool = False  # whether every picture has another one
     views: int = 1  # pictures an iteration, whose losses are averaged
+    ssim_weight: float = LAMBDA
 
 
 class Deck:
@@ -118,7 +119,8 @@ def optimise(
         pictures = render_views(variables.current(), cameras, sh_degree, variables.watch(), redraws)
         parts = []
         for index, view, (rgb, _) in zip(chosen, seen, pictures, strict=True):
-            parts.append(photometric(exposure.apply(rgb, index) if exposure else rgb, view.target).loss)
+            shown = exposure.apply(rgb, index) if exposure else rgb
+            parts.append(photometric(shown, view.target, schedule.ssim_weight).loss)
         loss = (parts[0] if count == 1 else torch.stack(parts).mean()) + variables.penalty()
         losses = losses or Losses(LOOK_EVERY if loss.is_cuda else 1)
         losses.add(iteration, seen, loss, iteration == schedule.iterations)
