@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV
