@@ -276,8 +276,7 @@ class _Player:
             if not self.now_s < slot.start_s < float("inf"):
                 continue
             here, index, level = self._quality(slot), c.index(slot.position), c.rungs[slot.rung or 0][1]
-            held = self.keys.decoded_tiers(slot.position), self.keys.base_tiers(slot.position)
-            for option in c.options(index, *held):
+            for option in c.options(index, self.keys.decoded_tiers(slot.position)):
                 gain = option.quality - (here or 0.0)
                 size = option.size_bytes  # the state is decoded where only the keys would be better
                 size -= int(c.state_bytes[index, level]) if c.rungs[option.index][1] == level else 0

@@ -33,8 +33,7 @@ def numbers_of(m: Manifest, name: str, root_bytes: int) -> dict[str, Any]:
 
 
 def _group_numbers(group: mf.Group, table_bytes: int) -> dict[str, Any]:
-    kept = {"keeps": group.keeps, "kept": [int(tier.kept > 0) for tier in group.tiers]}
-    return (kept if group.keeps else {}) | {
+    return {
         "table": table_bytes,
         "sidecars": [tier.sidecar.bytes for tier in group.tiers],
         "pictures": [[file.bytes for file in tier.pictures] for tier in group.tiers],
@@ -80,13 +79,11 @@ def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
         ]
         segments.append(mf.Segment(start, start + numbers["frames"], levels))
         start += numbers["frames"]
-    kept = part.get("kept", [0] * len(part["sidecars"]))
     tiers = [
-        replace(some.tiers[0], count=k + any(sizes), kept=k, sidecar=_file(sidecar), pictures=[_file(b) for b in sizes])
-        for k, sidecar, sizes in zip(kept, part["sidecars"], part["pictures"], strict=True)
+        replace(some.tiers[0], count=int(sidecar > 0), sidecar=_file(sidecar), pictures=[_file(b) for b in pictures])
+        for sidecar, pictures in zip(part["sidecars"], part["pictures"], strict=True)
     ]
-    keeps = part.get("keeps")
-    return replace(some, start=span[0], stop=span[1], tiers=tiers, segments=segments, keeps=keeps)
+    return replace(some, start=span[0], stop=span[1], tiers=tiers, segments=segments)
 
 
 def _file(size: int) -> mf.FileEntry:

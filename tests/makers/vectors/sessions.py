@@ -74,26 +74,6 @@ def _segment(frames: int, rng: np.random.Generator) -> dict[str, Any]:
     return {"frames": frames, "bytes": sizes, "psnr": psnr}
 
 
-def room_package(rng: np.random.Generator) -> Numbers:
-    """Seven groups of three segments. All but the first and the fourth keep rows of one of these: some, all or none of
-    a tier.
-    """
-    groups: list[dict[str, Any]] = []
-    for number, keeps in enumerate((None, 1, 1, None, 4, 1, 4)):
-        keys = rng.uniform(4e3, 2e4, 3)
-        kept = [int(k) for k in rng.permutation([1, 1, number % 2])] if keeps else [0, 0, 0]
-        own = [1.0 if not k else rng.choice([0.0, 0.12]) for k in kept]
-        part = {
-            "table": int(rng.integers(600, 2000)),
-            "sidecars": [int(key / (16 if k else 4)) for key, k in zip(keys, kept, strict=True)],
-            "pictures": [[int(share * key * 0.6**q) for q in range(2)] for key, share in zip(keys, own, strict=True)],
-            "segments": [_segment(int(frames), rng) for frames in rng.integers(12, 30, 3)],
-        }
-        groups.append(part | ({"keeps": keeps, "kept": kept} if keeps else {}))
-    levels = [{"id": f"L{j}", "tiers": max(1, 3 - j), "pruned": round(0.25 * j, 2)} for j in range(4)]
-    return _numbers("room", [24, 1], levels, groups)
-
-
 def paged_package() -> Numbers:
     """68 groups of a segment each, so that one page of the index comes into being as it grows."""
     psnr = [[38.0, 36.0], [35.0, 33.0]]
@@ -118,8 +98,7 @@ def _numbers(name: str, frame_rate: list[int], levels: list[dict[str, Any]], gro
 def packages() -> list[Numbers]:
     """What is played."""
     fox = open_package(GOLDEN / "fox")
-    drawn, room = drawn_package(np.random.default_rng(31)), room_package(np.random.default_rng(33))
-    return [drawn, numbers_of(fox.manifest, "fox", fox.root_bytes), paged_package(), room]
+    return [drawn_package(np.random.default_rng(31)), numbers_of(fox.manifest, "fox", fox.root_bytes), paged_package()]
 
 
 def traces(numbers: Numbers, rng: np.random.Generator) -> list[Trace]:
@@ -151,12 +130,6 @@ def plays() -> Iterator[Play]:
     yield Play(2, 11, "paper", growth=[62, 63, 65, 66, 68])
     yield Play(2, 8, "robust-mpc", growth=[64, 65, 67], settings={"buffer_s": 2.0})
     yield Play(2, 10, "paper", growth=[60, 61, *[62] * 200], faults={"group/61.json.gz": "missing_file"})
-    for number, policy in enumerate(POLICIES):
-        for trace in range(4) if policy == "robust-mpc" else (number % 4,):
-            yield Play(3, 12 + trace, policy, settings=_rules(0, next(turn)))
-    yield Play(3, 12, "robust-mpc", faults={"key/T0/1.bin": "hash_mismatch", "key/T1/Q0/4.m4s": "missing_file"})
-    yield Play(3, 13, "throughput", faults={"group/4.json.gz": "missing_file"}, settings={"loops": 2})
-    yield Play(3, 15, "robust-mpc", growth=[5, 6, 7])
 
 
 def _rules(package: int, turn: int) -> dict[str, Any]:
