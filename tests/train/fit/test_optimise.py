@@ -8,6 +8,8 @@ import torch
 
 from airgs_codec.errors import TrainingError
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.train.data.pictures import Pictures
+from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit.optimise import Deck, Losses, Schedule, optimise
 from airgs_codec.train.fit.parameters import from_gaussians, render, to_gaussians
 from airgs_codec.train.fit.per_gaussian import PerGaussian
@@ -42,6 +44,18 @@ def test_extreme_rows_stay_finite_in_a_fit(extreme):
     after = to_gaussians(variables.detached())
     assert all(np.isfinite(getattr(after, n)).all() for n in g.__slots__)
     assert after.log_scales.max() <= math.log(5.0) + 1e-5
+
+
+def test_a_fit_is_the_same_whatever_is_kept_in_memory(moving):
+    scene = open_scene(moving)
+    fitted = []
+    for size in (1 << 30, 1):
+        pictures = Pictures(scene, picture_bytes=size, target_bytes=size)
+        variables = PerGaussian(from_gaussians(coloured_cloud(30)), 5.0)
+        optimise(variables, pictures.train(0), Schedule("fit", 12, lambda done: 0), np.random.default_rng(0))
+        fitted.append(variables.detached())
+        assert size > 1 or pictures.nbytes < 48 * 48 * (3 + 36) + 1  # one of each
+    assert all(torch.equal(fitted[0][name], fitted[1][name]) for name in fitted[0])
 
 
 def test_progress_counts_every_iteration():

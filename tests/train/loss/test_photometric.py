@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.train.loss.photometric import photometric, windowed_ssim
+from airgs_codec.train.loss.photometric import LAMBDA, _on_cuda, photometric, windowed_ssim
 from airgs_codec.train.loss.target import Target
 
 
@@ -26,6 +26,24 @@ def test_the_fused_loss_and_its_gradient_equal_the_definition(shape):
     assert fused.ssim == pytest.approx(similarity.item(), abs=1e-5)
     assert fused.mse == pytest.approx((y - t).square().mean().item(), rel=1e-5)
     assert (x.grad - y.grad).norm() <= 1e-5 * y.grad.norm()
+
+
+def test_what_is_computed_on_cuda_is_the_fused_loss_and_the_picture_is_taken_there_once():
+    """On tensors of the CPU: the same arithmetic."""
+    rng = np.random.default_rng(1)
+    picture, truth = (rng.uniform(size=(20, 30, 3)).astype(np.float32) for _ in range(2))
+    target = Target(truth)
+    x, y = (torch.from_numpy(picture).requires_grad_() for _ in range(2))
+    fused, other = photometric(x, target), _on_cuda(y, target, LAMBDA)
+    fused.loss.backward()
+    other.loss.backward()
+    assert (other.loss.item(), other.mse, other.ssim) == pytest.approx(
+        (fused.loss.item(), fused.mse, fused.ssim), rel=1e-4
+    )
+    assert (x.grad - y.grad).norm() <= 1e-4 * x.grad.norm()
+    there = target.on_device
+    _on_cuda(y, target, LAMBDA)
+    assert target.on_device is there
 
 
 def test_equal_pictures_have_no_loss_and_black_ones_a_finite_gradient():
