@@ -2,9 +2,9 @@
 
     python -m tests.makers.conformance
 
-Every package under invalid/ is valid/moving (valid/paged for what concerns a page) with one thing broken, and must be
-refused for the reason that its name begins with. Encoder bytes may change from one x264 to the next; what the packages
-decode to is pinned in tests/golden.
+Every package under invalid/ is valid/moving (valid/paged for what concerns a page, valid/kept for kept rows) with one
+thing broken, and must be refused for the reason that its name begins with. Encoder bytes may change from one x264 to
+the next; what the packages decode to is pinned in tests/golden.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
+from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
 from airgs_codec.media.fragments import box, with_columns
 from airgs_codec.media.mp4 import read_boxes
 from airgs_codec.package.folder import Folder
@@ -51,10 +52,12 @@ from tests.support.mutations import (
     set_value,
 )
 from tests.support.paths import INVALID, VALID
+from tests.support.rooms import room_frames
 from tests.support.scenes import write_sequence
 
 KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1.json"
-SETTINGS = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),))
+KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE = "key/T0/2.bin", "group/2.json.gz", "group/3.json.gz"
+SETTINGS = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keys=APART)
 
 
 def frames(count: int, degree: int, length: int) -> list[Gaussians]:
@@ -73,6 +76,10 @@ BALL = Region("file", 32, 24, 50.0, 0.01, 5.0, [Place([0.0, 0.0, -3.0], [0.0, 0.
 
 PACKAGES = {
     "moving": (frames(64, 0, 4), replace(SETTINGS, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))),
+    "kept": (
+        room_frames(60, 6),
+        replace(SETTINGS, keys=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2),
+    ),
     "one-gaussian": (frames(1, 1, 1), replace(SETTINGS, key_factors=(1.0,))),
     "paged": (
         frames(4, 0, 65),
@@ -92,6 +99,23 @@ def without_moving_rows(files: Files) -> Files:
     sidecar = unpack_key_sidecar(files[KEY_SIDECAR], group["tiers"][0]["count"], grid, coarsest, KEY_SIDECAR)
     still = replace(sidecar, depths=np.full_like(sidecar.depths, 255))
     return files | {KEY_SIDECAR: pack_key_sidecar(still, grid, coarsest)}
+
+
+def kept_sidecar(index: int, depth: int) -> Mutation:
+    """A sidecar of the second group whose first kept row has this index, and all of them this depth."""
+
+    def mutate(files: Files) -> Files:
+        tier = parse_table(files[KEPT_TABLE])["tiers"][0]
+        others, kept = tier["count"] - tier["kept"], tier["kept"]
+        reader = ColumnReader(files[KEPT_SIDECAR], KEPT_SIDECAR)
+        gaps, _ = (reader.column(kept, 1) for _ in range(2))
+        rest = [
+            (reader.column(count, order), order) for count, order in ((1, 0), (others, 1), (others, 0), (others, 1))
+        ]
+        columns = [(np.array([index, *gaps[1:]]), 1), (np.full(kept, depth + 1), 1), *(rest if others else [])]
+        return files | {KEPT_SIDECAR: encode_columns(columns)}
+
+    return mutate
 
 
 def flip(data: bytes) -> bytes:
@@ -148,6 +172,13 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks 
     "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
     "bad_value-segments": in_table(set_value(("segments", 0, "stop"), 3, TABLE)),
     "bad_value-page-sum": (set_value(("frames", 0), 2, PAGE_TABLE), repaged),
+    "bad_value-keeps": in_table(set_value(("keeps",), 2, KEPT_TABLE)),
+    "bad_value-keeps-chain": in_table(set_value(("keeps",), 2, LAST_TABLE)),
+    "bad_value-keeps-none": in_table(drop_value(("keeps",), KEPT_TABLE)),
+    "bad_value-kept": in_table(set_value(("tiers", 0, "kept"), 1 << 24, KEPT_TABLE)),
+    "missing_field-kept": in_table(drop_value(("tiers", 0, "kept"), KEPT_TABLE)),
+    "bad_sidecar-kept": (kept_sidecar(1 << 20, 0), honest),
+    "bad_sidecar-kept-depth": (kept_sidecar(0, 255), honest),
     "unsafe_path": (link_file(KEY_SIDECAR, "Q0/1.m4s"),),
     "missing_entry": in_table(
         set_value(("tiers", 0, "pictures", 0), {"bytes": 0, "sha256": ""}, TABLE), remove_file(KEY_PICTURE)
@@ -177,7 +208,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks 
 
 def source_of(name: str) -> str:
     """The valid package that a broken one is made of."""
-    return "paged" if "-page" in name else "moving"
+    return "paged" if "-page" in name else "kept" if "-ke" in name else "moving"
 
 
 def main() -> None:

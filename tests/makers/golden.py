@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -18,10 +19,11 @@ import numpy as np
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.decoder.decode import decode_key, decode_state
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX, GOLDEN
+from tests.support.rooms import room_frames
 from tests.support.scenes import write_sequence
 
 ROWS = 700  # Gaussians kept of the embedded scene
@@ -43,6 +45,10 @@ def digests(package: Package) -> dict[str, str]:
                 out[f"group {g} T{t} Q{q}"] = digest(codes)
                 out[f"group {g} T{t} Q{q} means"] = sha256(sidecar.codes.astype("<u8").tobytes()).hexdigest()
                 out[f"group {g} T{t} depths"] = sha256(sidecar.depths.tobytes()).hexdigest()
+                if tier.kept:
+                    kept = sidecar.kept
+                    out[f"group {g} T{t} kept"] = sha256(kept.rows.astype("<u4").tobytes()).hexdigest()
+                    out[f"group {g} T{t} kept depths"] = sha256(kept.depths.tobytes()).hexdigest()
     for s, segment in enumerate(m.segments):
         for j, level in enumerate(segment.levels):
             for f, codes in enumerate(
@@ -57,21 +63,22 @@ def main() -> None:
     shutil.rmtree(GOLDEN, ignore_errors=True)
     GOLDEN.mkdir()
     source = open_sequence(FOX)
+    rows = np.linspace(0, 4999, ROWS).astype(int)
+    fox = {frame: source.read(frame).take(rows) for frame in range(3, 8)}
     fine = StepSettings(grid=0.00007)
+    coarse = EncodeSettings(
+        calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)), keys=APART
+    )
     cases = {
-        "fox": (
-            range(3, 7),
-            EncodeSettings(calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1))),
-        ),
+        "fox": ([fox[frame] for frame in range(3, 7)], coarse),
         "fox-fine": (
-            range(5, 8),
-            EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), key_factors=(1.0,), quality=0.1, steps=fine),
+            [fox[frame] for frame in range(5, 8)],
+            replace(coarse, levels=(LevelSettings(0.0),), key_factors=(1.0,), quality=0.1, steps=fine),
         ),
+        "room": (room_frames(ROWS, 4, degree=1), replace(coarse, keys=KEPT, keep_all=True)),
     }
-    for name, (frames, settings) in cases.items():
+    for name, (cut, settings) in cases.items():
         with tempfile.TemporaryDirectory() as folder:
-            rows = np.linspace(0, 4999, ROWS).astype(int)
-            cut = [source.read(frame).take(rows) for frame in frames]
             scene = write_sequence(Path(folder), cut, fps=24, keyframes=[0, 2])
             encode(open_sequence(scene), GOLDEN / name, settings)
         table = json.dumps(digests(open_package(GOLDEN / name)), indent=1)

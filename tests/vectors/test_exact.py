@@ -70,6 +70,26 @@ def test_positions_that_are_refused(case):
     assert caught.value.reason == "bad_sidecar"
 
 
+def unpack_kept(case):
+    size = case["kept"], case["there"]
+    return unpack_key_sidecar(data(case["data"]), case["rows"], Grid(**case["grid"]), 0, "vector", size)
+
+
+@pytest.mark.parametrize("case", cases("positions", "kept"), ids=label)
+def test_kept_rows(case):
+    found = unpack_kept(case)
+    assert (found.kept.rows.tolist(), found.kept.depths.tolist()) == (case["places"], case["depths"])
+    assert found.codes.tolist() == numbers(case["codes"])
+    assert (found.classes.tolist(), found.depths.tolist()) == (case["classes"], case["others"])
+
+
+@pytest.mark.parametrize("case", cases("positions", "kept_refused"), ids=label)
+def test_kept_rows_that_are_refused(case):
+    with pytest.raises(FormatError) as caught:
+        unpack_kept(case)
+    assert caught.value.reason == "bad_sidecar"
+
+
 def unpack_escapes(case):
     shape = tuple(case[name] for name in ("frames", "planes", "rows"))
     return escapes.unpack(data(case["data"]), shape, "vector")

@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.coding.grid import grid_means
-from airgs_codec.coding.sidecar import join_sidecars
 from airgs_codec.decoder.decode import decode_key, decode_state
 from airgs_codec.media.h264 import decode_pictures, open_segment
-from airgs_codec.package.store import open_package
+from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import unpack_matrix
 from tests.makers.vectors.formulas import Coding, Row, key_row, listed, state_row
 from tests.makers.vectors.tables import Tables
@@ -23,11 +22,12 @@ from tests.makers.vectors.text import Table, binary
 from tests.support.paths import GOLDEN, REPOSITORY, VALID
 
 ATTRIBUTES = ("means", "quaternions", "log_scales", "alpha", "colours")
-FOX, FINE = GOLDEN / "fox", GOLDEN / "fox-fine"
-INDEXED = (FOX, VALID / "paged", VALID / "live", VALID / "two-groups-sh1")
+FOX, FINE, ROOM = GOLDEN / "fox", GOLDEN / "fox-fine", GOLDEN / "room"
+INDEXED = (FOX, VALID / "paged", VALID / "live", VALID / "two-groups-sh1", VALID / "kept", ROOM)
 SHOWN: dict[Path, list[tuple[int, int, int, int]]] = {  # frame, key quality, level, key tiers
     FOX: [*((frame, q, j, 2) for frame in (0, 3) for q in (0, 1) for j in (0, 1)), (3, 0, 0, 1), (1, 1, 1, 1)],
     FINE: [(1, 0, 0, 2)],
+    ROOM: [(0, 0, 0, 2), (2, 0, 0, 2), (3, 1, 1, 2), (3, 0, 0, 1)],
 }
 EVERY = 16  # rows of which one is in the vectors
 STATIC = 255
@@ -46,9 +46,13 @@ def tables() -> tuple[Table, bytes]:
     return {
         "groups": [{"package": name, **_group(t, g)} for name, t in named for g in _some(len(t.groups))],
         "startup": [{"package": name, **start} for name, t in named for start in _startups(t)],
-        "units": [_unit(FOX, path.relative_to(FOX).as_posix()) for path in sorted(FOX.rglob("*.m4s"))],
+        "units": [_unit(of, p.relative_to(of).as_posix()) for of in (FOX, VALID / "kept") for p in _media(of)],
         "frames": frames,
     }, data
+
+
+def _media(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*.m4s"))
 
 
 def _name(folder: Path) -> str:
@@ -118,14 +122,9 @@ def _rows(folder: Path, frame: int, quality: int, level: int, tiers: int) -> dic
     t, package = Tables(folder), open_package(folder)
     group, root = t.group_at(frame), t.root
     table = t.groups[group]
-    transform = unpack_matrix(table["colour_transform"], 3 * (1 + root["sh_degree"]) ** 2).tolist()
-    units = [decode_key(package, group, k, quality) for k in range(tiers) if t.sidecar(group, k)]
-    sidecar = join_sidecars([sidecar for _, sidecar in units])
-    codes = [line for part, _ in units for line in part.T.tolist()]
-    grid, coarser = package.manifest.groups[group].grid, root["qualities"][quality]["coarser"]
-    means = grid_means(sidecar.codes, sidecar.classes, grid, coarser).tolist()
-    key = Coding(table["key_steps"], root["qualities"][quality]["factor"], root["key_gain"], transform)
-    shown = {row: key_row(codes[row], key, means[row]) for row in range(0, len(codes), EVERY)}
+    transform = _transform(t, group)
+    keys = [row for k in range(tiers) if t.sidecar(group, k) for row in _key_rows(t, package, (group, k, quality))]
+    shown = {number: row for number, (row, _, _) in enumerate(keys) if number % EVERY == 0}
     segment = t.segment_at(frame)
     if not t.state(group, segment, level):
         return shown
@@ -133,11 +132,36 @@ def _rows(folder: Path, frame: int, quality: int, level: int, tiers: int) -> dic
     number = t.segments_before(group) + segment
     changes = next(iter(decode_state(package, number, level, place, place + 1))).T.tolist()
     state = Coding(table["state_steps"], root["levels"][level]["factor"], root["state_gain"], transform)
-    carried = [row for row, depth in enumerate(sidecar.depths.tolist()) if level <= depth < STATIC]
+    carried = [row for row, (_, _, depth) in enumerate(keys) if level <= depth < STATIC]
     for row, numbers in zip(carried, changes, strict=False):  # of fewer tiers, the first rows
         if row in shown:
-            shown[row] = state_row(shown[row], numbers, state, int(sidecar.classes[row]))
+            shown[row] = state_row(shown[row], numbers, state, keys[row][1])
     return shown
+
+
+def _transform(t: Tables, group: int) -> list[list[float]]:
+    matrix: list[list[float]] = unpack_matrix(
+        t.groups[group]["colour_transform"], 3 * (1 + t.root["sh_degree"]) ** 2
+    ).tolist()
+    return matrix
+
+
+def _key_rows(t: Tables, package: Package, unit: tuple[int, int, int]) -> list[tuple[Row, int, int]]:
+    """The canonical value, the motion class and the depth of every row of a (group, tier, quality)."""
+    group, tier, quality = unit
+    codes, sidecar = decode_key(package, group, tier, quality)
+    named = t.root["qualities"][quality]
+    grid = package.manifest.groups[group].grid
+    means = grid_means(sidecar.codes, sidecar.classes, grid, named["coarser"]).tolist()
+    key = Coding(t.groups[group]["key_steps"], named["factor"], t.root["key_gain"], _transform(t, group))
+    rows = [key_row(line, key, mean) for line, mean in zip(codes.T.tolist(), means, strict=True)]
+    coded = list(zip(rows, sidecar.classes.tolist(), sidecar.depths.tolist(), strict=True))
+    base, kept = t.base_of(group), sidecar.kept
+    if base is None or not len(kept.rows):
+        return coded
+    there = _key_rows(t, package, (base, tier, quality))
+    places = zip(kept.rows.tolist(), kept.depths.tolist(), strict=True)
+    return [(*there[place][:2], depth) for place, depth in places] + coded
 
 
 def _float32(values: Sequence[Any]) -> bytes:

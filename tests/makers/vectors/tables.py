@@ -59,8 +59,14 @@ class Tables:
         return f"key/T{tier}/{group + 1}.bin" if self.groups[group]["tiers"][tier]["count"] else None
 
     def picture(self, group: int, tier: int, quality: int) -> str | None:
-        """The picture of a key tier; None where it has no rows."""
-        return f"key/T{tier}/Q{quality}/{group + 1}.m4s" if self.groups[group]["tiers"][tier]["count"] else None
+        """The picture of a key tier; None where all of its rows are kept or it has none."""
+        unit = self.groups[group]["tiers"][tier]
+        return f"key/T{tier}/Q{quality}/{group + 1}.m4s" if unit["count"] > unit["kept"] else None
+
+    def base_of(self, group: int) -> int | None:
+        """The group, counted from 0 as well, whose rows it keeps; None where it keeps none."""
+        keeps: int | None = self.groups[group].get("keeps")
+        return None if keeps is None else keeps - 1
 
     def state(self, group: int, segment: int, level: int) -> str | None:
         """The pictures of a segment of the group; None where there is nothing to fetch."""
@@ -71,8 +77,14 @@ class Tables:
         """What a viewer fetches, in order, until it shows its first frame with so many key tiers."""
         group = self.group_at(frame)
         found = ["airgs.json", self.page_of(group), list(self.group_paths())[group]]
+        base = self.base_of(group)
+        if base is not None:
+            found += [page for page in [self.page_of(base)] if page not in found]
+            found.append(list(self.group_paths())[base])
         for tier in range(tiers):
             found += [self.sidecar(group, tier), self.picture(group, tier, quality)]
+            if base is not None and self.groups[group]["tiers"][tier]["kept"]:
+                found += [self.sidecar(base, tier), self.picture(base, tier, quality)]
         found.append(self.state(group, self.segment_at(frame), level))
         return [path for path in found if path]
 

@@ -173,7 +173,9 @@ for (const one of readVectors("packages").startup) {
     const number = tables.index.atFrame(one.frame);
     assert.throws(() => tables.group(number), MissingGroupError);
     await add(groupPath(number + 1));
-    for (let tier = 0; tier < one.tiers; tier++) files.push(...tables.keyFiles(number, tier, one.quality));
+    const { keeps } = tables.group(number);
+    if (keeps) await add(groupPath(keeps));
+    files.push(...tables.keysOf(number, one.quality, one.tiers));
     files.push(...tables.stateFiles(tables.segmentAt(one.frame), one.level));
     assert.deepEqual(files, one.files);
   });
