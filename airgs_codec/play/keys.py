@@ -10,6 +10,7 @@ from airgs_codec.package.paths import FileKind, file_kind, group_path, page_path
 from airgs_codec.package.tables import PAGE
 from airgs_codec.play.catalogue import NONE, Batch, Catalogue, DecodedTiers
 from airgs_codec.play.events import Arrival
+from airgs_codec.play.ladder import Option
 
 
 @dataclass(slots=True, eq=False)
@@ -94,6 +95,11 @@ class KeyStore:
         """The files that a rung of the segment at a position still needs."""
         c = self.catalogue
         return c.batch(c.index(position), rung, self.decoded_tiers(position), self.base_tiers(position))
+
+    def options(self, position: int) -> tuple[Option, ...]:
+        """Every rung of the segment at a position, with the bytes that it still needs."""
+        c = self.catalogue
+        return c.options(c.index(position), self.decoded_tiers(position), self.base_tiers(position))
 
     def add(self, arrival: Arrival) -> None:
         """Decode what arrived: a tier counts once its files are there."""

@@ -221,8 +221,7 @@ class _Player:
 
     def _options(self, position: int) -> tuple[Option, ...]:
         """The rungs of the next segment that can be had and are smaller than what was given up."""
-        index = self.catalogue.index(position)
-        options = self.catalogue.options(index, self.keys.decoded_tiers(position), self.keys.base_tiers(position))
+        options = self.keys.options(position)
         if self.given_up[0] == position:
             options = tuple(p for p in options if p.size_bytes < self.given_up[1])
         if self.unusable:
@@ -276,7 +275,7 @@ class _Player:
             if not self.now_s < slot.start_s < float("inf"):
                 continue
             here, index, level = self._quality(slot), c.index(slot.position), c.rungs[slot.rung or 0][1]
-            for option in c.options(index, self.keys.decoded_tiers(slot.position)):
+            for option in self.keys.options(slot.position):
                 gain = option.quality - (here or 0.0)
                 size = option.size_bytes  # the state is decoded where only the keys would be better
                 size -= int(c.state_bytes[index, level]) if c.rungs[option.index][1] == level else 0
