@@ -16,6 +16,7 @@ from airgs_codec.play.catalogue import Catalogue
 from tests.support.manifests import HASH, tiny_manifest
 
 Numbers = Mapping[str, Any]
+ROWS = 100  # of a tier that are coded, where some are: no player counts them
 
 
 def numbers_of(m: Manifest, name: str, root_bytes: int) -> dict[str, Any]:
@@ -33,7 +34,8 @@ def numbers_of(m: Manifest, name: str, root_bytes: int) -> dict[str, Any]:
 
 
 def _group_numbers(group: mf.Group, table_bytes: int) -> dict[str, Any]:
-    return {
+    keeps = {"keeps": group.keeps, "kept": [tier.kept for tier in group.tiers]} if group.keeps else {}
+    return keeps | {
         "table": table_bytes,
         "sidecars": [tier.sidecar.bytes for tier in group.tiers],
         "pictures": [[file.bytes for file in tier.pictures] for tier in group.tiers],
@@ -79,11 +81,18 @@ def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
         ]
         segments.append(mf.Segment(start, start + numbers["frames"], levels))
         start += numbers["frames"]
+    kept = part.get("kept", [0] * len(part["sidecars"]))
     tiers = [
-        replace(some.tiers[0], count=int(sidecar > 0), sidecar=_file(sidecar), pictures=[_file(b) for b in pictures])
-        for sidecar, pictures in zip(part["sidecars"], part["pictures"], strict=True)
+        replace(
+            some.tiers[0],
+            count=count + ROWS * (pictures[0] > 0),
+            kept=count,
+            sidecar=_file(sidecar),
+            pictures=[_file(b) for b in pictures],
+        )
+        for sidecar, pictures, count in zip(part["sidecars"], part["pictures"], kept, strict=True)
     ]
-    return replace(some, start=span[0], stop=span[1], tiers=tiers, segments=segments)
+    return replace(some, start=span[0], stop=span[1], tiers=tiers, segments=segments, keeps=part.get("keeps"))
 
 
 def _file(size: int) -> mf.FileEntry:

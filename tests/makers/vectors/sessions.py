@@ -65,6 +65,27 @@ def drawn_package(rng: np.random.Generator) -> Numbers:
     return _numbers("drawn", [24, 1], levels, groups)
 
 
+KEEPING = {  # group -> the number of its base; of each tier how many rows it keeps, and what is left of its pictures
+    1: (1, (50, 7, 0), (0.2, 0.3, 1.0)),
+    3: (3, (9, 0, 4), (0.4, 1.0, 0.5)),
+    4: (3, (60, 30, 10), (0.0, 0.1, 0.0)),
+}
+
+
+def kept_package(rng: np.random.Generator) -> Numbers:
+    """Five groups, some of which keep rows of one before: of some tiers all, of others none."""
+    first, second = drawn_package(rng), drawn_package(rng)
+    groups = [*first["groups"], *second["groups"][:2]]
+    for number, (base, rows, shares) in KEEPING.items():
+        group = groups[number]
+        kept = [count if groups[base - 1]["sidecars"][tier] else 0 for tier, count in enumerate(rows)]
+        left = [share if count else 1.0 for share, count in zip(shares, kept, strict=True)]
+        sidecars = [40 + size // 4 if count else size for size, count in zip(group["sidecars"], kept, strict=True)]
+        pictures = [[int(size * share) for size in of] for of, share in zip(group["pictures"], left, strict=True)]
+        groups[number] = group | {"keeps": base, "kept": kept, "sidecars": sidecars, "pictures": pictures}
+    return {**first, "name": "kept", "groups": groups}
+
+
 def _segment(frames: int, rng: np.random.Generator) -> dict[str, Any]:
     best, most = rng.uniform(33, 42), rng.uniform(1e3, 2.5e3) * frames
     sizes = [int(most * 0.55**j * rng.uniform(0.9, 1.1)) for j in range(4)]
@@ -98,7 +119,8 @@ def _numbers(name: str, frame_rate: list[int], levels: list[dict[str, Any]], gro
 def packages() -> list[Numbers]:
     """What is played."""
     fox = open_package(GOLDEN / "fox")
-    return [drawn_package(np.random.default_rng(31)), numbers_of(fox.manifest, "fox", fox.root_bytes), paged_package()]
+    drawn, kept = drawn_package(np.random.default_rng(31)), kept_package(np.random.default_rng(33))
+    return [drawn, numbers_of(fox.manifest, "fox", fox.root_bytes), paged_package(), kept]
 
 
 def traces(numbers: Numbers, rng: np.random.Generator) -> list[Trace]:
@@ -130,6 +152,10 @@ def plays() -> Iterator[Play]:
     yield Play(2, 11, "paper", growth=[62, 63, 65, 66, 68])
     yield Play(2, 8, "robust-mpc", growth=[64, 65, 67], settings={"buffer_s": 2.0})
     yield Play(2, 10, "paper", growth=[60, 61, *[62] * 200], faults={"group/61.json.gz": "missing_file"})
+    for number, policy in enumerate(POLICIES):
+        yield Play(3, 12 + number % 4, policy, settings=_rules(0, next(turn)))
+    yield Play(3, 12, "robust-mpc", faults={"key/T0/1.bin": "hash_mismatch", "group/3.json.gz": "missing_file"})
+    yield Play(3, 13, "throughput", growth=[2, 3, 4, 5])
 
 
 def _rules(package: int, turn: int) -> dict[str, Any]:
