@@ -30,6 +30,7 @@ class GroupSummary:
     unused: int  # Gaussians that no view uses: not written
     segments: int
     grid_bits: int
+    kept: int  # rows written that are those of an earlier group
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +132,8 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
 
 def _group(m: Manifest, index: int) -> GroupSummary:
     g = m.groups[index]
-    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.grid.bits)
+    kept = sum(tier.kept for tier in g.tiers)
+    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.grid.bits, kept)
 
 
 def _key(m: Manifest, tier: int, quality: int) -> KeySummary:

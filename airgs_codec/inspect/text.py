@@ -64,12 +64,12 @@ def _head(s: Summary) -> list[str]:
 
 def _groups(s: Summary) -> list[str]:
     rows = [
-        [str(i), f"{g.frames[0]}-{g.frames[1] - 1}", str(g.gaussians), str(g.static), str(g.segments)]
+        [str(i), f"{g.frames[0]}-{g.frames[1] - 1}", str(g.gaussians), str(g.kept), str(g.static), str(g.segments)]
         for i, g in enumerate(s.groups)
     ]
     if len(rows) > MOST_GROUPS:
-        rows = [*rows[: MOST_GROUPS - 2], ["…"] * 5, rows[-1]]
-    return table(["group", "frames", "Gaussians", "static", "segments"], rows)
+        rows = [*rows[: MOST_GROUPS - 2], ["…"] * 6, rows[-1]]
+    return table(["group", "frames", "Gaussians", "kept", "static", "segments"], rows)
 
 
 def _keys(s: Summary) -> list[str]:
