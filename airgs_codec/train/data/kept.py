@@ -39,6 +39,10 @@ class Kept(Generic[Key, Value]):
         with self._changing:
             return sum(value.nbytes for value in self._values.values())
 
+    def __contains__(self, key: Key) -> bool:
+        with self._changing:
+            return key in self._values
+
     def get(self, key: Key) -> Value:
         """The value of a key. Raises what making it raises."""
         found = self._find(key)
@@ -54,7 +58,7 @@ class Kept(Generic[Key, Value]):
 
     def expect(self, key: Key) -> None:
         """Make the value of a key in another thread, where it is not kept; a failure is left for `get` to find."""
-        if self._find(key) is None:
+        if key not in self:
             if self._thread is None:
                 self._thread = ThreadPoolExecutor(1)
             self._thread.submit(self.get, key)

@@ -141,7 +141,8 @@ class _Flattened:
         return self.kept.get(self.place)
 
     def expect(self) -> None:
-        self.picture.expect()
+        if self.place not in self.kept:
+            self.picture.expect()
 
 
 def _rest_of(view: View, plates: Plates, exposure: Exposure) -> NDArray[np.float32]:
