@@ -18,6 +18,7 @@ from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace
 from tests.support.manifests import in_groups, missing, tiny_manifest
+from tests.support.session_packages import catalogue_of
 
 RULES = SessionSettings(
     startup_s=0.0, resume_s=0.0, decode_frame_s=0.0, loops=1, pipelined=False, replace=False, abandon=False
@@ -72,6 +73,19 @@ def test_who_joins_at_a_group_fetches_the_table_and_keys_of_its_base():
     tables = [f.bytes for f in log.fetches if f.kind == "tables"]
     assert tables == [1000, 100, 100]  # airgs.json, the table of the group, then that of its base
     assert [f.bytes for f in log.fetches if f.kind == "group"] == [3000 + 200 + 4200 + 2100]
+
+
+def test_the_page_of_the_base_is_fetched_first():
+    """Group 66 is in airgs.json, its base on the first page."""
+    group = {"table": 90, "sidecars": [30], "pictures": [[500, 300]]}
+    group |= {"segments": [{"frames": 10, "bytes": [700], "psnr": [[40.0, 38.0]]}]}
+    groups = [group] * 65 + [group | {"keeps": 3, "kept": [5], "sidecars": [20], "pictures": [[70, 60]]}]
+    numbers = {"frame_rate": [10, 1], "page_bytes": 4000, "header_bytes": 0, "root_bytes": 1000, "groups": groups}
+    numbers |= {"qualities": ["Q0", "Q1"], "levels": [{"id": "L0", "tiers": 1, "pruned": 0.0}]}
+    catalogue = catalogue_of(numbers)
+    catalogue.first = 65
+    log = simulate(catalogue, link(8e4), "fixed:0", RULES)
+    assert [f.bytes for f in log.fetches] == [1000, 90, 4000, 90, 20 + 70 + 30 + 500 + 700]
 
 
 def test_a_tier_that_keeps_nothing_needs_nothing_of_the_base():

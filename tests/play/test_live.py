@@ -54,6 +54,16 @@ def test_a_session_begins_with_the_newest_group_and_ends_with_the_package(tmp_pa
     assert log.metrics.frames == len(shown)
 
 
+def test_who_joins_late_fetches_the_base_of_the_newest_group_once(tmp_path):
+    """Groups 2 and 3 keep rows of group 1, which is over."""
+    log = play_growing(Growing(tmp_path / "p", 2, 3, 0, whole=VALID / "kept"))
+    m = open_package(VALID / "kept").manifest
+    assert [s.segment for s in log.shown] == [1, 2] and all(s.rung == 0 for s in log.shown)
+    assert [g.keeps for g in m.groups] == [None, 1, 1]
+    units = {path for g in range(3) for t in range(m.tiers) for path in m.key_files(g, t, 0)}
+    assert log.bytes_by_kind["key"] + log.bytes_by_kind["sidecars"] == m.bytes_of(sorted(units))
+
+
 def test_groups_are_looked_for_a_groups_length_after_the_last_time(tmp_path):
     log = play_growing(Growing(tmp_path / "p", 2, 2, 2, 3, 0))
     polls = [f for f in log.fetches if f.position == 1 and f.kind == "tables"]

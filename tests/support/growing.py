@@ -16,16 +16,16 @@ from airgs_codec.package.store import open_package
 from airgs_codec.package.writing import write_root
 from tests.support.paths import VALID
 
-PAGED = open_package(VALID / "paged")  # 65 groups of a frame; a page holds 64
+PAGED = VALID / "paged"  # 65 groups of a frame; a page holds 64
 
 
 class Growing:
-    """The package `paged` with so many of its groups, published one step after another."""
+    """A package with so many of its groups, published one step after another."""
 
-    def __init__(self, folder: Path, *counts: int) -> None:
-        shutil.copytree(VALID / "paged", folder)
-        shutil.rmtree(folder / "index")
-        self.folder, self.waiting = folder, list(counts)
+    def __init__(self, folder: Path, *counts: int, whole: Path = PAGED) -> None:
+        shutil.copytree(whole, folder)
+        shutil.rmtree(folder / "index", ignore_errors=True)
+        self.folder, self.waiting, self.whole = folder, list(counts), open_package(whole).manifest
         self.count = 0  # of the groups that are there
         self.publish()
 
@@ -35,11 +35,11 @@ class Growing:
         if count is None:
             return
         self.count = count or self.count
-        groups = PAGED.manifest.groups[: self.count]
+        groups = self.whole.groups[: self.count]
         _, pages = build_index(groups, [pack_group(group) for group in groups])
         for number, page in enumerate(pages, 1):
             Folder(self.folder).write(f"index/{number}.json", pack_json(page))
-        m = replace(PAGED.manifest, live=count > 0, frames=groups[-1].stop, groups=Groups.of(groups))
+        m = replace(self.whole, live=count > 0, frames=groups[-1].stop, groups=Groups.of(groups))
         now = datetime.now(UTC)
         write_root(Folder(self.folder), m, LiveClock(now, now))
 
