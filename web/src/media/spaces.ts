@@ -87,7 +87,7 @@ function joinPositions(tiers: Tier[]): Positions {
   for (const { own, base } of tiers) {
     all.depths.set(own.depths, at);
     for (const row of own.kept) {
-      all.means.set(base!.means.subarray(3 * row, 3 * row + 3), 3 * at);
+      for (let axis = 0; axis < 3; axis++) all.means[3 * at + axis] = base!.means[3 * row + axis];
       all.units[at++] = base!.units[row];
     }
     all.means.set(own.means, 3 * at);
