@@ -141,16 +141,19 @@ export class Catalogue {
 
   /** Whether the tables of a segment's group, and of the one whose rows it keeps, are there. */
   knows(segment: number): boolean {
-    const { tables } = this;
-    const page = tables.index.pageOfSegment(segment);
-    if (page !== null && !tables.index.hasPage(page)) return false;
-    const group = tables.groupOf(segment);
-    return tables.has(group) && tables.has(tables.base(group) ?? group);
+    if (!this.hasTable(segment)) return false;
+    const group = this.tables.groupOf(segment);
+    return this.tables.has(this.tables.base(group) ?? group);
+  }
+
+  private hasTable(segment: number): boolean {
+    const page = this.tables.index.pageOfSegment(segment);
+    return (page === null || this.tables.index.hasPage(page)) && this.tables.has(this.tables.groupOf(segment));
   }
 
   /** Frames of a segment; where its table cannot be had, as if its neighbours were of one length. */
   span(segment: number): { start: number; stop: number } {
-    return this.knows(segment) ? this.tables.segment(segment) : this.tables.index.guessSpan(segment);
+    return this.hasTable(segment) ? this.tables.segment(segment) : this.tables.index.guessSpan(segment);
   }
 
   /** Seconds of play of a segment. */

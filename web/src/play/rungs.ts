@@ -17,9 +17,10 @@ export class RungTotals {
     const { tables } = this.catalogue;
     for (let group = 0; group < tables.index.groups; group++) {
       if (this.#counted.has(group) || !tables.has(group)) continue;
+      const { firstSegment, segments } = tables.index.entry(group);
+      if (!this.catalogue.knows(firstSegment)) continue;
       this.#counted.add(group);
       this.#rows = null;
-      const { firstSegment, segments } = tables.index.entry(group);
       for (let s = firstSegment; s < firstSegment + segments; s++) this.#add(s);
     }
     this.#rows ??= this.#list();

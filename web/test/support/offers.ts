@@ -87,7 +87,7 @@ export class NumberOffers implements Offers {
     };
   }
 
-  has(): boolean {
+  has(_group: number): boolean {
     return true;
   }
 

@@ -137,6 +137,13 @@ test("a tier is shown when what it keeps is there as well", async () => {
   assert.deepEqual([catalogue.knows(2), playout.end], [true, 12]);
 });
 
+test("before the table of the other group is there nothing is said of bytes", () => {
+  const { offers, catalogue } = new Viewer();
+  offers.has = (group: number) => group === 1;
+  assert.deepEqual([catalogue.knows(2), catalogue.span(2).start, catalogue.upcoming(2, 2, 6)], [false, 20, []]);
+  assert.equal(new RungTotals(catalogue).read()[0].kbps, 0);
+});
+
 test("people see what a rung costs where the group before is there", () => {
   const { catalogue } = new Viewer();
   const bytes = 3300 + 80 + 100 + 6 * 7; // keys of three groups in Q0, six states
