@@ -160,9 +160,9 @@ def memory_table(parts: Parts, cameras: int) -> list[tuple[str, str, float]]:
     ]
 
 
-def time_table(parts: Parts, settings: TrainSettings) -> list[tuple[str, str]]:
+def time_table(parts: Parts, settings: TrainSettings, cameras: int) -> list[tuple[str, str]]:
     """(what, value) of the time that frames take, if there were as many rows from the first iteration on."""
-    counts = (settings.first_iterations, settings.key_iterations, settings.frame_iterations)
+    counts = (settings.iterations_from_scratch(cameras), settings.key_iterations, settings.frame_iterations)
     hours = [f"{n} iterations: {n * parts.iteration_s / 60:.1f} min" for n in counts]
     return list(zip(("a first frame", "a keyframe", "a frame in a group"), hours, strict=True))
 
@@ -176,7 +176,8 @@ def report(parts: Parts, cameras: int) -> str:
         f"| together, on two idle cores or the GPU | {1e3 * parts.iteration_s:.0f} |",
         f"| a target from 8 bits | {1e3 * parts.target_s:.0f} |",
     ]
-    lines += ["", "| frame | time |", "|---|---|", *(f"| {a} | {b} |" for a, b in time_table(parts, TrainSettings()))]
+    times = time_table(parts, TrainSettings(), cameras)
+    lines += ["", "| frame | time |", "|---|---|", *(f"| {what} | {time} |" for what, time in times)]
     if parts.peak_bytes is not None:
         return "\n".join([*lines, "", f"peak of GPU memory in an iteration: {parts.peak_bytes / MIB:.0f} MiB"])
     held = memory_table(parts, cameras)

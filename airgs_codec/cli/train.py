@@ -17,7 +17,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.settings import DELTAS, METHODS, PRESETS, STATIC, Temporal, TrainSettings, preset
+from airgs_codec.train.settings import DELTAS, FIRST_A_VIEW, METHODS, PRESETS, STATIC, Temporal, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.train.record import Model
@@ -100,11 +100,12 @@ def _add_method(group: argparse._ArgumentGroup) -> None:
     _add_setting(group, "--inflation", "inflation", float, "W")
     group.add_argument("--static", choices=STATIC, help=_help("static"))
     _add_setting(group, "--group", "group_frames", int, "FRAMES")
-    counts = (DEFAULTS.first_iterations, DEFAULTS.key_iterations, DEFAULTS.frame_iterations)
+    counts = (DEFAULTS.iterations_from_scratch(1), DEFAULTS.key_iterations, DEFAULTS.frame_iterations)
     group.add_argument(
         "--iterations",
         metavar="FIRST,KEY,FRAME",
-        help=f"iterations of a first frame, a keyframe and any other frame (default: {','.join(map(str, counts))})",
+        help="iterations of a first frame, a keyframe and any other frame "
+        f"(default: {','.join(map(str, counts))}; of a first frame at least {FIRST_A_VIEW} for each view)",
     )
     _add_setting(group, "--iteration-views", "iteration_views", int, "N", "1; 4 on CUDA")
     _add_setting(group, "--seed", "seed", int, "N")

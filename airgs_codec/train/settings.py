@@ -12,6 +12,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.gaussians import SH_REST
 
+FIRST, FIRST_A_VIEW = 2500, 60  # iterations of a first frame: the larger of both; 97 photos had not settled at 2500
 METHODS = ("airgs", "naive3dgs", "v3")
 DELTAS = ("direct", "mlp", "mlp+residual")
 PRESETS = ("default", "paper")
@@ -41,7 +42,10 @@ class TrainSettings:
     budget: int = setting(8_000, "Gaussians of the first frame")
     capacity: int = setting(12_000, "most Gaussians that there may ever be")
     sh_degree: int = setting(1, "degree of the spherical harmonics, 0 to 3")
-    first_iterations: int = setting(2500, "iterations of the first frame, and of every frame from scratch")
+    first_iterations: int | None = setting(
+        None,
+        f"iterations of the first frame, and of frames from scratch; None: {FIRST}, at least {FIRST_A_VIEW} a view",
+    )
     key_iterations: int = setting(1500, "iterations of a keyframe")
     frame_iterations: int = setting(300, "iterations of a frame in a group")
     iteration_views: int = setting(1, "pictures that an iteration sees")
@@ -84,7 +88,7 @@ class TrainSettings:
         return [(value in known, f"expected {name} {', '.join(known)}, got {value}") for name, value, known in choices]
 
     def _ranges(self) -> list[tuple[bool, str]]:
-        iterations = min(self.first_iterations, self.key_iterations, self.frame_iterations)
+        iterations = min(self.iterations_from_scratch(1), self.key_iterations, self.frame_iterations)
         return [
             (self.temporal.weight >= 0, f"expected a temporal weight of at least 0, got {self.temporal.weight}"),
             (self.budget >= 1, f"expected a budget of at least one Gaussian, got {self.budget}"),
@@ -114,6 +118,10 @@ class TrainSettings:
     def knows_rest(self) -> bool:
         """Whether plates are made of cameras that stand still; before random backgrounds nothing rests."""
         return self.static == "auto" and self.method == "airgs" and self.background != RANDOM
+
+    def iterations_from_scratch(self, views: int) -> int:
+        """Iterations of a frame from scratch that so many views see."""
+        return max(FIRST, FIRST_A_VIEW * views) if self.first_iterations is None else self.first_iterations
 
     def table(self) -> dict[str, Any]:
         """The settings by name, as `settings_from_table` takes them."""

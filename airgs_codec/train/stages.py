@@ -114,7 +114,8 @@ class Trainer:
             regularisers=FIRST_REGULARISERS,
             densifier=Densifier(Growth(s.budget), len(start), rng),
         )
-        schedule = self._schedule("first frame", s.first_iterations, self._rising_sh_degree)
+        iterations = s.iterations_from_scratch(len(target.views))
+        schedule = self._schedule("first frame", iterations, self._rising_sh_degree)
         optimise(variables, target.views, schedule, rng, exposure, progress)
         variables.remove_fainter(HIDDEN_OPACITY)
         return to_gaussians(variables.detached())

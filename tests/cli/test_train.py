@@ -22,6 +22,7 @@ def blobs(tmp_path_factory):
 
 def test_airgs_train_says_what_it_did_and_reports(blobs, tmp_path, capsys):
     words = [str(blobs), "-o", str(tmp_path / "m"), "--report", str(tmp_path / "r"), *QUICK, "--frames", "0:2"]
+    words += ["--min-psnr", "0"]
     assert train_main(words) == 0
     out = capsys.readouterr().out
     assert "first frame" in out and "held-out" in out and out.count("\nframe") == 1

@@ -37,3 +37,9 @@ def test_settings_that_cannot_work_are_refused(wrong):
 def test_settings_come_back_from_their_table(name):
     settings = preset(name, TrainSettings(seed=3, max_size=64))
     assert settings_from_table(json.loads(to_json(settings.table()))) == settings
+
+
+@pytest.mark.parametrize(("views", "expected"), [(16, 2500), (84, 5040)])
+def test_a_first_frame_sees_every_view_often(views, expected):
+    assert TrainSettings().iterations_from_scratch(views) == expected
+    assert TrainSettings(first_iterations=7).iterations_from_scratch(views) == 7
