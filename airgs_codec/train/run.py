@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from airgs_codec.errors import SceneError
+from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV
@@ -99,8 +99,11 @@ def open_run(
     """A run that goes on where the one in the folder ended; arguments and errors are those of `train`."""
     if device == "cpu":
         torch.set_num_threads(1)  # the kernels have their own threads, and two pools fight over the cores
-    if not any(not camera.held_out for camera in scene.cameras):
+    names = [camera.name for camera in scene.cameras if not camera.held_out]
+    if not names:
         raise SceneError(f"{scene.path}: expected training views of the first frame, got none")
+    if settings.reference not in (None, *names):
+        raise ConfigError(f"--reference: expected a training camera of {', '.join(names)}, got {settings.reference}")
     pictures = pictures_for(scene, settings)
     pictures.check(0)
     model = open_model(folder, Record(_identity(scene, pictures), settings.table(), len(scene), str(scene.fps)), resume)
