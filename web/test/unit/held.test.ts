@@ -109,6 +109,24 @@ test("who joins in the middle reads what is kept there, and needs it but once", 
   assert.deepEqual(tables, ["airgs.json", "group/2.json.gz", "group/1.json.gz", "group/3.json.gz"]);
 });
 
+test("the table of the other group may stand on a page that nobody has read", () => {
+  const { numbers } = new Viewer().offers;
+  const groups = [...new Array(65).fill(BASE), { ...SOME, keeps: 3 }];
+  const { tables } = new Stores(new Catalogue(new NumberOffers({ ...numbers, groups })));
+  const read = (path: string) => {
+    const batch = { keys: [], state: [], tables: [path] };
+    const request = { kind: "tables" as const, position: 0, rung: 0, batch, sentS: 0, latencyS: 0 };
+    const times = { firstByteS: 0, atS: 0, bytes: 1, abandoned: false, cached: false };
+    tables.add({ request, ...times, whole: [path], refused: new Map() });
+  };
+  const asked: string[] = [];
+  for (let [path] = tables.missing(130, 132); path; [path] = tables.missing(130, 132)) {
+    asked.push(path);
+    read(path);
+  }
+  assert.deepEqual(asked, ["group/66.json.gz", "index/1.json", "group/3.json.gz"]);
+});
+
 test("a tier that keeps none needs nothing of the other group", async () => {
   const keys = await new Viewer().keys("fixed:0", 4);
   const third = ["key/T0/3.bin", "key/T0/Q0/3.m4s", "key/T1/3.bin"];

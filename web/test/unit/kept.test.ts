@@ -10,7 +10,7 @@ import { readSidecar, STATIC } from "../../src/format/sidecar.ts";
 import type { Canonical, Group, KeyPart } from "../../src/format/types.ts";
 import { type Positions, readPositions } from "../../src/media/spaces.ts";
 import { type Column, columnFile } from "../support/range-encoder.ts";
-import { fromBase64, readBytes, readVectors, runs } from "./files.ts";
+import { fromBase64, joined, readBytes, readVectors, runs } from "./files.ts";
 import { readTables } from "./walk.ts";
 
 const FOX = "tests/golden/fox";
@@ -62,6 +62,27 @@ const WRONG: Record<string, [Column[], number, number]> = {
 for (const [name, [columns, count, kept]] of Object.entries(WRONG)) {
   test(`refused: ${name}`, () => {
     const read = () => readSidecar(columnFile(columns), { count, kept, base: 6 }, GRID, 0, "file");
+    assert.throws(read, { reason: "bad_sidecar" });
+  });
+}
+
+const positions = readVectors("positions");
+
+for (const { name, grid, kept, there, rows, data, places, depths, codes, classes, others } of positions.kept) {
+  test(`sidecar of the vectors: ${name}`, () => {
+    const found = readSidecar(fromBase64(data), { count: kept + rows, kept, base: there }, grid, 0, "file");
+    assert.deepEqual([[...found.kept], [...found.classes]], [places, classes]);
+    assert.deepEqual([...found.depths], [...depths, ...others]);
+    assert.deepEqual(
+      [...found.codes.lo].map((low, i) => joined(low, found.codes.hi[i]!)),
+      runs(codes),
+    );
+  });
+}
+
+for (const { name, grid, kept, there, rows, data } of positions.kept_refused) {
+  test(`sidecar of the vectors refused: ${name}`, () => {
+    const read = () => readSidecar(fromBase64(data), { count: kept + rows, kept, base: there }, grid, 0, "file");
     assert.throws(read, { reason: "bad_sidecar" });
   });
 }
