@@ -25,11 +25,12 @@ from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import with_held_out
 from airgs_codec.train.data.pictures import View, pictures_for
+from airgs_codec.train.data.plates import find_plates
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit.parameters import Parameters
 from airgs_codec.train.quality import mean_psnr
 from airgs_codec.train.record import Model, read_model
-from airgs_codec.train.run import frame_before
+from airgs_codec.train.run import Run, frame_before
 from airgs_codec.train.settings import settings_from_table
 from airgs_codec.train.stages import FrameBefore, FrameViews, Trainer, make_trainer
 
@@ -92,7 +93,9 @@ def open_case(scene_folder: Path, model_folder: Path, frame: int | None, max_siz
     trainer = make_trainer(settings, pictures.train(0), scene.points, "cpu")
     before = frame_before(model, frame)
     steps = trainer.steps(before.gaussians, pictures.train(frame - 1))
-    return Case(trainer, FrameViews(frame, pictures.train(frame)), before, steps, pictures.held_out(frame))
+    plates = find_plates(scene, pictures_for(scene, settings)) if settings.knows_rest else {}
+    target = Run(scene, pictures, model, trainer, plates).target(frame)
+    return Case(trainer, target, before, steps, pictures.held_out(frame))
 
 
 def chosen_frame(model: Model, frame: int | None) -> int:

@@ -44,6 +44,7 @@ class Redraw:
 
     tiles: NDArray[np.bool_]  # (down, across)
     rest: Callable[[], Render]  # the whole picture, which may have to be drawn for it
+    rows: NDArray[np.bool_]  # (U,) Gaussians that have gradients; those that come after have them, too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +111,7 @@ class Blended:
     picture: Render
     projected: Projected
     visited: Ints  # (tiles,) pairs that were visited before every pixel was opaque
+    wanted: NDArray[np.bool_]  # (N,) Gaussians that have gradients
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,7 +217,10 @@ def blend(
     """Project the Gaussians and blend them front to back; `redraw`: in its tiles only."""
     p = project(inputs, camera, None if redraw is None else redraw.tiles)
     picture, visited = _draw(p.tiles, background, None if redraw is None else redraw.rest())
-    return Blended(picture, p, visited)
+    wanted = np.ones(len(inputs.means), np.bool_)
+    if redraw is not None:
+        wanted[: len(redraw.rows)] = redraw.rows
+    return Blended(picture, p, visited, wanted)
 
 
 def gradients(
@@ -223,7 +228,7 @@ def gradients(
 ) -> Gradients:
     """The backward pass of `blend`, from dL / d rgb (H, W, 3) and dL / d transmittance (H, W)."""
     pairs = _pair_gradients(blended, grad_rgb, grad_transmittance, None)
-    out, sums = _sum_gradients(inputs, camera, blended.projected, pairs)
+    out, sums = _sum_gradients(inputs, camera, blended, pairs)
     return Gradients(out, sums[:, 9:11])
 
 
@@ -233,7 +238,7 @@ def contribution_and_gradients(
     """What `measure_contribution` and `gradients` give for one picture, at once, from dL / d rgb (H, W, 3)."""
     blended = blend(inputs, camera, camera.background)
     pairs = _pair_gradients(blended, grad_rgb, np.zeros(grad_rgb.shape[:2], np.float32), True)
-    out, _ = _sum_gradients(inputs, camera, blended.projected, pairs)
+    out, _ = _sum_gradients(inputs, camera, blended, pairs)
     return _contribution(blended.projected, pairs, 9), out
 
 
@@ -248,15 +253,16 @@ def _pair_gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floa
 
 
 def _sum_gradients(
-    inputs: RasterInputs[Floats], camera: Camera, p: Projected, pairs: Floats
+    inputs: RasterInputs[Floats], camera: Camera, blended: Blended, pairs: Floats
 ) -> tuple[RasterInputs[Floats], Floats]:
     """Gradients of the inputs, and the (N, 12) sums of the pairs."""
+    p, wanted = blended.projected, blended.wanted
     sums = np.zeros((len(inputs.means), 12), np.float32)
     out = RasterInputs(*(np.zeros_like(column) for column in inputs))
     geometry = (*inputs, inputs.sh_degree, *view_arguments(camera), camera.width, camera.height)
     with _LOCK:
-        kernels.sum_pairs(*p.arguments(), pairs, sums)
-        kernels.project_gradient(*geometry, DILATION, p.tiles.flat, p.order, sums, *out)
+        kernels.sum_pairs(*p.arguments(), wanted, pairs, sums)
+        kernels.project_gradient(*geometry, DILATION, p.tiles.flat, p.order, wanted, sums, *out)
     return out, sums
 
 

@@ -723,13 +723,18 @@ def blend_gradient(
 
 
 @njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
-def sum_pairs(order, first_pair, slots, pairs, grads):
-    """Sum a Gaussian's pairs in fixed order: the same result with any number of threads. `grads` is zeroed before."""
+def sum_pairs(order, first_pair, slots, wanted, pairs, grads):
+    """Sum a wanted Gaussian's pairs in fixed order: the same result with any number of threads.
+
+    `grads` is zeroed before.
+    """
     M = order.shape[0]
     NCH = 64
     for ch in prange(NCH):
         for k in range(ch * M // NCH, (ch + 1) * M // NCH):
             i = order[k]
+            if not wanted[i]:
+                continue
             for q in range(first_pair[k], first_pair[k + 1]):
                 p = slots[q]
                 for c in range(12):
@@ -751,6 +756,7 @@ def project_gradient(
     eps2d,
     flat,
     vis,
+    wanted,
     grads,
     grad_means,
     grad_quaternions,
@@ -758,7 +764,7 @@ def project_gradient(
     grad_opacities,
     grad_sh,
 ):
-    """Gradients of the attributes of visible rows from those of the projection; buffers are zeroed before.
+    """Gradients of the attributes of wanted visible rows from those of the projection; buffers are zeroed before.
 
     A zero quaternion has zero gradient, as it was read as identity.
     """
@@ -770,6 +776,8 @@ def project_gradient(
         basis = np.empty((4, 16), np.float64)
         for kk in range(ch * M // NCH, (ch + 1) * M // NCH):
             i = vis[kk]
+            if not wanted[i]:
+                continue
             px = float(means[i, 0])
             py = float(means[i, 1])
             pz = float(means[i, 2])

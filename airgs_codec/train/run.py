@@ -44,13 +44,13 @@ class Run:
         views = self.pictures.train(frame)
         if not views:
             raise SceneError(f"{self.scene.path}: expected training views of frame {frame}, got none")
-        return settle(views, self.plates, self.model.record.exposure).views if self.plates else views
+        return settle(views, self.plates, self.pictures.exposure).views if self.plates else views
 
     def target(self, frame: int) -> FrameViews:
         """A frame that one comes before, as it is fitted. Raises what `views` does."""
         if not self.plates:
             return FrameViews(frame, self.views(frame))
-        exposure = self.model.record.exposure
+        exposure = self.pictures.exposure
         before = find_moving(self.pictures.train(frame - 1), self.plates, exposure)
         now = settle(self.pictures.train(frame), self.plates, exposure)
         return FrameViews(frame, now.views, Masks(a | b for a, b in zip(before, now.moving, strict=True)))
@@ -169,7 +169,9 @@ def _fit_first(run: Run, frame: int, progress: Progress) -> Fitted:
     model = _exposures(views, trainer) if trainer.settings.match_exposure and not frame else None
     g = trainer.fit_first(FrameViews(frame, views), points, model, progress)
     exposure = model.table([view.camera.name for view in views]) if model else {}
-    group = trainer.start_group(g, run.pictures.with_exposure(exposure).train(frame) if exposure else views)
+    if exposure:
+        views = replace(run, pictures=run.pictures.with_exposure(exposure)).views(frame)
+    group = trainer.start_group(g, views)
     return Fitted(g, "key" if frame else "first", group.first_psnr, group, exposure=exposure)
 
 

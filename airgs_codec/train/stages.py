@@ -6,7 +6,7 @@ N Gaussians, U of them those of the frame before, P points.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -17,7 +17,7 @@ from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import View
-from airgs_codec.train.fit.active import Active, Resting, find_active
+from airgs_codec.train.fit.active import Resting, Scope, find_active
 from airgs_codec.train.fit.densify import Densifier, Growth
 from airgs_codec.train.fit.exposure import ExposureModel
 from airgs_codec.train.fit.mlp import MlpDriven, Networks
@@ -45,6 +45,7 @@ FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.03)
 SH_SHARE = 0.25  # of the iterations until each further SH band joins
 MOVING_RATES = Rates(factor=3.0, means=5.0 / 3, last=0.1, means_last=0.1)  # of frames that start from the one before
 KEY_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
+UNFORESEEN = 2.0  # times as many iterations for a frame to which its velocity does not lead
 MLP_SHARE = 0.5  # of the iterations of mlp+residual
 
 
@@ -128,31 +129,35 @@ class Trainer:
         Raises TrainingError where the loss is not finite.
         """
         s = self.settings
-        active = self._active(before, target)
-        if active is not None and not (len(active.rows) and active.views):
-            return before.gaussians
         base = from_gaussians(before.gaussians, self.device)
+        scope = self._scope(before, target, base)
+        if scope.empty:
+            return before.gaussians
         temporal = self._temporal(group.steps)
-        start, iterations = self._start(base, before.velocity), s.frame_iterations
+        start, iterations = None, s.frame_iterations
+        if self._is_foreseen(before, target.views[::2]):
+            start = self._start(base, before.velocity)
+        elif s.deltas == "direct":
+            iterations = round(UNFORESEEN * iterations)
         if group.networks is not None:
             by_mlp = iterations if s.deltas == "mlp" else round(MLP_SHARE * iterations)
+            iterations -= by_mlp
             driven = MlpDriven(base, group.networks, temporal)
             schedule = self._schedule("MLPs", by_mlp, self._sh_degree)
             optimise(driven, target.views, schedule, self._rng(target.frame, 1), progress=progress)
             moved = driven.detached()
-            if s.deltas == "mlp":
-                return to_gaussians(moved)
-            start, iterations = {name: moved[name] - base[name] for name in ATTRIBUTES}, iterations - by_mlp
-        views, resting = target.views, None
-        if active is not None:
-            views, resting = active.views, self._resting(base, active)
-            base = _rows(base, resting.active)
-            start = None if start is None else _rows(start, resting.active)
-            temporal = None if temporal is None else _rows(temporal, resting.active)
-        variables = PerGaussian(base, self.extent, MOVING_RATES, start, temporal, resting=resting)
+            start = {name: moved[name] - base[name] for name in ATTRIBUTES}
+        fitted = PerGaussian(
+            scope.rows(base),
+            self.extent,
+            MOVING_RATES,
+            None if start is None else scope.rows(start),
+            None if temporal is None else scope.rows(temporal),
+            resting=scope.resting,
+        )
         schedule = self._schedule("motion", iterations, self._sh_degree)
-        optimise(variables, views, schedule, self._rng(target.frame, 2), progress=progress)
-        return to_gaussians(variables.detached())
+        optimise(fitted, scope.views, schedule, self._rng(target.frame, 2), progress=progress)
+        return to_gaussians(fitted.detached())
 
     def fit_keyframe(
         self, target: FrameViews, before: FrameBefore, steps: Parameters, progress: Progress = silent
@@ -168,14 +173,14 @@ class Trainer:
         seeds = residual_seeds(before.gaussians, target.views, most - rows, 0.1 * self.extent, rng, self.renderer)
         base, temporal = from_gaussians(before.gaussians, self.device), self._temporal(steps)
         start = self._start(base, before.velocity)
-        active, views, resting = self._active(before, target), target.views, None
-        if active is not None:
-            views, resting = active.views, self._resting(base, active)
-            base = _rows(base, resting.active)
-            start = None if start is None else _rows(start, resting.active)
-            temporal = None if temporal is None else _rows(temporal, resting.active)
-            most -= rows - len(active.rows)
-            rows = len(active.rows)
+        scope = self._scope(before, target, base)
+        if not scope.views:
+            return before.gaussians
+        base = scope.rows(base)
+        start = None if start is None else scope.rows(start)
+        temporal = None if temporal is None else scope.rows(temporal)
+        still = rows - len(base["means"])
+        rows, most = rows - still, most - still
         if seeds is not None:
             new = from_gaussians(seeds, self.device)
             zeros = zeros_like(new)  # seeds begin where they are, and no temporal loss holds them
@@ -184,9 +189,11 @@ class Trainer:
             temporal = None if temporal is None else _joined(temporal, zeros)
         densifier = Densifier(Growth(most), len(base["means"]), rng)
         regularisers = Regularisers(inflation=s.inflation)
-        variables = PerGaussian(base, self.extent, KEY_RATES, start, temporal, rows, regularisers, densifier, resting)
+        variables = PerGaussian(
+            base, self.extent, KEY_RATES, start, temporal, rows, regularisers, densifier, scope.resting
+        )
         schedule = self._schedule("keyframe", s.key_iterations, self._sh_degree)
-        optimise(variables, views, schedule, rng, progress=progress)
+        optimise(variables, scope.views, schedule, rng, progress=progress)
         variables.remove_fainter(HIDDEN_OPACITY)
         return to_gaussians(variables.detached())
 
@@ -213,14 +220,22 @@ class Trainer:
         temporal = self.settings.temporal
         return temporal_weights(temporal, steps) if temporal.weight else None
 
-    def _active(self, before: FrameBefore, target: FrameViews) -> Active | None:
-        """What may change at the frame; None: anything."""
+    def _scope(self, before: FrameBefore, target: FrameViews, base: Parameters) -> Scope:
+        """What may change at a frame; no views where nothing does."""
         if target.moving is None:
-            return None
-        return find_active(before.gaussians, target.views, target.moving, self.renderer)
+            return Scope(target.views)
+        active = find_active(before.gaussians, target.views, target.moving, self.renderer)
+        return Scope(active.views, Resting(base, torch.from_numpy(active.rows).to(self.device)))
 
-    def _resting(self, base: Parameters, active: Active) -> Resting:
-        return Resting(base, torch.from_numpy(active.rows).to(self.device))
+    def _is_foreseen(self, before: FrameBefore, views: Sequence[View]) -> bool:
+        """Whether Gaussians that move on as they did are nearer to the pictures than where they were.
+
+        Where a motion turns, its start is worse than none, and there is further to go.
+        """
+        if before.velocity is None:
+            return False
+        on = replace(before.gaussians, means=before.gaussians.means + before.velocity)
+        return mean_psnr(on, views, self.renderer) > mean_psnr(before.gaussians, views, self.renderer)
 
     def _start(self, base: Parameters, velocity: NDArray[np.float32] | None) -> Parameters | None:
         """A difference that goes on as the Gaussians moved before; None: 0."""
@@ -242,10 +257,6 @@ class Trainer:
 def make_trainer(settings: TrainSettings, views: Sequence[View], points: Points | None, device: str) -> Trainer:
     """The trainer of a scene whose first frame is seen by these views; `device`: cpu or cuda."""
     return Trainer(settings, scene_extent([view.camera for view in views], points), open_renderer(device))
-
-
-def _rows(p: Parameters, rows: torch.Tensor) -> Parameters:
-    return {name: value[rows] for name, value in p.items()}
 
 
 def _joined(a: Parameters, b: Parameters) -> Parameters:

@@ -257,16 +257,19 @@ def test_only_some_tiles_are_drawn_again():
     a = RasterInputs(*(values[n].astype(np.float32) for n in NAMES))
     tiles = np.random.default_rng(3).uniform(size=(4, 5)) < 0.4
     pixels = np.repeat(np.repeat(tiles, 16, axis=0), 16, axis=1)[:50, :70]
+    rows = np.random.default_rng(5).uniform(size=150) < 0.5  # of 200: the last 50 have gradients, too
+    wanted = np.concatenate([rows, np.ones(50, bool)])
     before = blend(RasterInputs(*(c * np.float32(0.9) for c in a)), view, (0.2, 0.5, 0.9)).picture
     whole = blend(a, view, (0.2, 0.5, 0.9))
-    part = blend(a, view, (0.2, 0.5, 0.9), Redraw(tiles, lambda: before))
+    part = blend(a, view, (0.2, 0.5, 0.9), Redraw(tiles, lambda: before, rows))
     assert np.array_equal(part.picture.rgb, np.where(pixels[..., None], whole.picture.rgb, before.rgb))
     assert np.array_equal(part.picture.transmittance[~pixels], before.transmittance[~pixels])
     rng = np.random.default_rng(4)
     grad = rng.normal(size=(50, 70, 3)).astype(np.float32) * pixels[..., None]
     none = np.zeros((50, 70), np.float32)
-    for x, y in zip(
-        gradients(a, view, part, grad, none).inputs, gradients(a, view, whole, grad, none).inputs, strict=True
-    ):
-        assert np.abs(y).max() > 0 and relative(x, y) < 1e-6
+    parts, wholes = (gradients(a, view, drawn, grad, none) for drawn in (part, whole))
+    for x, y in zip(parts.inputs, wholes.inputs, strict=True):
+        assert np.abs(y[wanted]).max() > 0 and relative(x[wanted], y[wanted]) < 1e-6
+        assert not x[~wanted].any()
+    assert relative(parts.absolute[wanted], wholes.absolute[wanted]) < 1e-6
     assert len(part.projected.slots) < 0.7 * len(whole.projected.slots)

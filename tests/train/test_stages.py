@@ -61,6 +61,18 @@ def test_velocity_starts_a_frame_where_motion_leads():
     assert mean_psnr(with_velocity, views) > mean_psnr(without, views) + 3
 
 
+def test_a_velocity_that_leads_away_is_not_taken():
+    truth = coloured_cloud()
+    step = np.zeros_like(truth.means)
+    step[:20, 0] = 0.1
+    views = views_of(moved(truth, slice(0, 20), (-0.02, 0.0, 0.0)), ring(8))
+    t = trainer(frame_iterations=10)
+    group = t.start_group(truth, views)
+    away = t.fit_frame(FrameViews(1, views), FrameBefore(truth, step), group)
+    none = t.fit_frame(FrameViews(1, views), FrameBefore(truth, None), group)
+    assert (away.means == none.means).all()
+
+
 @pytest.mark.parametrize("deltas", ["mlp", "mlp+residual"])
 def test_networks_learn_a_motion(deltas):
     truth = coloured_cloud()

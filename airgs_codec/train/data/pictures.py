@@ -88,6 +88,11 @@ class Pictures:
         self._stored = Kept(self._load, picture_bytes)
         self._targets = Kept(self._make_target, target_bytes)
 
+    @property
+    def exposure(self) -> Exposure:
+        """As it was given."""
+        return self._exposure
+
     def with_exposure(self, exposure: Exposure) -> Pictures:
         """The same pictures as the average camera would have exposed them; what is kept in 8 bits is shared."""
         other = copy(self)

@@ -161,9 +161,10 @@ def _moving(difference: NDArray[np.float32], plate: Plate) -> NDArray[np.bool_]:
 
     Its mean shows a shadow. The mean of its absolute values shows texture that moves, whose signs cancel.
     """
-    shade = np.abs(box_mean(difference, WINDOW)).max(axis=2) > plate.tolerance
-    texture = box_mean(np.abs(difference), WINDOW).max(axis=2) > plate.noise + 2 * plate.tolerance
-    return box_mean((shade | texture).astype(np.float32), HALO) > 1e-6
+    shade = np.abs(box_mean(difference, WINDOW)) > plate.tolerance
+    texture = box_mean(np.abs(difference), WINDOW) > plate.noise + 2 * plate.tolerance
+    red, green, blue = np.moveaxis(shade | texture, 2, 0)  # numpy reduces so short an axis forty times slower
+    return box_mean((red | green | blue).astype(np.float32), HALO) > 1e-6
 
 
 def _on_disk(values: NDArray[np.uint8]) -> NDArray[np.uint8]:

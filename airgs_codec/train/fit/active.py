@@ -35,6 +35,25 @@ class Active:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Scope:
+    """What a fit may change, and the views that it is fitted to."""
+
+    views: Sequence[View]
+    resting: Resting | None = None  # None: anything may change
+
+    @property
+    def empty(self) -> bool:
+        """Whether no row may change."""
+        return self.resting is not None and not (len(self.resting.active) and self.views)
+
+    def rows(self, p: Parameters) -> Parameters:
+        """The rows that may change, of a value for each."""
+        if self.resting is None:
+            return p
+        return {name: value[self.resting.active] for name, value in p.items()}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Resting:
     """Rows of which only some are fitted; rows that are added come after them."""
 
@@ -44,6 +63,8 @@ class Resting:
     def joined(self, fitted: Parameters) -> Parameters:
         """All rows, from the A that are fitted and what was added after them."""
         count = len(self.active)
+        if len(fitted["means"]) == count:
+            return {name: value.index_copy(0, self.active, fitted[name]) for name, value in self.rows.items()}
         whole = {name: value.index_copy(0, self.active, fitted[name][:count]) for name, value in self.rows.items()}
         return {name: torch.cat([value, fitted[name][count:]]) for name, value in whole.items()}
 
@@ -72,7 +93,7 @@ def find_active(
         shown = np.bincount(of_pair, total * active[ids], shape[0] * shape[1]).reshape(shape)
         tiles = (shown >= SHOWN) | _any_in_tiles(mask, shape)
         if tiles.any():
-            drawn.append(replace(view, redraw=cpu.Redraw(tiles, partial(_picture, rests, place))))
+            drawn.append(replace(view, redraw=cpu.Redraw(tiles, partial(_picture, rests, place), active)))
     return Active(np.flatnonzero(active), drawn)
 
 
