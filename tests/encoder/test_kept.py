@@ -115,6 +115,18 @@ def test_what_changed_is_coded_anew_and_is_the_next_base(tmp_path):
     assert exceeded(measure_errors(package, sequence)) == []
 
 
+def test_what_changed_by_less_than_the_codec_errs_is_kept_and_what_changed_by_more_is_not(tmp_path):
+    """Colours of half of the rows change by a twentieth of a step, those of a quarter by three steps."""
+    one, step = random_gaussians(400), SETTINGS.steps.key.sh_dc
+    change = np.zeros((400, 3), np.float32)
+    change[:200, 0], change[200:300, 0] = 0.05 * step, 3 * step
+    other = replace(one, sh_dc=one.sh_dc + change)
+    package, sequence = encoded(tmp_path, [one] * GROUP + [other] * GROUP)
+    kept = sum(t.kept for t in package.manifest.groups[1].tiers)
+    assert 0.95 * 300 <= kept <= 300
+    assert exceeded(measure_errors(package, sequence)) == []
+
+
 def test_a_group_that_keeps_all_has_no_pictures(tmp_path):
     package, _ = encoded(tmp_path, [random_gaussians(200)] * (2 * GROUP))
     m = package.manifest
