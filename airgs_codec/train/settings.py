@@ -47,7 +47,7 @@ class TrainSettings:
         f"iterations of the first frame, and of frames from scratch; None: {FIRST}, at least {FIRST_A_VIEW} a view",
     )
     key_iterations: int = setting(1500, "iterations of a keyframe")
-    frame_iterations: int = setting(200, "iterations of a frame in a group")
+    frame_iterations: int = setting(250, "iterations of a frame in a group")
     iteration_views: int = setting(1, "pictures that an iteration sees")
     deltas: str = setting("direct", "how frames in a group move: each Gaussian on its own, by six MLPs, or by both")
     ssim_weight: float = setting(0.4, "share of 1 - SSIM in the loss of a picture; the rest is the absolute difference")

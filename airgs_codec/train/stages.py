@@ -46,7 +46,7 @@ FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.1)
 SH_SHARE = 0.25  # of the iterations until each further SH band joins
 MOVING_RATES = Rates(factor=3.0, means=5.0 / 3, last=0.1, means_last=0.1)  # of frames that start from the one before
 KEY_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
-UNFORESEEN = 2.0  # times as many iterations for a frame to which its velocity does not lead
+UNFORESEEN = 1.5  # times as many iterations for a frame to which its velocity does not lead
 MLP_SHARE = 0.5  # of the iterations of mlp+residual
 
 
