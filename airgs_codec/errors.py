@@ -11,7 +11,7 @@ class AirgsError(Exception):
     + SceneError (ValueError)       a scene that cannot be used: no frames, no Gaussians, a broken .ply
     + ConfigError (ValueError)      settings that cannot work
     + FormatError (ValueError)      a package that is refused; has .reason, .where and .detail
-    + TrainingError (RuntimeError)  a fit went wrong: its loss is not finite
+    + TrainingError (RuntimeError)  a fit went wrong: its loss is not finite, or nothing is left
     + CodecError (RuntimeError)     FFmpeg refused, or decoded something else than it encoded
     + TransportError (OSError)      a segment did not arrive, a store refused, a trace cannot be used
     """
@@ -39,7 +39,7 @@ class FormatError(AirgsError, ValueError):
 
 
 class TrainingError(AirgsError, RuntimeError):
-    """A fit that went wrong: its loss is not finite."""
+    """A fit that went wrong: its loss is not finite, or no Gaussian is left."""
 
 
 class CodecError(AirgsError, RuntimeError):

@@ -132,7 +132,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(args: argparse.Namespace) -> int:
     require_torch()
     from airgs_codec.render.backend import open_renderer
-    from airgs_codec.train.data.pictures import pictures_for
     from airgs_codec.train.report import write_report
     from airgs_codec.train.run import open_run
 
@@ -149,7 +148,7 @@ def _run(args: argparse.Namespace) -> int:
     run = open_run(scene, folder, settings, resume=args.resume, device=renderer.device)
     model = run_training(run, quiet=args.json)
     if args.report:
-        write_report(model, pictures_for(scene, settings), args.report, renderer)
+        write_report(model, run.pictures.with_exposure(model.record.exposure), args.report, renderer)
     print(json.dumps(summary(model)) if args.json else as_words(model, args.report))
     return 0
 

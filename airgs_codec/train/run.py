@@ -85,7 +85,7 @@ def train(
     run that was stopped and resumed ends with the same files as one that was not.
 
     Raises SceneError for pictures that cannot be used, ConfigError for a folder that holds something else, and
-    TrainingError when a loss is not finite.
+    TrainingError when a loss is not finite or a frame shows nothing.
     """
     run = open_run(scene, folder, settings, resume=resume, device=device)
     for _ in train_frames(run, progress):
@@ -226,7 +226,7 @@ def _named(progress: Progress, frame: int, frames: int) -> Progress:
 
 def _identity(scene: MultiviewScene, pictures: Pictures) -> dict[str, Any]:
     """What of a scene must not change between the sessions of a run."""
-    cameras = [f"{c.name} {c.split} {c.width}x{c.height}" for c in scene.cameras]
+    cameras = [f"{c.name} {c.split} {c.width}x{c.height} near {c.near:g}" for c in scene.cameras]
     first = scene.frames[0][0].source.where()
     named = {"name": scene.path.resolve().name, "first picture": Path(first).name, "cameras": cameras}
     return {**named, "background": list(pictures.background)}

@@ -101,7 +101,7 @@ class Trainer:
 
         `points`: the cloud; None to find one in the pictures. `exposure`: gains and offsets of the views' cameras,
         which are fitted too. Raises SceneError where there is nothing to start from, TrainingError where the loss is
-        not finite.
+        not finite or no Gaussian is left.
         """
         s = self.settings
         rng = self._rng(target.frame, 0)

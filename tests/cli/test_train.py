@@ -4,12 +4,18 @@ import json
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from airgs_codec.cli.encode import main as encode_main
 from airgs_codec.cli.train import main as train_main
+from airgs_codec.media.image import read_picture, to_bytes, write_png
 from airgs_codec.package.store import open_package
+from airgs_codec.train.data.multiview import with_held_out
+from airgs_codec.train.data.pictures import Pictures
+from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.quality import PSNR_DEFINITION
+from airgs_codec.train.record import read_model
 from tests.support.training import SETTINGS, write_blobs
 
 QUICK = ["--iterations", "30,20,8", "--budget", "150", "--sh-degree", "0", "--device", "cpu"]
@@ -87,3 +93,25 @@ def test_a_psnr_that_no_fit_reaches_is_said_once(blobs, tmp_path, capsys):
     assert "no fit reaches the 99 dB" in (tmp_path / "r" / "index.html").read_text()
     assert train_main([*words, "--resume", "--json"]) == 0
     assert "no fit reaches the 99 dB" in json.loads(capsys.readouterr().out)["warnings"][0]
+
+
+def test_pictures_without_anything_are_one_line_and_exit_2(blobs, tmp_path, capsys):
+    shutil.copytree(blobs, tmp_path / "scene")
+    for path in (tmp_path / "scene" / "images").rglob("*.png"):
+        write_png(path, np.zeros_like(read_picture(path)))
+    words = [str(tmp_path / "scene"), "-o", str(tmp_path / "m"), *QUICK, "--iterations", "90,20,8"]
+    assert train_main(words) == 2
+    err = capsys.readouterr().err
+    assert "expected pictures that show something" in err and err.count("\n") == 1
+    assert not list(tmp_path.glob("m/*.ply"))
+
+
+def test_a_report_shows_pictures_as_they_were_trained_on(blobs, tmp_path):
+    """Without held-out cameras it shows a training picture, and that was exposed as the average camera would have."""
+    folder, words = tmp_path / "m", ["--frames", "0:1", "--hold-out", "none", "--match-exposure", *QUICK]
+    assert train_main([str(blobs), "-o", str(folder), "--report", str(tmp_path / "r"), *words]) == 0
+    pictures = Pictures(with_held_out(open_scene(blobs, frames=(0, 1)), []))
+    alike = pictures.with_exposure(read_model(folder).record.exposure)
+    plain, exposed = (to_bytes(p.train(0)[0].target.rgb)[20:] for p in (pictures, alike))  # under the label
+    shown = read_picture(tmp_path / "r" / "frame-000000.png")[20:, : plain.shape[1]]
+    assert (shown == exposed).all() and (shown != plain).any()

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from airgs_codec.errors import ConfigError
+from airgs_codec.train.data.multiview import with_near
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.run import train
 from tests.support.training import APPEARS, SETTINGS
@@ -74,6 +75,8 @@ def test_what_is_there_is_never_lost(run, blobs, tmp_path):
         train(scene, run.folder, replace(SETTINGS, budget=261), resume=True)
     with pytest.raises(ConfigError, match="the run there has cameras"):
         train(replace(scene, frames=tuple(f[:-1] for f in scene.frames)), run.folder, SETTINGS, resume=True)
+    with pytest.raises(ConfigError, match="the run there has cameras"):
+        train(with_near(scene, 0.5), run.folder, SETTINGS, resume=True)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("mine")
     with pytest.raises(ConfigError, match="a folder with other files"):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.media.image import box_mean, to_bytes
 from airgs_codec.progress import Progress, silent
+from airgs_codec.scene.camera import Camera
 from airgs_codec.train.data.kept import Kept
 from airgs_codec.train.data.multiview import MultiviewScene
 from airgs_codec.train.data.pictures import PICTURE_BYTES, TARGET_BYTES, Picture, Pictures, View
@@ -68,18 +69,23 @@ class Settled:
 
 
 def stands_still(scene: MultiviewScene) -> bool:
-    """Whether every camera of a scene is the same one at all frames."""
+    """Whether every camera of a scene is the same one at all frames, and has a name of its own."""
     first = scene.cameras
-    return all(
+    return len({camera.name for camera in first}) == len(first) and all(
         len(shots) == len(first)
         and all(
             a.name == s.camera.name
             and np.array_equal(a.world_to_camera, s.camera.world_to_camera)
-            and (a.fx, a.fy, a.cx, a.cy) == (s.camera.fx, s.camera.fy, s.camera.cx, s.camera.cy)
+            and _lens(a) == _lens(s.camera)
             for a, s in zip(first, shots, strict=True)
         )
         for shots in scene.frames
     )
+
+
+def _lens(camera: Camera) -> tuple[float, ...]:
+    """Size and intrinsics, in pixels."""
+    return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
 
 
 def find_plates(scene: MultiviewScene, pictures: Pictures, progress: Progress = silent) -> Plates:

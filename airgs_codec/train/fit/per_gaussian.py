@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import torch
 
+from airgs_codec.errors import TrainingError
 from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.train.fit.active import Resting
 from airgs_codec.train.fit.adam import Adam
@@ -108,7 +109,10 @@ class PerGaussian:
         return total
 
     def step(self, iteration: int, iterations: int) -> None:
-        """Move along the gradients; then add rows where it is time to, and remove those that show nothing."""
+        """Move along the gradients; then add rows where it is time to, and remove those that show nothing.
+
+        Raises TrainingError where no row is left.
+        """
         if self.densifier and self._absgrad:
             self.densifier.collect(self._picked(self._absgrad))
         self._move(iteration / iterations)
@@ -119,7 +123,7 @@ class PerGaussian:
             self.densifier.restart(len(self.base["means"]))
 
     def remove_fainter(self, opacity: float) -> None:
-        """Remove rows past the first U whose opacity is under `opacity`."""
+        """Remove rows past the first U whose opacity is under `opacity`. Raises TrainingError where none is left."""
         with torch.no_grad():
             self._replace(is_visible(self._fitted(), self.kept, opacity), None)
 
@@ -157,6 +161,8 @@ class PerGaussian:
     def _replace(self, keep: torch.Tensor, added: Parameters | None) -> None:
         if added is None and bool(keep.all()):
             return
+        if added is None and not bool(keep.any()) and self.resting is None:
+            raise TrainingError("expected pictures that show something, no Gaussian is left")
         zeros = None if added is None else zeros_like(added)
         self.adam.replace_rows(keep, zeros)
         self.base = take_and_append(self.base, keep, added)
