@@ -87,6 +87,7 @@ def _add_method(group: argparse._ArgumentGroup) -> None:
     _add_setting(group, "--budget", "budget", int, "N")
     _add_setting(group, "--capacity", "capacity", int, "N", "1.5 times the budget")
     _add_setting(group, "--sh-degree", "sh_degree", int, "D")
+    _add_setting(group, "--coarse", "coarse", float, "SHARE")
     _add_setting(group, "--ssim-weight", "ssim_weight", float, "SHARE")
     group.add_argument(
         "--temporal",

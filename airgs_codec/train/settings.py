@@ -26,7 +26,7 @@ BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 class Temporal:
     """Weight and unit of the temporal loss; see `fit.temporal`."""
 
-    weight: float = 8e-4
+    weight: float = 6e-4
     unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally
 
 
@@ -47,9 +47,12 @@ class TrainSettings:
         f"iterations of the first frame, and of frames from scratch; None: {FIRST}, at least {FIRST_A_VIEW} a view",
     )
     key_iterations: int = setting(1500, "iterations of a keyframe")
-    frame_iterations: int = setting(250, "iterations of a frame in a group")
+    frame_iterations: int = setting(300, "iterations of a frame in a group")
     iteration_views: int = setting(1, "pictures that an iteration sees")
     deltas: str = setting("direct", "how frames in a group move: each Gaussian on its own, by six MLPs, or by both")
+    coarse: float = setting(
+        0.4, "share of the iterations of a frame in a group, the first ones, that see pictures of half the size"
+    )
     ssim_weight: float = setting(0.4, "share of 1 - SSIM in the loss of a picture; the rest is the absolute difference")
     temporal: Temporal = computed_setting(Temporal, "weight and unit of the temporal loss")
     min_psnr_db: float = setting(30.0, "mean PSNR over training views below which a frame becomes a keyframe")
@@ -96,6 +99,7 @@ class TrainSettings:
             (0 <= self.sh_degree < len(SH_REST), f"expected an SH degree of 0 to 3, got {self.sh_degree}"),
             (iterations >= 1, f"expected at least one iteration of each kind of frame, got {iterations}"),
             (self.iteration_views >= 1, f"expected at least one picture an iteration, got {self.iteration_views}"),
+            (0 <= self.coarse <= 1, f"expected a coarse share of 0 to 1, got {self.coarse}"),
             (0 <= self.ssim_weight <= 1, f"expected an SSIM weight of 0 to 1, got {self.ssim_weight}"),
             (self.min_psnr_db >= 0, f"expected a least PSNR of at least 0 dB, got {self.min_psnr_db}"),
             (self.max_drop_db > 0, f"expected a positive drop in dB, got {self.max_drop_db}"),
@@ -164,6 +168,7 @@ def preset(name: str, settings: TrainSettings) -> TrainSettings:
     return replace(
         settings,
         deltas="mlp",
+        coarse=0.0,
         ssim_weight=0.2,
         temporal=temporal,
         min_psnr_db=30.0,

@@ -156,7 +156,7 @@ class Trainer:
             None if temporal is None else scope.rows(temporal),
             resting=scope.resting,
         )
-        schedule = self._schedule("motion", iterations, self._sh_degree)
+        schedule = self._schedule("motion", iterations, self._sh_degree, s.coarse)
         optimise(fitted, scope.views, schedule, self._rng(target.frame, 2), progress=progress)
         return to_gaussians(fitted.detached())
 
@@ -244,9 +244,11 @@ class Trainer:
             return None
         return zeros_like(base) | {"means": torch.from_numpy(velocity.astype(np.float32)).to(self.device)}
 
-    def _schedule(self, stage: str, iterations: int, sh_degree: Callable[[float], int]) -> Schedule:
+    def _schedule(
+        self, stage: str, iterations: int, sh_degree: Callable[[float], int], coarse: float = 0.0
+    ) -> Schedule:
         s = self.settings
-        return Schedule(stage, iterations, sh_degree, s.background == RANDOM, s.iteration_views, s.ssim_weight)
+        return Schedule(stage, iterations, sh_degree, s.background == RANDOM, s.iteration_views, s.ssim_weight, coarse)
 
     def _rising_sh_degree(self, done: float) -> int:
         return min(self.settings.sh_degree, int(done / SH_SHARE))

@@ -15,6 +15,7 @@ import torch
 from airgs_codec.errors import TrainingError
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.train.data.halved import can_be_halved, halve
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.exposure import ExposureModel
 from airgs_codec.train.fit.parameters import Parameters, render_views
@@ -49,6 +50,7 @@ class Schedule:
     random_background: bool = False  # whether every picture has another one
     views: int = 1  # pictures an iteration, whose losses are averaged
     ssim_weight: float = LAMBDA
+    coarse: float = 0.0  # share of the iterations, the first ones, that see pictures of half the size
 
 
 class Deck:
@@ -109,7 +111,11 @@ def optimise(
     deck = Deck(len(views), rng)
     losses: Losses | None = None
     count = min(schedule.views, len(views))
+    coarse, whole = round(schedule.coarse * schedule.iterations) if can_be_halved(views) else 0, views
+    views = [halve(view) for view in whole] if coarse else whole
     for iteration in range(1, schedule.iterations + 1):
+        if iteration == coarse + 1:
+            views = whole
         chosen = deck.take(count)
         for index in deck.ahead(count):
             views[index].picture.expect()
