@@ -17,6 +17,7 @@ from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import View
+from airgs_codec.train.data.plates import Masks
 from airgs_codec.train.fit.active import Resting, Scope, find_active
 from airgs_codec.train.fit.densify import Densifier, Growth
 from airgs_codec.train.fit.exposure import ExposureModel
@@ -32,7 +33,7 @@ from airgs_codec.train.fit.parameters import (
 )
 from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates, Regularisers
 from airgs_codec.train.fit.points import initial_points, scene_extent
-from airgs_codec.train.fit.seeds import residual_seeds
+from airgs_codec.train.fit.seeds import find_wrong, residual_seeds
 from airgs_codec.train.fit.temporal import codec_steps, temporal_weights
 from airgs_codec.train.quality import mean_psnr
 from airgs_codec.train.settings import RANDOM, TrainSettings
@@ -171,7 +172,10 @@ class Trainer:
         rows = len(before.gaussians)
         most = min(round((1 + s.max_growth) * rows), s.capacity)
         rng = self._rng(target.frame, 3)
-        seeds = residual_seeds(before.gaussians, target.views, most - rows, 0.1 * self.extent, rng, self.renderer)
+        wrong = find_wrong(before.gaussians, target.views, self.renderer)
+        if target.moving is not None:  # what rests is not drawn: nothing could be fitted there
+            wrong = Masks(a & b for a, b in zip(wrong, target.moving, strict=True))
+        seeds = residual_seeds(before.gaussians, target.views, wrong, most - rows, 0.1 * self.extent, rng)
         base, temporal = from_gaussians(before.gaussians, self.device), self._temporal(steps)
         start = self._start(base, before.velocity)
         scope = self._scope(before, target, base)

@@ -141,6 +141,17 @@ def test_rows_that_rest_are_no_variables(key):
     assert mean_psnr(g, views) > mean_psnr(before, views) + (8 if key else 1)
 
 
+def test_a_keyframe_adds_nothing_where_pictures_rest():
+    """Nothing is drawn there, so nothing could be fitted: what the first frame missed, and specks in a corner."""
+    g, cameras = coloured_cloud(), ring(8)
+    views = views_of(joined(g, appeared()), cameras)
+    specks = np.zeros((48, 48), bool)
+    specks[:3, :3] = True
+    t = trainer(max_growth=0.4, inflation=0.0, key_iterations=60)
+    fitted = t.fit_keyframe(FrameViews(1, views, [specks] * 8), FrameBefore(g, None), t.steps(g, views))
+    assert len(fitted) == len(g)
+
+
 def test_a_frame_where_nothing_moves_is_the_frame_before():
     g, cameras = coloured_cloud(), ring(8)
     views = views_of(g, cameras)

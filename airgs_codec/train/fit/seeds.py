@@ -43,20 +43,24 @@ class _Surface:
     disagreement: NDArray[np.float64]  # (P,) variance over these views, summed over colours
 
 
+def find_wrong(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> Masks:
+    """The pixels of views where the pictures of `g` differ from them."""
+    loaded = renderer.load(g)
+    return Masks(box_mean(np.abs(loaded.draw(v.camera).rgb - v.target.rgb).mean(axis=2), 3) > RESIDUAL for v in views)
+
+
 def residual_seeds(
     g: Gaussians,
     views: Sequence[View],
+    wrong: Sequence[NDArray[np.bool_]],
     most: int,
     largest: float,
     rng: np.random.Generator,
-    renderer: Renderer = CPU,
 ) -> Gaussians | None:
-    """Up to `most` new Gaussians where the pictures of `g` differ from the views; None where nothing has appeared.
+    """Up to `most` Gaussians beside `g` where its pictures are `wrong` (H, W); None where nothing has appeared.
 
     `largest`: their largest radius in world units.
     """
-    loaded = renderer.load(g)
-    wrong = Masks(box_mean(np.abs(loaded.draw(v.camera).rgb - v.target.rgb).mean(axis=2), 3) > RESIDUAL for v in views)
     coarse = _hull(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
     if len(coarse) < FEWEST or most < 1:
         return None
