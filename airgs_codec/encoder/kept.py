@@ -23,7 +23,7 @@ WORTH = 0.25  # share of a key's bytes that keeping rows must save
 PROMISED = 0.5 + 0.5 / qp_step(KEY_QP)  # steps that a key channel errs by: half a code, and half a step of the codec
 SLIGHT = 0.25  # steps, or cells, by which a value may change and still be kept with whatever error it has
 SAME = 0.01  # of these by which two canonical values may differ and count as one: means of equal frames are rounded
-CLASSES = 1  # by which the motion class of a row may be finer in the base than it would be in the group
+CLASSES = 1  # by which the motion class of a row may be another in the base than it would be in the group
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,9 +71,10 @@ def keep_known(layout: GroupLayout, base: BaseGroup, settings: EncodeSettings) -
 def find_kept(layout: GroupLayout, base: BaseGroup) -> NDArray[np.intp]:
     """(N,) for each row the row of the base that viewers may keep in its place, CODED_HERE where there is none.
 
-    That is the same row of the sequence, if its canonical value is still the same. Or else what viewers decoded of it
-    in the best quality must be as near to the new value, in every channel and in its position, as a fresh coding
-    promises, or the value may have changed by no more than SLIGHT; and its motion class must do for its states.
+    That is the same row of the sequence, if its canonical value is still the same and its motion class in the base is
+    coarser by no more than CLASSES: what nobody saw there is coarse. Or else what viewers decoded of it in the best
+    quality must be as near to the new value, in every channel and in its position, as a fresh coding promises, or the
+    value may have changed by no more than SLIGHT; and its motion class must do for its states.
     """
     places = np.full(1 + max(int(layout.rows.max()), int(base.layout.rows.max())), CODED_HERE)
     places[base.layout.rows] = np.arange(len(base.layout.rows))
@@ -82,7 +83,8 @@ def find_kept(layout: GroupLayout, base: BaseGroup) -> NDArray[np.intp]:
     errors, changes = _differences(layout, base, rows, there[rows])
     finer = layout.classes[rows].astype(int) - base.layout.classes[there[rows]]
     near = ((errors <= 1) | (changes <= SLIGHT)).all(axis=0) & (finer >= 0) & (finer <= CLASSES)
-    there[rows[~(near | (changes <= SAME).all(axis=0))]] = CODED_HERE
+    same = (changes <= SAME).all(axis=0) & (finer >= -CLASSES)  # not what was coded coarsely while it was hidden
+    there[rows[~(near | same)]] = CODED_HERE
     return there
 
 

@@ -11,11 +11,14 @@ from airgs_codec.encoder.settings import APART, EncodeSettings, LevelSettings
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.validate import exceeded, validate
+from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.manifest import Groups
+from airgs_codec.package.region import MEASURING, draw_views
 from airgs_codec.package.store import Package, open_package
+from airgs_codec.render import render
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.regions import region
-from tests.support.rooms import MOVER, room_frames
+from tests.support.rooms import MOVER, room_behind_a_door, room_frames
 from tests.support.scenes import random_gaussians, write_sequence
 
 ROWS, GROUP = 5000, 3
@@ -135,3 +138,13 @@ def test_a_group_that_keeps_all_has_no_pictures(tmp_path):
     np.testing.assert_array_equal(
         np.sort(decode(package, 0).means, axis=0), np.sort(decode(package, GROUP).means, axis=0)
     )
+
+
+def test_what_a_door_hid_in_the_base_is_coded_anew_where_it_is_seen(tmp_path):
+    """Nobody sees the room in the first group, so that its positions are coarse there. Kept so, it has 34 dB."""
+    shut, open_ = (room_behind_a_door(1500, is_open) for is_open in (False, True))
+    package, _ = encoded(tmp_path, [shut] * GROUP + [open_] * GROUP)
+    second, shown = package.manifest.groups[1], decode(package, GROUP)
+    assert second.keeps == 1 and 0 < sum(t.kept for t in second.tiers) < 1500
+    views = draw_views(package.manifest.region, 6, MEASURING)
+    assert psnr(np.mean([mse(render(shown, view).rgb, render(open_, view).rgb) for view in views])) > 44

@@ -10,6 +10,17 @@ from tests.support.scenes import frozen, random_gaussians
 MOVER = 0.05  # share of the rows
 
 
+def room_behind_a_door(rows: int, open_: bool) -> Gaussians:
+    """A room of `rows` rows and its mover; a wall of others hides it from cameras at z < -2, or has gone aside."""
+    room, count = room_frames(rows, 1)[0], 600
+    rng = np.random.default_rng(5)
+    wall = random_gaussians(count, seed=9)
+    means = np.c_[rng.uniform(-0.6, 0.6, (count, 2)), np.full(count, -2.0)] + [3.0 * open_, 0, 0]
+    parts = {"means": means, "log_scales": np.full((count, 3), -2.1), "opacity_logits": np.full(count, 6.0)}
+    columns = [(getattr(room, n), parts.get(n, getattr(wall, n))) for n in room.__slots__]
+    return frozen(Gaussians(*(np.concatenate(pair).astype(np.float32) for pair in columns)))
+
+
 def room_frames(rows: int, frames: int, degree: int = 0, seed: int = 0) -> list[Gaussians]:
     """Frames of `rows` rows on the walls of a box, the same bit by bit in all of them, and after them the mover's."""
     walls = random_gaussians(rows, degree, seed)
