@@ -36,9 +36,9 @@ class Frame:
 def decode(package: Package, frame: int, *, level: str | int = "L0", key_quality: str | int = "Q0") -> Gaussians:
     """One frame as a viewer of that level and key quality sees it, each given by its id or its index.
 
-    Decodes nothing but the key units of the frame's group and its segment up to the frame. The result has as many
-    rows as the key tiers that viewers of the level fetch. Raises ConfigError for a frame, level or key quality that
-    the package does not have, FormatError for a broken package.
+    Decodes nothing but the key units of the frame's group, those of the group whose rows it keeps, and its segment up
+    to the frame. The result has as many rows as the key tiers that viewers of the level fetch. Raises ConfigError for
+    a frame, level or key quality that the package does not have, FormatError for a broken package.
     """
     if not 0 <= frame < package.manifest.frames:
         raise ConfigError(f"frame: expected 0..{package.manifest.frames - 1}, got {frame}")

@@ -12,6 +12,7 @@ from airgs_codec.package.references import check_group, check_kept
 from airgs_codec.package.tables import NO_FILE
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.keys import KeyStore
 from airgs_codec.play.link import Link
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import simulate
@@ -146,3 +147,27 @@ def test_no_session_beats_the_bound(rates, kept):
         log = play(m, policy, link(*rates), loops=loops, replace=True, abandon=True)
         best = session_bound(log)
         assert best is not None and best >= log.mean_quality - 1e-6
+
+
+def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
+    """Sessions over groups that keep rows of different tiers, with any policy."""
+    arrived = []
+    add = KeyStore.add
+    monkeypatch.setattr(KeyStore, "add", lambda keys, arrival: (arrived.extend(arrival.kept), add(keys, arrival)))
+    chance = np.random.default_rng(0)
+    for policy in ("throughput", "robust-mpc", "oracle-lp", "bola", "fixed:Q1+L1") * 12:
+        m, base = tiny_manifest(groups=(10,) * 5), 1
+        for number in range(2, 6):
+            base = base if chance.random() < 0.75 else number
+            kept = [(8, 10), (0, 4), (3, 0), (10, 10)][chance.integers(4)]
+            m = m if base == number else keeping(m, number, base, kept)
+        arrived.clear()
+        log = play(m, policy, link(*chance.uniform(1e4, 1.5e5, 4)), replace=True, abandon=True)
+        for shown in log.shown:
+            (quality, level), group = log.catalogue.rungs[shown.rung], m.group_of(shown.segment)
+            for tier in range(m.levels[level].tiers):
+                kept = m.groups[group].tiers[tier].kept
+                needed = m.key_files(group, tier, quality) + (
+                    m.key_files(m.base_of(group), tier, quality) if kept else []
+                )
+                assert set(needed) <= set(arrived)
