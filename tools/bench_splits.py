@@ -2,7 +2,7 @@
 from the cameras that it has not seen.
 
     python -m tools.bench_splits SCENE -o OUT [--splits N] [--hold N] [--only I,J] [--frames A:B]
-        [options of airgs-train]
+        [-- options of airgs-train]
 
 The cameras of the scene are shuffled with a fixed seed and dealt out: split i holds out cameras i * hold to
 i * hold + hold - 1 of that order. Every split is an `airgs-train` of its own into OUT/split-I (one that is there goes
@@ -84,9 +84,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--hold", type=int, default=4)
     parser.add_argument("--only", help="numbers of the splits to do, with commas (default: all)")
     parser.add_argument("--frames", help="as airgs-train has it")
-    args, options = parser.parse_known_args(argv)
+    given = list(sys.argv[1:] if argv is None else argv)
+    end = given.index("--") if "--" in given else len(given)
+    args = parser.parse_args(given[:end])
     try:
-        run(args, [*options, *(["--frames", args.frames] if args.frames else [])])
+        run(args, [*given[end + 1 :], *(["--frames", args.frames] if args.frames else [])])
     except AirgsError as error:
         print(f"bench_splits: {error}", file=sys.stderr)
         return 2
