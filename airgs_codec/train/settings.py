@@ -46,7 +46,7 @@ class TrainSettings:
         None,
         f"iterations of the first frame, and of frames from scratch; None: {FIRST}, at least {FIRST_A_VIEW} a view",
     )
-    key_iterations: int = setting(1500, "iterations of a keyframe")
+    key_iterations: int = setting(1000, "iterations of a keyframe")
     frame_iterations: int = setting(300, "iterations of a frame in a group")
     iteration_views: int = setting(1, "pictures that an iteration sees")
     deltas: str = setting("direct", "how frames in a group move: each Gaussian on its own, by six MLPs, or by both")
@@ -59,7 +59,7 @@ class TrainSettings:
     max_drop_db: float = setting(
         5.0, "loss against the first frame of its group above which a frame becomes a keyframe"
     )
-    max_growth: float = setting(0.15, "most Gaussians that a keyframe adds, as a share of those it starts from")
+    max_growth: float = setting(0.3, "most Gaussians that a keyframe adds, as a share of those it starts from")
     inflation: float = setting(1e-6, "weight of the summed opacity of what a keyframe adds")
     static: str = setting(
         "auto", "auto: what rests before cameras that stand still stays as it is; off: anything may change at any frame"
