@@ -19,7 +19,7 @@ from airgs_codec.encoder.settings import DEFAULT_LEVELS, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, survey_group
 from airgs_codec.encoder.tables import publish_group
 from airgs_codec.encoder.verify import Attempt, encode_verified
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.views import ViewPlan, plan_views
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
@@ -28,7 +28,6 @@ from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Group
 from airgs_codec.package.writing import GrowingPackage, write_tables
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.growing import GrowingFolder
 from airgs_codec.scene.sequence import GaussianSequence, read_attribution
 
@@ -142,14 +141,7 @@ def _begin(
 ) -> _Publisher:
     """Settle everything on the first group, frames [0, stop), and publish it."""
     part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
-    views = ViewPlan.of(
-        part,
-        settings.decide_pictures,
-        margin=settings.margin,
-        region=settings.region,
-        world=settings.world,
-        renderer=open_renderer(settings.device),
-    )
+    views = plan_views(part, settings)
     survey = survey_group(part, GroupSpan(0, 0, stop), views)
     credit = read_attribution(sequence.folder) if attribution is None else attribution
     found = calibrate_job(EncodeJob(part, [survey], views, (), credit), settings, progress)

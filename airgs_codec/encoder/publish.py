@@ -19,13 +19,12 @@ from airgs_codec.encoder.search import search_quality
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.survey import Survey, survey_groups
 from airgs_codec.encoder.verify import Attempt, encode_verified
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.views import ViewPlan, plan_views
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.storage import open_storage
 from airgs_codec.package.writing import write_tables
 from airgs_codec.progress import Progress, Stopwatch, silent
-from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import GaussianSequence, read_attribution
 
 
@@ -79,14 +78,7 @@ def encode(
     with open_storage(path).staged() as stage:
         rows = restore_rows(sequence, settings.rows, progress)
         sequence, rows_s = rows.sequence, watch.lap()
-        views = ViewPlan.of(
-            sequence,
-            settings.decide_pictures,
-            margin=settings.margin,
-            region=settings.region,
-            world=settings.world,
-            renderer=open_renderer(settings.device),
-        )
+        views = plan_views(sequence, settings)
         groups = _plan_groups(sequence, views, settings)
         surveys = survey_groups(sequence, groups.spans, views, progress)
         credit = read_attribution(sequence.folder) if attribution is None else attribution

@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.analysis.region import region_around
 from airgs_codec.analysis.viewpoints import find_viewpoints
+from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.region import DECIDING, MEASURING, draw_views, with_background
 from airgs_codec.package.tables import Region, Views, World
 from airgs_codec.package.world import up_of, world_from, world_words
 from airgs_codec.render import Camera
-from airgs_codec.render.backend import CPU, Renderer
+from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.scene.camera import resized, training_views
 from airgs_codec.scene.formats.table import format_of
 from airgs_codec.scene.sequence import GaussianSequence
@@ -97,6 +98,18 @@ class ViewPlan:
     def table(self, measured: int) -> Views:
         """The record in airgs.json; `measured` pictures of each segment at least, 0 for none."""
         return Views(self.decided + CHECKED, self.measured(measured), "original" if measured else "none")
+
+
+def plan_views(sequence: GaussianSequence, settings: EncodeSettings) -> ViewPlan:
+    """The views that an encode with these settings takes. Raises ConfigError for a device that cannot be had."""
+    return ViewPlan.of(
+        sequence,
+        settings.decide_pictures,
+        margin=settings.margin,
+        region=settings.region,
+        world=settings.world,
+        renderer=open_renderer(settings.device),
+    )
 
 
 def _plan(

@@ -21,6 +21,11 @@ def to_bytes(rgb: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.rint(np.clip(rgb, 0, 1) * 255).astype(np.uint8)
 
 
+def to_floats(samples: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """8-bit samples of any shape -> [0, 1]."""
+    return samples.astype(np.float32) / np.float32(255)
+
+
 def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
     """Write (H, W, 3) RGB as PNG."""
     _, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))

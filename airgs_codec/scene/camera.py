@@ -77,7 +77,11 @@ def resized(camera: Camera, share: float) -> Camera:
     """The camera with `share` of the pixels on either side, at least 8; a share of 1 or more changes nothing."""
     if share >= 1:
         return camera
-    width, height = (max(8, round(share * side)) for side in (camera.width, camera.height))
+    return with_pixels(camera, *(max(8, round(share * side)) for side in (camera.width, camera.height)))
+
+
+def with_pixels(camera: Camera, width: int, height: int) -> Camera:
+    """The camera with so many pixels on either side; it sees the same."""
     x, y = width / camera.width, height / camera.height
     fx, fy, cx, cy = camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y
     return replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)

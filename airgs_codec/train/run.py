@@ -38,6 +38,7 @@ class Run:
     model: Model
     trainer: Trainer
     plates: Plates = field(default_factory=dict)  # of every training camera; none: nothing is known to rest
+    _moving: dict[int, Masks] = field(init=False, default_factory=dict)  # of the last frame that was a target
 
     def views(self, frame: int) -> list[View]:
         """The training views of a frame. Raises SceneError when there are none, or a picture cannot be read."""
@@ -51,8 +52,11 @@ class Run:
         if not self.plates:
             return FrameViews(frame, self.views(frame))
         exposure = self.pictures.exposure
-        before = find_moving(self.pictures.train(frame - 1), self.plates, exposure)
+        before = self._moving.pop(frame - 1, None)  # pictures of a frame that is past may be out of memory
+        if before is None:
+            before = find_moving(self.pictures.train(frame - 1), self.plates, exposure)
         now = settle(self.pictures.train(frame), self.plates, exposure)
+        self._moving[frame] = now.moving
         return FrameViews(frame, now.views, Masks(a | b for a, b in zip(before, now.moving, strict=True)))
 
 

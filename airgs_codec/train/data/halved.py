@@ -1,4 +1,4 @@
-"""Views at half their size: large motion is a small one there, and an iteration costs a third.
+"""Views at half their size: large motion is a small one there, and an iteration costs less.
 
 H x W pixels. Nothing is kept: a halved picture is made of the whole one whenever it is asked for.
 """
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.media.image import resize
 from airgs_codec.render.cpu import TILE, Redraw, Render
+from airgs_codec.scene.camera import with_pixels
 from airgs_codec.train.data.pictures import Picture, View
 from airgs_codec.train.loss.target import Target
 
@@ -43,11 +44,9 @@ def can_be_halved(views: Sequence[View]) -> bool:
 
 def halve(view: View) -> View:
     """The view at half its size, or half a pixel more. A tile is drawn again where one of the four in it would be."""
-    c = view.camera
-    size = -(-c.width // 2), -(-c.height // 2)
-    x, y = size[0] / c.width, size[1] / c.height
-    camera = replace(c, width=size[0], height=size[1], fx=c.fx * x, fy=c.fy * y, cx=c.cx * x, cy=c.cy * y)
-    return View(camera, Halved(view.picture, size), view.redraw and _halve_redraw(view.redraw, size))
+    size = -(-view.camera.width // 2), -(-view.camera.height // 2)
+    redraw = view.redraw and _halve_redraw(view.redraw, size)
+    return View(with_pixels(view.camera, *size), Halved(view.picture, size), redraw)
 
 
 def _halve_redraw(redraw: Redraw, size: tuple[int, int]) -> Redraw:

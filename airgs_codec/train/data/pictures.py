@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.media.image import read_mask, resize, to_bytes, undistort
+from airgs_codec.media.image import read_mask, resize, to_bytes, to_floats, undistort
 from airgs_codec.render.cpu import Redraw
-from airgs_codec.scene.camera import Background, Camera
+from airgs_codec.scene.camera import Background, Camera, with_pixels
 from airgs_codec.train.data.kept import Kept
 from airgs_codec.train.data.multiview import MultiviewScene, Shot
 from airgs_codec.train.loss.target import Exposure, Stored, Target
@@ -137,10 +137,7 @@ class Pictures:
         if self._max_size is None or longest <= self._max_size:
             return camera
         factor = self._max_size / longest
-        width, height = max(1, round(camera.width * factor)), max(1, round(camera.height * factor))
-        x, y = width / camera.width, height / camera.height
-        focal, centre = (camera.fx * x, camera.fy * y), (camera.cx * x, camera.cy * y)
-        return replace(camera, width=width, height=height, fx=focal[0], fy=focal[1], cx=centre[0], cy=centre[1])
+        return with_pixels(camera, max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
 
     def _make_target(self, key: _Key) -> Target:
         frame, index = key
@@ -154,8 +151,8 @@ class Pictures:
             if self._choice == RANDOM:
                 raise SceneError(f"{shot.source.where()}: expected alpha for random backgrounds, got an opaque picture")
             changes = self._changes(shot)
-            return Stored(to_bytes(self._fitted(_as_floats(data), shot)) if changes else np.ascontiguousarray(data))
-        values = _as_floats(data)
+            return Stored(to_bytes(self._fitted(to_floats(data), shot)) if changes else np.ascontiguousarray(data))
+        values = to_floats(data)
         rgb, alpha = values[..., :3], values[..., 3] if data.shape[2] == 4 else np.ones(data.shape[:2], np.float32)
         clear = 1 - (alpha if mask is None else alpha * mask)[..., None]
         whole = np.concatenate([(1 - clear) * rgb + clear * np.array(self.background, np.float32), clear], axis=2)
@@ -214,7 +211,3 @@ def _read(shot: Shot) -> NDArray[np.uint8]:
 
 def _full_size(shot: Shot) -> tuple[int, int]:
     return shot.lens.size if shot.lens else (shot.camera.width, shot.camera.height)
-
-
-def _as_floats(data: NDArray[np.uint8]) -> NDArray[np.float32]:
-    return data.astype(np.float32) / np.float32(255)

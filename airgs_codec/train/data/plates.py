@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.media.image import box_mean, to_bytes
+from airgs_codec.media.image import box_mean, to_bytes, to_floats
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.camera import Camera
 from airgs_codec.train.data.kept import Kept
@@ -114,7 +114,7 @@ def plate_of(pictures: Sequence[NDArray[np.uint8]]) -> Plate:
     rgb = np.empty_like(pictures[0])
     for y in range(len(rgb)):  # row by row: a median of all at once takes a copy of all
         rgb[y] = np.partition(np.stack([picture[y] for picture in pictures]), middle, axis=0)[middle]
-    noise = float(np.median([_noise(as_colours(picture) - as_colours(rgb)) for picture in pictures]))
+    noise = float(np.median([_noise(to_floats(picture) - to_floats(rgb)) for picture in pictures]))
     return Plate(rgb, noise, float(np.clip(DEVIATIONS * noise, LEAST, MOST)))
 
 
@@ -153,13 +153,8 @@ class _Flattened:
 
 def _rest_of(view: View, plates: Plates, exposure: Exposure) -> NDArray[np.float32]:
     """(H, W, 3) what a view sees at rest, exposed as the view is."""
-    rgb = as_colours(plates[view.camera.name].rgb)
+    rgb = to_floats(plates[view.camera.name].rgb)
     return exposed_alike(rgb, exposure[view.camera.name]) if view.camera.name in exposure else rgb
-
-
-def as_colours(picture: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Bytes as 0..1."""
-    return picture.astype(np.float32) / np.float32(255)
 
 
 def _moving(difference: NDArray[np.float32], plate: Plate) -> NDArray[np.bool_]:

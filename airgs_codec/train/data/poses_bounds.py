@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.camera import Camera
+from airgs_codec.scene.camera import Camera, with_pixels
 from airgs_codec.scene.cameras import llff
 from airgs_codec.scene.formats.find import natural_key
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
@@ -37,16 +37,6 @@ def read_poses_bounds(folder: Path) -> MultiviewScene:
 
 def _shot(camera: Camera, video: Path) -> Shot:
     width, height = video_size(video)  # the matrix may be of the videos before they were shrunk
-    x, y = width / camera.width, height / camera.height
-    filmed = replace(
-        camera,
-        name=video.stem,
-        split="test" if video.stem == HELD_OUT else "train",
-        width=width,
-        height=height,
-        fx=camera.fx * x,
-        fy=camera.fy * y,
-        cx=width / 2,
-        cy=height / 2,
-    )
+    split = "test" if video.stem == HELD_OUT else "train"
+    filmed = replace(with_pixels(camera, width, height), name=video.stem, split=split)
     return Shot(filmed, PictureFile(video))

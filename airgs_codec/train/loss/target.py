@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.media.image import to_floats
 from airgs_codec.scene.camera import Background
 from airgs_codec.train.loss import kernels
 
@@ -71,14 +72,10 @@ class Stored:
 
     def target(self, exposure: Sequence[float] | None) -> Target:
         """The picture in float32, as the average camera would have exposed it; None: exposed as it is."""
-        rgb = _as_floats(self.rgb)
+        rgb = to_floats(self.rgb)
         if exposure is not None:
             rgb = exposed_alike(rgb, exposure)
-        return Target(rgb, None if self.clear is None else _as_floats(self.clear))
-
-
-def _as_floats(values: NDArray[np.uint8]) -> NDArray[np.float32]:
-    return values.astype(np.float32) / np.float32(255)
+        return Target(rgb, None if self.clear is None else to_floats(self.clear))
 
 
 def exposed_alike(picture: NDArray[np.float32], values: Sequence[float]) -> NDArray[np.float32]:
