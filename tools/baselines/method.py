@@ -1,0 +1,114 @@
+"""What a baseline is: a trainer whose frames are kept as its own viewer shows them, with what that viewer fetches.
+
+A run is a folder: NNNNNN.ply of every frame, frames.json with what it cost, and whatever the method keeps to go on.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from airgs_codec._files import write_json
+from airgs_codec.errors import ConfigError
+from airgs_codec.progress import Progress, silent
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.ply import write_ply
+from airgs_codec.train.data.multiview import Points
+from airgs_codec.train.data.pictures import Pictures
+from airgs_codec.train.quality import mean_psnr, mean_ssim
+
+RECORD = "frames.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Footage:
+    """What a method is trained on."""
+
+    pictures: Pictures
+    frames: int
+    points: Points | None  # of the first frame; None: the scene has none
+    folder: Path  # where the method may keep what it needs to go on, beside the frames
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """A frame as the viewer of the method shows it, after the method's own coding."""
+
+    kind: str  # key | frame
+    gaussians: Gaussians
+    bytes: int  # that a viewer fetches for it
+    seconds: float  # of training and coding it
+
+
+class Method(Protocol):
+    """A way to train and to code a multi-view video."""
+
+    @property
+    def name(self) -> str:
+        """Its name in tables."""
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """What decides its result besides the footage, as JSON: a run of other settings is another run."""
+
+    def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
+        """The frames from number `done` on; those before it were given by earlier calls and are kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A frame of a finished run."""
+
+    kind: str
+    gaussians: int
+    bytes: int
+    seconds: float
+    psnr: float  # dB, mean over held-out views
+    ssim: float  # mean over held-out views
+
+
+def run_method(method: Method, footage: Footage, progress: Progress = silent) -> list[Frame]:
+    """Train a method, keep every frame as it comes, and measure it on the held-out cameras.
+
+    A run that was stopped goes on after its last frame. Raises ConfigError for a folder that holds a run of another
+    method or other settings.
+    """
+    wanted = {"method": method.name, "settings": method.settings, "frames": footage.frames}
+    path = footage.folder / RECORD
+    footage.folder.mkdir(parents=True, exist_ok=True)
+    frames = _kept(path, wanted)
+    if len(frames) == footage.frames:
+        return frames
+    for t, shown in enumerate(method.frames(footage, len(frames), progress), start=len(frames)):
+        write_ply(frame_path(footage.folder, t), shown.gaussians)
+        views = footage.pictures.held_out(t)
+        quality, likeness = mean_psnr(shown.gaussians, views), mean_ssim(shown.gaussians, views)
+        rows = len(shown.gaussians)
+        frames.append(Frame(shown.kind, rows, shown.bytes, round(shown.seconds, 3), quality, likeness))
+        write_json(path, wanted | {"done": [asdict(frame) for frame in frames]})
+    return frames
+
+
+def frame_path(folder: Path, frame: int) -> Path:
+    """Where a run keeps what its viewer shows of a frame."""
+    return folder / f"{frame:06d}.ply"
+
+
+def mean_bytes(frames: Sequence[Frame]) -> float:
+    """Bytes a frame."""
+    return float(np.mean([frame.bytes for frame in frames]))
+
+
+def _kept(path: Path, wanted: dict[str, object]) -> list[Frame]:
+    if not path.exists():
+        return []
+    record = json.loads(path.read_text())
+    done = [Frame(**entry) for entry in record.pop("done")]
+    if record != json.loads(json.dumps(wanted)):
+        raise ConfigError(f"{path}: expected a run of {wanted['method']} with these settings, got {record}")
+    return done
