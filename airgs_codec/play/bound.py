@@ -26,7 +26,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.catalogue import NONE, Catalogue, KeyUnits
 
 ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must not make a session impossible
 _Unit = tuple[int, int, int]  # 0 of the slot's group, 1 of its base; key quality; key tier
@@ -47,14 +47,14 @@ class Slot:
 class Horizon:
     """What is to be chosen: slots in the order in which they are shown.
 
-    `decoded` (group -> key quality -> tiers) are the keys that need not be fetched for the first slot. `idle_bytes` is
-    what the link could have carried while it waits for the next request, per slot after the first: 0 for a player
-    that sends its next request a round trip before the last batch ends, and in a bound.
+    `decoded` are key units, by group, that need not be fetched in the loop of the first slot. `idle_bytes` is what the
+    link could have carried while it waits for the next request, per slot after the first: 0 for a player that sends
+    its next request a round trip before the last batch ends, and in a bound.
     """
 
     catalogue: Catalogue
     slots: tuple[Slot, ...]
-    decoded: Mapping[int, Mapping[int, int]]
+    decoded: Mapping[int, KeyUnits]
     idle_bytes: float = 0.0
 
 
@@ -189,9 +189,10 @@ class _Programme:
         for of, quality, tier in self._keys(k):
             group, before = self._groups[k][of], self._before(k, (of, quality, tier))
             assert group is not None
+            if not self._loops[k] and (quality, tier) in self._horizon.decoded.get(group, NONE):
+                continue
             size = float(c.key_bytes[group, quality, tier]) / 1e3
-            if k or self._horizon.decoded.get(group, {}).get(quality, 0) <= tier:
-                fetched.append((self._key(k, (of, quality, tier)), size))
+            fetched.append((self._key(k, (of, quality, tier)), size))
             if before is not None:
                 fetched.append((before, -size))
         return fetched

@@ -22,8 +22,8 @@ from airgs_codec.play.ladder import Option
 
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
-DecodedTiers = Mapping[int, int]  # key quality -> how many of its tiers are decoded, from the first on
-NONE: DecodedTiers = {}
+KeyUnits = frozenset[tuple[int, int]]  # (key quality, tier) of those units of a group that are decoded
+NONE: KeyUnits = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,24 +166,31 @@ class Catalogue:
         return Rows(lambda s: np.array([self.sizes(s, held, held) for held in self._after]))
 
     @cached_property
-    def _after(self) -> list[DecodedTiers]:
+    def _after(self) -> list[KeyUnits]:
         """What is decoded of a group after each rung, at least."""
-        return [{quality: self.manifest.levels[level].tiers} for quality, level in self.rungs]
+        return [frozenset((q, tier) for tier in range(self.manifest.levels[j].tiers)) for q, j in self.rungs]
 
-    def bytes_at_start(self, segment: int, known: Mapping[int, DecodedTiers]) -> NDArray[np.int64]:
+    def bytes_at_start(self, segment: int, known: Mapping[int, KeyUnits]) -> NDArray[np.int64]:
         """(1 or Q L, Q L) wire bytes of every rung in the first segment of a group, by the rung in the one before.
 
         That matters where the group keeps rows of the one before, or of the same as that; `known` are keys decoded
-        before of some groups.
+        before, in the same loop, by group.
         """
-        m = self.manifest
-        group = m.group_of(segment)
-        base = m.base_of(group)
+        base = self.manifest.base_of(self.manifest.group_of(segment))
         if base is None:
             return np.asarray(self.bytes_from_scratch[segment])[None]
         held = known.get(base, NONE)
-        after = self._after if base in (group - 1, m.base_of(group - 1)) else [NONE]
-        return np.array([self.sizes(segment, NONE, _merged(held, of)) for of in after])
+        return np.array([self.sizes(segment, NONE, held | units) for units in self._base_after(segment, base)])
+
+    def _base_after(self, segment: int, base: int) -> list[KeyUnits]:
+        """What is decoded of a base after each rung of the segment before; [NONE] where that tells nothing of it."""
+        m, before = self.manifest, self.manifest.group_of(segment) - 1
+        if base == before:
+            return self._after
+        if base != m.base_of(before):
+            return [NONE]
+        kept = {tier for tier, entry in enumerate(m.groups[before].tiers) if entry.kept}
+        return [frozenset(unit for unit in units if unit[1] in kept) for units in self._after]
 
     @cached_property
     def bytes_from_scratch(self) -> Rows:
@@ -198,36 +205,30 @@ class Catalogue:
         keeps = [tier.kept > 0 for tier in self.manifest.groups[group].tiers]
         return np.asarray(self.key_bytes[base] * np.array(keeps))
 
-    def sizes(self, segment: int, decoded_tiers: DecodedTiers, base_tiers: DecodedTiers = NONE) -> list[int]:
+    def sizes(self, segment: int, decoded: KeyUnits, of_base: KeyUnits = NONE) -> list[int]:
         """(Q L,) wire bytes of the keys that are missing and the state.
 
-        `decoded_tiers` are those of the segment's group, `base_tiers` those of the group whose rows it keeps.
+        `decoded` are units of the segment's group, `of_base` of the group whose rows it keeps.
         """
         m = self.manifest
         group = m.group_of(segment)
         own, base, states = self.key_bytes[group], self.base_bytes(group), self.state_bytes[segment]
-        return [
-            int(
-                own[q, decoded_tiers.get(q, 0) : m.levels[j].tiers].sum()
-                + base[q, base_tiers.get(q, 0) : m.levels[j].tiers].sum()
-                + states[j]
-            )
-            for q, j in self.rungs
-        ]
+        missing = np.where(_absent(decoded, own.shape), own, 0) + np.where(_absent(of_base, own.shape), base, 0)
+        return [int(missing[q, : m.levels[j].tiers].sum() + states[j]) for q, j in self.rungs]
 
-    def options(self, segment: int, decoded_tiers: DecodedTiers, base_tiers: DecodedTiers = NONE) -> tuple[Option, ...]:
+    def options(self, segment: int, decoded: KeyUnits, of_base: KeyUnits = NONE) -> tuple[Option, ...]:
         """Every rung of a segment, by number; kept, since a session asks for few combinations over and over."""
-        key = segment, tuple(sorted(decoded_tiers.items())), tuple(sorted(base_tiers.items()))
+        key = segment, decoded, of_base
         if key not in self._options:
             levels, quality = self.manifest.levels, self.quality[segment]
-            sizes = self.sizes(segment, decoded_tiers, base_tiers)
+            sizes = self.sizes(segment, decoded, of_base)
             self._options[key] = tuple(
                 Option(r, sizes[r], float(quality[r]), levels[j].pruned) for r, (_, j) in enumerate(self.rungs)
             )
         return self._options[key]
 
-    def batch(self, segment: int, rung: int, decoded_tiers: DecodedTiers, base_tiers: DecodedTiers = NONE) -> Batch:
-        """The files that a rung of a segment needs beside the decoded tiers of its group and of the base.
+    def batch(self, segment: int, rung: int, decoded: KeyUnits, of_base: KeyUnits = NONE) -> Batch:
+        """The files that a rung of a segment needs beside the decoded units of its group and of the base.
 
         They are in tier order, of every tier those of the group first, then those of the group whose rows it keeps.
         """
@@ -236,9 +237,9 @@ class Catalogue:
         base = m.base_of(group)
         units = []
         for t, tier in enumerate(m.groups[group].tiers[: m.levels[j].tiers]):
-            if t >= decoded_tiers.get(q, 0):
+            if (q, t) not in decoded:
                 units.append(m.key_files(group, t, q))
-            if base is not None and tier.kept and t >= base_tiers.get(q, 0):
+            if base is not None and tier.kept and (q, t) not in of_base:
                 units.append(m.key_files(base, t, q))
         return Batch(tuple(path for unit in units for path in unit), tuple(m.state_files(segment, j)))
 
@@ -299,6 +300,9 @@ class Catalogue:
         return self.wire_bytes([self.file_bytes(path) for path in paths])
 
 
-def _merged(one: DecodedTiers, other: DecodedTiers) -> DecodedTiers:
-    """What is decoded where both are."""
-    return {quality: max(one.get(quality, 0), other.get(quality, 0)) for quality in {*one, *other}}
+def _absent(units: KeyUnits, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(Q, T) units that are not decoded."""
+    absent = np.ones(shape, np.bool_)
+    for unit in units:
+        absent[unit] = False
+    return absent

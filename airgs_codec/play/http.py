@@ -21,7 +21,7 @@ import aiohttp
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.paths import JSON_NAME, page_path
 from airgs_codec.package.tables import PAGE
-from airgs_codec.play.catalogue import Batch, Catalogue
+from airgs_codec.play.catalogue import NONE, Batch, Catalogue
 from airgs_codec.play.downloader import CHECK_S, GiveUp, Partial
 from airgs_codec.play.events import Arrival, BatchKind, Request
 from airgs_codec.play.http_files import FileClient, HttpSettings, Transfer
@@ -203,7 +203,7 @@ def fetch_beside(log: SessionLog, downloader: HttpDownloader) -> None:
     downloader.complete(c.manifest.table_files())
     for segment in dict.fromkeys(shown.segment for shown in log.shown):
         with contextlib.suppress(FormatError):  # its table cannot be had
-            downloader.complete(c.batch(segment, 0, {}).files)
+            downloader.complete(c.batch(segment, 0, NONE).files)
 
 
 def _for_tables(path: str) -> Request:

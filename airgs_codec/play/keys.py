@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from airgs_codec.package.paths import FileKind, file_kind, group_path, page_path
 from airgs_codec.package.tables import PAGE
-from airgs_codec.play.catalogue import NONE, Batch, Catalogue, DecodedTiers
+from airgs_codec.play.catalogue import NONE, Batch, Catalogue, KeyUnits
 from airgs_codec.play.events import Arrival
 from airgs_codec.play.ladder import Option
 
@@ -62,52 +61,46 @@ class TableStore:
 
 @dataclass(slots=True, eq=False)
 class KeyStore:
-    """Keys are kept by (loop, group): a group that is played again is fetched again."""
+    """Key units are kept by loop and group: a group that is played again is fetched again."""
 
     catalogue: Catalogue
-    _units: dict[tuple[int, int], set[tuple[int, int]]] = field(default_factory=dict)  # (key quality, tier) decoded
+    _units: dict[int, dict[int, KeyUnits]] = field(default_factory=dict)  # loop -> group -> units
 
-    def decoded_tiers(self, position: int) -> DecodedTiers:
-        """Key quality -> how many tiers of it are decoded in the group of a position."""
-        return self._first_tiers(self.catalogue.group(position), [True] * self.catalogue.manifest.tiers)
+    def decoded(self, position: int) -> dict[int, KeyUnits]:
+        """The units that are decoded of the groups of a position's loop, by group."""
+        return dict(self._units.get(self.catalogue.place(position)[0], {}))
 
-    def base_tiers(self, position: int) -> DecodedTiers:
-        """The same of the group whose rows that group keeps, where tiers that keep none count as decoded."""
-        (loop, group), m = self.catalogue.group(position), self.catalogue.manifest
-        base = m.base_of(group)
-        return NONE if base is None else self._first_tiers((loop, base), [t.kept > 0 for t in m.groups[group].tiers])
+    def _of(self, position: int) -> tuple[KeyUnits, KeyUnits]:
+        """The units that are decoded of the group of a position, and of the one whose rows it keeps."""
+        loop, group = self.catalogue.group(position)
+        units, base = self._units.get(loop, {}), self.catalogue.manifest.base_of(group)
+        return units.get(group, NONE), NONE if base is None else units.get(base, NONE)
 
     def shown_tiers(self, position: int, quality: int) -> int:
-        """How many tiers of a key quality can be shown in the group of a position."""
-        own, keeps = self.decoded_tiers(position), self.catalogue.manifest.base_of(self.catalogue.group(position)[1])
-        tiers = own.get(quality, 0)
-        return tiers if keeps is None else min(tiers, self.base_tiers(position).get(quality, 0))
-
-    def _first_tiers(self, group: tuple[int, int], needed: Sequence[bool]) -> DecodedTiers:
-        """Key quality -> how many tiers, from the first on, are decoded or not needed, where some are."""
-        units, counts = self._units.get(group, set()), {}
-        for quality in range(len(self.catalogue.manifest.qualities)):
-            there = (not wanted or (quality, tier) in units for tier, wanted in enumerate(needed))
-            counts[quality] = sum(1 for _ in itertools.takewhile(bool, there))
-        return {quality: count for quality, count in counts.items() if count}
+        """How many tiers of a key quality, from the first on, can be shown in the group of a position."""
+        own, of_base = self._of(position)
+        tiers = self.catalogue.manifest.groups[self.catalogue.group(position)[1]].tiers
+        there = ((quality, t) in own and (not tier.kept or (quality, t) in of_base) for t, tier in enumerate(tiers))
+        return sum(1 for _ in itertools.takewhile(bool, there))
 
     def missing(self, position: int, rung: int) -> Batch:
         """The files that a rung of the segment at a position still needs."""
         c = self.catalogue
-        return c.batch(c.index(position), rung, self.decoded_tiers(position), self.base_tiers(position))
+        return c.batch(c.index(position), rung, *self._of(position))
 
     def options(self, position: int) -> tuple[Option, ...]:
         """Every rung of the segment at a position, with the bytes that it still needs."""
         c = self.catalogue
-        return c.options(c.index(position), self.decoded_tiers(position), self.base_tiers(position))
+        return c.options(c.index(position), *self._of(position))
 
     def add(self, arrival: Arrival) -> None:
-        """Decode what arrived: a tier counts once its files are there."""
+        """Decode what arrived: a unit counts once its files are there."""
         c, request = self.catalogue, arrival.request
         quality, level = c.rungs[request.rung]
         loop, group = c.group(request.position)
         base, arrived = c.manifest.base_of(group), set(arrival.kept)
+        units = self._units.setdefault(loop, {})
         for of in (group,) if base is None else (group, base):
-            for tier in range(c.manifest.levels[level].tiers):
-                if arrived.issuperset(c.manifest.key_files(of, tier, quality)):
-                    self._units.setdefault((loop, of), set()).add((quality, tier))
+            tiers = range(c.manifest.levels[level].tiers)
+            new = {(quality, t) for t in tiers if arrived.issuperset(c.manifest.key_files(of, t, quality))}
+            units[of] = units.get(of, NONE) | new

@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.bound import Horizon, Slot, paper_programme, solve_horizon
-from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.catalogue import NONE, Catalogue
 from airgs_codec.play.ladder import Ladder, Option, select
 from airgs_codec.play.link import Link
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace
-from tests.support.manifests import tiny_manifest
+from tests.support.manifests import tiny_manifest, units
 
 CATALOGUE = Catalogue(tiny_manifest(), header_bytes=0)
 
@@ -26,7 +26,7 @@ def horizon(*capacities, released=0.0, decoded=None, starts=None, catalogue=CATA
     """One slot for each capacity, segments in turn."""
     starts = [True] * len(capacities) if starts is None else starts
     slots = tuple(Slot(i % 2, o, released, float(c)) for i, (c, o) in enumerate(zip(capacities, starts, strict=True)))
-    return Horizon(catalogue, slots, {0: decoded or {}})
+    return Horizon(catalogue, slots, {0: decoded or NONE})
 
 
 def test_everything_fits():
@@ -60,7 +60,7 @@ def test_keys_are_paid_once_a_group():
     assert together is not None and together.quality == pytest.approx(40.0)
     apart = solve_horizon(horizon(6300, 8400), integer=True)
     assert apart is not None and apart.quality < 40
-    with_keys = solve_horizon(horizon(2100, decoded={0: 2}, starts=[False]), integer=True)
+    with_keys = solve_horizon(horizon(2100, decoded=units(2), starts=[False]), integer=True)
     assert with_keys is not None and with_keys.quality == pytest.approx(40.0)
 
 

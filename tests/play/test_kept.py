@@ -11,14 +11,20 @@ from hypothesis import strategies as st
 from airgs_codec.package.references import check_group, check_kept
 from airgs_codec.package.tables import NO_FILE
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.catalogue import NONE, Catalogue
+from airgs_codec.play.downloader import SimulatedDownloader
+from airgs_codec.play.events import Arrival, Arrived, BatchKind, Request
 from airgs_codec.play.keys import KeyStore
+from airgs_codec.play.ladder import Decision
 from airgs_codec.play.link import Link
+from airgs_codec.play.player import run
+from airgs_codec.play.policies.named import make_policy
+from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace
-from tests.support.manifests import in_groups, missing, tiny_manifest
+from tests.support.manifests import in_groups, missing, tiny_manifest, units
 from tests.support.session_packages import catalogue_of
 
 RULES = SessionSettings(
@@ -49,11 +55,6 @@ def link(*rates):
 
 def play(m, policy="fixed:0", over=None, faults=None, **options):
     return simulate(Catalogue(m, 0, 1000), over or link(8e4), policy, replace(RULES, **options), faults)
-
-
-def files(log):
-    """The key files of each batch."""
-    return [[p for p in f.files if p.startswith("key/")] for f in log.fetches if f.kind in ("group", "state")]
 
 
 def test_the_manifest_is_one():
@@ -99,14 +100,14 @@ def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
     m = keeping(tiny_manifest())
     c = Catalogue(m, 0, 1000)
     q0, q1 = (c.rungs.index((q, 0)) for q in (0, 1))
-    assert c.sizes(1, {}, {0: 2})[q0] == 3000 + 200 + 2100
-    assert c.sizes(1, {}, {0: 2})[q1] == 1000 + 200 + (1000 + 500 + 200) + 2100
-    batch = c.batch(1, q1, {}, {0: 2})
+    assert c.sizes(1, NONE, units(2))[q0] == 3000 + 200 + 2100
+    assert c.sizes(1, NONE, units(2))[q1] == 1000 + 200 + (1000 + 500 + 200) + 2100
+    batch = c.batch(1, q1, NONE, units(2))
     assert batch.keys == (
         *("key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s"),
         *("key/T1/2.bin", "key/T1/1.bin", "key/T1/Q1/1.m4s"),
     )
-    assert c.wire_bytes([c.file_bytes(p) for p in batch.files]) == c.sizes(1, {}, {0: 2})[q1]
+    assert c.wire_bytes([c.file_bytes(p) for p in batch.files]) == c.sizes(1, NONE, units(2))[q1]
 
 
 def test_each_loop_fetches_the_base_again():
@@ -135,7 +136,7 @@ def test_the_programme_pays_for_a_base_once():
     assert best is not None and best.quality == pytest.approx(40.0)
     alone = solve_horizon(Horizon(c, (replace(both[1], capacity=9500.0),), {}), integer=True)
     assert alone is not None and alone.first_bytes == pytest.approx(9500)
-    held = solve_horizon(Horizon(c, (replace(both[1], capacity=5300.0),), {0: {0: 2}}), integer=True)
+    held = solve_horizon(Horizon(c, (replace(both[1], capacity=5300.0),), {0: units(2)}), integer=True)
     assert held is not None and held.quality == pytest.approx(40.0)
 
 
@@ -171,3 +172,57 @@ def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
                     m.key_files(m.base_of(group), tier, quality) if kept else []
                 )
                 assert set(needed) <= set(arrived)
+
+
+def test_a_base_unit_is_fetched_once_whichever_tiers_were_needed_first():
+    """Group 2 keeps rows of the second tier alone; group 3, of both tiers, needs the first one more."""
+    m = keeping(keeping(tiny_manifest(groups=(10, 10, 10)), 2, 1, (0, 4)), 3, 1, (3, 4))
+    c = Catalogue(m, 0, 1000, first=1)
+    events = run(c, SimulatedDownloader(link(8e4), c), make_policy("fixed:0", c), RULES)
+    second, third = (
+        e.arrival.request.batch.keys for e in events if isinstance(e, Arrived) and e.arrival.request.batch.keys
+    )
+    assert [path for path in second if "1." in path] == ["key/T1/1.bin", "key/T1/Q0/1.m4s"]
+    assert [path for path in third if "1." in path] == ["key/T0/1.bin", "key/T0/Q0/1.m4s"]
+
+
+def test_a_second_tier_that_came_before_the_first_is_not_fetched_again():
+    c = Catalogue(tiny_manifest(), 0, 1000)
+    keys = KeyStore(c)
+    batch = keys.missing(0, 0)
+    request = Request(BatchKind.GROUP, 0, 0, batch, 0.0, 0.0)
+    second = tuple(c.manifest.key_files(0, 1, 0))
+    keys.add(Arrival(request, 0.0, 1.0, 1, whole=second, refused={}, abandoned=True))
+    assert keys.missing(0, 0).keys == tuple(c.manifest.key_files(0, 0, 0))
+    assert keys.shown_tiers(0, 0) == 0
+
+
+def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():
+    """A policy that guesses, for every rung it may take, what the next segment will cost, also in the next loop."""
+    chance = np.random.default_rng(5)
+    guessed = {}
+
+    def choose(state):
+        c = state.catalogue
+        if state.position in guessed:
+            assert [option.size_bytes for option in state.options] == guessed[state.position].tolist()
+        option = state.options[chance.integers(len(state.options))]
+        (here, _), *later = [*c.upcoming(state.position, 2, state.end), (None, False)]
+        assert here == state.segment
+        segment, starts_group = later[0]
+        if starts_group:
+            sizes = c.bytes_at_start(segment, state.known_keys(state.position + 1))
+            guessed[state.position + 1] = sizes[option.index if len(sizes) > 1 else 0]
+        return Decision(option.index, True, "any", option.size_bytes)
+
+    for _ in range(40):
+        m = tiny_manifest(groups=(10,) * 5)
+        for number in range(2, 6):
+            base = int(chance.integers(1, number))
+            if m.groups[base - 1].keeps is None and chance.random() < 0.7:
+                kept = [(8, 10), (0, 4), (3, 0), (10, 10), (2, 3)][chance.integers(5)]
+                m = keeping(m, number, base, kept)
+        guessed.clear()
+        c = Catalogue(m, 0, 1000, first=int(chance.integers(3)))
+        downloader = SimulatedDownloader(link(8e4), c)
+        assert list(run(c, downloader, Policy("any", choose), replace(RULES, loops=2))) and guessed

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.catalogue import NONE, Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.policies.bola import choose_bola
 from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, choose_robust_mpc, discounted_throughput
@@ -25,7 +25,7 @@ from airgs_codec.play.policies.state import (
 )
 from airgs_codec.play.policies.throughput import choose_throughput
 from airgs_codec.play.trace import Trace
-from tests.support.manifests import tiny_manifest
+from tests.support.manifests import tiny_manifest, units
 
 CATALOGUE = Catalogue(tiny_manifest(), header_bytes=0)
 
@@ -38,13 +38,12 @@ def state(
     rate=8e4, buffer_s=0.0, *, catalogue=CATALOGUE, position=0, end=20, held=None, shown=None, rtt=0.0, limit=10.0
 ):
     """A player that measured `rate` and has `buffer_s` of media at hand."""
-    held = held or {}
+    held = held or NONE
     return PlayerState(
         catalogue=catalogue,
         position=position,
         end=end,
-        decoded_tiers=held,
-        base_tiers={},
+        decoded={position % 2: held},
         options=catalogue.options(position % 2, held),
         now_s=100.0,
         deadline_s=100.0 + buffer_s,
@@ -61,14 +60,14 @@ def names(decision):
 
 
 def test_options_are_what_is_missing():
-    sizes = dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, {}), strict=True))
+    sizes = dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, NONE), strict=True))
     assert sizes["Q0+L0"] == 3000 + 100 + 1000 + 100 + 2000 + 100
     assert sizes["Q1+L2"] == 1000 + 100 + 500 + 100 + 500 + 100
-    held = dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, {0: 2}), strict=True))
+    held = dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, units(2)), strict=True))
     assert held["Q0+L0"] == 2100 and held["Q1+L2"] == sizes["Q1+L2"]
-    assert dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, {0: 1}), strict=True))["Q0+L1"] == 1100 + 1100
-    assert CATALOGUE.bytes_after[0, 0].tolist() == CATALOGUE.sizes(0, {0: 2})
-    assert CATALOGUE.bytes_from_scratch[0].tolist() == CATALOGUE.sizes(0, {})
+    assert dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, units(1)), strict=True))["Q0+L1"] == 1100 + 1100
+    assert CATALOGUE.bytes_after[0, 0].tolist() == CATALOGUE.sizes(0, units(2))
+    assert CATALOGUE.bytes_from_scratch[0].tolist() == CATALOGUE.sizes(0, NONE)
 
 
 def test_paper_spends_a_segments_time_or_half_the_buffer_15():
@@ -146,7 +145,7 @@ def test_the_oracles_know_the_trace():
 @given(
     rates=st.lists(st.floats(1e2, 1e9), max_size=8),
     buffer_s=st.floats(-5, 12),
-    held=st.sampled_from([{}, {0: 1}, {0: 2}, {1: 2}, {0: 1, 1: 2}]),
+    held=st.sampled_from([NONE, units(1), units(2), units(0, 2), units(1, 2)]),
     name=st.sampled_from([n for n in NAMES if n != "oracle-lp"]),
     position=st.integers(0, 19),
 )

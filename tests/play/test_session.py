@@ -12,7 +12,7 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.references import check_group, check_root
 from airgs_codec.package.store import open_package, root_of
 from airgs_codec.package.tables import Segment
-from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.catalogue import NONE, Catalogue
 from airgs_codec.play.downloader import SimulatedDownloader
 from airgs_codec.play.events import Arrival, Arrived, BatchKind, Replaced, Request, Shown
 from airgs_codec.play.ladder import Decision
@@ -278,7 +278,7 @@ def test_a_missing_table_costs_its_group_and_no_more():
 
 def arrived(kind, rung, sent_s, at_s, **changes):
     """Everything that a rung of the first segment needs, whole after `at_s - sent_s` seconds."""
-    batch = CATALOGUE.batch(0, rung, {})
+    batch = CATALOGUE.batch(0, rung, NONE)
     request = Request(kind, 0, rung, batch, sent_s, 0.0)
     arrival = Arrival(request, sent_s, at_s, 9000, batch.files, {}, abandoned=False)
     return Arrived(replace(arrival, **changes), Decision(rung, True, "", 9000), 0.0, 0.0)

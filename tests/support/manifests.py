@@ -35,6 +35,11 @@ def with_segments(m: Manifest, segments: Sequence[mf.Segment]) -> Manifest:
     return replace(m, groups=in_groups(groups))
 
 
+def units(*tiers: int) -> frozenset[tuple[int, int]]:
+    """Key units (key quality, tier): so many tiers of each key quality, from the first on."""
+    return frozenset((quality, tier) for quality, count in enumerate(tiers) for tier in range(count))
+
+
 def tiny_manifest(
     *,
     groups: Sequence[int] = (10, 10),

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.play.catalogue import NONE, KeyUnits
 from airgs_codec.play.ladder import Option
 
 Numbers = Mapping[str, Any]
@@ -32,13 +33,15 @@ class Offer:
         self.rungs = [(q, j) for q in range(len(self.groups[0])) for j in range(len(self.levels))]
         self.quality = np.array([[s["psnr"][j][q] for q, j in self.rungs] for s in self.segments])
 
-    def sizes(self, segment: int, decoded: Mapping[int, int]) -> list[int]:
-        """(R,) wire bytes of what is missing where `decoded` tiers of each key quality are there."""
+    def sizes(self, segment: int, decoded: KeyUnits) -> list[int]:
+        """(R,) wire bytes of what is missing where some key units are there."""
         s = self.segments[segment]
         keys = self.groups[s["group"]]
-        return [sum(keys[q][decoded.get(q, 0) : self.levels[j]["tiers"]]) + s["state_bytes"][j] for q, j in self.rungs]
+        needed = [[(q, tier) for tier in range(self.levels[j]["tiers"])] for q, j in self.rungs]
+        missing = [sum(keys[q][tier] for q, tier in units if (q, tier) not in decoded) for units in needed]
+        return [size + s["state_bytes"][j] for size, (_, j) in zip(missing, self.rungs, strict=True)]
 
-    def options(self, segment: int, decoded: Mapping[int, int]) -> tuple[Option, ...]:
+    def options(self, segment: int, decoded: KeyUnits) -> tuple[Option, ...]:
         """Every rung of a segment."""
         sizes = self.sizes(segment, decoded)
         quality = self.quality[segment].tolist()
@@ -47,7 +50,7 @@ class Offer:
     @cached_property
     def bytes_from_scratch(self) -> NDArray[np.int64]:
         """(S, R) wire bytes where no key of the group is decoded."""
-        return np.array([self.sizes(s, {}) for s in range(len(self.segments))])
+        return np.array([self.sizes(s, NONE) for s in range(len(self.segments))])
 
     def bytes_at_start(self, segment: int, known: object) -> NDArray[np.int64]:
         """(1, R) wire bytes at the start of a group; no group keeps rows of another."""
@@ -56,7 +59,7 @@ class Offer:
     @cached_property
     def bytes_after(self) -> NDArray[np.int64]:
         """(S, R, R) wire bytes of a rung after another one in the segment before, of the same group."""
-        held = [{q: self.levels[j]["tiers"]} for q, j in self.rungs]
+        held = [frozenset((q, tier) for tier in range(self.levels[j]["tiers"])) for q, j in self.rungs]
         return np.array([[self.sizes(s, decoded) for decoded in held] for s in range(len(self.segments))])
 
     def seconds(self, segment: int) -> float:
@@ -65,7 +68,11 @@ class Offer:
 
     def index(self, position: int) -> int:
         """The segment that is played at a position; the sequence is played over and over."""
-        return position % len(self.segments)
+        return self.place(position)[1]
+
+    def place(self, position: int) -> tuple[int, int]:
+        """(loop, segment) that is played at a position."""
+        return divmod(position, len(self.segments))
 
     def seconds_at(self, position: int) -> float:
         """Seconds of play at a position."""

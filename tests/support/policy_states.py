@@ -8,6 +8,7 @@ from typing import Any, cast
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.policies.named import ADAPTIVE
 from airgs_codec.play.policies.state import Download, PlayerState
+from tests.support.manifests import units
 from tests.support.offers import Offer
 
 State = Mapping[str, Any]
@@ -15,14 +16,13 @@ State = Mapping[str, Any]
 
 def player_state(offer: Offer, state: State) -> PlayerState:
     """What a policy is asked with."""
-    decoded = {quality: tiers for quality, tiers in enumerate(state["decoded"]) if tiers}
-    options = offer.options(offer.index(state["position"]), decoded)
+    segment, decoded = offer.index(state["position"]), units(*state["decoded"])
+    options = offer.options(segment, decoded)
     return PlayerState(
         catalogue=cast(Catalogue, offer),
         position=state["position"],
         end=state["end"],
-        decoded_tiers=decoded,
-        base_tiers={},
+        decoded={offer.segments[segment]["group"]: decoded},
         options=tuple(option for option in options if option.index not in state["unavailable"]),
         now_s=state["now_s"],
         deadline_s=state["deadline_s"],

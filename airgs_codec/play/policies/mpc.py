@@ -122,7 +122,8 @@ def _value_after(state: PlayerState, model: _Model, segments: list[tuple[int, bo
     value = np.zeros((len(c.rungs), GRID_POINTS))
     for i in range(len(segments) - 1, 0, -1):
         segment, starts_group = segments[i]
-        sizes = c.bytes_at_start(segment, state.known_keys) if starts_group else c.bytes_after[segment]
+        known = state.known_keys(state.position + i)
+        sizes = c.bytes_at_start(segment, known) if starts_group else c.bytes_after[segment]
         before = c.quality[segments[i - 1][0]]
         value = model.value_before(sizes, c.quality[segment], before, c.seconds(segment), value)
     return value

@@ -46,4 +46,4 @@ def upcoming_horizon(state: PlayerState, link: Link) -> Horizon:
         if start_s > first_start_s + 2 * state.buffer_limit_s:
             break
     idle_bytes = 0.0 if state.pipelined else link.rtt_s * link.trace.mean_bps / 8
-    return Horizon(c, tuple(slots), state.known_keys, idle_bytes)
+    return Horizon(c, tuple(slots), state.decoded, idle_bytes)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from airgs_codec.play.catalogue import Catalogue, DecodedTiers
+from airgs_codec.play.catalogue import Catalogue, KeyUnits
 from airgs_codec.play.ladder import Decision, Ladder, Option
 
 SAFETY = 0.9  # share of the estimated throughput that is spent
@@ -31,8 +31,7 @@ class PlayerState:
     catalogue: Catalogue
     position: int  # of the segment in the session
     end: int  # positions of the session
-    decoded_tiers: DecodedTiers  # of the segment's group
-    base_tiers: DecodedTiers  # of the group whose rows it keeps
+    decoded: Mapping[int, KeyUnits]  # key units of the groups of this loop over the sequence, by group
     options: tuple[Option, ...]  # every rung that can be had, with its wire bytes
     now_s: float
     deadline_s: float  # when it must arrive to be shown in time; in the past when the player waits
@@ -47,13 +46,10 @@ class PlayerState:
         """The segment in the package."""
         return self.catalogue.index(self.position)
 
-    @property
-    def known_keys(self) -> dict[int, DecodedTiers]:
-        """What is decoded of the segment's group and of the one whose rows it keeps."""
-        m = self.catalogue.manifest
-        group = m.group_of(self.segment)
-        base = m.base_of(group)
-        return {group: self.decoded_tiers} | ({} if base is None else {base: self.base_tiers})
+    def known_keys(self, position: int) -> Mapping[int, KeyUnits]:
+        """What is decoded for a position: nothing for one in a later loop over the sequence, where keys are new."""
+        place = self.catalogue.place
+        return self.decoded if place(position)[0] == place(self.position)[0] else {}
 
     @property
     def segment_s(self) -> float:

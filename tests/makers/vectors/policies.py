@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from airgs_codec.play.catalogue import NONE
 from airgs_codec.play.policies.mpc import discounted_throughput
 from airgs_codec.play.policies.named import ADAPTIVE
 from airgs_codec.play.policies.state import estimate_throughput
@@ -76,7 +77,7 @@ def session(offer: Offer, driver: str, limit_s: float, rng: np.random.Generator)
     now_s = deadline_s = 0.5
     history: list[list[Any]] = []
     shown: float | None = None
-    rate = float(np.median([size for s in range(len(offer.segments)) for size in offer.sizes(s, {})])) * 8
+    rate = float(np.median([size for s in range(len(offer.segments)) for size in offer.sizes(s, NONE)])) * 8
     rate *= rng.uniform(0.5, 2.0) / offer.seconds(0)
     decoded: dict[int, int] = {}
     end = max(2 * len(offer.segments), 16)

@@ -15,13 +15,9 @@ export const HEADER_BYTES = 350;
 const KEPT_SEGMENTS = 512;
 const KEPT_OPTIONS = 4096;
 
-/** Key quality → how many of its tiers are decoded, from the first on. */
-export type DecodedTiers = ReadonlyMap<number, number>;
-export const NONE: DecodedTiers = new Map();
-
-/** What is decoded where both are. */
-const merged = (one: DecodedTiers, other: DecodedTiers): DecodedTiers =>
-  new Map([...one, ...[...other].map(([q, tiers]) => [q, Math.max(tiers, one.get(q) ?? 0)] as const)]);
+/** Those key units of a group that are decoded: tier t of key quality q is number q T + t. */
+export type KeyUnits = ReadonlySet<number>;
+export const NONE: KeyUnits = new Set();
 
 /** Paths of the files that are requested together, in the order in which they arrive. */
 export interface Batch {
@@ -100,16 +96,16 @@ export class Catalogue {
     options: new Kept<readonly Option[], string>(KEPT_OPTIONS),
   };
   /** What is decoded of a group after each rung, at least. */
-  private readonly held: readonly DecodedTiers[];
+  private readonly held: readonly KeyUnits[];
 
   constructor(
     readonly tables: Offers,
     readonly headerBytes = HEADER_BYTES,
   ) {
-    const { qualities, levels, frame_rate } = tables.root;
+    const { qualities, levels, tiers, frame_rate } = tables.root;
     this.rungs = qualities.flatMap((_, q) => levels.map((_, j) => [q, j] as const));
     this.names = this.rungs.map(([q, j]) => `${qualities[q].id}+${levels[j].id}`);
-    this.held = this.rungs.map(([q, j]) => new Map([[q, levels[j].tiers]]));
+    this.held = this.rungs.map(([q, j]) => new Set(Array.from({ length: levels[j].tiers }, (_, t) => q * tiers + t)));
     this.fps = frame_rate[0] / frame_rate[1];
   }
 
@@ -203,19 +199,28 @@ export class Catalogue {
   /**
    * (Q L · Q L) wire bytes of rung c in the first segment of a group after rung p in the one before, at place p Q L + c;
    * (Q L) where the rung before makes no difference. It does where the group keeps rows of the one before, or of the same
-   * as that. `known` are keys of some groups that are decoded.
+   * as that. `known` are keys decoded before, in the same loop, by group.
    */
-  bytesAtStart(segment: number, known: ReadonlyMap<number, DecodedTiers>): Float64Array {
-    const { tables } = this;
-    const group = tables.groupOf(segment);
-    const base = tables.base(group);
+  bytesAtStart(segment: number, known: ReadonlyMap<number, KeyUnits>): Float64Array {
+    const base = this.tables.base(this.tables.groupOf(segment));
     if (base === null) return this.bytesFromScratch(segment);
     const held = known.get(base) ?? NONE;
-    const near = base === group - 1 || base === tables.base(group - 1);
-    return this.table(near ? this.held : [NONE], (after) => this.sizes(segment, NONE, merged(held, after)));
+    return this.table(this.baseAfter(segment, base), (after) =>
+      this.sizes(segment, NONE, new Set([...held, ...after])),
+    );
   }
 
-  private table(rows: readonly DecodedTiers[], row: (held: DecodedTiers) => Float64Array): Float64Array {
+  /** What is decoded of a base after each rung of the segment before; [NONE] where that tells nothing of it. */
+  private baseAfter(segment: number, base: number): readonly KeyUnits[] {
+    const { tables } = this;
+    const before = tables.groupOf(segment) - 1;
+    if (base === before) return this.held;
+    if (base !== tables.base(before)) return [NONE];
+    const kept = (unit: number) => tables.keptFiles(before, unit % tables.root.tiers, 0).length > 0;
+    return this.held.map((units) => new Set([...units].filter(kept)));
+  }
+
+  private table(rows: readonly KeyUnits[], row: (held: KeyUnits) => Float64Array): Float64Array {
     const table = new Float64Array(rows.length * this.rungs.length);
     for (const [p, held] of rows.entries()) table.set(row(held), p * this.rungs.length);
     return table;
@@ -227,7 +232,7 @@ export class Catalogue {
   }
 
   /** (Q L) wire bytes of the keys that are missing, of the group and of the one whose rows it keeps, and the state. */
-  sizes(segment: number, decoded: DecodedTiers, base: DecodedTiers = NONE): Float64Array {
+  sizes(segment: number, decoded: KeyUnits, base: KeyUnits = NONE): Float64Array {
     const { tiers, levels } = this.tables.root;
     const group = this.tables.groupOf(segment);
     const states = this.stateBytes(segment);
@@ -235,15 +240,15 @@ export class Catalogue {
     return Float64Array.from(this.rungs, ([q, j]) => {
       let size = states[j];
       for (const [bytes, held] of keys) {
-        for (let tier = held.get(q) ?? 0; tier < levels[j].tiers; tier++) size += bytes[q * tiers + tier];
+        for (let unit = q * tiers; unit < q * tiers + levels[j].tiers; unit++) if (!held.has(unit)) size += bytes[unit];
       }
       return size;
     });
   }
 
   /** Every rung of a segment, by number; kept, since a session asks for few combinations over and over. */
-  options(segment: number, decoded: DecodedTiers, base: DecodedTiers = NONE): readonly Option[] {
-    const held = [decoded, base].map((tiers) => [...tiers].sort(([a], [b]) => a - b).join(" "));
+  options(segment: number, decoded: KeyUnits, base: KeyUnits = NONE): readonly Option[] {
+    const held = [decoded, base].map((units) => [...units].sort((a, b) => a - b).join(" "));
     return this.kept.options.get(`${segment}: ${held.join("; ")}`, () => {
       const quality = this.quality(segment);
       const sizes = this.sizes(segment, decoded, base);
@@ -254,15 +259,16 @@ export class Catalogue {
     });
   }
 
-  /** The files that a rung of a segment needs beside the decoded tiers of its group, and of the one whose rows it keeps. */
-  batch(segment: number, rung: number, decoded: DecodedTiers, base: DecodedTiers = NONE): Batch {
+  /** The files that a rung of a segment needs beside the decoded units of its group, and of the one whose rows it keeps. */
+  batch(segment: number, rung: number, decoded: KeyUnits, base: KeyUnits = NONE): Batch {
     const { tables } = this;
     const [q, j] = this.rungs[rung];
     const group = tables.groupOf(segment);
     const keys: string[] = [];
     for (let tier = 0; tier < tables.root.levels[j].tiers; tier++) {
-      if (tier >= (decoded.get(q) ?? 0)) keys.push(...tables.keyFiles(group, tier, q));
-      if (tier >= (base.get(q) ?? 0)) keys.push(...tables.keptFiles(group, tier, q));
+      const unit = q * tables.root.tiers + tier;
+      if (!decoded.has(unit)) keys.push(...tables.keyFiles(group, tier, q));
+      if (!base.has(unit)) keys.push(...tables.keptFiles(group, tier, q));
     }
     return { keys, state: tables.stateFiles(segment, j), tables: [] };
   }

@@ -43,7 +43,8 @@ export class RungTotals {
     const seconds = c.seconds(s);
     this.#seconds += seconds;
     const { tiers, qualities } = c.tables.root;
-    const sizes = c.sizes(s, NONE, new Map(qualities.map((_, q) => [q, tiers]))); // what is kept was there before
+    const kept = new Set(Array.from({ length: qualities.length * tiers }, (_, unit) => unit));
+    const sizes = c.sizes(s, NONE, kept); // what is kept was there before
     const states = c.stateBytes(s);
     const quality = c.quality(s);
     const begins = c.startsGroup(s);

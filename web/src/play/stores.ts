@@ -1,7 +1,7 @@
 // What a player has of a package beside states: which tables it has read, which key units it has decoded, what it knows
 // of the link. It outlives a session: after a seek another one goes on with it.
 import { groupPath, pagePath } from "../format/paths.ts";
-import { type Batch, type Catalogue, type DecodedTiers, NONE } from "./catalogue.ts";
+import { type Batch, type Catalogue, type KeyUnits, NONE } from "./catalogue.ts";
 import { type Arrival, keptFiles } from "./events.ts";
 import type { Option } from "./ladder.ts";
 import type { Download } from "./policies/state.ts";
@@ -65,46 +65,51 @@ export class TableStore {
 /** Groups whose keys are known; those of more were played long ago. */
 const MOST_GROUPS = 1024;
 
-/** Keys are kept by loop and group: a group that is played again is fetched again. */
+/** Key units are kept by loop and group: a group that is played again is fetched again. */
 export class KeyStore {
-  private readonly units = new Map<string, Set<string>>(); // qualities and tiers that are decoded
+  private readonly units = new Map<string, { loop: number; group: number; units: Set<number> }>();
 
   constructor(private readonly catalogue: Catalogue) {}
 
-  /** What is decoded of the group of a position. */
-  decodedTiers(position: number): DecodedTiers {
-    const { loop, group } = this.catalogue.group(position);
-    return this.firstTiers(loop, group, () => true);
+  /** The units that are decoded of the groups of a position's loop, by group. */
+  decoded(position: number): Map<number, KeyUnits> {
+    const { loop } = this.catalogue.place(position);
+    const found = [...this.units.values()].filter((entry) => entry.loop === loop);
+    return new Map(found.map(({ group, units }) => [group, units]));
   }
 
-  /** The same of the group whose rows that group keeps, where tiers that keep none count as decoded. */
-  baseTiers(position: number): DecodedTiers {
-    const { tables } = this.catalogue;
+  /** Those of the group of a position, and of the group whose rows it keeps. */
+  private of(position: number): [KeyUnits, KeyUnits] {
     const { loop, group } = this.catalogue.group(position);
-    const base = tables.base(group);
-    return base === null ? NONE : this.firstTiers(loop, base, (tier) => tables.keptFiles(group, tier, 0).length > 0);
+    const base = this.catalogue.tables.base(group);
+    const held = (of: number | null) => this.units.get(`${loop}:${of}`)?.units ?? NONE;
+    return [held(group), held(base)];
   }
 
-  /** How many tiers of a key quality can be shown in the group of a position. */
+  /** How many tiers of a key quality, from the first on, can be shown in the group of a position. */
   shownTiers(position: number, quality: number): number {
-    const own = this.decodedTiers(position).get(quality) ?? 0;
-    const alone = this.catalogue.tables.base(this.catalogue.group(position).group) === null;
-    return alone ? own : Math.min(own, this.baseTiers(position).get(quality) ?? 0);
+    const { tables } = this.catalogue;
+    const { group } = this.catalogue.group(position);
+    const [own, base] = this.of(position);
+    const { tiers } = tables.root;
+    let tier = 0;
+    for (let unit = quality * tiers; tier < tiers && own.has(unit); unit = quality * tiers + ++tier) {
+      if (!base.has(unit) && tables.keptFiles(group, tier, quality).length) break;
+    }
+    return tier;
   }
 
   /** The files that a rung of the segment at a position still needs. */
   missing(position: number, rung: number): Batch {
-    const c = this.catalogue;
-    return c.batch(c.index(position), rung, this.decodedTiers(position), this.baseTiers(position));
+    return this.catalogue.batch(this.catalogue.index(position), rung, ...this.of(position));
   }
 
   /** Every rung of the segment at a position, with the bytes that it still needs. */
   options(position: number): readonly Option[] {
-    const c = this.catalogue;
-    return c.options(c.index(position), this.decodedTiers(position), this.baseTiers(position));
+    return this.catalogue.options(this.catalogue.index(position), ...this.of(position));
   }
 
-  /** Take in what arrived: a tier counts once its files are there. */
+  /** Take in what arrived: a unit counts once its files are there. */
   add(arrival: Arrival): void {
     const { rungs, tables } = this.catalogue;
     const { position, rung } = arrival.request;
@@ -114,12 +119,13 @@ export class KeyStore {
     for (const of of [group, tables.base(group)]) {
       if (of === null) continue;
       const name = `${loop}:${of}`;
-      const units = this.units.get(name) ?? new Set<string>();
+      const { units } = this.units.get(name) ?? { units: new Set<number>() };
       this.units.delete(name); // the order of a Map is that of adding: the last used is the last
-      this.units.set(name, units);
+      this.units.set(name, { loop, group: of, units });
       if (this.units.size > MOST_GROUPS) this.units.delete(this.units.keys().next().value ?? name);
       for (let tier = 0; tier < tables.root.levels[level].tiers; tier++) {
-        if (tables.keyFiles(of, tier, quality).every((path) => kept.has(path))) units.add(`${quality} ${tier}`);
+        const whole = tables.keyFiles(of, tier, quality).every((path) => kept.has(path));
+        if (whole) units.add(quality * tables.root.tiers + tier);
       }
     }
   }
@@ -127,19 +133,6 @@ export class KeyStore {
   /** The keys of a group are no longer at hand: they are fetched again where they are needed. */
   forget(of: { loop: number; group: number }): void {
     this.units.delete(`${of.loop}:${of.group}`);
-  }
-
-  /** Key quality → how many tiers of a group, from the first on, are decoded or not needed, where some are. */
-  private firstTiers(loop: number, group: number, needed: (tier: number) => boolean): DecodedTiers {
-    const { tiers, qualities } = this.catalogue.tables.root;
-    const units = this.units.get(`${loop}:${group}`);
-    const found = new Map<number, number>();
-    for (const quality of qualities.keys()) {
-      let count = 0;
-      while (count < tiers && (!needed(count) || units?.has(`${quality} ${count}`))) count++;
-      if (count) found.set(quality, count);
-    }
-    return found;
   }
 }
 

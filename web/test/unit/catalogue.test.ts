@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Tables } from "../../src/format/package.ts";
 import { groupPath } from "../../src/format/paths.ts";
-import { Catalogue } from "../../src/play/catalogue.ts";
+import { Catalogue, NONE } from "../../src/play/catalogue.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { NumberOffers, type PackageNumbers } from "../support/offers.ts";
 import { readBytes, readVectors } from "./files.ts";
@@ -25,7 +25,7 @@ test("tables and numbers offer the same", async () => {
   assert.equal(real.fileBytes("airgs.json"), numbers.fileBytes("airgs.json"));
   for (let s = 0; s < real.segments; s++) {
     assert.deepEqual(real.span(s).stop, numbers.span(s).stop);
-    for (const decoded of [new Map(), new Map([[0, 1]]), new Map([[1, 2]])]) {
+    for (const decoded of [NONE, new Set([0]), new Set([2, 3]), new Set([1])]) {
       assert.deepEqual(real.options(s, decoded), numbers.options(s, decoded));
       assert.deepEqual(real.batch(s, 1, decoded), numbers.batch(s, 1, decoded));
     }
@@ -38,7 +38,7 @@ test("before its table is there a group can be guessed at, and no further", asyn
   assert.deepEqual([c.knows(0), c.knows(1)], [true, false]);
   assert.deepEqual(c.span(1), { start: 2, stop: 4 });
   assert.equal(c.upcoming(0, 5, Infinity).length, 1);
-  assert.throws(() => c.options(1, new Map()), /group\/2.json.gz/);
+  assert.throws(() => c.options(1, NONE), /group\/2.json.gz/);
 });
 
 test("positions, loops and groups", async () => {

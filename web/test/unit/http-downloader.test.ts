@@ -3,7 +3,7 @@ import assert from "node:assert/strict";
 import { mock, test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
 import type { Fetched } from "../../src/media/client.ts";
-import { Catalogue } from "../../src/play/catalogue.ts";
+import { Catalogue, NONE } from "../../src/play/catalogue.ts";
 import type { Partial } from "../../src/play/downloader.ts";
 import type { Request } from "../../src/play/events.ts";
 import { HttpDownloader, joinNewest, type Source } from "../../src/play/http-downloader.ts";
@@ -53,7 +53,7 @@ function made() {
 }
 
 function request(catalogue: Catalogue, tables: string[] = []): Request {
-  const batch = tables.length ? { keys: [], state: [], tables } : catalogue.batch(0, 0, new Map());
+  const batch = tables.length ? { keys: [], state: [], tables } : catalogue.batch(0, 0, NONE);
   return { kind: tables.length ? "tables" : "group", position: 0, rung: 0, batch, sentS: 0, latencyS: 0 };
 }
 
@@ -69,7 +69,7 @@ test("airgs.json was fetched when the package was opened; later another package 
 test("the round trip is the shortest wait that no cache has shortened", async () => {
   const { catalogue, downloader, source } = made();
   assert.equal(downloader.rttS, 0);
-  const whole = [...catalogue.batch(0, 0, new Map()).keys];
+  const whole = [...catalogue.batch(0, 0, NONE).keys];
   for (const [waitS, cached, expected] of [
     [5, false, 5],
     [1, true, 5],

@@ -29,14 +29,14 @@ const catalogues = offers.map((offer) => new Catalogue(new UnitOffers(offer), 0)
 
 function playerState(state: State, speed = 1): PlayerState {
   const catalogue = catalogues[state.offer];
-  const decodedTiers = new Map([...state.decoded.entries()].filter(([, tiers]) => tiers));
-  const options = catalogue.options(catalogue.index(state.position), decodedTiers);
+  const { tiers } = catalogue.tables.root;
+  const units = new Set(state.decoded.flatMap((count, q) => Array.from({ length: count }, (_, t) => q * tiers + t)));
+  const options = catalogue.options(catalogue.index(state.position), units);
   return {
     catalogue,
     position: state.position,
     end: state.end,
-    decodedTiers,
-    baseTiers: new Map(),
+    decoded: new Map([[catalogue.group(state.position).group, units]]),
     options: options.filter((option) => !state.unavailable.includes(option.index)),
     nowS: state.now_s,
     deadlineS: state.deadline_s,

@@ -98,12 +98,12 @@ const downloadS = (model: Pick<Model, "latencyS" | "rateBps">, bytes: number): n
 /** The positions looked at, this one first. */
 function horizon(state: PlayerState): Step[] {
   const c = state.catalogue;
-  const known = knownKeys(state);
   const steps: Step[] = [];
   let total = 0;
   for (const { segment, startsGroup } of c.upcoming(state.position, HORIZON_SEGMENTS, state.end)) {
     if (steps.length && total >= HORIZON_S) break;
-    const sizesOf = () => (startsGroup ? c.bytesAtStart(segment, known) : c.bytesAfter(segment));
+    const known = () => knownKeys(state, state.position + steps.length);
+    const sizesOf = () => (startsGroup ? c.bytesAtStart(segment, known()) : c.bytesAfter(segment));
     const sizes = steps.length ? sizesOf() : new Float64Array(0); // those of the first are in its options
     steps.push({ seconds: shownS(state, segment), sizes, quality: c.quality(segment) });
     total += steps[steps.length - 1].seconds;

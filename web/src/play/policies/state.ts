@@ -1,5 +1,5 @@
 // What a policy is, what it knows, and the estimates that several policies share.
-import type { Catalogue, DecodedTiers } from "../catalogue.ts";
+import type { Catalogue, KeyUnits } from "../catalogue.ts";
 import { buildLadder, type Decision, type Option } from "../ladder.ts";
 
 /** Share of the estimated throughput that is spent. */
@@ -27,10 +27,8 @@ export interface PlayerState {
   position: number;
   /** Positions of the session; may be Infinity. */
   end: number;
-  /** Of the segment's group. */
-  decodedTiers: DecodedTiers;
-  /** Of the group whose rows it keeps. */
-  baseTiers: DecodedTiers;
+  /** Key units of the groups of this loop over the sequence, by group. */
+  decoded: ReadonlyMap<number, KeyUnits>;
   /** Every rung that can be had, with its wire bytes. */
   options: readonly Option[];
   nowS: number;
@@ -62,13 +60,9 @@ export interface Policy {
   horizon: number;
 }
 
-/** What is decoded of the segment's group, and of the one whose rows it keeps. */
-export function knownKeys({ catalogue, position, decodedTiers, baseTiers }: PlayerState): Map<number, DecodedTiers> {
-  const { group } = catalogue.group(position);
-  return new Map([
-    [catalogue.tables.base(group) ?? group, baseTiers],
-    [group, decodedTiers],
-  ]);
+/** What is decoded for a position: nothing for one in a later loop over the sequence, where keys are new. */
+export function knownKeys({ catalogue, position, decoded }: PlayerState, at: number): ReadonlyMap<number, KeyUnits> {
+  return catalogue.place(at).loop === catalogue.place(position).loop ? decoded : new Map();
 }
 
 /** Seconds for which a segment is on the screen. */
