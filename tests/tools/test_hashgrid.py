@@ -121,7 +121,7 @@ def test_what_is_sent_is_every_number_in_float16():
     other.load_bytes(data)
     assert other.to_bytes() == data
     assert torch.equal(other.table, field.table.detach().half().float())
-    with pytest.raises(ConfigError, match="1529 numbers of a field, got 3"):
+    with pytest.raises(ConfigError, match="3058 bytes of a field, got 6"):
         field.load_bytes(bytes(6))
 
 

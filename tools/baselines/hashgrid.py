@@ -124,16 +124,20 @@ class HashField(torch.nn.Module):
             x = torch.relu(torch.addmm(bias, x, weight))
         return torch.addmm(self.biases[-1], x, self.weights[-1])
 
+    @property
+    def nbytes(self) -> int:
+        """Size of what `to_bytes` gives."""
+        return WIRE.itemsize * sum(p.numel() for p in self.parameters())
+
     def to_bytes(self) -> bytes:
         """Every number as it is sent: float16, little-endian, tables first, then weights, then biases."""
         return b"".join(p.detach().numpy().astype(WIRE).tobytes() for p in self.parameters())
 
     def load_bytes(self, data: bytes) -> None:
         """Take the numbers that `to_bytes` of a field of the same sizes gave. Raises ConfigError for another length."""
+        if len(data) != self.nbytes:
+            raise ConfigError(f"expected {self.nbytes} bytes of a field, got {len(data)}")
         numbers = np.frombuffer(data, WIRE)
-        wanted = sum(p.numel() for p in self.parameters())
-        if len(numbers) != wanted:
-            raise ConfigError(f"expected {wanted} numbers of a field, got {len(numbers)}")
         at = 0
         with torch.no_grad():
             for p in self.parameters():
