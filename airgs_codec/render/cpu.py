@@ -119,7 +119,8 @@ class Gradients:
     """Derivatives of a loss by what a picture was made of."""
 
     inputs: RasterInputs[Floats]
-    absolute: Floats  # (N, 2) by x and y of the pixel position, the absolute values of single pixels summed (AbsGS)
+    places: Floats  # (N, 2) by x and y of the pixel position
+    absolute: Floats  # (N, 2) the same, the absolute values of single pixels summed (AbsGS)
 
 
 def activate(g: Gaussians) -> RasterInputs[Floats]:
@@ -229,7 +230,7 @@ def gradients(
     """The backward pass of `blend`, from dL / d rgb (H, W, 3) and dL / d transmittance (H, W)."""
     pairs = _pair_gradients(blended, grad_rgb, grad_transmittance, None)
     out, sums = _sum_gradients(inputs, camera, blended, pairs)
-    return Gradients(out, sums[:, 9:11])
+    return Gradients(out, sums[:, 4:6], sums[:, 9:11])
 
 
 def contribution_and_gradients(

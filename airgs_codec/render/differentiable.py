@@ -34,12 +34,17 @@ class _Rasterize(torch.autograd.Function):
         rgb, transmittance = (np.ascontiguousarray(g.numpy(), np.float32) for g in grads)
         gradients = cpu.gradients(ctx.inputs, ctx.camera, ctx.blended, rgb, transmittance)
         if ctx.absgrad is not None:
-            absolute = gradients.absolute
-            seen = np.zeros(len(absolute), bool)
-            seen[ctx.blended.projected.order] = True
-            result = torch.from_numpy(np.hypot(absolute[:, 0], absolute[:, 1])), torch.from_numpy(seen)
-            ctx.absgrad.read = lambda: result
+            seen = torch.zeros(len(gradients.places), dtype=torch.bool)
+            seen[torch.from_numpy(ctx.blended.projected.order)] = True
+            half = np.array([ctx.camera.width / 2, ctx.camera.height / 2], np.float32)
+            absolute, signed = _lengths(gradients.absolute), _lengths(gradients.places * half)
+            ctx.absgrad.read = lambda: (absolute, seen)
+            ctx.absgrad.signed = lambda: (signed, seen)
         return (*(torch.from_numpy(column) for column in gradients.inputs), None, None, None, None)
+
+
+def _lengths(vectors: cpu.Floats) -> torch.Tensor:
+    return torch.from_numpy(np.hypot(vectors[:, 0], vectors[:, 1]))
 
 
 def rasterize(

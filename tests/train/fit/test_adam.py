@@ -56,3 +56,32 @@ def test_shrinking_ends_at_the_minimum_of_the_l1_problem():
     result = adam.parameters["means"].detach()
     torch.testing.assert_close(result, expected, rtol=0, atol=5e-3)
     assert (result[expected == 0] == 0).all()
+
+
+def test_other_values_begin_without_moments():
+    """A replaced parameter goes on as in an optimiser that has only just begun, but for the count of steps."""
+    rates = dict.fromkeys(ATTRIBUTES, 0.01)
+    adam = Adam(random_parameters(3), rates)
+    push(adam, 1.0)
+    before = {n: p.detach().clone() for n, p in adam.parameters.items()}
+    adam.replace_values("opacity_logits", torch.zeros(3))
+    push(adam, 0.0)
+    assert adam.parameters["opacity_logits"].tolist() == [0.0, 0.0, 0.0]
+    assert not torch.equal(adam.parameters["means"], before["means"])
+
+
+def test_an_optimiser_goes_on_from_its_state():
+    rates = dict.fromkeys(ATTRIBUTES, 0.01)
+    whole, other = Adam(random_parameters(3), rates), Adam(random_parameters(5, seed=1), rates)
+    push(whole, 1.0)
+    other.restore(whole.state())
+    for adam in (whole, other):
+        push(adam, -0.5)
+    assert all(torch.equal(other.parameters[n], p) for n, p in whole.parameters.items())
+
+
+def push(adam: Adam, gradient: float) -> None:
+    """One step along a gradient that is the same everywhere."""
+    for p in adam.parameters.values():
+        p.grad = torch.full_like(p, gradient)
+    adam.step()
