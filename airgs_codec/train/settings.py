@@ -26,7 +26,7 @@ BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 class Temporal:
     """Weight and unit of the temporal loss; see `fit.temporal`."""
 
-    weight: float = 6e-4
+    weight: float = 1e-3
     unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally
 
 

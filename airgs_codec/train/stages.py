@@ -45,7 +45,7 @@ HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a first frame or
 # place of 0.03 on scales gave basketball 0.2 dB in two splits of its cameras (0.5 with their exposure matched).
 FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.1)
 SH_SHARE = 0.25  # of the iterations until each further SH band joins
-MOVING_RATES = Rates(factor=3.0, means=5.0 / 3, last=0.1, means_last=0.1)  # of frames that start from the one before
+MOVING_RATES = Rates(factor=10.0, means=0.5, last=0.1, means_last=0.1)  # of frames that start from the one before
 KEY_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
 UNFORESEEN = 1.5  # times as many iterations for a frame to which its velocity does not lead
 MLP_SHARE = 0.5  # of the iterations of mlp+residual
