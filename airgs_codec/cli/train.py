@@ -17,7 +17,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.settings import DELTAS, FIRST_A_VIEW, METHODS, PRESETS, STATIC, Temporal, TrainSettings, preset
+from airgs_codec.train.settings import DELTAS, FIRST_A_VIEW, PRESETS, STATIC, Temporal, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.train.record import Model
@@ -80,9 +80,11 @@ def _add_rig(group: argparse._ArgumentGroup) -> None:
 
 def _add_method(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
-        "--preset", choices=PRESETS, default=PRESETS[0], help="paper: the paper's method and constants, read literally"
+        "--preset",
+        choices=PRESETS,
+        default=PRESETS[0],
+        help="paper: the AirGS paper's method and constants, read literally",
     )
-    group.add_argument("--method", choices=METHODS, help=_help("method"))
     group.add_argument("--deltas", choices=DELTAS, help=_help("deltas", "direct; mlp+residual on CUDA"))
     _add_setting(group, "--budget", "budget", int, "N")
     _add_setting(group, "--capacity", "capacity", int, "N", "1.5 times the budget")
@@ -100,7 +102,6 @@ def _add_method(group: argparse._ArgumentGroup) -> None:
     _add_setting(group, "--max-growth", "max_growth", float, "SHARE")
     _add_setting(group, "--inflation", "inflation", float, "W")
     group.add_argument("--static", choices=STATIC, help=_help("static"))
-    _add_setting(group, "--group", "group_frames", int, "FRAMES")
     counts = (DEFAULTS.iterations_from_scratch(1), DEFAULTS.key_iterations, DEFAULTS.frame_iterations)
     group.add_argument(
         "--iterations",

@@ -85,10 +85,22 @@ def rasterize(
         backgrounds=upload(backgrounds, device),
         absgrad=absgrad is not None,
     )
-    if absgrad is not None:  # gsplat leaves absolute gradients on its projected means once the gradient reaches them
-        means2d, radii = meta["means2d"], meta["radii"]
-        absgrad.read = lambda: (means2d.absgrad.norm(dim=-1).sum(dim=0), (radii > 0).all(dim=-1).sum(dim=0))
+    if absgrad is not None:
+        _read_later(absgrad, meta)
     return Drawn(rgb, 1 - alpha[..., 0], meta)
+
+
+def _read_later(absgrad: AbsGrad, meta: dict[str, Any]) -> None:
+    """Let `absgrad` read what gsplat and torch leave on the projected means once the gradient reaches them."""
+    means2d, radii = meta["means2d"], meta["radii"]
+    means2d.retain_grad()
+    half = upload([meta["width"] / 2, meta["height"] / 2], means2d.device)
+
+    def lengths(gradients: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return gradients.norm(dim=-1).sum(dim=0), (radii > 0).all(dim=-1).sum(dim=0)
+
+    absgrad.read = lambda: lengths(means2d.absgrad)
+    absgrad.signed = lambda: lengths(means2d.grad * half)
 
 
 def measure_weights(drawn: Drawn) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

@@ -29,6 +29,7 @@ from airgs_codec.scene.sequence import USAGE_NAME
 from airgs_codec.scene.sequence_json import write_settings
 from airgs_codec.scene.usage import Usage, save_usage
 from airgs_codec.train.loss.target import Exposure
+from airgs_codec.train.settings import BUDGET
 
 RECORD_NAME = "training.json"
 VERSION = 2
@@ -80,12 +81,14 @@ class Record:
         low = self.settings["min_psnr_db"]
         starts = [f for f in self.frames if f.kind != "frame" or f.rejected_psnr is not None]
         short = [f for f in starts if f.psnr < low]
-        if self.settings["method"] != "airgs" or self.total == 1 or not short:
+        if self.total == 1 or not short:
             return []
+        within = self.settings["densify"] == BUDGET
+        growth = f"up to {100 * self.settings['max_growth']:g} % of Gaussians" if within else "Gaussians"
         return [
             f"frame {short[0].frame}: {short[0].psnr:.1f} dB in training views, and no fit reaches the {low:g} dB of "
-            "--min-psnr; a keyframe is tried at every frame like it, which takes long and may add up to "
-            f"{100 * self.settings['max_growth']:g} % of Gaussians each time: lower --min-psnr or raise --budget"
+            f"--min-psnr; a keyframe is tried at every frame like it, which takes long and may add {growth} each time: "
+            f"lower --min-psnr or {'raise --budget' if within else 'train for more --iterations'}"
         ]
 
     def group_start(self, frame: int) -> int:

@@ -152,31 +152,28 @@ def frame_before(model: Model, frame: int) -> FrameBefore:
 
 def _fit(run: Run, frame: int, group: Group | None, progress: Progress) -> Fitted:
     s = run.trainer.settings
-    if group is None or s.method == "naive3dgs":
-        return _fit_first(run, frame, progress)
-    if s.method == "v3" and frame - run.model.record.group_start(frame) >= s.group_frames:
-        return _fit_first(run, frame, progress)
+    if group is None:
+        return _fit_first(run, progress)
     target, before = run.target(frame), frame_before(run.model, frame)
     moved = run.trainer.fit_frame(target, before, group, progress)
     psnr = mean_psnr(moved, target.views, run.trainer.renderer)
     static = static_shares(before.gaussians, moved, group.steps)
     fitted = Fitted(moved, "frame", psnr, group, static=static)
-    if s.method == "v3" or (psnr >= s.min_psnr_db and psnr >= group.first_psnr - s.max_drop_db):
+    if psnr >= s.min_psnr_db and psnr >= group.first_psnr - s.max_drop_db:
         return fitted
     return _fit_keyframe(run, target, before, fitted, progress)
 
 
-def _fit_first(run: Run, frame: int, progress: Progress) -> Fitted:
-    """The first frame of the run, or a keyframe from scratch."""
-    views, trainer = run.views(frame), run.trainer
-    points = None if frame else run.scene.points  # they are of the first frame
-    model = _exposures(views, trainer) if trainer.settings.match_exposure and not frame else None
-    g = trainer.fit_first(FrameViews(frame, views), points, model, progress)
+def _fit_first(run: Run, progress: Progress) -> Fitted:
+    """The first frame of the run."""
+    views, trainer = run.views(0), run.trainer
+    model = _exposures(views, trainer) if trainer.settings.match_exposure else None
+    g = trainer.fit_first(FrameViews(0, views), run.scene.points, model, progress)
     exposure = model.table([view.camera.name for view in views]) if model else {}
     if exposure:
-        views = replace(run, pictures=run.pictures.with_exposure(exposure)).views(frame)
+        views = replace(run, pictures=run.pictures.with_exposure(exposure)).views(0)
     group = trainer.start_group(g, views)
-    return Fitted(g, "key" if frame else "first", group.first_psnr, group, exposure=exposure)
+    return Fitted(g, "first", group.first_psnr, group, exposure=exposure)
 
 
 def _exposures(views: Sequence[View], trainer: Trainer) -> ExposureModel:
@@ -185,10 +182,13 @@ def _exposures(views: Sequence[View], trainer: Trainer) -> ExposureModel:
 
 
 def _fit_keyframe(run: Run, target: FrameViews, before: FrameBefore, moved: Fitted, progress: Progress) -> Fitted:
-    """A keyframe in the place of a frame that `moved` in its group; the frame as it moved where that is as good."""
+    """A keyframe in the place of a frame that `moved` in its group.
+
+    Where that is as good, and the settings keep only better ones, the frame as it moved.
+    """
     g = run.trainer.fit_keyframe(target, before, moved.group.steps, progress)
     psnr = mean_psnr(g, target.views, run.trainer.renderer)
-    if psnr <= moved.psnr:
+    if run.trainer.settings.keep_better and psnr <= moved.psnr:
         return replace(moved, rejected_psnr=psnr)
     added = len(g) - len(before.gaussians)
     group = run.trainer.start_group(g, target.views)

@@ -13,11 +13,12 @@ from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.gaussians import SH_REST
 
 FIRST, FIRST_A_VIEW = 2500, 60  # iterations of a first frame: the larger of both; 97 photos had not settled at 2500
-METHODS = ("airgs", "naive3dgs", "v3")
 DELTAS = ("direct", "mlp", "mlp+residual")
 PRESETS = ("default", "paper")
 UNITS = ("step", "raw")
 STATIC = ("auto", "off")
+DENSIFY = BUDGET, THRESHOLD = ("budget", "threshold")
+PAPER_CAPACITY = 1_000_000  # where nothing but the inflation loss shall hold Gaussians back
 RANDOM = "random"  # a background: another colour at every step
 BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 
@@ -28,6 +29,7 @@ class Temporal:
 
     weight: float = 1e-3
     unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally
+    until: float = 0.65  # share of the iterations in which it acts; then what is still 0 stays so, and the rest is free
 
 
 @documented
@@ -35,16 +37,12 @@ class Temporal:
 class TrainSettings:
     """The settings of a run. Raises ConfigError for values that cannot work."""
 
-    method: str = setting(
-        "airgs",
-        "airgs: groups by quality; naive3dgs: each frame on its own; v3: groups of one length, keyframes from scratch",
-    )
     budget: int = setting(8_000, "Gaussians of the first frame")
     capacity: int = setting(12_000, "most Gaussians that there may ever be")
     sh_degree: int = setting(1, "degree of the spherical harmonics, 0 to 3")
     first_iterations: int | None = setting(
         None,
-        f"iterations of the first frame, and of frames from scratch; None: {FIRST}, at least {FIRST_A_VIEW} a view",
+        f"iterations of the first frame; None: {FIRST}, at least {FIRST_A_VIEW} a view",
     )
     key_iterations: int = setting(1000, "iterations of a keyframe")
     frame_iterations: int = setting(300, "iterations of a frame in a group")
@@ -54,17 +52,29 @@ class TrainSettings:
         0.4, "share of the iterations of a frame in a group, the first ones, that see pictures of half the size"
     )
     ssim_weight: float = setting(0.4, "share of 1 - SSIM in the loss of a picture; the rest is the absolute difference")
-    temporal: Temporal = computed_setting(Temporal, "weight and unit of the temporal loss")
+    regularised: bool = setting(
+        True, "weigh opacity and scale in the loss of a first frame, so that empty space stays so"
+    )
+    temporal: Temporal = computed_setting(Temporal, "weight, unit and end of the temporal loss")
+    velocity: bool = setting(True, "start a frame where its Gaussians would be if they moved on as before")
     min_psnr_db: float = setting(30.0, "mean PSNR over training views below which a frame becomes a keyframe")
     max_drop_db: float = setting(
         5.0, "loss against the first frame of its group above which a frame becomes a keyframe"
     )
-    max_growth: float = setting(0.3, "most Gaussians that a keyframe adds, as a share of those it starts from")
+    keep_better: bool = setting(True, "keep a keyframe only where it shows more than the frame as it moved")
+    seeds: bool = setting(True, "place new Gaussians of a keyframe where the views show what the present ones cannot")
+    densify: str = setting(
+        BUDGET,
+        "which Gaussians are split or cloned: the strongest, as many as lead to the budget (budget), or all whose "
+        "gradient is above the threshold of 3DGS, from the given points alone (threshold)",
+    )
+    max_growth: float = setting(
+        0.3, "most Gaussians that a keyframe adds within the budget, as a share of those it starts from"
+    )
     inflation: float = setting(1e-6, "weight of the summed opacity of what a keyframe adds")
     static: str = setting(
         "auto", "auto: what rests before cameras that stand still stays as it is; off: anything may change at any frame"
     )
-    group_frames: int = setting(20, "frames in a group of the method v3")
     max_size: int | None = setting(None, "longest side of the pictures in pixels, larger ones are shrunk")
     background: str | None = setting(
         None,
@@ -83,9 +93,9 @@ class TrainSettings:
 
     def _choices(self) -> list[tuple[bool, str]]:
         choices: list[tuple[str, str, tuple[str, ...]]] = [
-            ("method", self.method, METHODS),
             ("deltas", self.deltas, DELTAS),
             ("static", self.static, STATIC),
+            ("densify", self.densify, DENSIFY),
             ("a temporal unit of", self.temporal.unit, UNITS),
         ]
         return [(value in known, f"expected {name} {', '.join(known)}, got {value}") for name, value, known in choices]
@@ -94,6 +104,7 @@ class TrainSettings:
         iterations = min(self.iterations_from_scratch(1), self.key_iterations, self.frame_iterations)
         return [
             (self.temporal.weight >= 0, f"expected a temporal weight of at least 0, got {self.temporal.weight}"),
+            (0 < self.temporal.until <= 1, f"expected a temporal loss until 0 to 1, got {self.temporal.until}"),
             (self.budget >= 1, f"expected a budget of at least one Gaussian, got {self.budget}"),
             (self.capacity >= self.budget, f"expected a capacity of at least the budget, got {self.capacity}"),
             (0 <= self.sh_degree < len(SH_REST), f"expected an SH degree of 0 to 3, got {self.sh_degree}"),
@@ -105,7 +116,6 @@ class TrainSettings:
             (self.max_drop_db > 0, f"expected a positive drop in dB, got {self.max_drop_db}"),
             (self.max_growth >= 0, f"expected a growth of at least 0, got {self.max_growth}"),
             (self.inflation >= 0, f"expected an inflation weight of at least 0, got {self.inflation}"),
-            (self.group_frames >= 1, f"expected at least one frame a group, got {self.group_frames}"),
             (self.max_size is None or self.max_size >= 16, f"expected pictures of 16 pixels, got {self.max_size}"),
             (
                 not self.match_exposure or self.background != RANDOM,
@@ -121,7 +131,7 @@ class TrainSettings:
     @property
     def knows_rest(self) -> bool:
         """Whether plates are made of cameras that stand still; before random backgrounds nothing rests."""
-        return self.static == "auto" and self.method == "airgs" and self.background != RANDOM
+        return self.static == "auto" and self.background != RANDOM
 
     def iterations_from_scratch(self, views: int) -> int:
         """Iterations of a frame from scratch that so many views see."""
@@ -159,20 +169,26 @@ def settings_from_table(table: Mapping[str, Any]) -> TrainSettings:
 def preset(name: str, settings: TrainSettings) -> TrainSettings:
     """The settings with those of a preset.
 
-    `paper` has the paper's method and constants (AirGS, "Training" 1 to 3), read literally where it gives no unit: its
-    temporal loss stops most motion.
+    `paper` is the paper's method with its constants (AirGS, "Training" 1 to 3), read literally where it gives no unit:
+    its temporal loss stops most motion. docs/training.md lists what the paper leaves open.
     """
     if name != "paper":
         return settings
-    temporal = Temporal(weight=1e-3, unit="raw")
     return replace(
         settings,
+        capacity=max(PAPER_CAPACITY, settings.capacity),
         deltas="mlp",
+        iteration_views=1,
         coarse=0.0,
         ssim_weight=0.2,
-        temporal=temporal,
+        regularised=False,
+        temporal=Temporal(weight=1e-3, unit="raw", until=1.0),
+        velocity=False,
         min_psnr_db=30.0,
         max_drop_db=math.inf,
+        keep_better=False,
+        seeds=False,
+        densify=THRESHOLD,
         inflation=1e-5,
         static="off",
     )

@@ -19,7 +19,7 @@ from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.data.plates import Masks
 from airgs_codec.train.fit.active import Resting, Scope, find_active
-from airgs_codec.train.fit.densify import Densifier, Growth
+from airgs_codec.train.fit.densify import LOW_OPACITY, Densifier, Growth, growth_of_3dgs
 from airgs_codec.train.fit.exposure import ExposureModel
 from airgs_codec.train.fit.mlp import MlpDriven, Networks
 from airgs_codec.train.fit.optimise import Schedule, optimise
@@ -36,11 +36,11 @@ from airgs_codec.train.fit.points import initial_points, scene_extent
 from airgs_codec.train.fit.seeds import find_wrong, residual_seeds
 from airgs_codec.train.fit.temporal import codec_steps, temporal_weights
 from airgs_codec.train.quality import mean_psnr
-from airgs_codec.train.settings import RANDOM, TrainSettings
+from airgs_codec.train.settings import BUDGET, RANDOM, TrainSettings
 
 START_OPACITY = 0.1  # of the points that a first frame starts from
 RANDOM_SHARE = 0.3  # of the budget: points to begin with; random ones fill up
-HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a first frame or, of what was added, of a keyframe
+HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a fit within the budget; of a keyframe only added ones
 # Empty space stays empty. Against no weights +0.3 dB in held-out views of a first frame of the fox; a weight of 0.1 in
 # place of 0.03 on scales gave basketball 0.2 dB in two splits of its cameras (0.5 with their exposure matched).
 FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.1)
@@ -98,7 +98,7 @@ class Trainer:
         exposure: ExposureModel | None = None,
         progress: Progress = silent,
     ) -> Gaussians:
-        """3DGS from a cloud of points, within the budget (AirGS, "Training" 1).
+        """3DGS from a cloud of points (AirGS, "Training" 1), within the budget where the settings keep to one.
 
         `points`: the cloud; None to find one in the pictures. `exposure`: gains and offsets of the views' cameras,
         which are fitted too. Raises SceneError where there is nothing to start from, TrainingError where the loss is
@@ -106,21 +106,22 @@ class Trainer:
         """
         s = self.settings
         rng = self._rng(target.frame, 0)
-        cloud = initial_points(points, target.views, round(RANDOM_SHARE * s.budget), rng)
+        fewest, most = (round(RANDOM_SHARE * s.budget), s.budget) if s.densify == BUDGET else (0, s.capacity)
+        cloud = initial_points(points, target.views, fewest, rng)
         assert cloud.colours is not None  # `initial_points` gives every point one
-        chosen = np.sort(rng.permutation(len(cloud.positions))[: s.budget])
+        chosen = np.sort(rng.permutation(len(cloud.positions))[:most])
         largest = 0.1 * self.extent
         start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, START_OPACITY, largest)
         variables = PerGaussian(
             from_gaussians(start, self.device),
             self.extent,
-            regularisers=FIRST_REGULARISERS,
-            densifier=Densifier(Growth(s.budget), len(start), rng),
+            regularisers=FIRST_REGULARISERS if s.regularised else Regularisers(),
+            densifier=Densifier(self._growth(most, target.views), len(start), rng),
         )
         iterations = s.iterations_from_scratch(len(target.views))
         schedule = self._schedule("first frame", iterations, self._rising_sh_degree)
         optimise(variables, target.views, schedule, rng, exposure, progress)
-        variables.remove_fainter(HIDDEN_OPACITY)
+        variables.remove_fainter(self._least_opacity)
         return to_gaussians(variables.detached())
 
     def fit_frame(
@@ -155,6 +156,7 @@ class Trainer:
             MOVING_RATES,
             None if start is None else scope.rows(start),
             None if temporal is None else scope.rows(temporal),
+            s.temporal.until,
             resting=scope.resting,
         )
         schedule = self._schedule("motion", iterations, self._sh_degree, s.coarse)
@@ -170,12 +172,9 @@ class Trainer:
         """
         s = self.settings
         rows = len(before.gaussians)
-        most = min(round((1 + s.max_growth) * rows), s.capacity)
+        most = min(round((1 + s.max_growth) * rows), s.capacity) if s.densify == BUDGET else s.capacity
         rng = self._rng(target.frame, 3)
-        wrong = find_wrong(before.gaussians, target.views, self.renderer)
-        if target.moving is not None:  # what rests is not drawn: nothing could be fitted there
-            wrong = Masks(a & b for a, b in zip(wrong, target.moving, strict=True))
-        seeds = residual_seeds(before.gaussians, target.views, wrong, most - rows, 0.1 * self.extent, rng)
+        seeds = self._seeds(target, before.gaussians, most - rows, rng) if s.seeds else None
         base, temporal = from_gaussians(before.gaussians, self.device), self._temporal(steps)
         start = self._start(base, before.velocity)
         scope = self._scope(before, target, base)
@@ -192,14 +191,21 @@ class Trainer:
             base = _joined(base, new)
             start = None if start is None else _joined(start, zeros)
             temporal = None if temporal is None else _joined(temporal, zeros)
-        densifier = Densifier(Growth(most), len(base["means"]), rng)
-        regularisers = Regularisers(inflation=s.inflation)
         variables = PerGaussian(
-            base, self.extent, KEY_RATES, start, temporal, rows, regularisers, densifier, scope.resting
+            base,
+            self.extent,
+            KEY_RATES,
+            start,
+            temporal,
+            s.temporal.until,
+            kept=rows,
+            regularisers=Regularisers(inflation=s.inflation),
+            densifier=Densifier(self._growth(most, scope.views), len(base["means"]), rng),
+            resting=scope.resting,
         )
         schedule = self._schedule("keyframe", s.key_iterations, self._sh_degree)
         optimise(variables, scope.views, schedule, rng, progress=progress)
-        variables.remove_fainter(HIDDEN_OPACITY)
+        variables.remove_fainter(self._least_opacity)
         return to_gaussians(variables.detached())
 
     def start_group(self, g: Gaussians, views: Sequence[View]) -> Group:
@@ -216,6 +222,23 @@ class Trainer:
         if self.settings.deltas == "direct":
             return None
         return Networks(from_gaussians(g, self.device), self.extent, self.settings.seed).to(self.device)
+
+    @property
+    def _least_opacity(self) -> float:
+        """What is fainter is removed at the end of a fit that added rows."""
+        return HIDDEN_OPACITY if self.settings.densify == BUDGET else LOW_OPACITY
+
+    def _growth(self, most: int, views: Sequence[View]) -> Growth:
+        """How a fit to these views adds rows, up to `most`."""
+        s = self.settings
+        return Growth(most) if s.densify == BUDGET else growth_of_3dgs(most, min(s.iteration_views, len(views)))
+
+    def _seeds(self, target: FrameViews, before: Gaussians, most: int, rng: np.random.Generator) -> Gaussians | None:
+        """Up to `most` new Gaussians of a keyframe, where the pictures of the frame before are wrong; None: nowhere."""
+        wrong = find_wrong(before, target.views, self.renderer)
+        if target.moving is not None:  # what rests is not drawn: nothing could be fitted there
+            wrong = Masks(a & b for a, b in zip(wrong, target.moving, strict=True))
+        return residual_seeds(before, target.views, wrong, most, 0.1 * self.extent, rng)
 
     def _rng(self, frame: int, stage: int) -> np.random.Generator:
         """Its own random numbers for every stage of every frame, so that a run can go on anywhere."""
@@ -237,14 +260,14 @@ class Trainer:
 
         Where a motion turns, its start is worse than none, and there is further to go.
         """
-        if before.velocity is None:
+        if before.velocity is None or not self.settings.velocity:
             return False
         on = replace(before.gaussians, means=before.gaussians.means + before.velocity)
         return mean_psnr(on, views, self.renderer) > mean_psnr(before.gaussians, views, self.renderer)
 
     def _start(self, base: Parameters, velocity: NDArray[np.float32] | None) -> Parameters | None:
         """A difference that goes on as the Gaussians moved before; None: 0."""
-        if velocity is None:
+        if velocity is None or not self.settings.velocity:
             return None
         return zeros_like(base) | {"means": torch.from_numpy(velocity.astype(np.float32)).to(self.device)}
 

@@ -1,4 +1,4 @@
-"""Whole training runs: groups, keyframes, baselines, exposure."""
+"""Whole training runs: groups, keyframes, exposure."""
 
 import itertools
 import shutil
@@ -65,14 +65,6 @@ def test_runs_of_one_seed_are_alike_and_of_another_are_not(blobs, tmp_path):
         train(scene, tmp_path / name, replace(SETTINGS, seed=seed, first_iterations=60))
     first, other, same = ((tmp_path / name / "000000.ply").read_bytes() for name in "abc")
     assert first == same and first != other
-
-
-@pytest.mark.parametrize(("method", "keys"), [("naive3dgs", [0, 1, 2]), ("v3", [0, 2])])
-def test_baselines_group_as_they_say(blobs, tmp_path, method, keys):
-    settings = replace(SETTINGS, method=method, group_frames=2, first_iterations=40)
-    model = train(open_scene(blobs, frames=(2, 5)), tmp_path / "m", settings)
-    assert model.record.keyframes() == keys
-    assert all(f.rejected_psnr is None for f in model.record.frames)
 
 
 def test_exposure_is_found(blobs, tmp_path):

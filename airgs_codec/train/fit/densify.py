@@ -1,7 +1,8 @@
 """Adding Gaussians where the loss changes most with their place, within a budget, and removing what shows nothing.
 
 N Gaussians, of which the first `kept` stay in any case. The count follows a ramp to the budget, as in Taming 3DGS
-(Mallick et al. 2024), instead of a threshold on the gradient, whose right value depends on the resolution.
+(Mallick et al. 2024), instead of a threshold on the gradient, whose right value depends on the resolution; or else the
+threshold of 3DGS (Kerbl et al. 2023) decides, and the budget only bounds it.
 """
 
 from __future__ import annotations
@@ -22,12 +23,14 @@ LOW_OPACITY = 0.005  # 3DGS; alpha below 1/255 = 0.0039 is not drawn
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """When rows are added, and how many there may be."""
+    """When rows are added and removed, which, and how many there may be."""
 
-    budget: int  # Gaussians at the end
+    budget: int  # Gaussians at the end; with a threshold the most
     start: float = 0.1  # share of the iterations
     stop: float = 0.6  # share of the iterations
     every: int = 50  # iterations
+    large: float = LARGE  # of the scene's extent
+    threshold: float | None = None  # on the mean gradient of a row, as `AbsGrad.signed` gives it; None: a ramp
 
     def target(self, before: int, done: float) -> int:
         """Rows there should be when a share `done` of the iterations is past, starting from `before`.
@@ -41,9 +44,22 @@ class Growth:
         """Whether rows are added after this iteration, counted from 1."""
         return self.start * iterations <= iteration <= self.stop * iterations and iteration % self.every == 0
 
+    def removes(self, iteration: int, iterations: int) -> bool:
+        """Whether faint rows are removed after this iteration: by a threshold throughout, else when rows are added."""
+        throughout = self.threshold is not None and iteration % self.every == 0
+        return throughout or self.due(iteration, iterations)
+
+
+def growth_of_3dgs(most: int, pictures: int) -> Growth:
+    """Growth with the constants of 3DGS, its 500 to 15,000 of 30,000 iterations as shares; up to `most` Gaussians.
+
+    `pictures`: an iteration sees so many, whose losses are averaged, and so their gradients are smaller.
+    """
+    return Growth(most, start=1 / 60, stop=0.5, every=100, large=0.01, threshold=2e-4 / pictures)
+
 
 class Densifier:
-    """The mean absolute gradient of each row since rows were last added, and the rows that follow from it."""
+    """The mean gradient of each row since rows were last added, and the rows that follow from it."""
 
     def __init__(self, growth: Growth, rows: int, rng: np.random.Generator) -> None:
         """For a fit that begins with so many `rows`."""
@@ -58,8 +74,8 @@ class Densifier:
         self._count = torch.zeros(rows)
 
     def collect(self, absgrad: AbsGrad) -> None:
-        """Add the absolute gradients of an iteration's pictures, after their backward pass, on their device."""
-        gradients, seen = absgrad.read()
+        """Add the gradients of an iteration's pictures, after their backward pass, on their device."""
+        gradients, seen = absgrad.read() if self.growth.threshold is None else absgrad.signed()
         self._sum = self._sum.to(gradients.device) + gradients
         self._count = self._count.to(seen.device) + seen
 
@@ -68,13 +84,17 @@ class Densifier:
         return self._sum / self._count.clamp_min(1)
 
     def grow(self, p: Parameters, extent: float, kept: int, done: float) -> tuple[torch.Tensor, Parameters | None]:
-        """Mask (N,) of the rows that go on, and new rows up to the target when a share `done` is past.
+        """Mask (N,) of the rows that go on, and new rows, as many as are due when a share `done` is past.
 
         `extent`: of the scene in world units.
         """
-        wanted = self.growth.target(self._before, done) - len(p["means"])
-        parents = strongest(self.mean(), wanted).to(p["means"].device)
-        split = parents & (p["log_scales"].amax(dim=1).exp() > LARGE * extent)
+        score, limit = self.mean(), self.growth.threshold
+        if limit is None:
+            wanted = self.growth.target(self._before, done)
+        else:
+            score, wanted = score * (score >= limit), self.growth.budget
+        parents = strongest(score, wanted - len(p["means"])).to(p["means"].device)
+        split = parents & (p["log_scales"].amax(dim=1).exp() > self.growth.large * extent)
         return split_or_clone(p, parents, split, kept, self._rng)
 
 

@@ -18,8 +18,6 @@ from airgs_codec.train.fit.adam import Adam
 from airgs_codec.train.fit.densify import Densifier, is_visible
 from airgs_codec.train.fit.parameters import Parameters, take_and_append, zeros_like
 
-SETTLED = 0.65  # share of the iterations after which it is decided what moves; later than rows are added
-
 # Adam's steps of 3DGS (Kerbl et al. 2023); of means in units of the scene's extent.
 RATES = {
     "means": 1.6e-4,
@@ -65,6 +63,7 @@ class PerGaussian:
     rates: Rates = field(default_factory=Rates)
     start: Parameters | None = None  # D to begin with; None: 0
     temporal: Parameters | None = None  # weight of |D| of each element, `temporal_weights`; 0 in rows that are new
+    until: float = 1.0  # share of the iterations in which it acts
     kept: int = 0  # U
     regularisers: Regularisers = field(default_factory=Regularisers)
     densifier: Densifier | None = None  # None: no rows are added
@@ -116,36 +115,46 @@ class PerGaussian:
         if self.densifier and self._absgrad:
             self.densifier.collect(self._picked(self._absgrad))
         self._move(iteration / iterations)
-        if self.densifier and self.densifier.growth.due(iteration, iterations):
-            with torch.no_grad():
-                self._replace(*self.densifier.grow(self._fitted(), self.extent, self.kept, iteration / iterations))
-                self._replace(is_visible(self._fitted(), self.kept), None)
-            self.densifier.restart(len(self.base["means"]))
+        if self.densifier:
+            self._densify(self.densifier, iteration, iterations)
 
     def remove_fainter(self, opacity: float) -> None:
         """Remove rows past the first U whose opacity is under `opacity`. Raises TrainingError where none is left."""
         with torch.no_grad():
             self._replace(is_visible(self._fitted(), self.kept, opacity), None)
 
+    @torch.no_grad()
+    def _densify(self, densifier: Densifier, iteration: int, iterations: int) -> None:
+        due = densifier.growth.due(iteration, iterations)
+        if due:
+            self._replace(*densifier.grow(self._fitted(), self.extent, self.kept, iteration / iterations))
+        if densifier.growth.removes(iteration, iterations):
+            self._replace(is_visible(self._fitted(), self.kept), None)
+            densifier.restart(len(self.base["means"]))
+
     def _fitted(self) -> Parameters:
         """Base + D."""
         return {name: p + self.adam.parameters[name] for name, p in self.base.items()}
 
     def _picked(self, absgrad: AbsGrad) -> AbsGrad:
-        """Absolute gradients of the rows that are fitted."""
-        if self.resting is None:
+        """Gradients of the rows that are fitted."""
+        resting = self.resting
+        if resting is None:
             return absgrad
-        gradients, seen = (self.resting.picked(values) for values in absgrad.read())
-        return AbsGrad(lambda: (gradients, seen))
+
+        def picked(values: tuple[torch.Tensor, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+            return resting.picked(values[0]), resting.picked(values[1])
+
+        return AbsGrad(lambda: picked(absgrad.read()), lambda: picked(absgrad.signed()))
 
     def _move(self, done: float) -> None:
         """Adam, the temporal loss, and no Gaussian larger than the scene.
 
-        The temporal loss pulls back what does move, too. When it has had its say (SETTLED), what is still 0 stays so,
+        The temporal loss pulls back what does move, too. When it has had its say (`until`), what is still 0 stays so,
         and the rest is fitted without it (the relaxed lasso, Meinshausen 2007).
         """
         self.adam.rates = self.rates.at(done, self.extent)
-        if self.temporal is not None and done > SETTLED:
+        if self.temporal is not None and done > self.until:
             if self._support is None:
                 self._support = _support(self.adam.parameters, self.temporal)
             self.adam.step()

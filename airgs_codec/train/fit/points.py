@@ -39,7 +39,7 @@ def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng
     """The given points, or triangulated ones, with random ones beside them up to `fewest`. Every point has a colour.
 
     Points that are not finite are left out. Raises SceneError when there are neither points nor two views to find them
-    in, or no view sees a random point.
+    in, or no point is left.
     """
     points = given
     if points is None:
@@ -51,6 +51,8 @@ def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng
     points = replace(points, positions=points.positions[finite], colours=colours)
     if len(points.positions) < fewest:
         points = _with_random(points, fewest - len(points.positions), views, rng)
+    if not len(points.positions):
+        raise SceneError("expected training views that look at a common place: no point to start from was found")
     if points.colours is None:
         points = replace(points, colours=_seen_colours(points.positions, views))
     return points
@@ -76,8 +78,6 @@ def _with_random(points: Points, count: int, views: Sequence[View], rng: np.rand
     colours = None
     if points.colours is not None:
         colours = np.concatenate([points.colours, _seen_colours(random, views)])
-    if not len(positions):
-        raise SceneError("expected training views that look at a common place: no point to start from was found")
     return Points(positions, colours)
 
 
