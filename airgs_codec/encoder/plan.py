@@ -115,7 +115,8 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
     classes = classify_motion(survey.sensitivity.take(kept.rows), canonical)
     grid = fit_grid(canonical.means, classes, steps.grid)
     codes = grid_codes(canonical.means, classes, grid)
-    score, moved = survey.score(settings.usage), survey.usage.moved
+    score = survey.score(settings.usage)
+    moved = survey.usage.moved if settings.usage == "max" else None  # it is a product of that measure alone
     tiers = assign_tiers(score[kept.rows], settings.tiers)
     order = np.lexsort((codes, tiers))
     rows = kept.rows[order]

@@ -17,7 +17,7 @@ class RowUsage:
 
     score: NDArray[np.float64]  # (N,) usage, by the measure that ranks rows for key tiers
     hits: NDArray[np.float64]  # (N,) pixels where a row is blended: the paper's usage frequency
-    moved: NDArray[np.float64] | None  # (N,) `Usage.moved`, where the trainer left it: it takes precedence over changes
+    moved: NDArray[np.float64] | None  # (N,) `Usage.moved`, where the trainer left it and `score` is max: max x change
 
     def take(self, rows: NDArray[np.intp]) -> RowUsage:
         """The usage of some rows, in the order of `rows`."""

@@ -118,7 +118,7 @@ class EncodeSettings:
     update_rank: str = setting(
         "error",
         "what ranks updates for pruning: the error expected of withholding one (error), usage x the size of the "
-        "change (usage), or the number of pixels blended alone, as in the paper (hits)",
+        "change (usage), or the number of pixels blended alone, whatever ranks Gaussians, as in the paper (hits)",
     )
     keep_all: bool = setting(False, "leave nothing out but what is constant")
     decide_pictures: int = setting(24, "pictures of each group that decide what matters, at least")

@@ -1,5 +1,6 @@
 """The ladder of the paper, and settings for a first look."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +15,8 @@ from airgs_codec.encoder.survey import survey_groups
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import STATIC
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
+from airgs_codec.scene.usage import MEASURES, Usage, save_usage
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -45,18 +47,53 @@ def test_the_papers_ladder_withholds_from_none_to_all(scene, tmp_path):
 
 
 def test_updates_are_withheld_in_the_order_of_hits(scene, tmp_path):
-    views = ViewPlan.of(scene, PAPER.decide_pictures, region=SEEN)
-    surveys = survey_groups(scene, [(0, 4)], views, lambda *_: None)
-    encoded = encode_sequence(EncodeJob(scene, surveys, views), PAPER, tmp_path)
-    layout, depths = encoded.layouts[0], encoded.depths[0]
-    hits = surveys[0].usage.hits[layout.rows]
-    assert hits.tolist() == layout.usage.hits.tolist()
-    moving = depths != STATIC
-    order = np.argsort(depths[moving], kind="stable")
+    states = encoded(scene, PAPER, tmp_path)
+    layout, depths = states.layouts[0], states.depths[0]
+    hits, moving = layout.usage.hits, depths != STATIC
     for low, high in zip(range(9), range(1, 10), strict=True):
         first, second = hits[moving & (depths == low)], hits[moving & (depths == high)]
         assert first.max() <= second.min()
-    assert len(order) == 100
+    assert moving.sum() == 100 and len(set(hits[moving].tolist())) > 20
+
+
+def encoded(scene, settings, folder):
+    views = ViewPlan.of(scene, settings.decide_pictures, region=SEEN)
+    surveys = survey_groups(scene, [(0, 4)], views, lambda *_: None)
+    return encode_sequence(EncodeJob(scene, surveys, views), settings, folder)
+
+
+@pytest.fixture
+def measured(scene, tmp_path):
+    """The scene with usage as a trainer leaves it: hits rise with the row, every other measure falls."""
+    shutil.copytree(scene.folder, tmp_path / "scene")
+    rise = np.arange(1, 201)
+    fall = rise[::-1].astype(float)
+    save_usage(tmp_path / "scene" / USAGE_NAME, {(0, 4): Usage(fall, fall / 200, rise, fall)})
+    return open_sequence(tmp_path / "scene")
+
+
+@pytest.mark.parametrize("usage", MEASURES)
+def test_other_measures_of_the_trainer_do_not_rank_the_papers_levels(measured, tmp_path, usage):
+    """Rows of level k have fewer hits than those of level k + 1, whatever usage ranks the key tiers."""
+    settings = replace(PAPER, usage=usage)
+    states = encoded(measured, settings, tmp_path)
+    rows, depths = states.layouts[0].rows, states.depths[0]
+    moving = depths != STATIC
+    assert moving.sum() == 100
+    order = rows[moving][np.argsort(rows[moving])]  # hits are the row + 1
+    expected = np.arange(100) // 10  # ten rows a level, the one with the fewest hits first
+    assert dict(zip(rows[moving].tolist(), depths[moving].tolist(), strict=True)) == dict(
+        zip(order.tolist(), expected.tolist(), strict=True)
+    )
+
+
+@pytest.mark.parametrize(("usage", "takes"), [("max", True), ("hits", False), ("sum", False)])
+def test_the_trainers_motion_ranks_updates_only_with_the_usage_that_it_is_made_of(measured, tmp_path, usage, takes):
+    layout = encoded(measured, replace(PAPER, usage=usage, update_rank="usage"), tmp_path).layouts[0]
+    changes = np.full((4, 13, len(layout.rows)), 1.0)
+    expected = layout.usage.score * np.sqrt(13)
+    found = layout.usage.rank("usage", changes)
+    np.testing.assert_allclose(found, 200.0 - layout.rows if takes else expected)
 
 
 def test_hits_rank_alone_whatever_changes():
