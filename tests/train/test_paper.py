@@ -15,13 +15,13 @@ from airgs_codec.train.fit import adam, optimise
 from airgs_codec.train.fit.densify import Densifier, growth_of_3dgs
 from airgs_codec.train.fit.parameters import from_gaussians, render
 from airgs_codec.train.fit.points import scene_extent
-from airgs_codec.train.loss.photometric import photometric, windowed_ssim
+from airgs_codec.train.loss.photometric import windowed_ssim
 from airgs_codec.train.run import train
 from airgs_codec.train.settings import Temporal, TrainSettings, preset
 from airgs_codec.train.stages import FrameBefore, FrameViews, Trainer
 from tests.support.scenes import random_gaussians
 from tests.support.training import SETTINGS
-from tests.support.views import coloured_cloud, moved, random_parameters, ring, views_of
+from tests.support.views import moved, random_parameters, ring, views_of
 
 ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest")
 LAMBDA, LAMBDA_T, LAMBDA_INF = 0.2, 1e-3, 1e-5
