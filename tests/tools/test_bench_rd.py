@@ -56,6 +56,15 @@ def test_both_layouts_decode_to_what_they_were_given():
             assert np.abs(shown.sh_dc - given.sh_dc).max() <= 0.15
 
 
+def test_frames_pay_for_their_packets_and_an_equal_part_of_the_rest():
+    frames = repair(moving_frames(300, 5), "scene").frames
+    for coded in (v3_layout(frames, 10, PRESET), mpeg_anchor_layout(frames, MPEG_QPS[0], PRESET)):
+        assert len(coded.frame_bytes) == 5 and coded.bytes == sum(coded.frame_bytes)
+        assert coded.frame_bytes[0] > 2 * max(coded.frame_bytes[1:])  # the picture that needs no other
+    one = v3_layout(frames[:1], 10, PRESET)
+    assert one.frame_bytes == [one.bytes]
+
+
 def test_finer_settings_cost_more():
     frames = repair(moving_frames(300, 3), "scene").frames
     assert v3_layout(frames, 6, PRESET).bytes > v3_layout(frames, 26, PRESET).bytes

@@ -7,8 +7,9 @@ and gives the bytes it would send and the frames it decodes to. All bytes count:
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import cast
 
@@ -30,9 +31,14 @@ Samples = NDArray[np.floating]
 class CodedGroup:
     """What a layout makes of one group."""
 
-    bytes: int
+    frame_bytes: list[int]  # of each frame: its packets, and its part of what all share
     frames: list[Gaussians]
     decode_s: float
+
+    @property
+    def bytes(self) -> int:
+        """Of the group."""
+        return sum(self.frame_bytes)
 
 
 @dataclass(slots=True)
@@ -41,7 +47,8 @@ class Video:
 
     codec: str  # libx264 or libx265
     preset: str
-    size: int = 0  # bytes
+    packets: Counter[int] = field(default_factory=Counter)  # bytes of the packets of each frame
+    shared: int = 0  # bytes of parameter sets and ranges
     decode_s: float = 0.0
 
     def code(self, samples: NDArray[np.integer], bits: int, qp: int | None) -> NDArray[np.uint16]:
@@ -50,17 +57,25 @@ class Video:
         flat = np.zeros((len(samples), height * width), np.uint16)
         flat[:, : samples.shape[1]] = samples
         packets, extradata = self._encode(flat.reshape(-1, height, width), bits, qp)
-        self.size += sum(len(p) for p in packets) + len(extradata)
+        self.shared += len(extradata)
+        for frame, packet in packets:
+            self.packets[frame] += len(packet)
         began = time.perf_counter()
-        planes = self._decode(packets, extradata, bits)
+        planes = self._decode([packet for _, packet in packets], extradata, bits)
         self.decode_s += time.perf_counter() - began
         return planes[:, :height, :width].reshape(len(samples), -1)[:, : samples.shape[1]]
 
     def count_ranges(self, number: int) -> None:
         """Pay for ranges that are sent beside the streams."""
-        self.size += RANGE_BYTES * number
+        self.shared += RANGE_BYTES * number
 
-    def _encode(self, pictures: NDArray[np.uint16], bits: int, qp: int | None) -> tuple[list[bytes], bytes]:
+    def frame_bytes(self) -> list[int]:
+        """What each frame costs: its packets, and an equal part of what all share; what is left falls to the first."""
+        count = len(self.packets)
+        return [self.packets[t] + self.shared // count + (self.shared % count if t == 0 else 0) for t in range(count)]
+
+    def _encode(self, pictures: NDArray[np.uint16], bits: int, qp: int | None) -> tuple[list[tuple[int, bytes]], bytes]:
+        """Packets in the order of decoding, each with the number of its frame, and parameter sets."""
         encoder = cast(av.VideoCodecContext, av.CodecContext.create(self.codec, "w"))
         count, encoder.height, encoder.width = pictures.shape
         encoder.pix_fmt = "gray10le" if bits == 10 else "gray" if self.codec == "libx265" else "yuv420p"
@@ -68,13 +83,13 @@ class Video:
         encoder.gop_size, encoder.thread_count = count, 1
         encoder.flags |= av.codec.context.Flags.global_header
         encoder.options = {"preset": self.preset} | self._options(count, qp)
-        packets: list[bytes] = []
+        packets: list[av.Packet] = []
         for i, picture in enumerate(pictures):
             frame = _frame_of(picture, encoder.pix_fmt)
             frame.pts = i
-            packets += [bytes(p) for p in encoder.encode(frame)]
-        packets += [bytes(p) for p in encoder.encode(None)]
-        return packets, bytes(encoder.extradata or b"")
+            packets += encoder.encode(frame)
+        packets += encoder.encode(None)
+        return [(cast(int, p.pts), bytes(p)) for p in packets], bytes(encoder.extradata or b"")
 
     def _options(self, count: int, qp: int | None) -> dict[str, str]:
         if self.codec == "libx264":
@@ -136,7 +151,7 @@ def v3_layout(frames: Sequence[Gaussians], qp: int, preset: str) -> CodedGroup:
         "sh_dc": _v3_channels(video, _stack(frames, "sh_dc"), capped),
         "sh_rest": _v3_channels(video, _stack(frames, "sh_rest"), qp),
     }
-    return CodedGroup(video.size, _as_frames(columns, frames), video.decode_s)
+    return CodedGroup(video.frame_bytes(), _as_frames(columns, frames), video.decode_s)
 
 
 def _v3_channels(video: Video, values: Samples, qp: int) -> NDArray[np.float64]:
@@ -185,7 +200,7 @@ def mpeg_anchor_layout(frames: Sequence[Gaussians], qps: dict[str, int], preset:
         "sh_dc": dc,
         "sh_rest": np.stack([split_colours(both)[1] for both in np.concatenate([dc, rest], axis=2)]),
     }
-    return CodedGroup(video.size, _as_frames(columns, frames), video.decode_s)
+    return CodedGroup(video.frame_bytes(), _as_frames(columns, frames), video.decode_s)
 
 
 def _mpeg_channels(video: Video, values: Samples, qp: int) -> NDArray[np.float64]:
