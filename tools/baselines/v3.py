@@ -29,7 +29,7 @@ from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import Parameters, from_gaussians, to_gaussians
 from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates
 from airgs_codec.train.settings import TrainSettings
-from airgs_codec.train.stages import FrameViews, Trainer, make_trainer
+from airgs_codec.train.stages import FIRST_REGULARISERS, FrameViews, Trainer, make_trainer
 from tools.baselines.hashgrid import FieldSettings, HashField, Places
 from tools.baselines.method import Footage, Shown
 from tools.baselines.residual import ResidualLoss
@@ -218,8 +218,8 @@ def fit_key(
     points = footage.points if target.frame == 0 else None  # they are of the first frame
     g = trainer.fit_first(target, points, progress=progress)
     kept = np.sort(np.argsort(-g.opacity_logits, kind="stable")[: max(1, round((1 - settings.pruned) * len(g)))])
-    fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, RATES)
-    schedule = Schedule("after pruning", settings.finetune_iterations, lambda _: settings.sh_degree)
+    fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, RATES, regularisers=FIRST_REGULARISERS)
+    schedule = _schedule(trainer, "after pruning", settings.finetune_iterations)
     optimise(fitted, target.views, schedule, _rng(settings, target.frame, 0), progress=progress)
     g = to_gaussians(fitted.detached())
     return g.take(morton_order(g.means))
@@ -232,15 +232,12 @@ def fit_frame(
     base = from_gaussians(before)
     rng = _rng(settings, target.frame, 1)
     field_driven = FieldDriven(base, trainer.extent, int(rng.integers(2**31)))
-
-    def schedule(stage: str, iterations: int, coarse: float) -> Schedule:
-        return Schedule(stage, iterations, lambda _: settings.sh_degree, coarse=coarse)
-
-    optimise(field_driven, target.views, schedule("field", settings.field_iterations, 1.0), rng, progress=progress)
+    stage = _schedule(trainer, "field", settings.field_iterations, 1.0)
+    optimise(field_driven, target.views, stage, rng, progress=progress)
     start = {name: value - base[name] for name, value in field_driven.detached().items()}
     losses = ResidualLoss(base, settings.temporal, settings.entropy, int(rng.integers(2**31)))
     tuned = Finetuned(base, trainer.extent, RATES, start, losses=losses)
-    stage = schedule("fine-tuning", settings.frame_iterations, settings.coarse)
+    stage = _schedule(trainer, "fine-tuning", settings.frame_iterations, settings.coarse)
     optimise(tuned, target.views, stage, rng, progress=progress)
     return to_gaussians(tuned.detached())
 
@@ -251,6 +248,11 @@ def morton_order(means: NDArray[np.float32]) -> NDArray[np.intp]:
     span = np.maximum((means.max(axis=0) - low).max(), np.finfo(np.float32).tiny)  # all in one place: 0 / 0
     cells = ((means - low) / span * (2**GRID_BITS - 1)).astype(np.int64)
     return np.argsort(morton_encode(cells), kind="stable")
+
+
+def _schedule(trainer: Trainer, stage: str, iterations: int, coarse: float = 0.0) -> Schedule:
+    s = trainer.settings
+    return Schedule(stage, iterations, lambda _: s.sh_degree, ssim_weight=s.ssim_weight, coarse=coarse)
 
 
 def _rng(settings: V3Settings, frame: int, stage: int) -> np.random.Generator:
