@@ -1,136 +1,138 @@
-"""Error against run time, of everything that trades one for the other, on the embedded scene.
+"""Error against run time, of everything that trades one for the other.
 
-    python -m tools.work_precision -o OUT [--quick]
+    python -m tools.work_precision -o OUT [--quick] [--only SECTION,...] [--scene fox=DIR] [--spinach FILE.splatv]
 
-Writes OUT/work_precision.csv (a row a measurement), .json (the same with machine, versions and command), codec.png and
-parts.png (log error over log seconds, a curve a method). --quick takes two minutes on two cores, the whole about ten.
+Writes OUT/work_precision.csv (a row a measurement), .json (the same with machine, versions and command), a picture for
+each section, and work_precision.md with a conclusion for every panel. What is finished is kept in OUT/rows.jsonl: a run
+that was killed goes on where it ended when it is started again. After a change of the code take another OUT.
 
-encode: x264 presets x quality factors. decode: stages, levels. planes: ordering and escapes on and off. render: tile
-rasteriser and plain float32 against the float64 definition. loss: the fused kernel against float64.
-train: the first frame, the next by direct, MLP and hybrid deltas, temporal weights, a keyframe warm and from scratch.
-select: regret of policies. left out: with and without. scale: synthetic scenes, seconds and memory over N.
+`--scene fox=DIR`: the fox in full in place of the embedded cut, DIR=VIEWS where its cameras lie elsewhere. `--spinach`:
+a clip with spinach_views.json beside it.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-import json
-import math
 import os
 import platform
+import shlex
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from collections.abc import Sequence
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+if __name__ == "__main__":  # before numba starts its threads: a second one would cost CPU time by waiting
+    os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 import numba
 import numpy as np
 import torch
 
-from airgs_codec._report import new_figure, plain_log_ticks, save_figure
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec._files import write_bytes, write_json
+from airgs_codec.cli.common import run_command
+from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import library_versions
-from airgs_codec.package.store import open_package
-from airgs_codec.scene.sequence import open_sequence
-from tools.bench_scale import COUNTS, FRAMES, measure_scale
-from tools.precision import (
-    SCENE,
-    Row,
-    measure_decode,
-    measure_encode,
-    measure_left_out,
-    measure_loss,
-    measure_planes,
-    measure_render,
-    measure_select,
-    measure_train,
-)
-
-PICTURES = {"codec.png": ("encode", "decode", "scale"), "parts.png": ("render", "train", "select")}
+from tools.precision.bench import FOX, Bench, Scene, open_scene, open_spinach
+from tools.precision.page import Made, conclude, page
+from tools.precision.panels import NAMES, SECTIONS
+from tools.precision.pictures import picture_path, plot
+from tools.precision.rows import Kept, Row, plain
 
 
-def plot(rows: list[Row], path: Path, sections: tuple[str, ...]) -> None:
-    """Log error over log seconds, a panel a section and a curve a method."""
-    figure = new_figure(5 * len(sections), 4.4)
-    for axis, section in zip(figure.subplots(1, len(sections)), sections, strict=True):
-        scale = section == "scale"
-        some = [r for r in rows if r.section == section and (scale or r.error > 0)]
-        for method in dict.fromkeys(r.method for r in some):
-            points = [r for r in some if r.method == method]
-            x = [float(r.setting) if scale else r.seconds for r in points]
-            y = [r.seconds if scale else r.error for r in points]
-            axis.plot(x, y, "o-", label=method, markersize=4)
-        axis.set_xscale("log")
-        axis.set_yscale("log")
-        for side in (axis.xaxis, axis.yaxis):
-            plain_log_ticks(side)
-        words = ("Gaussians", "seconds a frame") if scale else ("seconds", some[0].unit if some else "")
-        axis.set(xlabel=words[0], ylabel=words[1], title=section)
-        axis.grid(alpha=0.3, which="both")
-        axis.legend(fontsize=7)
-    save_figure(figure, path)
-
-
-def main() -> None:
-    """Measure, print, write."""
+def parse(argv: Sequence[str] | None) -> argparse.Namespace:
+    """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, default=Path("build/work_precision"))
-    parser.add_argument("--quick", action="store_true")
-    args = parser.parse_args()
-    torch.set_num_threads(1)
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="OUT")
+    parser.add_argument("--quick", action="store_true", help="fewer points and runs")
+    parser.add_argument("--only", type=read_sections, default=NAMES, metavar="SECTION,...", help=", ".join(NAMES))
+    parser.add_argument("--scene", default=f"fox={FOX}", metavar="NAME=DIR[=VIEWS]")
+    parser.add_argument("--spinach", type=Path, metavar="FILE.splatv")
+    return parser.parse_args(argv)
+
+
+def read_sections(text: str) -> tuple[str, ...]:
+    """Names of sections with commas. Raises ArgumentTypeError."""
+    names = tuple(text.split(","))
+    unknown = [name for name in names if name not in NAMES]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"expected {', '.join(NAMES)}, got {', '.join(unknown)}")
+    return names
+
+
+def open_bench(args: argparse.Namespace) -> Bench:
+    """The scenes and what was kept. Raises SceneError, ConfigError."""
+    scenes = [open_scene(args.scene)]
+    if args.spinach is not None:
+        scenes.append(open_spinach(args.spinach))
+    if not all(scene.sequence.cameras for scene in scenes):
+        raise ConfigError("--scene: expected cameras beside the frames, or NAME=DIR=VIEWS")
     args.output.mkdir(parents=True, exist_ok=True)
-    rows: list[Row] = []
-    began = time.perf_counter()
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        encode(open_sequence(SCENE), folder / "fox", EncodeSettings(measure_pictures=8))
-        package = open_package(folder / "fox")
-        parts: list[Callable[[], Iterator[Row]]] = [
-            lambda: measure_encode(folder, args.quick),
-            lambda: measure_decode(package),
-            lambda: measure_planes(package),
-            lambda: measure_render(args.quick),
-            lambda: measure_loss(args.quick),
-            lambda: measure_train(folder, args.quick),
-            lambda: measure_select(package, args.quick),
-            lambda: measure_left_out(folder),
-            lambda: (
-                Row("scale", step, str(count), seconds / FRAMES, math.nan, "", size / FRAMES, note)
-                for count, step, seconds, size, note in measure_scale((1000, 10_000) if args.quick else COUNTS)
-            ),
-        ]
-        for part in parts:
-            for row in part():
-                rows.append(row)
-                size = "" if math.isnan(row.bytes) else f"{row.bytes:10.0f} B"
-                error = "" if math.isnan(row.error) else f"{row.error:.3g} {row.unit}"
-                words = f"{row.section:<9}{row.method:<28}{row.setting:<16}{1e3 * row.seconds:11.3f} ms"
-                print(f"{words}  {error:<24}{size:>12}  {row.note}", flush=True)
-    with (args.output / "work_precision.csv").open("w", newline="") as file:
-        writer = csv.DictWriter(file, list(asdict(rows[0])))
+    kept = Kept(args.output / "rows.jsonl", lambda line: print(line, flush=True))
+    return Bench(tuple(scenes), args.output, kept, args.quick)
+
+
+def write(rows: list[Row], folder: Path, record: dict[str, object], made: Made) -> None:
+    """All tables, pictures and the page."""
+    with (folder / "work_precision.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(plain(rows[0])), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(asdict(row) for row in rows)
+        writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in plain(row).items()} for row in rows)
+    write_json(folder / "work_precision.json", record | {"rows": [plain(row) for row in rows]})
+    for section in SECTIONS:
+        if any(row.section == section.name for row in rows):
+            plot(section, rows, picture_path(folder, section))
+    write_bytes(folder / "work_precision.md", page(rows, made).encode())
+
+
+def about(scene: Scene) -> str:
+    """A scene in words."""
+    counts = [header.count for header in scene.sequence.headers]
+    rows = f"{min(counts):,} to {max(counts):,}" if min(counts) < max(counts) else f"{counts[0]:,}"
+    return f"{scene.name}, {len(counts)} frames of {rows} Gaussians"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure what is missing, then write everything. Raises AirgsError."""
+    bench, began, load = open_bench(args), time.perf_counter(), os.getloadavg()[0]
+    rows = [row for section in SECTIONS if section.name in args.only for row in section.measure(bench)]
+    seconds = time.perf_counter() - began
     versions = library_versions() | {"numpy": np.__version__, "numba": numba.__version__, "torch": torch.__version__}
     machine = {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
-    record = {
-        "command": " ".join(sys.argv),
-        "seconds": time.perf_counter() - began,
-        "machine": machine,
-        "versions": versions,
-    }
-    plain = [{k: None if isinstance(v, float) and math.isnan(v) else v for k, v in asdict(r).items()} for r in rows]
-    text = json.dumps(record | {"rows": plain}, indent=1, allow_nan=False)
-    (args.output / "work_precision.json").write_text(text + "\n")
-    for name, sections in PICTURES.items():
-        plot(rows, args.output / name, sections)
-    print(f"{time.perf_counter() - began:.0f} s, {args.output}")
+    command = shlex.join(["python", "-m", "tools.work_precision", *args.words])
+    record = {"command": command, "seconds": seconds, "load": load, "machine": machine, "versions": versions}
+    words = (
+        f"Measured on {os.cpu_count()} {platform.machine()} cores with Python {platform.python_version()}, which had a "
+        f"load of {load:.1f} before it began and may have done other work."
+    )
+    made = Made(command_of(args), words, [about(scene) for scene in bench.scenes])
+    write(rows, args.output, record, made)
+    for section in SECTIONS:
+        for panel in section.panels:
+            if sentence := conclude(section, panel, rows):
+                print(f"{panel.question} {sentence}")
+    print(f"{seconds:.0f} s, {args.output}")
+    return 0
+
+
+def command_of(args: argparse.Namespace) -> str:
+    """The command with plain names for folders."""
+    words = ["python -m tools.work_precision -o out/"]
+    words += ["--quick"] * args.quick
+    words += [f"--only {','.join(args.only)}"] if args.only != NAMES else []
+    words += ["--scene fox=fox/"] if args.scene != f"fox={FOX}" else []
+    words += [f"--spinach {args.spinach.name}"] if args.spinach else []
+    return " ".join(words)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run; gives the exit status."""
+    args = parse(argv)
+    args.words = list(sys.argv[1:] if argv is None else argv)
+    torch.set_num_threads(1)
+    return run_command("work_precision", lambda: run(args))
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,0 +1,126 @@
+"""How far a claimed PSNR is off, against the seconds of looking, and what more pictures that decide are worth.
+
+A claim is the PSNR of the top rung in some pictures, views and frames drawn anew for every trial. The truth is that of
+many other views in all frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import cycle, islice
+
+import numpy as np
+
+from airgs_codec.encoder.quality import Rounds, measure_quality
+from airgs_codec.encoder.survey import survey_groups
+from airgs_codec.encoder.views import Pictures, plan_views
+from airgs_codec.media.metrics import psnr
+from airgs_codec.package.manifest import pooled_quality
+from airgs_codec.package.region import draw_views
+from airgs_codec.package.store import Package
+from airgs_codec.progress import silent
+from airgs_codec.scene.gaussians import Gaussians
+from tools.precision.bench import Bench, Scene, picture_error, shown_frames
+from tools.precision.encode import ONE_RUNG, UNIT, at_target
+from tools.precision.rows import Place, Row, seconds_of, timed
+
+TRUE_VIEWS, TRUE_SEED, TRIAL_SEED = 48, 1000, 2000
+COUNTS = (1, 2, 4, 8, 16, 32)  # pictures
+APART, ONE_VIEW, ONE_FRAME = "a view of its own each", "all from one view", "all of one frame"
+OWN = "the encoder's own"
+MEASURED = (1, 2, 5, 10, 20)  # --measure-pictures
+DECIDING = (2, 6, 24, 48)  # --decide-pictures
+OFF = "dB that the claim is off"
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A package beside its scene."""
+
+    scene: Scene
+    package: Package
+    views: int  # that tell the truth
+
+    @cached_property
+    def frames(self) -> list[tuple[Gaussians, Gaussians]]:
+        """Every frame as it is shown and as it was."""
+        numbers = range(self.package.manifest.frames)
+        shown = shown_frames(self.package, numbers)
+        return [(shown[n], self.scene.sequence.load([n]).frames[0]) for n in numbers]
+
+    @cached_property
+    def truth(self) -> float:
+        """PSNR in dB of every frame in many views."""
+        cameras = draw_views(self.package.manifest.region, self.views, TRUE_SEED)
+        return self.psnr([(n, camera) for n in range(len(self.frames)) for camera in cameras])
+
+    def psnr(self, pictures: Pictures) -> float:
+        """PSNR in dB of the pooled error of some pictures."""
+        return psnr(float(np.mean([picture_error(*self.frames[n], camera) for n, camera in pictures])))
+
+
+def measure(bench: Bench) -> Iterator[Row]:
+    """Claims by how many pictures, of which views and frames; then what deciding pictures are worth."""
+    for scene in bench.scenes:
+        package = bench.package(scene, ONE_RUNG, "one-rung")
+        yield from claims(bench, Subject(scene, package, 4 if bench.quick else TRUE_VIEWS))
+    yield from deciding(bench, bench.scenes[0])
+
+
+def claims(bench: Bench, subject: Subject) -> Iterator[Row]:
+    """|claimed - true| over seconds, for ways to spend so many pictures."""
+    trials = 3 if bench.quick else 8
+    counts = (1, 4, 16) if bench.quick else COUNTS
+    for curve in (APART, ONE_VIEW, ONE_FRAME):
+        for count in counts:
+            if curve == ONE_VIEW and count > len(subject.scene.sequence):
+                continue
+            place = Place("survey", "claims", subject.scene.name, curve, str(count))
+
+            def work(place: Place = place, count: int = count) -> Iterator[Row]:
+                looked = [seconds_of(lambda p=p: subject.psnr(p)) for p in draws(subject, place.curve, count, trials)]  # type: ignore[misc]
+                yield Row.of(place, [s for s, _ in looked], [abs(q - subject.truth) for _, q in looked], OFF)
+
+            yield from bench.once(subject.scene, {"measure": place, "trials": trials, "views": subject.views}, work)
+    for count in (2, 10) if bench.quick else MEASURED:
+        place = Place("survey", "claims", subject.scene.name, OWN, str(count))
+        settings = {"measure": place, "views": subject.views}
+        yield from bench.once(subject.scene, settings, lambda p=place, c=count: [own_claim(subject, p, c)])  # type: ignore[misc]
+
+
+def draws(subject: Subject, curve: str, count: int, trials: int) -> Iterator[Pictures]:
+    """The pictures of each trial."""
+    region, frames = subject.package.manifest.region, len(subject.frames)
+    for seed in range(TRIAL_SEED, TRIAL_SEED + trials):
+        numbers = [int(n) for n in np.random.default_rng(seed).permutation(frames)]
+        cameras = draw_views(region, 1 if curve == ONE_VIEW else count, seed)
+        some = numbers[:1] if curve == ONE_FRAME else numbers
+        yield list(islice(zip(cycle(some), cycle(cameras)), count))
+
+
+def own_claim(subject: Subject, place: Place, count: int) -> Row:
+    """What the encoder claims with so many `--measure-pictures`; it also measures SSIM and CIEDE2000."""
+    views = plan_views(subject.scene.sequence, ONE_RUNG)
+    seconds, m = seconds_of(lambda: measure_quality(subject.package, subject.scene.sequence, views, Rounds(count)))
+    quality = pooled_quality(m, 0, 0)
+    assert quality is not None
+    return Row.of(place, [seconds], [abs(quality.psnr - subject.truth)], OFF)
+
+
+def deciding(bench: Bench, scene: Scene) -> Iterator[Row]:
+    """Bytes of a frame at 43 dB over the seconds of the survey, with more and more pictures that decide."""
+    package = bench.package(scene, ONE_RUNG, "one-rung")
+    spans = [(group.start, group.stop) for group in package.manifest.groups]
+    for count in (2, 24) if bench.quick else DECIDING:
+        place = Place("survey", "deciding", scene.name, "calibrated", str(count))
+
+        def work(place: Place = place, count: int = count) -> Iterator[Row]:
+            settings = replace(ONE_RUNG, calibrate="steps", decide_pictures=count)
+            size, _ = at_target(scene.sequence, settings, 1)
+            views = plan_views(scene.sequence, settings)
+            took = timed(lambda: survey_groups(scene.sequence, spans, views, silent), 1 if bench.quick else 3)
+            yield Row.of(place, took, [size / 1e3], UNIT, size)
+
+        yield from bench.once(scene, {"measure": place, "quick": bench.quick}, work)
