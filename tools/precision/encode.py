@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest.mock import patch
@@ -25,7 +25,7 @@ from tools.precision.rows import Place, Row, Took, seconds_of
 TARGET = 43.0  # dB
 MEASURED = 8  # pictures of a segment, at least
 PRESETS = ("ultrafast", "veryfast", "medium", "veryslow")
-QUICK_PRESETS = ("ultrafast", "veryslow")
+FEW_PRESETS = ("ultrafast", "veryslow")  # of every scene but the first, and of quick runs
 ONE_RUNG = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), key_factors=(1.0,), measure_pictures=MEASURED)
 PLAIN, CALIBRATED, PREVIEW = "default steps", "calibrated", "--quick"
 UNIT = "kB a frame at 43 dB"
@@ -42,12 +42,9 @@ class Trial:
 def measure(bench: Bench) -> Iterator[Row]:
     """A row for each preset, calibrated and not, and one for `--quick`."""
     repeats = 1 if bench.quick else 2
-    presets = QUICK_PRESETS if bench.quick else PRESETS
-    variants = [(PLAIN, p, replace(ONE_RUNG, preset=p)) for p in presets]
-    variants += [(CALIBRATED, p, replace(ONE_RUNG, preset=p, calibrate="steps")) for p in presets]
-    variants.append((PREVIEW, PREVIEW, replace(as_preview(ONE_RUNG), measure_pictures=MEASURED)))
     for scene in bench.scenes:
-        for curve, setting, settings in variants:
+        presets = FEW_PRESETS if bench.quick or scene is not bench.scenes[0] else PRESETS
+        for curve, setting, settings in variants(presets):
             place = Place("encode", "presets", scene.name, curve, setting)
 
             def work(place: Place = place, settings: EncodeSettings = settings) -> Iterator[Row]:
@@ -55,6 +52,14 @@ def measure(bench: Bench) -> Iterator[Row]:
                 yield Row.of(place, took, [size / 1e3], UNIT, size)
 
             yield from bench.once(scene, {"measure": place, "repeats": repeats}, work)
+
+
+def variants(presets: Sequence[str]) -> Iterator[tuple[str, str, EncodeSettings]]:
+    """(curve, setting, settings) of every point."""
+    for calibrate, curve in (("none", PLAIN), ("steps", CALIBRATED)):
+        for preset in presets:
+            yield curve, preset, replace(ONE_RUNG, preset=preset, calibrate=calibrate)
+    yield PREVIEW, PREVIEW, replace(as_preview(ONE_RUNG), measure_pictures=MEASURED)
 
 
 def at_target(sequence: GaussianSequence, settings: EncodeSettings, repeats: int) -> tuple[float, list[Took]]:

@@ -21,7 +21,9 @@ This page and its pictures are made by the tool, sentences included: each conclu
 $command
 ```
 
-$machine Points are medians, bars reach from quartile to quartile. Scenes: $scenes.
+$machine Seconds are those of CPU time, of all threads together, since other work changes them less than those by the
+clock on the wall, which are in the table, too; the kernels have one thread. Points are medians, and bars reach from
+quartile to quartile. Scenes: $scenes.
 
 $sections"""
 )

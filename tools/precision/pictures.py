@@ -58,17 +58,8 @@ def draw_curves(axis: Axes, panel: Panel, rows: list[Row]) -> None:
         left = [panel.scale * (row.seconds - row.seconds_low) for row in some]
         right = [panel.scale * (row.seconds_high - row.seconds) for row in some]
         below, above = [row.error - row.error_low for row in some], [row.error_high - row.error for row in some]
-        axis.errorbar(
-            x,
-            y,
-            (below, above),
-            (left, right),
-            "o" if curve in panel.loose else "o-",
-            markersize=4,
-            linewidth=1.3,
-            elinewidth=0.7,
-            label=curve,
-        )
+        bars = axis.errorbar(x, y, (below, above), (left, right), "o", markersize=4, elinewidth=0.7, label=curve)
+        bars[0].set_linestyle("none" if curve in panel.loose else "-")
         for row, at in zip(some, zip(x, y, strict=True), strict=True):
             if panel.labels and row.setting != curve:
                 axis.annotate(row.setting, at, (4, 4), textcoords="offset points", fontsize=7.5)
