@@ -186,7 +186,11 @@ def test_a_quick_section_runs_end_to_end(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(decode, "FRAMES", 1)
     settings = dataclasses.replace(encode.ONE_RUNG, measure_pictures=0, decide_pictures=2, preset="ultrafast")
     monkeypatch.setattr(Bench, "ladder", lambda bench, scene: bench.package(scene, settings, "small"))
-    words = ["-o", str(tmp_path), "--quick", "--only", "decode"]
+    scene = tmp_path / "two"
+    scene.mkdir()
+    for name in ("000000.ply", "000001.ply", "transforms.json"):
+        (scene / name).symlink_to(FOX / name)
+    words = ["-o", str(tmp_path), "--quick", "--only", "decode", "--scene", f"fox={scene}"]
     assert work_precision.main(words) == 0
     first = capsys.readouterr().out
     assert "decode/stages fox" in first and "Where does the time of the top rung go? On fox" in first

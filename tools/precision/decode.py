@@ -33,7 +33,7 @@ STAGES = H264, CODES, KEY_UNITS, STATES = (
 
 def measure(bench: Bench) -> Iterator[Row]:
     """Whole frames of every rung, then the stages of the top rung."""
-    repeats = 5 if bench.quick else 15
+    repeats = 3 if bench.quick else 11
     for scene in bench.scenes:
         package = bench.ladder(scene)
         for place, work in ways(scene, package):
