@@ -7,6 +7,7 @@ import math
 import pytest
 
 from airgs_codec.errors import ConfigError
+from airgs_codec.play.policies.named import ORACLES
 from tools import work_precision
 from tools.precision import conclusions, decode, encode, renderer, selector, survey, trainer
 from tools.precision.bench import FOX, Bench, open_scene
@@ -53,7 +54,9 @@ def rows_of_everything():
         row("frame", "direct", 300, 3, 32.0),
         row("frame", "mlp", 300, 9, 31.5),
     ]
-    rows += [row("policies", n, n, s, e) for n, s, e in (("a", 1e-5, 0.5), ("b", 1e-3, 0.2), ("oracle-c", 0.1, 0.1))]
+    rows += [
+        row("policies", n, n, s, e) for n, s, e in (("a", 1e-5, 0.5), ("b", 1e-3, 0.2), (next(iter(ORACLES)), 0.1, 0.1))
+    ]
     for curve in (selector.MPC, selector.LP, selector.MILP):
         rows += [row("horizon", curve, 1, 1e-4, 0.6), row("horizon", curve, 8, 1e-3, 0.3)]
     for curve, took in ((selector.DENSE_GREEDY, 1e-5), (selector.DENSE_MILP, 1e-3)):

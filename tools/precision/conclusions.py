@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from airgs_codec.play.policies.named import ORACLES
 from tools.precision import decode, encode, renderer, selector, survey, trainer
 from tools.precision.rows import Row
 from tools.precision.words import Rows, changed, each_scene, figure, one, pick, scenes, seconds, signed, times
@@ -216,8 +217,8 @@ def frame(rows: Rows) -> str:
 
 def policies(rows: Rows) -> str:
     """The least regret without knowledge of the link, and with it."""
-    blind = [row for row in rows if not row.setting.startswith("oracle")]
-    known = [row for row in rows if row.setting.startswith("oracle")]
+    blind = [row for row in rows if row.setting not in ORACLES]
+    known = [row for row in rows if row.setting in ORACLES]
     if not blind:
         return ""
     best, quickest = min(blind, key=lambda row: row.error), min(blind, key=lambda row: row.seconds)

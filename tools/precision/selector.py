@@ -24,7 +24,7 @@ from airgs_codec.play.frame_mode import frame_options
 from airgs_codec.play.ladder import Decision, Ladder, Option, select
 from airgs_codec.play.link import Link
 from airgs_codec.play.policies import mpc
-from airgs_codec.play.policies.named import NAMES, make_policy
+from airgs_codec.play.policies.named import ADAPTIVE, NAMES, make_policy
 from airgs_codec.play.policies.oracle import choose_oracle_frame, upcoming_horizon
 from airgs_codec.play.policies.state import PlayerState, Policy
 from airgs_codec.play.regret import session_bound
@@ -39,7 +39,8 @@ PLAY_S = 20.0
 HORIZONS, QUICK_HORIZONS = (1, 2, 4, 8), (1, 4)  # segments
 LEVELS, QUICK_LEVELS = (4, 8, 16, 32, 64), (4, 16)
 FRAMES = 96  # of the programme with dense levels
-MPC, LP, MILP, GREEDY = "robust-mpc", "LP, link known", "MILP, link known", "greedy, link known"
+MPC = max(ADAPTIVE.values(), key=lambda policy: policy.horizon).name  # the one that looks furthest ahead
+LP, MILP, GREEDY = "LP, link known", "MILP, link known", "greedy, link known"
 DENSE_MILP, DENSE_LP, DENSE_GREEDY = "MILP of all frames", "LP, rounded down", "greedy, frame by frame"
 UNIT = "dB of regret"
 
