@@ -49,6 +49,8 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--only", type=read_sections, default=NAMES, metavar="SECTION,...", help=", ".join(NAMES))
     parser.add_argument("--scene", default=f"fox={FOX}", metavar="NAME=DIR[=VIEWS]")
     parser.add_argument("--spinach", type=Path, metavar="FILE.splatv")
+    parser.add_argument("--finished", action="store_true", help="measure nothing, report what is finished")
+    parser.add_argument("--note", default="", metavar="TEXT", help="a sentence on the machine, for the page")
     return parser.parse_args(argv)
 
 
@@ -69,7 +71,7 @@ def open_bench(args: argparse.Namespace) -> Bench:
     if not all(scene.sequence.cameras for scene in scenes):
         raise ConfigError("--scene: expected cameras beside the frames, or NAME=DIR=VIEWS")
     args.output.mkdir(parents=True, exist_ok=True)
-    kept = Kept(args.output / "rows.jsonl", lambda line: print(line, flush=True))
+    kept = Kept(args.output / "rows.jsonl", lambda line: print(line, flush=True), more=not args.finished)
     return Bench(tuple(scenes), args.output, kept, args.quick)
 
 
@@ -95,18 +97,17 @@ def about(scene: Scene) -> str:
 
 def run(args: argparse.Namespace) -> int:
     """Measure what is missing, then write everything. Raises AirgsError."""
-    bench, began, load = open_bench(args), time.perf_counter(), os.getloadavg()[0]
+    bench, began = open_bench(args), time.perf_counter()
     rows = [row for section in SECTIONS if section.name in args.only for row in section.measure(bench)]
+    if not rows:
+        raise ConfigError(f"{args.output}: expected finished measurements, got none")
     seconds = time.perf_counter() - began
     versions = library_versions() | {"numpy": np.__version__, "numba": numba.__version__, "torch": torch.__version__}
     machine = {"processor": platform.machine(), "cores": os.cpu_count(), "python": platform.python_version()}
     command = shlex.join(["python", "-m", "tools.work_precision", *args.words])
-    record = {"command": command, "seconds": seconds, "load": load, "machine": machine, "versions": versions}
-    words = (
-        f"Measured on {os.cpu_count()} {platform.machine()} cores with Python {platform.python_version()}, which had a "
-        f"load of {load:.1f} before it began and may have done other work."
-    )
-    made = Made(command_of(args), words, [about(scene) for scene in bench.scenes])
+    record = {"command": command, "seconds": seconds, "note": args.note, "machine": machine, "versions": versions}
+    words = f"Measured on {os.cpu_count()} {platform.machine()} cores with Python {platform.python_version()}."
+    made = Made(command_of(args), f"{words} {args.note}".strip(), [about(scene) for scene in bench.scenes])
     write(rows, args.output, record, made)
     for section in SECTIONS:
         for panel in section.panels:

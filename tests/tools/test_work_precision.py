@@ -145,6 +145,7 @@ def test_a_killed_run_does_only_what_is_missing(tmp_path):
     path.write_text(path.read_text() + '{"settings": {"name": "c"}, "ro')  # killed while it wrote
     again = measured(Kept(path), "abc")
     assert done == ["a", "b", "c"]
+    assert [r.setting for r in measured(Kept(path, more=False), "bd")] == ["b"] and done == ["a", "b", "c"]
     assert [plain(r) for r in again[:2]] == [plain(r) for r in first]
     assert [json.loads(line)["settings"]["name"] for line in path.read_text().splitlines()] == ["a", "b", "c"]
 
@@ -161,6 +162,7 @@ def test_rows_of_other_settings_are_measured_anew(tmp_path):
 def test_the_page_has_every_question_and_picture_that_has_rows(tmp_path):
     rows = rows_of_everything()
     text = page(rows, Made("python -m tools.work_precision -o out/", "Measured here.", ["fox"]))
+    text = " ".join(text.split())
     assert all(f"**{p.question}** {conclude(s, p, rows)}" in text for s in SECTIONS for p in s.panels)
     assert all(f"(precision-{name}.png)" in text for name in NAMES)
     some = [r for r in rows if r.section == "encode"]
@@ -209,7 +211,12 @@ def test_a_quick_section_runs_end_to_end(tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"), [(["--scene", "fox"], "expected NAME=FOLDER"), (["--scene", "fox=/nowhere"], "nowhere")]
+    ("words", "message"),
+    [
+        (["--scene", "fox"], "expected NAME=FOLDER"),
+        (["--scene", "fox=/nowhere"], "nowhere"),
+        (["--finished", "--only", "encode"], "expected finished measurements"),
+    ],
 )
 def test_scenes_that_are_not_there_are_one_line(tmp_path, words, message, capsys):
     assert work_precision.main(["-o", str(tmp_path), *words]) == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,12 +22,16 @@ This page and its pictures are made by the tool, sentences included: each conclu
 $command
 ```
 
-$machine Seconds are those of CPU time, of all threads together, since other work changes them less than those by the
-clock on the wall, which are in the table, too; the kernels have one thread. Points are medians, and bars reach from
-quartile to quartile. Scenes: $scenes.
+$how
 
 $sections"""
 )
+HOW = (
+    "Seconds are those of CPU time, of all threads together, since other work changes them less than those by the "
+    "clock on the wall, which are in the table, too; the kernels have one thread. Points are medians, and bars reach "
+    "from quartile to quartile."
+)
+WIDTH = 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +52,8 @@ def conclude(section: Section, panel: Panel, rows: list[Row]) -> str:
 def page(rows: list[Row], made: Made) -> str:
     """The page in Markdown."""
     parts = [f"## {s.title}\n\n" + "\n\n".join(_section(s, rows)) for s in SECTIONS if _has_rows(s, rows)]
-    scenes = "; ".join(made.scenes)
-    return PAGE.substitute(command=made.command, machine=made.machine, scenes=scenes, sections="\n\n".join(parts)) + (
-        "\n" if parts else ""
-    )
+    how = wrapped(f"{made.machine} {HOW} Scenes: {'; '.join(made.scenes)}.")
+    return PAGE.substitute(command=made.command, how=how, sections="\n\n".join(parts)) + "\n"
 
 
 def _has_rows(section: Section, rows: list[Row]) -> bool:
@@ -58,9 +61,14 @@ def _has_rows(section: Section, rows: list[Row]) -> bool:
 
 
 def _section(section: Section, rows: list[Row]) -> Iterator[str]:
-    yield section.about
+    yield wrapped(section.about)
     yield f"![{section.title}]({picture_path(Path(), section).name})"
     for panel in section.panels:
         words = conclude(section, panel, rows)
         if words:
-            yield f"**{panel.question}** {words}"
+            yield wrapped(f"**{panel.question}** {words}")
+
+
+def wrapped(text: str) -> str:
+    """A paragraph in lines of at most WIDTH characters."""
+    return textwrap.fill(text, WIDTH, break_long_words=False, break_on_hyphens=False)
