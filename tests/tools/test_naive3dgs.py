@@ -40,7 +40,7 @@ def rows(opacities, scales):
 
 def test_rows_are_added_from_a_gradient_of_two_in_ten_thousand_on():
     p = rows([0.5] * 4, [0.0199, 0.0199, 0.0201, 0.0201])
-    parents, split = chosen(p, torch.tensor([1.99e-4, 2e-4, 1.99e-4, 2e-4]), extent=2.0)
+    parents, split = chosen(p, torch.tensor([1.99e-4, 2e-4, 1.99e-4, 2e-4]), Timetable().gradient, extent=2.0)
     assert parents.tolist() == [False, True, False, True]
     assert split.tolist() == [False, False, False, True]
 

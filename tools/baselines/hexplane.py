@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import reduce
 from itertools import combinations
 
 import numpy as np
@@ -61,11 +62,11 @@ class Field(torch.nn.Module):
         Beyond the box a plane has the values of its border.
         """
         place = 2 * (means - self.low) / (self.high - self.low) - 1
-        place = torch.cat([place, torch.full_like(place[:, :1], 2 * time - 1)], dim=1)
+        axes = [*place.unbind(1), torch.full_like(place[:, 0], 2 * time - 1)]
         found = []
         for k in range(0, len(self.planes), len(PAIRS)):
             planes = zip(PAIRS, self.planes[k : k + len(PAIRS)], strict=True)
-            found.append(torch.stack([_sample(plane, place[:, pair]) for pair, plane in planes]).prod(dim=0))
+            found.append(reduce(torch.mul, [_sample(plane, axes[a], axes[b]) for (a, b), plane in planes]))
         return torch.cat(found, dim=0).t()
 
     def arrays(self) -> dict[str, NDArray[np.float32]]:
@@ -125,9 +126,9 @@ def _plane(pair: tuple[int, int], size: FieldSize, times: int, draw: torch.Gener
     return torch.nn.Parameter(torch.ones(shape) if TIME in pair else 0.1 + 0.4 * torch.rand(shape, generator=draw))
 
 
-def _sample(plane: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
-    """(F, N) bilinear samples at places (N, 2) of -1..1, column and row."""
-    grid = place[None, None]
+def _sample(plane: torch.Tensor, column: torch.Tensor, row: torch.Tensor) -> torch.Tensor:
+    """(F, N) bilinear samples at places of -1..1, (N,) each."""
+    grid = torch.stack([column, row], dim=1)[None, None]
     return torch.nn.functional.grid_sample(plane, grid, padding_mode="border", align_corners=True)[0, :, 0]
 
 

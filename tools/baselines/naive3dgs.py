@@ -17,15 +17,16 @@ from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import from_points
 from airgs_codec.train.fit.points import initial_points, scene_extent
 from tools.baselines.method import Footage, Shown, frame_path
-from tools.baselines.threedgs import ITERATIONS, SH_EVERY, START_OPACITY, Splats, Timetable
+from tools.baselines.threedgs import ITERATIONS, SH_EVERY, SMALL_GRADIENT, START_OPACITY, Splats, Timetable
 
 
 @dataclass(frozen=True, slots=True)
 class Naive3dgs:
     """3DGS of every frame; the paper's schedule is shrunk to so many iterations."""
 
-    iterations: int = 2_500
+    iterations: int = 1_500
     sh_degree: int = 3
+    gradient: float = SMALL_GRADIENT  # from which rows are added
     points: int = 2_400  # fewest to start from; random ones fill up
     seed: int = 0
 
@@ -60,8 +61,8 @@ class Naive3dgs:
         assert cloud.colours is not None  # `initial_points` gives every point one
         extent = scene_extent([view.camera for view in views], cloud)
         start = from_points(cloud.positions, cloud.colours, self.sh_degree, START_OPACITY, extent)
-        factor = self.iterations / ITERATIONS
-        splats = Splats(start, extent, Timetable().scaled(factor), self.seed)
+        timetable = Timetable(gradient=self.gradient).scaled(self.iterations / ITERATIONS)
+        splats = Splats(start, extent, timetable, self.seed)
         schedule = Schedule(f"frame {frame} of {footage.frames}", self.iterations, self._sh_degree)
         optimise(splats, views, schedule, rng, progress=progress)
         return splats.gaussians()

@@ -19,6 +19,9 @@ from airgs_codec.train.fit.per_gaussian import Rates
 
 ITERATIONS = 30_000  # that the paper's constants are made for
 GRADIENT = 2e-4  # mean length of the gradient by places that are -1..1 across the picture, from which rows are added
+# That is for pictures of about 1,600 pixels. In one of 320 a Gaussian of a pixel is five times as large, and so is its
+# share of the mean loss: rows would be added for single pixels of single cameras.
+SMALL_GRADIENT = 8e-4
 DENSE = 0.01  # of the scene's extent: Gaussians larger than this are split, others cloned
 LARGEST = 0.1  # of the scene's extent: larger Gaussians are removed once opacity has been reset
 RESET_OPACITY = 0.01
@@ -35,6 +38,7 @@ class Timetable:
     stop: int = 15_000  # and before this one
     every: int = 100
     reset: int | None = 3_000  # how often opacity is reset; None: never
+    gradient: float = GRADIENT  # from which rows are added
 
     def scaled(self, factor: float) -> Timetable:
         """The same for a run that is `factor` times as long, but for `every`.
@@ -116,7 +120,8 @@ class Splats:
 
     def _densify(self, iteration: int) -> None:
         p = self._adam.parameters
-        parents, split = chosen(p, self._sum / self._count.clamp_min(1), self._extent)  # 0 / 0: never seen
+        mean = self._sum / self._count.clamp_min(1)  # 0 / 0: no picture showed it
+        parents, split = chosen(p, mean, self.timetable.gradient, self._extent)
         rng = np.random.default_rng([self._seed, iteration])
         self._adam.replace_rows(*split_or_clone(p, parents, split, 0, rng))
         largest = LARGEST * self._extent if self.timetable.removes_large(iteration) else math.inf
@@ -127,9 +132,11 @@ class Splats:
         self._restart()
 
 
-def chosen(p: Mapping[str, torch.Tensor], gradient: torch.Tensor, extent: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """(N,) masks of the rows that get a child, and of those of them that are split, from the mean gradients (N,)."""
-    parents = gradient >= GRADIENT
+def chosen(
+    p: Mapping[str, torch.Tensor], mean: torch.Tensor, threshold: float, extent: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """(N,) masks of the rows that get a child, and of those of them that are split, from mean gradients (N,)."""
+    parents = mean >= threshold
     return parents, parents & (p["log_scales"].amax(dim=1).exp() > DENSE * extent)
 
 
