@@ -52,12 +52,12 @@ class V3Settings:
     sh_degree: int = 1
     key_iterations: int = 2_000
     finetune_iterations: int = 700  # of a keyframe, after pruning
-    field_iterations: int = 60  # of the hash grid, a frame
-    frame_iterations: int = 160  # of all attributes, a frame
+    field_iterations: int = 80  # of the hash grid, a frame
+    frame_iterations: int = 300  # of all attributes, a frame
     coarse: float = 0.4  # share of a frame's iterations, the first ones, that see pictures of half the size
     temporal: float = 1e-3  # weight of the temporal loss
     entropy: float = 1e-4  # weight of the residual entropy loss
-    qp: int = 22  # of the attribute videos
+    qp: int = 14  # of the attribute videos
     preset: str = "medium"  # of x264
     seed: int = 0
 
