@@ -11,7 +11,8 @@ releases ascend together, and then the order of deadlines is as good as any.
 Where a group keeps rows of another one, the base, the key units of the base are fetched for it as well, but for those
 that an earlier slot of the same loop over the sequence had.
 
-K slots, R rungs, Q key qualities, T key tiers. Sizes are kB inside the programme, so that its numbers are of one order.
+K slots, R rungs, Q key qualities, T key tiers. Sizes are kB inside the programme, or larger units where segments are
+gigabytes, so that its numbers are of one order.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.play.catalogue import NONE, Catalogue, KeyUnits
 
 ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must not make a session impossible
+LARGEST = 1e6  # units that a state segment may have: past 1e11 HiGHS finds no solution where there is one
 _Unit = tuple[int, int, int]  # 0 of the slot's group, 1 of its base; key quality; key tier
 Terms = list[tuple[int, float]]  # (column of a variable, its coefficient)
 
@@ -87,12 +89,12 @@ def solve_horizon(horizon: Horizon, integer: bool = False) -> Schedule | None:
     if result.x is None:
         return None
     shares = result.x.reshape(len(horizon.slots), -1)[:, : programme.rungs]
-    first = sum(kilobytes * result.x[column] for column, kilobytes in programme.fetched(0))
-    return Schedule(float(-result.fun), 1e3 * float(first), shares)
+    first = sum(size * result.x[column] for column, size in programme.fetched(0))
+    return Schedule(float(-result.fun), programme.unit * float(first), shares)
 
 
 class _Programme:
-    """Variables and constraints. Slot k has R shares of rungs, Q T shares of keys that are decoded, and F_k in kB.
+    """Variables and constraints. Slot k has R shares of rungs, Q T shares of keys that are decoded, and F_k in units.
 
     Where any group keeps rows, Q T shares of keys of the base that are decoded come before F_k.
     """
@@ -107,6 +109,8 @@ class _Programme:
         self._groups = [(group, m.base_of(group)) for group in (m.group_of(slot.segment) for slot in slots)]
         self._loops = np.cumsum([0, *(b.segment <= a.segment for a, b in itertools.pairwise(slots))])
         kinds = 1 if all(base is None for _, base in self._groups) else 2
+        largest = max(float(np.max(self._catalogue.state_bytes[slot.segment])) for slot in slots)
+        self.unit = max(1e3, largest / LARGEST)  # bytes
         self._width = self.rungs + kinds * self._qualities * self._tiers + 1
         self.columns = self._width * len(horizon.slots)
 
@@ -152,7 +156,7 @@ class _Programme:
     def upper(self) -> NDArray[np.float64]:
         """(columns,) 1 for shares, the capacity at the deadline for F_k."""
         upper = np.ones((len(self._horizon.slots), self._width))
-        upper[:, -1] = [slot.capacity * (1 + ROUNDING) / 1e3 for slot in self._horizon.slots]
+        upper[:, -1] = [slot.capacity * (1 + ROUNDING) / self.unit for slot in self._horizon.slots]
         return upper.ravel()
 
     def integrality(self) -> NDArray[np.int64]:
@@ -171,9 +175,9 @@ class _Programme:
             if before is not None:
                 constraints.add([(key, 1.0), (before, -1.0)], 0.0, np.inf)
         done = [(self._carried(k), 1.0), *((column, -size) for column, size in self.fetched(k))]
-        constraints.add(done, slot.released / 1e3, np.inf)
+        constraints.add(done, slot.released / self.unit, np.inf)
         if k:
-            constraints.add([*done, (self._carried(k - 1), -1.0)], self._horizon.idle_bytes / 1e3, np.inf)
+            constraints.add([*done, (self._carried(k - 1), -1.0)], self._horizon.idle_bytes / self.unit, np.inf)
 
     def _users(self, k: int, quality: int, tier: int) -> Terms:
         """Minus the share of every rung that needs a key."""
@@ -182,16 +186,16 @@ class _Programme:
         return [(self._share(k, rung), -1.0) for rung, (q, j) in rungs if q == quality and levels[j].tiers > tier]
 
     def fetched(self, k: int) -> Terms:
-        """kB that are fetched for slot k, for each unit of a variable."""
+        """Units of bytes that are fetched for slot k, for each share of a variable."""
         slot, c = self._horizon.slots[k], self._catalogue
         state_bytes = c.state_bytes[slot.segment]
-        fetched = [(self._share(k, rung), float(state_bytes[j]) / 1e3) for rung, (_, j) in enumerate(c.rungs)]
+        fetched = [(self._share(k, rung), float(state_bytes[j]) / self.unit) for rung, (_, j) in enumerate(c.rungs)]
         for of, quality, tier in self._keys(k):
             group, before = self._groups[k][of], self._before(k, (of, quality, tier))
             assert group is not None
             if not self._loops[k] and (quality, tier) in self._horizon.decoded.get(group, NONE):
                 continue
-            size = float(c.key_bytes[group, quality, tier]) / 1e3
+            size = float(c.key_bytes[group, quality, tier]) / self.unit
             fetched.append((self._key(k, (of, quality, tier)), size))
             if before is not None:
                 fetched.append((before, -size))

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.play.trace import Trace
 
 DEFAULT_RTT_S = 0.08  # median ping of LTE driving measurements
+LONGEST_S = 86_400.0  # of one batch: a stall is counted in frames, and those of years fill the memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,8 +33,19 @@ class Link:
         return Link(trace, DEFAULT_RTT_S if known is None else known)
 
     def arrival_s(self, wire_bytes: float, at_s: float) -> float:
-        """When the last byte of a batch arrives that is requested at `at_s`."""
-        return self.trace.arrival_s(wire_bytes, at_s + self.rtt_s)
+        """When the last byte of a batch arrives that is requested at `at_s`. Raises TransportError as `passed_s`."""
+        return self.passed_s(wire_bytes, at_s + self.rtt_s)
+
+    def passed_s(self, wire_bytes: float, first_s: float) -> float:
+        """When the last byte of a batch has passed whose first one passes at `first_s`.
+
+        Raises TransportError for a trace that ends too soon, and for a batch that takes longer than LONGEST_S.
+        """
+        end_s = self.trace.arrival_s(wire_bytes, first_s)
+        if not end_s - first_s <= LONGEST_S:
+            took = f"{wire_bytes:.0f} bytes would take {end_s - first_s:.3g} s"
+            raise TransportError(f"{self.trace.name}: {took}, expected at most {LONGEST_S:g} s")
+        return end_s
 
     def bytes_between(self, start_s: float, stop_s: float) -> float:
         """How many bytes can pass from one moment to another."""

@@ -23,6 +23,7 @@ MARKOV_S, MARKOV_DWELL_S, MARKOV_OUTAGE_S, MARKOV_MEAN_BPS = 300.0, 3.0, 1.5, 8e
 MAHIMAHI_MAX_MS = 86_400_000  # a day; a file with larger numbers is something else
 
 
+MOST_BPS = 1e19  # beyond, the bound of a session has numbers that HiGHS takes for infinite
 ENDS = ("loop", "hold", "error")  # what follows the last second: the first one, the last rate, or nothing
 
 
@@ -50,6 +51,8 @@ class Trace:
             raise TransportError(f"{self.name}: expected times that ascend from 0")
         if not (np.isfinite(self.rates_bps).all() and (self.rates_bps >= 0).all()):
             raise TransportError(f"{self.name}: expected finite rates of 0 or more")
+        if self.rates_bps.max() > MOST_BPS:
+            raise TransportError(f"{self.name}: expected rates of at most {MOST_BPS:g} bit/s")
         if not self.rates_bps.any():
             raise TransportError(f"{self.name}: the rate is zero all the time, nothing would ever arrive")
         if self.end not in ENDS:
@@ -79,6 +82,8 @@ class Trace:
     def arrival_s(self, size_bytes: float, at_s: float) -> float:
         """When `size_bytes` have passed, the first bit at `at_s`: the inverse of the integral.
 
+        Infinity where the trace would repeat more often than float64 counts (2^53 times).
+
         Raises TransportError when the trace ends before, or holds a rate of zero for ever.
         """
         totals = self._totals
@@ -91,8 +96,10 @@ class Trace:
                     "bytes still to come"
                 )
             return max(at_s, self.duration_s + (target - totals[-1]) / rate)
+        if target > 2.0**53 * totals[-1]:
+            return math.inf
         rounds = math.floor(target / totals[-1])
-        rest = target - rounds * totals[-1]
+        rest = min(target - rounds * totals[-1], totals[-1])  # more is rounding of the products
         if rest <= 0 and rounds > 0:  # done exactly at the end of a round: when its last bit came
             rounds, rest = rounds - 1, totals[-1]
         i = max(0, bisect_left(totals, rest) - 1)

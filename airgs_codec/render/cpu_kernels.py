@@ -183,13 +183,19 @@ def _see(view, row, px, py, pz):
 def _unit(quaternions, i):
     """Unit quaternion of a row and 1 / its length; a zero one (or one too short to tell) is identity with 0.
 
-    With NaN or Inf in it the reciprocal is NaN, which the caller's comparison culls.
+    With NaN or Inf in it the reciprocal is NaN, which the caller's comparison culls. The square of a length past 1e19
+    is infinite in float32, so that long ones are shortened first.
     """
     w, x = float(quaternions[i, 0]), float(quaternions[i, 1])
     y, z = float(quaternions[i, 2]), float(quaternions[i, 3])
     square = w * w + x * x + y * y + z * z
     if not (square < math.inf):
-        return 1.0, 0.0, 0.0, 0.0, math.nan
+        if not (abs(w) < math.inf and abs(x) < math.inf and abs(y) < math.inf and abs(z) < math.inf):
+            return 1.0, 0.0, 0.0, 0.0, math.nan
+        largest = max(max(abs(w), abs(x)), max(abs(y), abs(z)))
+        w, x, y, z = w / largest, x / largest, y / largest, z / largest
+        inv = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+        return w * inv, x * inv, y * inv, z * inv, inv / largest
     if not (square > 1e-24):
         return 1.0, 0.0, 0.0, 0.0, 0.0
     inv = 1.0 / math.sqrt(square)

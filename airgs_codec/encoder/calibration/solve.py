@@ -7,6 +7,7 @@ condition with one multiplier for all choices (Everett 1963), here the price of 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
@@ -16,6 +17,7 @@ import numpy as np
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.calibration.sample import CalibrationSample, Cost
 from airgs_codec.encoder.calibration.subject import Subject
+from airgs_codec.errors import SceneError
 
 SLOPE = 0.5  # of the bytes: what steps e times as large save, of fox and spinach
 TRIAL = 1.5  # factor between the two steps at which bytes and error are measured
@@ -57,18 +59,31 @@ def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
 def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float]:
     """Steps of one price that together make the error that `subject.settings.steps` make, and the price.
 
-    Bytes fall with the logarithm of a step, at m; its error is b times its square. With factors f, sum b f^2 stays and
-    bytes are least where f^2 = (m / sum m) / (b / sum b); a byte then costs 2 sum b / sum m.
+    Raises SceneError as `balance`.
     """
     steps = subject.settings.steps
-    slopes = {name: (max(m, 0.0), max(b, 0.0)) for name, (m, b) in _measure_slopes(sample, subject).items()}
-    rate, error = sum(m for m, _ in slopes.values()), sum(b for _, b in slopes.values())
-    if rate == 0 or error == 0:
-        return steps, 0.0
-    for name, (m, b) in slopes.items():
-        factor = ((m / rate + PRIOR) / (b / error + PRIOR)) ** 0.5
+    factors, price = balance(measure_slopes(sample, subject))
+    for name, factor in factors.items():
         steps = with_step(steps, name, float(f"{get_step(steps, name) * factor:.4g}"))
-    return steps, 2 * error / rate
+    return steps, price
+
+
+def balance(slopes: Mapping[str, Slope]) -> tuple[dict[str, float], float]:
+    """A factor on every step, and the price of a byte; no factors and 0 where no bytes or no error depend on steps.
+
+    Bytes fall with the logarithm of a step, at m; its error is b times its square. With factors f, sum b f^2 stays and
+    bytes are least where f^2 = (m / sum m) / (b / sum b); a byte then costs 2 sum b / sum m. PRIOR keeps factors
+    within sqrt((1 + PRIOR) / PRIOR), 7.1, of 1. Raises SceneError for slopes that are not finite.
+    """
+    for name, slope in slopes.items():
+        if not np.isfinite(slope).all():
+            raise SceneError(f"calibration: expected finite bytes and errors of {name}, got {slope[0]:g}, {slope[1]:g}")
+    known = {name: (max(m, 0.0), max(b, 0.0)) for name, (m, b) in slopes.items()}
+    rate, error = sum(m for m, _ in known.values()), sum(b for _, b in known.values())
+    if rate == 0 or error == 0:
+        return {}, 0.0
+    shares = {name: (m / rate + PRIOR, b / error + PRIOR) for name, (m, b) in known.items()}
+    return {name: (m / b) ** 0.5 for name, (m, b) in shares.items()}, 2 * error / rate
 
 
 def guess_price(sample: CalibrationSample, subject: Subject) -> float:
@@ -80,7 +95,7 @@ def guess_price(sample: CalibrationSample, subject: Subject) -> float:
     return 2 * (cost.key_error + cost.state_error + subject.layout.removal_error) / (SLOPE * cost.bytes)
 
 
-def _measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slope]:
+def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slope]:
     """Slopes of every step, from trial encodes a factor TRIAL finer and coarser."""
     steps = subject.settings.steps
     names = [n for n in STEPS if subject.frames[0].sh_rest.shape[1] or not n.endswith("sh_rest")]

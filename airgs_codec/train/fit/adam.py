@@ -25,8 +25,11 @@ class _Moments:
 class Adam:
     """Adam (Kingma and Ba 2015) over named tensors whose rows may come and go."""
 
-    def __init__(self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float]) -> None:
+    def __init__(
+        self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float], epsilon: float = EPSILON
+    ) -> None:
         """`parameters` are copied and made leaves; `rates` may be changed between steps through `self.rates`."""
+        self._epsilon = epsilon
         self.parameters = _leaves({name: p.detach().clone() for name, p in parameters.items()})
         self.rates = dict(rates)
         self._moments = _Moments(zeros_like(parameters), zeros_like(parameters))
@@ -47,7 +50,7 @@ class Adam:
             first, second = self._moments.first[name], self._moments.second[name]
             first.lerp_(p.grad, 1 - BETAS[0])
             second.mul_(BETAS[1]).addcmul_(p.grad, p.grad, value=1 - BETAS[1])
-            scale = (second / bias[1]).sqrt_().add_(EPSILON)
+            scale = (second / bias[1]).sqrt_().add_(self._epsilon)
             p.addcdiv_(first, scale, value=-self.rates[name] / bias[0])
             if shrink and name in shrink:
                 threshold = self.rates[name] * shrink[name] / scale

@@ -20,14 +20,26 @@ from airgs_codec.render.differentiable import Picture, rasterize_views
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
+from airgs_codec.scene.repair import QUATERNION_MIN_NORM
 
 ATTRIBUTES = tuple(f.name for f in fields(Gaussians))
 Parameters = dict[str, torch.Tensor]  # attribute -> (N, ...)
+# Quaternions of other lengths are made unit ones before a fit: Adam's steps have one size, by which a short quaternion
+# would be thrown about and a long one could not turn.
+LENGTHS = (0.1, 10.0)
 
 
 def from_gaussians(g: Gaussians, device: str = "cpu") -> Parameters:
-    """Copies on a device."""
-    return {name: torch.tensor(getattr(g, name), device=device) for name in ATTRIBUTES}
+    """Copies on a device; quaternions whose length is not within LENGTHS get length 1, unless they stand for none."""
+    columns = {name: getattr(g, name) for name in ATTRIBUTES} | {"quaternions": _of_usual_length(g.quaternions)}
+    return {name: torch.tensor(column, device=device) for name, column in columns.items()}
+
+
+def _of_usual_length(quaternions: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N, 4) quaternions; those shorter than QUATERNION_MIN_NORM, which are drawn as the identity, stay."""
+    length = np.linalg.norm(quaternions.astype(np.float64), axis=1, keepdims=True)
+    usual = ((length >= LENGTHS[0]) & (length <= LENGTHS[1])) | ~(length > QUATERNION_MIN_NORM)
+    return np.where(usual, quaternions, quaternions / np.where(usual, 1.0, length)).astype(np.float32)
 
 
 def to_gaussians(p: Mapping[str, torch.Tensor]) -> Gaussians:

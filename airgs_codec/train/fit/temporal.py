@@ -44,7 +44,7 @@ def codec_steps(
     sensitivity = measure_sensitivity([g], cameras, renderer)
     unit = motion_units(classify_motion(sensitivity, g))
     alpha = g.opacities()
-    length = np.linalg.norm(g.quaternions, axis=1, keepdims=True)
+    length = np.linalg.norm(g.quaternions.astype(np.float64), axis=1, keepdims=True)
     table = {
         "means": np.broadcast_to((unit * state.means)[:, None], g.means.shape),
         "quaternions": np.broadcast_to(state.quaternions / 2 * np.maximum(length, 1e-12), g.quaternions.shape),
