@@ -24,7 +24,8 @@ from airgs_codec.package.region import before_background, checking_views
 from airgs_codec.package.store import Package, find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.closed_loop import ClosedLoopSettings, adaptive, closed_loop_table, run_closed_loop
-from airgs_codec.play.frame_mode import CHOOSERS, frame_table, simulate_frames
+from airgs_codec.play.frame_mode import CHOOSERS, simulate_frames
+from airgs_codec.play.frame_table import frame_table
 from airgs_codec.play.http import HttpDownloader, fetch_beside
 from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.link import DEFAULT_RTT_S, Link
@@ -42,7 +43,8 @@ from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import open_sequence
 
 MODES = ("segments", "frames", "closed-loop")
-COMPARED = ("robust-mpc", "paper", "paper-literal", "throughput", "bola", "oracle-frame")
+PAPER = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
+COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -18,7 +18,7 @@ from airgs_codec.errors import FormatError
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.store import Package
-from airgs_codec.play.ladder import Option
+from airgs_codec.play.ladder import Option, saved_shares
 
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
@@ -150,6 +150,14 @@ class Catalogue:
         levels = range(len(self.manifest.levels))
         return Rows(lambda s: np.array([self._wire(self.manifest.state_files(s, j)) for j in levels]))
 
+    def levels(self, segment: int) -> tuple[Option, ...]:
+        """The levels of a segment by the bytes of their states and their quality with the finest keys."""
+        sizes, quality = self.state_bytes[segment].tolist(), self.quality[segment]
+        return tuple(
+            Option(j, size, float(quality[j]), saved)
+            for j, (size, saved) in enumerate(zip(sizes, saved_shares(sizes), strict=True))
+        )
+
     @cached_property
     def key_bytes(self) -> Rows:
         """(G, Q, T) wire bytes of a key unit; 0 for a tier without rows."""
@@ -220,10 +228,10 @@ class Catalogue:
         """Every rung of a segment, by number; kept, since a session asks for few combinations over and over."""
         key = segment, decoded, of_base
         if key not in self._options:
-            levels, quality = self.manifest.levels, self.quality[segment]
+            saved, quality = saved_shares(self.state_bytes[segment]), self.quality[segment]
             sizes = self.sizes(segment, decoded, of_base)
             self._options[key] = tuple(
-                Option(r, sizes[r], float(quality[r]), levels[j].pruned) for r, (_, j) in enumerate(self.rungs)
+                Option(r, sizes[r], float(quality[r]), saved[j]) for r, (_, j) in enumerate(self.rungs)
             )
         return self._options[key]
 

@@ -55,11 +55,16 @@ FIGURES = (
 FRAME_FIGURES = (
     Figure("kb_frame", "kB/frame", "state sent", headline=True),
     Figure("psnr", "PSNR dB", "mean over the frames sent of the dB of their level", headline=True),
+    Figure(
+        "psnr_screen", "screen dB", "mean over frames of the dB of the frame that stood at its moment", headline=True
+    ),
     Figure("paper_mean_ms", "mean ms", "bits over the rate of that moment, outages left out", 1, 1, headline=True),
     Figure("paper_p95_ms", "95 % ms", "95th percentile of the same time", 1, 1, headline=True),
     Figure("paper_max_ms", "worst ms", "the longest of these times", 1, 1, headline=True),
     Figure("late", "late %", "frames that were not through the link when the next was due", 100, 1, headline=True),
     Figure("skipped", "skipped %", "frames of which nothing was sent", 100, 1, headline=True),
+    Figure("stale", "stale %", "frames at whose moment an earlier one stood: skipped, or late", 100, 1),
+    Figure("blank", "blank %", "frames at whose moment none had come yet; not in the dB on the screen", 100, 1),
     Figure("paper_max_ms_share", "of unpruned", "the longest time over the unpruned stream's, median over runs"),
     Figure("infeasible", "no fit %", "frames for which no level fitted", 100, 1),
     Figure("outage", "outage %", "frames pushed while the rate was zero", 100, 1),

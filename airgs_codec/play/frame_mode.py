@@ -1,32 +1,44 @@
 """The paper's streaming, frame by frame: frame t is pushed at t / R and should be there at (t + 1) / R.
 
-Keys are not part of it (no link that carries frames at 1 / R carries a key unit in that time, see `ladder`, case 15);
-with `keys`, every frame also carries its share of its group's key. Frames follow one another on the link: one that is
-not through when the next is due delays it. A frame none of whose levels fits is skipped under `paper` (nothing is
-sent, the last state stands) and sent at whatever level Algorithm 1 names under `paper-literal`.
+`push_frames` pushes any frames of which sizes and qualities are known, such as those of another method, of which each
+has one form; `simulate_frames` those of a package. Keys are not part of a package's frames (no link that carries frames
+at 1 / R carries a key unit in that time, see `ladder`, case 15); with `keys`, every frame also carries its share of its
+group's key. Frames follow one another on the link: one that is not through when the next is due delays it. A frame none
+of whose levels fits is skipped under `paper` (nothing is sent, the last state stands) and sent at whatever level
+Algorithm 1 names under `paper-literal`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.ladder import Ladder, Option, frame_budget, select, select_literal
+from airgs_codec.play.ladder import (
+    DEFAULT_BETA,
+    Ladder,
+    Option,
+    frame_budget,
+    saved_shares,
+    select,
+    select_literal,
+)
 from airgs_codec.play.link import Link
 from airgs_codec.play.policies.state import Download, estimate_throughput
 
 MEMORY = 24  # frames that the throughput estimate looks back on
 PROBE_BYTES = 1500
-SHORTEST_S = 1e-9  # s; a shorter download would divide by zero
+SHORTEST_S = 1e-9  # s; a shorter download would divide by zero, and no sum of times is more exact
 SKIPPED = -1  # in place of a level
+NOTHING = -1  # in place of a frame: none has arrived yet
 
-Levels = tuple[Option, ...]  # of one frame
+Levels = tuple[Option, ...]  # of one frame, the best one first
 Chooser = Callable[[Levels, float], tuple[int, bool]]  # levels, budget in bytes -> level or SKIPPED, whether it fits
 
 
@@ -48,23 +60,32 @@ class FrameLog:
         """(n,) frames that missed 1 / R."""
         return self.waited_s + self.sent_s > 1 / self.fps
 
+    @property
+    def shown(self) -> NDArray[np.int64]:
+        """(n,) the frame that stands on the screen when frame n should: the last one through; NOTHING before any is."""
+        due_s = np.arange(len(self.levels)) / self.fps
+        sent = np.flatnonzero(self.levels != SKIPPED)
+        through_s = (due_s + self.waited_s + self.sent_s)[sent]  # ascends: frames follow one another
+        places = np.searchsorted(through_s, due_s + 1 / self.fps + SHORTEST_S, side="right")
+        places = np.minimum(places, np.searchsorted(sent, np.arange(len(due_s)), side="right"))  # not one still to come
+        return np.concatenate([[NOTHING], sent])[places]
 
-def frame_options(c: Catalogue, keys: bool) -> list[tuple[Option, ...]]:
+
+def frame_options(c: Catalogue, keys: bool) -> list[Levels]:
     """For each frame of the sequence its levels: the bytes of its state picture and its share of the rest of its file.
 
     With `keys`, its share of its group's keys too.
     """
-    frames: list[tuple[Option, ...]] = []
+    frames: list[Levels] = []
     for index, segment in enumerate(c.manifest.segments):
         shared = [_shared_bytes(c, index, j, keys) for j in range(len(segment.levels))]
+        saved = saved_shares([level.file.bytes for level in segment.levels])
         for t in range(segment.stop - segment.start):
             sizes = [level.frame_bytes[t] if level.frame_bytes else 0 for level in segment.levels]
             frames.append(
                 tuple(
-                    Option(j, round(sizes[j] + shared[j]), level.psnr[0] if level.psnr else 0.0, pruned)
-                    for j, (level, pruned) in enumerate(
-                        zip(segment.levels, (entry.pruned for entry in c.manifest.levels), strict=True)
-                    )
+                    Option(j, round(sizes[j] + shared[j]), level.psnr[0] if level.psnr else 0.0, saved[j])
+                    for j, level in enumerate(segment.levels)
                 )
             )
     return frames
@@ -84,15 +105,16 @@ def _shared_bytes(c: Catalogue, index: int, level: int, keys: bool) -> float:
     return shared
 
 
-def choose_best(levels: Levels, budget: float) -> tuple[int, bool]:
-    """`paper`: the best level that fits, no level if none does."""
-    decision = select(Ladder.build(levels, beta=math.inf, cliff_db=math.inf), budget)
+def choose_best(levels: Levels, budget: float, beta: float = DEFAULT_BETA) -> tuple[int, bool]:
+    """`paper`: the best level before the cliff that fits, no level if none does; without a cliff where beta is inf."""
+    ladder = Ladder.build(levels) if beta < math.inf else Ladder.build(levels, beta=beta, cliff_db=math.inf)
+    decision = select(ladder, budget)
     return (decision.index, True) if decision.fits else (SKIPPED, False)
 
 
-def choose_literally(levels: Levels, budget: float) -> tuple[int, bool]:
+def choose_literally(levels: Levels, budget: float, beta: float = DEFAULT_BETA) -> tuple[int, bool]:
     """`paper-literal`: what Algorithm 1 names, the last level where it names none."""
-    answer = select_literal(levels, budget)
+    answer = select_literal(levels, budget, beta)
     chosen = levels[-1 if answer is None else answer]
     return chosen.index, chosen.size_bytes <= budget
 
@@ -111,7 +133,9 @@ def choose_smallest(levels: Levels, budget: float) -> tuple[int, bool]:
 CHOOSERS: dict[str, Chooser] = {
     "unpruned": choose_top,
     "paper": choose_best,
+    "paper-no-cliff": partial(choose_best, beta=math.inf),
     "paper-literal": choose_literally,
+    "paper-literal-no-cliff": partial(choose_literally, beta=math.inf),
     "pruned": choose_smallest,
 }
 
@@ -119,27 +143,38 @@ CHOOSERS: dict[str, Chooser] = {
 def simulate_frames(
     c: Catalogue, link: Link, chooser: str, loops: int, keys: bool = False, known: bool = True
 ) -> FrameLog:
-    """Push `loops` rounds of the sequence, with levels that one of CHOOSERS names.
+    """Push `loops` rounds of a package's frames, with levels that one of CHOOSERS names; see `push_frames`.
 
-    `known`: B is the true rate at the frame's moment, as in the paper, else estimated from the frames before. `keys`:
-    frames carry their share of their group's keys. Raises ConfigError for a package without measured quality or an
-    unknown chooser, TransportError for a trace that ends too soon.
+    `keys`: frames carry their share of their group's keys. Raises ConfigError for a package without measured quality
+    or an unknown chooser, TransportError for a trace that ends too soon.
     """
     if chooser not in CHOOSERS:
         raise ConfigError(f"frame mode: expected {', '.join(CHOOSERS)}, got {chooser}")
     if not c.measured:
         raise ConfigError("frame mode: the package has no measured quality, encode it without --measure-pictures 0")
-    choose, sequence, trace = CHOOSERS[chooser], frame_options(c, keys), link.trace
+    return push_frames(frame_options(c, keys) * loops, c.fps, link, CHOOSERS[chooser], known)
+
+
+def push_frames(frames: Sequence[Levels], fps: float, link: Link, choose: Chooser, known: bool = True) -> FrameLog:
+    """Push frames, one every 1 / fps seconds, in the level that `choose` names; levels are numbered from 0.
+
+    `known`: B is the true rate at the frame's moment, as in the paper, else estimated from the frames before. A method
+    without levels gives one Option a frame, and `choose_top` sends them all. Raises ConfigError unless fps > 0 and
+    there are frames, TransportError for a trace that ends too soon.
+    """
+    if not frames:
+        raise ConfigError("frame mode: expected at least one frame, got none")
+    trace = link.trace
     history: list[Download] = []
     free_s = 0.0
-    frames: list[_Frame] = []
-    for n in range(loops * len(sequence)):
-        levels, due_s = sequence[n % len(sequence)], n / c.fps
-        rate = trace.rate_at(due_s) if known else estimate_throughput(history[-MEMORY:])
-        level, fits = choose(levels, frame_budget(rate, c.fps))
+    pushed: list[_Frame] = []
+    for n, levels in enumerate(frames):
+        rate = trace.rate_at(n / fps) if known else estimate_throughput(history[-MEMORY:])
+        level, fits = choose(levels, frame_budget(rate, fps))
+        due_s = n / fps
         begin_s = max(due_s, free_s)
         if level == SKIPPED:
-            frames.append(_Frame(SKIPPED, 0.0, 0.0, 0.0, 0.0, False, math.nan))
+            pushed.append(_Frame(SKIPPED, 0.0, 0.0, 0.0, 0.0, False, math.nan))
             if not known:  # a packet to measure with: an estimate of zero must be able to recover
                 history.append(_download(PROBE_BYTES, begin_s, trace.arrival_s(PROBE_BYTES, begin_s)))
             continue
@@ -149,9 +184,9 @@ def simulate_frames(
         now = trace.rate_at(due_s)
         paper_s = 8 * size / now if now > 0 else math.inf
         waited_s, quality = begin_s - due_s, levels[level].quality
-        frames.append(_Frame(level, float(size), free_s - begin_s, waited_s, paper_s, fits, quality))
-    columns = {field.name: np.array([getattr(frame, field.name) for frame in frames]) for field in fields(_Frame)}
-    return FrameLog(fps=c.fps, **columns)
+        pushed.append(_Frame(level, float(size), free_s - begin_s, waited_s, paper_s, fits, quality))
+    columns = {field.name: np.array([getattr(frame, field.name) for frame in pushed]) for field in fields(_Frame)}
+    return FrameLog(fps=fps, **columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,31 +205,3 @@ class _Frame:
 def _download(size: int, begin_s: float, arrival_s: float) -> Download:
     """What the throughput estimate sees; a download that rounds to no time still has a rate."""
     return Download(max(1, size), max(arrival_s - begin_s, SHORTEST_S))
-
-
-def frame_table(log: FrameLog) -> dict[str, float]:
-    """The figures of the paper's table: milliseconds of the frames sent, by the paper's terms and over the link.
-
-    `psnr` is the mean over the frames sent of the dB of their level; see `figures.FRAME_FIGURES` for the others.
-    """
-    ms = 1e3 * log.paper_s
-    sent = log.levels != SKIPPED
-    finite = ms[sent & np.isfinite(ms)]
-    on_link = 1e3 * log.sent_s[sent] if sent.any() else np.zeros(1)
-    known = log.quality[np.isfinite(log.quality)]
-    return {
-        "frames": len(ms),
-        "kb_frame": float(log.sizes.mean() / 1e3),
-        "psnr": float(known.mean()) if len(known) else math.nan,
-        "paper_mean_ms": float(finite.mean()) if len(finite) else math.nan,
-        "paper_p95_ms": float(np.percentile(finite, 95)) if len(finite) else math.nan,
-        "paper_max_ms": float(finite.max()) if len(finite) else math.nan,
-        "outage": float((~np.isfinite(ms)).mean()),
-        "link_mean_ms": float(on_link.mean()),
-        "link_p50_ms": float(np.percentile(on_link, 50)),
-        "link_p95_ms": float(np.percentile(on_link, 95)),
-        "link_max_ms": float(on_link.max()),
-        "late": float(log.late.mean()),
-        "infeasible": float((~log.fits).mean()),
-        "skipped": float((log.levels == SKIPPED).mean()),
-    }

@@ -19,6 +19,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import PSNR_CAP
 
 DEFAULT_BETA = 2.0  # the paper's cliff multiplier
+EPS_DB = 0.25  # least mean drop: with DEFAULT_BETA, half a dB per 10 % is no cliff (a player fetches nothing for less)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +29,7 @@ class Option:
     index: int  # in the caller's list, such as a level or a rung
     size_bytes: int
     quality: float  # dB
-    pruned: float  # share of updates withheld, 0..1
+    saved: float  # share of the best level's bytes that its level saves, 0..1; 0 where nothing is known of that
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,36 +53,39 @@ class Ladder:
         options: Iterable[Option],
         *,
         beta: float = DEFAULT_BETA,
-        eps_db: float = 0.05,
+        eps_db: float = EPS_DB,
         cliff_db: float = 3.0,
         min_quality: float | None = None,
     ) -> Ladder:
-        """Pareto filter, then the cliff test. Drops are counted per 10 % pruned, the paper's spacing.
+        """Pareto filter, then the cliff test.
 
-        A level is past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least
-        `eps_db`), or, for the first level, `cliff_db`; or when its quality is under `min_quality`. O(n log n).
+        The paper's levels are 10 % of the updates apart. Those of packages are not, and save by coarser steps as well;
+        so drops are counted per 10 % of the bytes saved, over at least one such step from level to level. A level is
+        past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least `eps_db`), or, for
+        the first level, `cliff_db`; or when its quality is under `min_quality`. O(n log n).
         Raises ConfigError: no options (10), beta <= 1 (6), a size or quality that is no number (11).
         """
         if not beta > 1:
             raise ConfigError(f"cliff multiplier: expected more than 1, got {beta}")
         front = _pareto([_checked(p) for p in options])
         kept = front[:1]
-        dropped = 0.0  # sum over the levels kept
+        steps = 0.0  # of 10 %, from the best level to the last one kept
         for previous, option in itertools.pairwise(front):
-            drop = _drop_per_tenth(previous, option)
-            reference = max(eps_db, dropped / (len(kept) - 1)) if len(kept) > 1 else None
+            tenths = max(1.0, 10 * (option.saved - previous.saved))
+            drop = (previous.quality - option.quality) / tenths
+            reference = max(eps_db, (front[0].quality - previous.quality) / steps) if steps else None
             past = drop > cliff_db if reference is None else drop / reference > beta
             if past or (min_quality is not None and option.quality < min_quality):
                 break
             kept.append(option)
-            dropped += drop
+            steps += tenths
         return Ladder(tuple(kept))
 
 
 def _checked(option: Option) -> Option:
     if math.isnan(option.quality) or option.size_bytes < 0:
         raise ConfigError(f"level {option.index}: expected a size and a quality, got {option}")
-    return Option(option.index, option.size_bytes, min(option.quality, PSNR_CAP), option.pruned)
+    return Option(option.index, option.size_bytes, min(option.quality, PSNR_CAP), option.saved)
 
 
 def _pareto(options: list[Option]) -> list[Option]:
@@ -93,10 +97,6 @@ def _pareto(options: list[Option]) -> list[Option]:
         if not front or option.quality > front[-1].quality:
             front.append(option)
     return front[::-1]
-
-
-def _drop_per_tenth(better: Option, worse: Option) -> float:
-    return (better.quality - worse.quality) / max(1.0, 10 * (worse.pruned - better.pruned))
 
 
 def select(ladder: Ladder, budget_bytes: float) -> Decision:
@@ -112,6 +112,12 @@ def select(ladder: Ladder, budget_bytes: float) -> Decision:
         return Decision(last.index, False, f"nothing fits {budget:.0f} B, taking the smallest", last.size_bytes)
     chosen = options[at]
     return Decision(chosen.index, True, f"{chosen.size_bytes} B fit {budget:.0f} B", chosen.size_bytes)
+
+
+def saved_shares(sizes: Sequence[float]) -> list[float]:
+    """What each level saves of the bytes of the first, the best; 0 where that has none or is no larger."""
+    best = sizes[0]
+    return [max(0.0, 1 - size / best) if best > 0 else 0.0 for size in sizes]
 
 
 def select_literal(options: Sequence[Option], budget_bytes: float, beta: float = DEFAULT_BETA) -> int | None:

@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import ConfigError
+from airgs_codec.play.bound import paper_programme
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.frame_mode import SKIPPED, frame_options, frame_table, simulate_frames
+from airgs_codec.play.frame_mode import NOTHING, SKIPPED, choose_top, frame_options, push_frames, simulate_frames
+from airgs_codec.play.frame_table import frame_programme, frame_table
+from airgs_codec.play.ladder import Option
 from airgs_codec.play.link import Link
 from airgs_codec.play.trace import Trace
 from tests.support.manifests import tiny_manifest
@@ -50,6 +53,64 @@ def test_nothing_fits_an_outage():
     assert frame_table(literal)["outage"] == 0.25
 
 
+def test_the_cliff_acts_before_the_search():
+    """38 dB after 40 at half the bytes, then 34: twice the drop for half the saving is past the cliff.
+
+    825 B/s carry 82 B a frame, which only the level past the cliff is small enough for.
+    """
+    slow = link([6600])
+    names = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
+    levels = {name: set(simulate_frames(CATALOGUE, slow, name, 1).levels.tolist()) for name in names}
+    assert levels == {"paper": {SKIPPED}, "paper-no-cliff": {2}, "paper-literal": {2}, "paper-literal-no-cliff": {2}}
+    c = Catalogue(tiny_manifest(psnr=((40.0, 36.0), (38.0, 35.0), (32.0, 32.0))))  # as printed: 6 dB after 2
+    nothing = link([10.0])
+    printed = [simulate_frames(c, nothing, name, 1).levels[0] for name in names[2:]]
+    assert printed == [2, 2]  # the cliff's level where nothing fits, and the last where that is undefined
+
+
+def frames(*sizes, psnr=40.0):
+    """Frames of a method without levels."""
+    return [(Option(0, size, psnr - n, 0.0),) for n, size in enumerate(sizes)]
+
+
+def test_what_stands_on_the_screen():
+    """1000 B/s, 10 fps: 100 B a frame. The second takes 0.24 s, so that it and two more are late."""
+    log = push_frames(frames(50, 240, 40, 40, 40, 0), 10.0, link([8e3]), choose_top)
+    assert log.late.tolist() == [False, True, True, True, False, False]
+    assert log.shown.tolist() == [0, 0, 0, 2, 4, 5]
+    table = frame_table(log)
+    assert table["psnr"] == pytest.approx(37.5) and table["skipped"] == table["blank"] == 0
+    assert table["psnr_screen"] == pytest.approx((40 + 40 + 40 + 38 + 36 + 35) / 6) and table["stale"] == 0.5
+    known = frame_table(log, lambda stands, due: 20.0 + stands)
+    assert known["psnr_screen"] == pytest.approx((40 + 20 + 20 + 22 + 36 + 35) / 6)
+
+
+def test_before_anything_has_come_nothing_stands():
+    log = push_frames(frames(50, 60), 10.0, link([0, 8e3], [0, 0.1]), choose_top)
+    assert log.shown.tolist() == [NOTHING, 0]
+    assert frame_table(log)["blank"] == 0.5 and frame_table(log)["psnr_screen"] == pytest.approx(40.0)
+    nothing = frame_table(simulate_frames(CATALOGUE, link([10.0]), "paper", 1))
+    assert nothing["skipped"] == nothing["blank"] == 1 and nothing["ms_percentiles"] is None
+    assert np.isnan([nothing["psnr"], nothing["psnr_screen"], nothing["paper_max_ms"]]).all()
+
+
+def test_a_stream_without_levels_is_timed_as_the_paper_times_it():
+    log = push_frames(frames(*range(0, 101)), 10.0, link([8e3]), choose_top)
+    table = frame_table(log)
+    assert table["ms_percentiles"] == pytest.approx(range(101))
+    assert (table["paper_mean_ms"], table["paper_p95_ms"], table["paper_max_ms"]) == pytest.approx((50, 95, 100))
+
+
+def test_the_papers_programme_is_what_each_frame_alone_chooses():
+    rates = link([1e4, 2e4, 0, 6e3], [0, 0.5, 1.0, 1.5])
+    best = frame_programme(frame_options(CATALOGUE, False), CATALOGUE.fps, rates)
+    greedy = simulate_frames(CATALOGUE, rates, "paper-no-cliff", 1)
+    assert best["psnr"] == pytest.approx(np.nanmean(greedy.quality)) and best["infeasible"] == 0.25
+    assert best["solve_s"] >= 0
+    assert paper_programme([[60]], [[34.0]], [50.0]) == (0.0, [False])
+    assert np.isnan(frame_programme(frame_options(CATALOGUE, False), CATALOGUE.fps, link([10.0]))["psnr"])
+
+
 def test_an_estimated_rate_recovers_after_an_outage():
     log = simulate_frames(CATALOGUE, link([1e5, 0, 1e5], [0, 0.5, 0.8]), "paper", 4, known=False)
     assert log.levels[0] == SKIPPED  # nothing is known yet
@@ -59,5 +120,7 @@ def test_an_estimated_rate_recovers_after_an_outage():
 def test_what_cannot_be_played():
     with pytest.raises(ConfigError, match="expected unpruned"):
         simulate_frames(CATALOGUE, link([1e4]), "best", 1)
+    with pytest.raises(ConfigError, match="at least one frame"):
+        push_frames([], 10.0, link([1e4]), choose_top)
     with pytest.raises(ConfigError, match="no measured quality"):
         simulate_frames(Catalogue(tiny_manifest(psnr=None)), link([1e4]), "paper", 1)

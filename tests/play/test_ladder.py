@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.ladder import Decision, Ladder, Option, frame_budget, select, select_literal
+from airgs_codec.play.ladder import Decision, Ladder, Option, frame_budget, saved_shares, select, select_literal
 
 
 def dense(*qualities: float, sizes: list[int] | None = None) -> list[Option]:
@@ -49,6 +49,23 @@ def test_sizes_that_do_not_fall_9():
     ladder = Ladder.build(points)
     assert [p.index for p in ladder.options] == [0, 1, 3]
     assert select(ladder, 500).index == 1
+
+
+def test_drops_count_per_tenth_of_the_bytes_saved():
+    """From 40 % on, 1.2 dB for 10 % after 2 dB for 40 %; the same levels 10 % apart have no cliff."""
+    sizes, qualities = [1000, 600, 500], [40.0, 38.0, 36.8]
+    saved = saved_shares(sizes)
+    assert saved == pytest.approx([0, 0.4, 0.5]) and saved_shares([0, 0]) == [0, 0] and saved_shares([5, 9]) == [0, 0]
+    levels = [Option(i, *row) for i, row in enumerate(zip(sizes, qualities, saved, strict=True))]
+    assert len(Ladder.build(levels).options) == 2
+    assert kept(*qualities) == [0, 1, 2]
+
+
+def test_the_mean_of_earlier_drops_is_over_all_they_save():
+    """4 dB for 40 %, 2 dB for 10 %: 1.2 dB per 10 % so far, of which 2.3 is no cliff; of 1 dB it would be one."""
+    saved = [0.0, 0.4, 0.5, 0.6]
+    levels = [Option(i, 100 - i, q, s) for i, (q, s) in enumerate(zip([40.0, 36.0, 34.0, 31.7], saved, strict=True))]
+    assert len(Ladder.build(levels).options) == 4
 
 
 @pytest.mark.parametrize("beta", [1.0, 0.5, 0.0, math.nan])
@@ -114,6 +131,8 @@ def literal(*qualities: float, budget: float = 1e9, sizes: list[int] | None = No
         ("6: the first level is never the cliff", literal(40, 20, 19, budget=250), 1),
         ("6: unless beta < 1", literal(40, 39, 38, budget=10, beta=0.5), 1),
         ("7: nothing fits, the answer is the cliff, outside S", literal(40, 39, 30, 20, budget=10), 2),
+        ("7: even where a level past the cliff would fit", literal(40, 39, 30, 20, budget=150), 2),
+        ("without a cliff that level is found", literal(40, 39, 30, 20, budget=150, beta=math.inf), 3),
         ("8: nothing fits, no cliff: undefined", literal(40, 39, 38, budget=10), None),
         (
             "9: sizes that do not fall mislead the search",
@@ -189,7 +208,7 @@ def test_without_a_cliff_it_is_the_best_that_fits(points, budget):
 
 @given(points=points, budget=st.integers(0, 12_000), factor=st.sampled_from([2, 10, 1000]))
 def test_units_of_size_do_not_matter(points, budget, factor):
-    scaled = [Option(p.index, p.size_bytes * factor, p.quality, p.pruned) for p in points]
+    scaled = [Option(p.index, p.size_bytes * factor, p.quality, p.saved) for p in points]
     small, large = select(Ladder.build(points), budget), select(Ladder.build(scaled), budget * factor)
     assert (small.index, small.fits) == (large.index, large.fits)
 

@@ -1,6 +1,7 @@
 """Policies: what each must do with a state that can be read, and what none may do."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,12 +15,18 @@ from airgs_codec.play.policies.bola import choose_bola
 from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, choose_robust_mpc, discounted_throughput
 from airgs_codec.play.policies.named import NAMES, make_policy
 from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
-from airgs_codec.play.policies.paper import choose_paper, choose_paper_literal
+from airgs_codec.play.policies.paper import (
+    choose_paper,
+    choose_paper_literal,
+    choose_paper_literal_no_cliff,
+    choose_paper_no_cliff,
+)
 from airgs_codec.play.policies.state import (
     RESERVE_S,
     STALL_DB,
     Download,
     PlayerState,
+    before_cliff,
     budget_bytes,
     estimate_throughput,
 )
@@ -78,6 +85,22 @@ def test_paper_spends_a_segments_time_or_half_the_buffer_15():
     assert not choose_paper(state(8e3)).fits
 
 
+def test_the_cliff_bounds_what_paper_takes():
+    """L2 has 34 dB where L1 has 38 for twice its bytes: it is past the cliff, in both key qualities."""
+    poor = state(8e3, 0.0)
+    assert names(choose_paper_no_cliff(poor)) == "Q1+L2" and names(choose_paper(poor)) == "Q1+L1"
+    assert choose_paper(state(8e4)) == choose_paper_no_cliff(state(8e4))
+    left = replace(poor, options=tuple(p for p in poor.options if p.index % 3 == 2))
+    assert names(choose_paper(left)) == "Q1+L2"  # where no other can be had
+    gentle = Catalogue(tiny_manifest(psnr=((40.0, 36.0), (38.0, 35.0), (37.0, 32.0))), header_bytes=0)
+    assert names(choose_paper(state(8e3, 0.0, catalogue=gentle))) == "Q1+L2"
+
+
+def test_the_cliff_is_the_segments_own_whatever_is_decoded():
+    for held in (NONE, units(2), units(0, 2)):
+        assert {p.index % 3 for p in before_cliff(state(held=held)).options} == {0, 1}
+
+
 def test_throughput_does_not_look_at_the_buffer():
     assert choose_throughput(state(4e4, 0.0)).index == choose_throughput(state(4e4, 9.0)).index
 
@@ -86,6 +109,8 @@ def test_paper_literal_knows_levels_alone():
     assert names(choose_paper_literal(state(8e4))) == "Q0+L0"
     poor = choose_paper_literal(state(8e3))
     assert names(poor) == "Q0+L2" and not poor.fits
+    none = choose_paper_literal_no_cliff(state(8e3))
+    assert names(none) == "Q0+L2" and none.reason == "Algorithm 1 leaves it undefined"
 
 
 def test_bola_rises_with_the_buffer_and_leaves_the_smallest_rung_at_its_reserve():

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.play.catalogue import NONE, KeyUnits
-from airgs_codec.play.ladder import Option
+from airgs_codec.play.ladder import Option, saved_shares
 
 Numbers = Mapping[str, Any]
 
@@ -23,21 +23,21 @@ class Offer:
     """Stands in for `play.catalogue.Catalogue` where policies look at it. `numbers` are an offer of the vectors."""
 
     def __init__(self, numbers: Numbers) -> None:
-        self.levels: list[Numbers] = numbers["levels"]
+        self._levels: list[Numbers] = numbers["levels"]
         self.groups: list[list[list[int]]] = numbers["groups"]  # G x Q x T wire bytes
         self.segments: list[Numbers] = numbers["segments"]
         of_segments = [s["group"] for s in self.segments]
         self.manifest = SimpleNamespace(
-            levels=self.levels, group_of=of_segments.__getitem__, base_of=lambda group: None
+            levels=self._levels, group_of=of_segments.__getitem__, base_of=lambda group: None
         )
-        self.rungs = [(q, j) for q in range(len(self.groups[0])) for j in range(len(self.levels))]
+        self.rungs = [(q, j) for q in range(len(self.groups[0])) for j in range(len(self._levels))]
         self.quality = np.array([[s["psnr"][j][q] for q, j in self.rungs] for s in self.segments])
 
     def sizes(self, segment: int, decoded: KeyUnits) -> list[int]:
         """(R,) wire bytes of what is missing where some key units are there."""
         s = self.segments[segment]
         keys = self.groups[s["group"]]
-        needed = [[(q, tier) for tier in range(self.levels[j]["tiers"])] for q, j in self.rungs]
+        needed = [[(q, tier) for tier in range(self._levels[j]["tiers"])] for q, j in self.rungs]
         missing = [sum(keys[q][tier] for q, tier in units if (q, tier) not in decoded) for units in needed]
         return [size + s["state_bytes"][j] for size, (_, j) in zip(missing, self.rungs, strict=True)]
 
@@ -45,7 +45,14 @@ class Offer:
         """Every rung of a segment."""
         sizes = self.sizes(segment, decoded)
         quality = self.quality[segment].tolist()
-        return tuple(Option(r, sizes[r], quality[r], self.levels[j]["pruned"]) for r, (_, j) in enumerate(self.rungs))
+        saved = [level.saved for level in self.levels(segment)]
+        return tuple(Option(r, sizes[r], quality[r], saved[j]) for r, (_, j) in enumerate(self.rungs))
+
+    def levels(self, segment: int) -> tuple[Option, ...]:
+        """The levels of a segment by the bytes of their states."""
+        sizes = self.segments[segment]["state_bytes"]
+        rows = zip(sizes, self.quality[segment], saved_shares(sizes), strict=False)
+        return tuple(Option(j, size, float(quality), saved) for j, (size, quality, saved) in enumerate(rows))
 
     @cached_property
     def bytes_from_scratch(self) -> NDArray[np.int64]:
@@ -59,7 +66,7 @@ class Offer:
     @cached_property
     def bytes_after(self) -> NDArray[np.int64]:
         """(S, R, R) wire bytes of a rung after another one in the segment before, of the same group."""
-        held = [frozenset((q, tier) for tier in range(self.levels[j]["tiers"])) for q, j in self.rungs]
+        held = [frozenset((q, tier) for tier in range(self._levels[j]["tiers"])) for q, j in self.rungs]
         return np.array([[self.sizes(s, decoded) for decoded in held] for s in range(len(self.segments))])
 
     def seconds(self, segment: int) -> float:

@@ -11,7 +11,7 @@
 //     capture        wheel and fingers over the picture never scroll the page; without it, the wheel does until the
 //                    picture was clicked (with Ctrl it zooms at once), and so does a finger that goes up or down
 //     controls       show the controls; looking around works without them
-//     policy         how "auto" chooses: paper, paper-literal, throughput, bola, robust-mpc
+//     policy         how "auto" chooses: robust-mpc, throughput, bola, paper or paper-literal (both also with -no-cliff)
 //     quality        auto (the default), or the name of a rung
 //     view-region    bounded (the default): viewers stay where quality is promised; free: they may leave
 //                    (the property is viewRegion)

@@ -13,16 +13,23 @@ from airgs_codec.play.policies.bola import choose_bola
 from airgs_codec.play.policies.fixed import choose_fixed
 from airgs_codec.play.policies.mpc import HORIZON_SEGMENTS, choose_robust_mpc
 from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
-from airgs_codec.play.policies.paper import choose_paper, choose_paper_literal
+from airgs_codec.play.policies.paper import (
+    choose_paper,
+    choose_paper_literal,
+    choose_paper_literal_no_cliff,
+    choose_paper_no_cliff,
+)
 from airgs_codec.play.policies.state import PlayerState, Policy
 from airgs_codec.play.policies.throughput import choose_throughput
 
-DEFAULT_POLICY = "paper"
+DEFAULT_POLICY = "robust-mpc"
 ADAPTIVE = {
     policy.name: policy
     for policy in (
         Policy("paper", choose_paper),
+        Policy("paper-no-cliff", choose_paper_no_cliff),
         Policy("paper-literal", choose_paper_literal),
+        Policy("paper-literal-no-cliff", choose_paper_literal_no_cliff),
         Policy("throughput", choose_throughput),
         Policy("bola", choose_bola),
         Policy("robust-mpc", choose_robust_mpc, horizon=HORIZON_SEGMENTS),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from airgs_codec.play.catalogue import Catalogue, KeyUnits
 from airgs_codec.play.ladder import Decision, Ladder, Option
@@ -99,7 +99,19 @@ def budget_bytes(state: PlayerState) -> float:
 def full_ladder(state: PlayerState) -> Ladder:
     """The rungs worth having, without the cliff test.
 
-    The cliff belongs to the dense level space that a package's few levels were taken from, and a rung it removed here
-    could only be replaced by a stall.
+    A rung that the cliff test removes can only be replaced by a larger one, and in the end by a stall.
     """
     return Ladder.build(state.options, beta=math.inf, cliff_db=math.inf)
+
+
+def before_cliff(state: PlayerState) -> PlayerState:
+    """The same with those rungs alone whose level is not past the cliff of its segment; with all, if there are none.
+
+    The dense level space of Algorithm 1 is here what a package has of it: the levels of the segment with the finest
+    keys, by the bytes of their states. A segment of two levels has a cliff only where the second is 3 dB worse per
+    10 % of the bytes saved; of one level, none. Key qualities have no cliff: they are not updates withheld.
+    """
+    c, levels = state.catalogue, state.catalogue.levels(state.segment)
+    least = Ladder.build(levels).options[-1].size_bytes
+    kept = tuple(p for p in state.options if levels[c.rungs[p.index][1]].size_bytes >= least)
+    return replace(state, options=kept or state.options)

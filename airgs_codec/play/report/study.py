@@ -14,8 +14,16 @@ from airgs_codec._files import to_json, write_json
 from airgs_codec._report import require_matplotlib, table
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.figures import FIGURES, FRAME_FIGURES, headlines, meanings
-from airgs_codec.play.report.study_page import plot_study, study_page
-from airgs_codec.play.study import FEASIBLE_START_S, PolicySummary, Row, Study, frame_summary, summarise
+from airgs_codec.play.report.study_page import plot_study, programme_line, study_page
+from airgs_codec.play.study import (
+    FEASIBLE_START_S,
+    PolicySummary,
+    Row,
+    Study,
+    frame_summary,
+    programme_summary,
+    summarise,
+)
 
 PSNR_COLUMNS = {  # headings of the tables of single sessions and runs: which PSNR it is
     "psnr_mean": "psnr_mean_over_ticks_db",
@@ -35,6 +43,7 @@ def study_record(study: Study) -> dict[str, Any]:
         "all": [asdict(summary) for summary in summarise(study)],
         "feasible": [asdict(summary) for summary in summarise(study, True)],
         "frame_mode": frame_summary(study.frame_rows),
+        "programme": programme_summary(study),
     }
 
 
@@ -49,7 +58,7 @@ def format_study(study: Study, as_json: bool = False) -> str:
         words = f"{count} links whose smallest rungs play without a stall from {FEASIBLE_START_S:g} s on:"
         lines += [words, *_summary_lines(feasible), ""]
     lines += ["the paper's frame mode, state only (see --mode frames); PSNR: dB, mean over frames sent:"]
-    return "\n".join(lines + frame_lines(study.frame_rows))
+    return "\n".join([*lines, *frame_lines(study.frame_rows), programme_line(study)])
 
 
 def _summary_lines(summaries: Sequence[PolicySummary]) -> list[str]:
@@ -114,7 +123,7 @@ def _write_csv(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
 
 
 def _labelled(row: Row) -> Row:
-    return {PSNR_COLUMNS.get(name, name): value for name, value in row.items() if name != "frame_ms_percentiles"}
+    return {PSNR_COLUMNS.get(name, name): value for name, value in row.items() if not name.endswith("_percentiles")}
 
 
 def _summary_rows(study: Study) -> list[Row]:

@@ -108,7 +108,7 @@ def session(offer: Offer, driver: str, limit_s: float, rng: np.random.Generator)
         deadline_s = max(deadline_s, now_s) + seconds
         now_s = max(now_s, deadline_s - limit_s)
         q, j = offer.rungs[rung]
-        decoded[q] = max(decoded.get(q, 0), offer.levels[j]["tiers"])
+        decoded[q] = max(decoded.get(q, 0), offer.manifest.levels[j]["tiers"])
         shown = float(offer.quality[offer.index(position), rung])
 
 

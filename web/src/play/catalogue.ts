@@ -5,7 +5,7 @@
 import { ROOT_PATH } from "../format/paths.ts";
 import type { Root, Segment } from "../format/types.ts";
 import { Kept } from "./kept.ts";
-import type { Option } from "./ladder.ts";
+import { type Option, savedShares } from "./ladder.ts";
 
 /** Seconds of play where nobody says how often the sequence is played. */
 export const SESSION_S = 30;
@@ -49,7 +49,7 @@ export interface Offers {
   readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "frames"> & {
     readonly views: Pick<Root["views"], "reference">;
     readonly qualities: readonly Pick<Root["qualities"][number], "id">[];
-    readonly levels: readonly Pick<Root["levels"][number], "id" | "tiers" | "pruned">[];
+    readonly levels: readonly Pick<Root["levels"][number], "id" | "tiers">[];
   };
   readonly rootBytes: number;
   readonly index: {
@@ -252,11 +252,18 @@ export class Catalogue {
     return this.kept.options.get(`${segment}: ${held.join("; ")}`, () => {
       const quality = this.quality(segment);
       const sizes = this.sizes(segment, decoded, base);
-      const { levels } = this.tables.root;
+      const saved = savedShares(this.stateBytes(segment));
       return this.rungs.map(([, j], index) => {
-        return { index, sizeBytes: sizes[index], quality: quality[index], pruned: levels[j].pruned };
+        return { index, sizeBytes: sizes[index], quality: quality[index], saved: saved[j] };
       });
     });
+  }
+
+  /** The levels of a segment by the bytes of their states and their quality with the finest keys. */
+  levels(segment: number): Option[] {
+    const sizes = this.stateBytes(segment);
+    const quality = this.quality(segment);
+    return savedShares(sizes).map((saved, j) => ({ index: j, sizeBytes: sizes[j], quality: quality[j], saved }));
   }
 
   /** The files that a rung of a segment needs beside the decoded units of its group, and of the one whose rows it keeps. */

@@ -9,6 +9,8 @@ import { ConfigError } from "./settings.ts";
 
 /** The paper's cliff multiplier. */
 export const DEFAULT_BETA = 2;
+/** dB, the least mean drop: with DEFAULT_BETA, half a dB per 10 % is no cliff. */
+const EPS_DB = 0.25;
 /** dB; what equal pictures count as. */
 export const PSNR_CAP = 100;
 
@@ -19,8 +21,8 @@ export interface Option {
   sizeBytes: number;
   /** dB */
   quality: number;
-  /** Share of updates withheld, 0 … 1. */
-  pruned: number;
+  /** Share of the best level's bytes that its level saves, 0 … 1; 0 where nothing is known of that. */
+  saved: number;
 }
 
 /** The option that was chosen, and why. */
@@ -44,25 +46,26 @@ export interface Cliff {
 
 /** Options whose size and quality both fall strictly, from the best down to the last before the cliff.
  *
- * Pareto filter, then the cliff test. Drops are counted per 10 % pruned, the paper's spacing. A level is past the cliff
- * when its drop exceeds `beta` times the mean of the earlier drops (at least `epsDb`), or, for the first level,
- * `cliffDb`; or when its quality is under `minQuality`. O(n log n). Throws ConfigError: no options (10), beta ≤ 1 (6),
+ * Pareto filter, then the cliff test. Drops are counted per 10 % of the bytes saved, over at least one such step from
+ * level to level. A level is past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least
+ * `epsDb`), or, for the first level, `cliffDb`; or when its quality is under `minQuality`. O(n log n). Throws ConfigError: no options (10), beta ≤ 1 (6),
  * a size or quality that is no number (11).
  */
 export function buildLadder(options: readonly Option[], cliff: Cliff = {}): Option[] {
-  const { beta = DEFAULT_BETA, epsDb = 0.05, cliffDb = 3, minQuality = -Infinity } = cliff;
+  const { beta = DEFAULT_BETA, epsDb = EPS_DB, cliffDb = 3, minQuality = -Infinity } = cliff;
   if (!(beta > 1)) throw new ConfigError(`cliff multiplier: expected more than 1, got ${beta}`);
   const front = pareto(options.map(checked));
   const kept = front.slice(0, 1);
-  let dropped = 0; // sum over the levels kept
+  let steps = 0; // of 10 %, from the best level to the last one kept
   for (let i = 1; i < front.length; i++) {
-    const option = front[i];
-    const drop = dropPerTenth(front[i - 1], option);
-    const mean = kept.length > 1 ? Math.max(epsDb, dropped / (kept.length - 1)) : null;
+    const [option, previous] = [front[i], front[i - 1]];
+    const tenths = Math.max(1, 10 * (option.saved - previous.saved));
+    const drop = (previous.quality - option.quality) / tenths;
+    const mean = steps ? Math.max(epsDb, (front[0].quality - previous.quality) / steps) : null;
     const past = mean === null ? drop > cliffDb : drop / mean > beta;
     if (past || option.quality < minQuality) break;
     kept.push(option);
-    dropped += drop;
+    steps += tenths;
   }
   return kept;
 }
@@ -86,10 +89,6 @@ function pareto(options: Option[]): Option[] {
   return front.reverse();
 }
 
-function dropPerTenth(better: Option, worse: Option): number {
-  return (better.quality - worse.quality) / Math.max(1, 10 * (worse.pruned - better.pruned));
-}
-
 /** The best level that fits; when none does, the smallest with fits = false (7, 8).
  *
  * A budget that is negative or no number counts as 0 (12).
@@ -102,6 +101,10 @@ export function select(ladder: readonly Option[], budgetBytes: number): Decision
   const reason = chosen ? `${sizeBytes} B fit ${words} B` : `nothing fits ${words} B, taking the smallest`;
   return { index, fits: chosen !== undefined, reason, sizeBytes };
 }
+
+/** What levels save of the bytes of the first, the best; 0 where that has none or is no larger. */
+export const savedShares = (sizes: ArrayLike<number>): number[] =>
+  Array.from(sizes, (size) => (sizes[0] > 0 ? Math.max(0, 1 - size / sizes[0]) : 0));
 
 /** Algorithm 1 as it is printed, over options in the order of their levels; null where it leaves p undefined.
  *

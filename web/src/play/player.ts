@@ -10,7 +10,7 @@ import { type PlayerStats, Statistics } from "./statistics.ts";
 import type { ViewState } from "./view.ts";
 
 export interface PlayerOptions {
-  /** Name of a policy: robust-mpc (default), paper, paper-literal, throughput, bola. */
+  /** Name of a policy: robust-mpc (default), throughput, bola, paper, paper-literal; both also with -no-cliff. */
   policy?: string;
   /** Whether the sequence begins again at its end; default true. */
   loop?: boolean;

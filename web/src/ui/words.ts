@@ -54,7 +54,9 @@ export const rungTitle = (rung: RungInfo): string => (rung.psnr === null ? rung.
 
 export const POLICIES: ReadonlyMap<string, string> = new Map([
   ["paper", "As in the paper"],
+  ["paper-no-cliff", "As in the paper, no cliff"],
   ["paper-literal", "The paper to the letter"],
+  ["paper-literal-no-cliff", "To the letter, no cliff"],
   ["throughput", "By throughput"],
   ["bola", "By buffer (BOLA)"],
   ["robust-mpc", "By prediction (robust MPC)"],

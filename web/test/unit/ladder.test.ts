@@ -5,7 +5,7 @@ import { buildLadder, type Cliff, frameBudget, type Option, select, selectLitera
 
 /** Levels 10 % apart, 100 bytes apart unless sizes are given. */
 const dense = (qualities: number[], sizes = qualities.map((_, i) => 100 * (qualities.length - i))): Option[] =>
-  qualities.map((quality, index) => ({ index, sizeBytes: sizes[index], quality, pruned: 0.1 * index }));
+  qualities.map((quality, index) => ({ index, sizeBytes: sizes[index], quality, saved: 0.1 * index }));
 
 const kept = (qualities: number[], cliff?: Cliff) => buildLadder(dense(qualities), cliff).map((p) => p.index);
 

@@ -4,7 +4,7 @@ import { ConfigError } from "../settings.ts";
 import { chooseBola } from "./bola.ts";
 import { chooseFixed } from "./fixed.ts";
 import { chooseRobustMpc, HORIZON_SEGMENTS } from "./mpc.ts";
-import { choosePaper, choosePaperLiteral } from "./paper.ts";
+import { choosePaper, choosePaperLiteral, choosePaperNoCliff } from "./paper.ts";
 import type { Policy } from "./state.ts";
 import { chooseThroughput } from "./throughput.ts";
 
@@ -15,7 +15,9 @@ const adaptive = (name: string, choose: Policy["choose"], horizon = 1): [string,
 
 export const ADAPTIVE: ReadonlyMap<string, Policy> = new Map([
   adaptive("paper", choosePaper),
-  adaptive("paper-literal", choosePaperLiteral),
+  adaptive("paper-no-cliff", choosePaperNoCliff),
+  adaptive("paper-literal", (state) => choosePaperLiteral(state)),
+  adaptive("paper-literal-no-cliff", (state) => choosePaperLiteral(state, Infinity)),
   adaptive("throughput", chooseThroughput),
   adaptive("bola", chooseBola),
   adaptive("robust-mpc", chooseRobustMpc, HORIZON_SEGMENTS),

@@ -102,10 +102,15 @@ export function budgetBytes(state: PlayerState): number {
   return (SAFETY * estimateThroughput(state.history) * window) / 8;
 }
 
-/** The rungs worth having, without the cliff test.
- *
- * The cliff belongs to the dense level space that a package's few levels were taken from, and a rung it removed here
- * could only be replaced by a stall.
- */
+/** The rungs worth having, without the cliff test. */
 export const fullLadder = (state: PlayerState): Option[] =>
   buildLadder(state.options, { beta: Infinity, cliffDb: Infinity });
+
+/** The same with those rungs alone whose level is not past the cliff of its segment; with all, if there are none. */
+export function beforeCliff(state: PlayerState): PlayerState {
+  const { catalogue, options } = state;
+  const levels = catalogue.levels(catalogue.index(state.position));
+  const least = buildLadder(levels).at(-1)?.sizeBytes ?? 0;
+  const kept = options.filter(({ index }) => levels[catalogue.rungs[index][1]].sizeBytes >= least);
+  return kept.length ? { ...state, options: kept } : state;
+}
