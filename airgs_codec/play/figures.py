@@ -61,7 +61,7 @@ FRAME_FIGURES = (
     Figure("paper_mean_ms", "mean ms", "bits over the rate of that moment, outages left out", 1, 1, headline=True),
     Figure("paper_p95_ms", "95 % ms", "95th percentile of the same time", 1, 1, headline=True),
     Figure("paper_max_ms", "worst ms", "the longest of these times", 1, 1, headline=True),
-    Figure("late", "late %", "frames that were not through the link when the next was due", 100, 1, headline=True),
+    Figure("late", "late %", "frames that were not through the link when the next was due", 100, 1),
     Figure("skipped", "skipped %", "frames of which nothing was sent", 100, 1, headline=True),
     Figure("stale", "stale %", "frames at whose moment an earlier one stood: skipped, or late", 100, 1),
     Figure("blank", "blank %", "frames at whose moment none had come yet; not in the dB on the screen", 100, 1),

@@ -71,6 +71,7 @@ def test_a_study_compares_on_the_same_links(demo_package, tmp_path, capsys):
         and "links whose smallest rungs" in text
         and "oracle-lp" in text
         and "unpruned" in text
+        and "integer programme (eq. 13)" in text
     )
     assert max(len(line) for line in text.splitlines()[2:] if not line.startswith("report")) <= 120
     names = {"study.json", "study.png", "index.html"}
@@ -79,11 +80,12 @@ def test_a_study_compares_on_the_same_links(demo_package, tmp_path, capsys):
     record = json.loads((report / "study.json").read_text())
     assert [r["sessions"] for r in record["all"]] == [4] * 8
     assert all(r["figures"]["regret"][0] >= -1e-6 for r in record["all"])
+    assert record["programme"]["links"] == 4 and abs(record["programme"]["gain_db"]) < 1e-6
     assert record["all"][0]["differences"]["psnr_mean"] == [0, 0, 0]
     rows = (report / "sessions.csv").read_text().splitlines()
     assert len(rows) == 1 + 4 * 8 and "mean_bps" in rows[0] and "scale" in rows[0] and "wire_bytes" in rows[0]
     page = (report / "index.html").read_text()
-    assert "paired" in page
+    assert "paired" in page and "eq. 13" in page
     heads = [table.split("</tr>")[0] for table in page.split("<table>")[1:]]
     assert len(heads) == 5 and all(head.count("<th>") <= 8 for head in heads)
     assert 'href="summary.csv"' in page

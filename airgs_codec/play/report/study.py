@@ -14,7 +14,7 @@ from airgs_codec._files import to_json, write_json
 from airgs_codec._report import require_matplotlib, table
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.figures import FIGURES, FRAME_FIGURES, headlines, meanings
-from airgs_codec.play.report.study_page import plot_study, programme_line, study_page
+from airgs_codec.play.report.study_page import plot_study, programme_lines, study_page
 from airgs_codec.play.study import (
     FEASIBLE_START_S,
     PolicySummary,
@@ -58,7 +58,7 @@ def format_study(study: Study, as_json: bool = False) -> str:
         words = f"{count} links whose smallest rungs play without a stall from {FEASIBLE_START_S:g} s on:"
         lines += [words, *_summary_lines(feasible), ""]
     lines += ["the paper's frame mode, state only (see --mode frames); PSNR: dB, mean over frames sent:"]
-    return "\n".join([*lines, *frame_lines(study.frame_rows), programme_line(study)])
+    return "\n".join([*lines, *frame_lines(study.frame_rows), *programme_lines(study)])
 
 
 def _summary_lines(summaries: Sequence[PolicySummary]) -> list[str]:
