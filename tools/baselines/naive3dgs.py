@@ -17,16 +17,16 @@ from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import from_points
 from airgs_codec.train.fit.points import initial_points, scene_extent
 from tools.baselines.method import Footage, Shown, frame_path
-from tools.baselines.threedgs import ITERATIONS, SH_EVERY, SMALL_GRADIENT, START_OPACITY, Splats, Timetable
+from tools.baselines.threedgs import GRADIENT, ITERATIONS, SH_EVERY, START_OPACITY, Splats, Timetable
 
 
 @dataclass(frozen=True, slots=True)
 class Naive3dgs:
     """3DGS of every frame; the paper's schedule is shrunk to so many iterations."""
 
-    iterations: int = 1_500
+    iterations: int = 1_250
     sh_degree: int = 3
-    gradient: float = SMALL_GRADIENT  # from which rows are added
+    gradient: float = GRADIENT  # from which rows are added
     points: int = 2_400  # fewest to start from; random ones fill up
     seed: int = 0
 

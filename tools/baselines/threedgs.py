@@ -19,9 +19,6 @@ from airgs_codec.train.fit.per_gaussian import Rates
 
 ITERATIONS = 30_000  # that the paper's constants are made for
 GRADIENT = 2e-4  # mean length of the gradient by places that are -1..1 across the picture, from which rows are added
-# That is for pictures of about 1,600 pixels. In one of 320 a Gaussian of a pixel is five times as large, and so is its
-# share of the mean loss: rows would be added for single pixels of single cameras.
-SMALL_GRADIENT = 8e-4
 DENSE = 0.01  # of the scene's extent: Gaussians larger than this are split, others cloned
 LARGEST = 0.1  # of the scene's extent: larger Gaussians are removed once opacity has been reset
 RESET_OPACITY = 0.01
