@@ -125,7 +125,7 @@ def test_scenes_are_told_apart():
 
 def test_words_of_figures():
     assert [seconds(s) for s in (12.3, 0.0123, 4.5e-6)] == ["12 s", "12 ms", "4.5 µs"]
-    assert [figure(v) for v in (0.0, 0.0456, 1234.5, 1.2e-5)] == ["0", "0.046", "1,234", "1.2e-5"]
+    assert [figure(v) for v in (0.0, 0.0456, 1234.5, 1.2e-5)] == ["0", "0.046", "1,230", "1.2e-5"]
     assert times(1.0, 1.0) == "takes as long" and times(0.3, 1.0) == "takes 30 % of the time"
     assert changed(100.1, 100.0, "bytes") == "takes as many bytes"
     assert quartiles([3.0, 1.0, 2.0]) == (2.0, 1.5, 2.5)

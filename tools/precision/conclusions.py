@@ -144,7 +144,8 @@ def _tiles(rows: Rows) -> str:
     words = (
         f"with tiles of {best.setting} pixels in place of {own.setting} a picture {times(best.seconds, own.seconds)}"
     )
-    return f"{words}, and no size changes the error by more than {figure(spread)} grey levels"
+    more = f" by more than {figure(spread)} grey levels" if spread > 0 else ""
+    return f"{words}, and no size changes the error{more}"
 
 
 def cuts(rows: Rows) -> str:

@@ -83,5 +83,5 @@ def draw_bars(axis: Axes, panel: Panel, rows: list[Row]) -> None:
         axis.barh([row.scene for row in some], lengths, left=[left[row.scene] for row in some], height=0.5, label=curve)
         for row, length in zip(some, lengths, strict=True):
             left[row.scene] += length
-    axis.invert_yaxis()
+    axis.set_ylim(len(names) - 0.2, -0.8)  # from the top down
     axis.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)

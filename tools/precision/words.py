@@ -55,9 +55,9 @@ def seconds(value: float) -> str:
 
 
 def figure(value: float) -> str:
-    """Two significant figures, whole numbers from 10 on, without an exponent from 0.001 to a million."""
+    """Two significant figures, three from 100 on, without an exponent from 0.001 on."""
     if abs(value) >= 10:
-        return f"{value:,.0f}"
+        return f"{float(f'{value:.3g}'):,.0f}"
     if value == 0 or abs(value) >= 1e-3:
         return f"{float(f'{value:.2g}'):g}" if value else "0"
     return f"{value:.1e}".replace("e-0", "e-")
