@@ -179,7 +179,8 @@ SECTIONS = (
         selector.measure,
         "Sessions of the fox over seeded links of one and a half times the rate of its top rung; points are medians "
         "over choices (time) and over links (regret), bars their quartiles. Dense levels lie between those of the "
-        "package; their regret is the distance to a ladder without gaps.",
+        "package; their regret is the distance to a ladder without gaps. Where bars overlap, links decide "
+        "more than policies.",
         (
             Panel(
                 "policies",
