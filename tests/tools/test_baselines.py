@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import pytest
@@ -20,7 +21,7 @@ class Growing:
     """Frame t has t + 10 Gaussians and 100 t bytes; it stops before frame `until`, as if it were killed."""
 
     name: str = "growing"
-    settings: dict[str, object] = field(default_factory=lambda: {"rate": 0.1})
+    settings: dict[str, object] = field(default_factory=lambda: {"rate": 0.1, "most": math.inf})
     until: int = 99
     asked: list[int] = field(default_factory=list)
 

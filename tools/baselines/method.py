@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from airgs_codec._files import write_json
+from airgs_codec._files import to_json, write_json
 from airgs_codec.errors import ConfigError
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.gaussians import Gaussians
@@ -109,6 +109,6 @@ def _kept(path: Path, wanted: dict[str, object]) -> list[Frame]:
         return []
     record = json.loads(path.read_text())
     done = [Frame(**entry) for entry in record.pop("done")]
-    if record != json.loads(json.dumps(wanted)):
+    if record != json.loads(to_json(wanted)):
         raise ConfigError(f"{path}: expected a run of {wanted['method']} with these settings, got {record}")
     return done
