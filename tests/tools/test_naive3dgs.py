@@ -60,7 +60,9 @@ def test_the_timetable_is_the_papers_and_shrinks_with_the_run():
     assert [i for i in range(1, 30_001) if paper.densifies(i)] == list(range(600, 15_000, 100))
     assert [i for i in range(1, 30_001) if paper.resets(i)] == [3_000, 6_000, 9_000, 12_000]
     assert (paper.removes_large(3_000), paper.removes_large(3_100)) == (False, True)
-    assert paper.scaled(0.1) == Timetable(50, 1_500, 100, 300)
+    short = paper.scaled(0.1)
+    assert short == Timetable(50, 1_500, 100, 750)
+    assert [i for i in range(1, 3_001) if short.resets(i)] == [750]
     assert not Timetable(reset=None).removes_large(20_000)
 
 

@@ -38,12 +38,14 @@ class Timetable:
     gradient: float = GRADIENT  # from which rows are added
 
     def scaled(self, factor: float) -> Timetable:
-        """The same for a run that is `factor` times as long, but for `every`.
+        """The same for a run that is `factor` times as long, but for `every`, and with one reset, half-way to `stop`.
 
-        Were that shrunk, too, rows would multiply before those added last have settled.
+        Were they shrunk, too, rows would multiply before those added last have settled, and opacity would not come back
+        before it is reset again.
         """
-        reset = None if self.reset is None else max(1, round(self.reset * factor))
-        return replace(self, start=round(self.start * factor), stop=round(self.stop * factor), reset=reset)
+        stop = round(self.stop * factor)
+        reset = None if self.reset is None else max(1, (stop + 1) // 2)
+        return replace(self, start=round(self.start * factor), stop=stop, reset=reset)
 
     def densifies(self, iteration: int) -> bool:
         """Whether rows are added and removed after this iteration."""
@@ -61,11 +63,12 @@ class Timetable:
 class Splats:
     """Gaussians that Adam fits, and the mean gradient by which their number grows: the variables of a fit."""
 
-    def __init__(self, start: Gaussians, extent: float, timetable: Timetable, seed: int) -> None:
-        """`extent`: of the scene in world units. `seed`: of what splitting draws."""
+    def __init__(self, start: Gaussians, extent: float, timetable: Timetable, seed: int, rate: float = 1.0) -> None:
+        """`extent`: of the scene in world units. `seed`: of what splitting draws. `rate`: factor on learning rates."""
         self.timetable = timetable
+        self._rates = replace(RATES, factor=rate)
         self._extent, self._seed = extent, seed
-        self._adam = Adam(from_gaussians(start), RATES.at(0.0, extent))
+        self._adam = Adam(from_gaussians(start), self._rates.at(0.0, extent))
         self._absgrad = AbsGrad()
         self._restart()
 
@@ -95,7 +98,7 @@ class Splats:
             lengths, seen = self._absgrad.signed()
             self._sum += lengths
             self._count += seen
-        self._adam.rates = RATES.at(iteration / iterations, self._extent)
+        self._adam.rates = self._rates.at(iteration / iterations, self._extent)
         self._adam.step()
         with torch.no_grad():
             if self.timetable.densifies(iteration):
