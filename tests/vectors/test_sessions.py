@@ -25,7 +25,7 @@ def test_every_kind_of_event_is_there():
 def test_rules_and_policies_take_turns():
     rules = {(name, s["settings"].get(name)) for s in SESSIONS for name in ("abandon", "replace", "pipelined")}
     assert {(name, on) for name in ("abandon", "replace", "pipelined") for on in (False, True)} <= rules
-    assert len({session["policy"] for session in SESSIONS}) == 7
+    assert len({session["policy"] for session in SESSIONS}) == 9
 
 
 def test_numbers_are_played_as_their_package_is():
