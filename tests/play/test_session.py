@@ -135,8 +135,8 @@ def test_loops_fetch_keys_and_states_again_but_not_tables():
 
 def test_key_quality_and_level_are_chosen_together():
     """The first choice, without a download to judge by, is the smallest."""
-    rich = play(tiny_manifest(), link([8e7]), "paper")
-    poor = play(tiny_manifest(), link([2e4]), "paper")
+    rich = play(tiny_manifest(), link([8e7]), "paper-no-cliff")
+    poor = play(tiny_manifest(), link([2e4]), "paper-no-cliff")
     assert pairs(rich) == {(1, 2, 32.0), (0, 0, 40.0)} and rich.shown[1].rung == 0
     assert pairs(poor) == {(1, 2, 32.0)}
     assert "nothing fits" in poor.fetches[-1].reason and "B fit" in rich.fetches[-1].reason
@@ -144,13 +144,13 @@ def test_key_quality_and_level_are_chosen_together():
 
 
 def test_a_faster_link_is_no_worse_however_fast():
-    log = play(tiny_manifest(), link([8e18]), "paper")
+    log = play(tiny_manifest(), link([8e18]), "paper-no-cliff")
     assert log.shown[1].rung == 0
 
 
 def test_paper_needs_measured_quality_everywhere():
     with pytest.raises(ConfigError, match="no measured quality"):
-        play(tiny_manifest(psnr=None), link([8e6]), "paper")
+        play(tiny_manifest(psnr=None), link([8e6]), "paper-no-cliff")
     log = play(tiny_manifest(psnr=None), link([8e6]))
     assert log.metrics.psnr_mean is log.metrics.delta_e_mean is None and "not measured" in format_metrics(log)
 
@@ -206,7 +206,7 @@ def test_a_full_buffer_need_not_wait_for_more():
 
 def test_buffered_segments_are_replaced_by_better_ones_in_time():
     """A slow second, then a fast link: what waits in the buffer is fetched again, the first one is on the screen."""
-    quick = {"policy": "paper", "buffer_s": 4.0, "loops": 4}
+    quick = {"policy": "paper-no-cliff", "buffer_s": 4.0, "loops": 4}
     m = tiny_manifest()
     kept = play(m, link([3e4, 8e6], [0, 2], 1000), **quick)
     better = play(m, link([3e4, 8e6], [0, 2], 1000), **quick, replace=True)
@@ -232,7 +232,7 @@ def test_a_download_that_would_come_too_late_is_given_up():
     """The link collapses in the middle of a large segment; whole files of it are kept."""
     slow = link([8e4, 4e3, 8e4], [0, 0.6, 9.0], 1000)
     patient = play(tiny_manifest(), slow)
-    hasty = play(tiny_manifest(), slow, "paper", abandon=True)
+    hasty = play(tiny_manifest(), slow, "paper-no-cliff", abandon=True)
     assert patient.metrics.abandoned == 0 and hasty.metrics.abandoned >= 1
     waited = [log.metrics.startup_s + log.metrics.stall_s for log in (patient, hasty)]
     assert waited[1] < waited[0]
@@ -243,12 +243,12 @@ def test_a_download_that_would_come_too_late_is_given_up():
 def test_missing_and_corrupt_files_cost_their_rung_and_no_more():
     m = tiny_manifest()
     whole = play(m, link([8e6]))
-    absent = play(m, link([8e6]), "paper", faults=missing("state/L0/2.m4s"))
+    absent = play(m, link([8e6]), "paper-no-cliff", faults=missing("state/L0/2.m4s"))
     assert [log_rung(absent, i) for i in (0, 1)] == ["Q1+L2", "Q0+L1"]
     assert "state/L0/2.m4s" in absent.lost[0] and absent.metrics.lost_frames == 0
     assert absent.metrics.bytes["state"] == 600 + 1100 and whole.metrics.bytes["state"] == 4200
     broken = {"state/L0/2.m4s": FormatError("hash_mismatch", "state/L0/2.m4s", "the SHA-256 differs")}
-    corrupt = play(m, link([8e6]), "paper", faults=broken)
+    corrupt = play(m, link([8e6]), "paper-no-cliff", faults=broken)
     assert corrupt.fetches[4].bytes == absent.fetches[4].bytes + 2100  # it travels before it can be found wrong
     assert corrupt.fetches[4].wasted > absent.fetches[4].wasted
 
@@ -270,7 +270,7 @@ def test_asking_ahead_hides_the_round_trip():
 
 def test_a_missing_table_costs_its_group_and_no_more():
     m = tiny_manifest(groups=(10, 10, 10))
-    for policy in ("paper", "robust-mpc"):
+    for policy in ("paper-no-cliff", "robust-mpc"):
         log = play(m, link([8e6]), policy, faults=missing("group/2.json.gz"))
         assert [s.rung is None for s in log.shown] == [False, True, False] and log.metrics.lost_frames == 10
         assert sum("group/2.json.gz" in line for line in log.lost) == 1
@@ -292,7 +292,7 @@ SECOND = arrived(BatchKind.REPLACEMENT, BETTER, 1.0, 4.0)
 
 
 def folded(*events):
-    return SessionLog.of([*events, *SHOWN], CATALOGUE, "paper", rules())
+    return SessionLog.of([*events, *SHOWN], CATALOGUE, "paper-no-cliff", rules())
 
 
 def test_a_replacement_is_the_time_and_the_waste_of_what_it_replaced():
@@ -319,7 +319,7 @@ def test_a_batch_given_up_is_wasted_but_for_its_keys():
 def test_events_come_in_the_order_in_which_they_happen():
     """A segment is shown once nothing can replace it any more: before the next batch that arrives after its start."""
     catalogue, over = Catalogue(tiny_manifest(), 0, 1000), link([3e4, 8e6], [0, 2], 1000)
-    policy = make_policy("paper", catalogue)
+    policy = make_policy("paper-no-cliff", catalogue)
     options = rules(replace=True, buffer_s=4.0, loops=4)
     events = list(run(catalogue, SimulatedDownloader(over, catalogue), policy, options))
     assert events[0].arrival.request.kind is BatchKind.TABLES and isinstance(events[-1], Shown)
@@ -345,13 +345,13 @@ def test_policies_of_ones_own_and_packages_are_taken_as_they_are():
 
 def test_without_its_key_a_group_is_lost_and_the_next_one_is_not():
     m = tiny_manifest()
-    log = play(m, link([8e6]), "paper", faults=missing("key/T0/1.bin"))
+    log = play(m, link([8e6]), "paper-no-cliff", faults=missing("key/T0/1.bin"))
     assert [s.rung is None for s in log.shown] == [True, False]
     assert log.metrics.lost_frames == 10 and log_rung(log, 1) == "Q0+L0"
     assert "frames 0-9" in log.lost[-1] and log.metrics.psnr_mean == 40.0
     assert log.shown[1].start_s == pytest.approx(log.shown[0].start_s + 1)  # the last picture stands for its time
     assert "lost" in format_metrics(log)
-    nothing = play(m, link([8e6]), "paper", faults=missing(*m.group_files(0), *m.group_files(1)))
+    nothing = play(m, link([8e6]), "paper-no-cliff", faults=missing(*m.group_files(0), *m.group_files(1)))
     assert all(s.rung is None for s in nothing.shown) and nothing.metrics.psnr_mean is None
     assert session_bound(nothing) is None
 
@@ -361,7 +361,9 @@ def log_rung(log, index):
 
 
 rates = st.lists(st.sampled_from([0.0, 1e4, 5e4, 2e5, 5e6]), min_size=1, max_size=12).filter(any)
-policies = st.sampled_from(["paper", "paper-literal", "throughput", "bola", "robust-mpc", "oracle-frame", "fixed:1"])
+policies = st.sampled_from(
+    ["paper", "paper-no-cliff", "paper-literal", "throughput", "bola", "robust-mpc", "oracle-frame", "fixed:1"]
+)
 
 
 @settings(deadline=None, max_examples=120)

@@ -29,6 +29,7 @@ PSNR_COLUMNS = {  # headings of the tables of single sessions and runs: which PS
     "psnr_mean": "psnr_mean_over_ticks_db",
     "psnr_p5": "psnr_p5_over_ticks_db",
     "psnr": "psnr_mean_over_frames_db",
+    "psnr_screen": "psnr_on_screen_mean_over_frames_db",
     "bound": "bound_mean_over_media_time_db",
     "regret": "regret_mean_over_media_time_db",
 }

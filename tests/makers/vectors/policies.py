@@ -60,14 +60,15 @@ def _keys(shape: Shape, rng: np.random.Generator) -> list[list[int]]:
 
 
 def _segment(group: int, shape: Shape, rng: np.random.Generator) -> Numbers:
+    """Quality may fall off a cliff, from the third level on or later."""
     most = rng.uniform(2e4, 9e4) * shape.seconds
     sizes = [int(most * 0.55**j * rng.uniform(0.9, 1.1)) for j in range(shape.levels)]
     if rng.uniform() < 0.15:
         sizes[-1] = 0  # nothing to fetch
-    best = rng.uniform(33, 42)
+    best, cliff = rng.uniform(33, 42), rng.integers(2, 6)
+    falls = [1.6 * j + 5.0 * (j >= cliff) for j in range(shape.levels)]
     psnr = [
-        [round(best - 1.6 * j - 0.8 * q + rng.uniform(-0.4, 0.4), 2) for q in range(shape.qualities)]
-        for j in range(shape.levels)
+        [round(best - fall - 0.8 * q + rng.uniform(-0.4, 0.4), 2) for q in range(shape.qualities)] for fall in falls
     ]
     return {"group": group, "seconds": shape.seconds, "state_bytes": sizes, "psnr": psnr}
 
@@ -129,7 +130,7 @@ def table() -> Table:
     states = []
     for number, numbers in enumerate(offers):
         offer = Offer(numbers)
-        for driver in ADAPTIVE:
+        for driver in (name for name in ADAPTIVE if not name.endswith("no-cliff")):
             for limit_s in (2.7, 10.0):
                 met = [state for state in session(offer, driver, limit_s, rng) if settled(offer, state)]
                 places = {0, *rng.choice(len(met), KEPT, replace=False).tolist()}

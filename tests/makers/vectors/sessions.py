@@ -30,6 +30,8 @@ from tests.support.session_packages import Numbers, catalogue_of, growing_catalo
 
 TRACE_S = 60
 POLICIES = (*ADAPTIVE, "fixed:0", "fixed:Q1+L1")
+VARIANTS = ("paper-no-cliff", "paper-literal", "paper-literal-no-cliff")  # they differ from `paper` in the choice alone
+COMMON = tuple(policy for policy in POLICIES if policy not in VARIANTS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +143,9 @@ def plays() -> Iterator[Play]:
     """The policies over the traces, the rules in turn; then faults, and a package that grows."""
     turn = count()
     for package in (0, 1):
-        for number, policy in enumerate(POLICIES):
-            for trace in range(4) if package == 0 and policy in ADAPTIVE else (number % 4,):
+        for number, policy in enumerate(POLICIES if package == 0 else COMMON):
+            often = package == 0 and policy in ADAPTIVE and policy not in VARIANTS
+            for trace in range(4) if often else (number % 4,):
                 yield Play(package, 4 * package + trace, policy, settings=_rules(package, next(turn)))
     bad = {"state/L0/2.m4s": "hash_mismatch", "key/T0/Q0/2.m4s": "missing_file"}
     yield Play(0, 0, "paper", faults=bad)
@@ -152,7 +155,7 @@ def plays() -> Iterator[Play]:
     yield Play(2, 11, "paper", growth=[62, 63, 65, 66, 68])
     yield Play(2, 8, "robust-mpc", growth=[64, 65, 67], settings={"buffer_s": 2.0})
     yield Play(2, 10, "paper", growth=[60, 61, *[62] * 200], faults={"group/61.json.gz": "missing_file"})
-    for number, policy in enumerate(POLICIES):
+    for number, policy in enumerate(COMMON):
         yield Play(3, 12 + number % 4, policy, settings=_rules(0, next(turn)))
     yield Play(3, 12, "robust-mpc", faults={"key/T0/1.bin": "hash_mismatch", "group/3.json.gz": "missing_file"})
     yield Play(3, 13, "throughput", growth=[2, 3, 4, 5])
