@@ -259,7 +259,7 @@ def split_at_cliff(levels: Sequence[DenseLevel]) -> tuple[list[DenseLevel], list
 def cost_of_saving(levels: Sequence[DenseLevel], share: float) -> float:
     """dB lost where `share` of the bytes of the best level are saved, between the levels of their Pareto front."""
     coded = [level for level in levels if level.pruning.pruned < 1]
-    options = [Option(i, level.bytes, level.psnr, level.pruning.pruned) for i, level in enumerate(coded)]
+    options = [Option(i, level.bytes, level.psnr, saved=0.0) for i, level in enumerate(coded)]  # no cliff is looked for
     front = Ladder.build(options, beta=math.inf, cliff_db=math.inf).options[::-1]
     sizes, quality = [option.size_bytes for option in front], [option.quality for option in front]
     return quality[-1] - float(np.interp((1 - share) * sizes[-1], sizes, quality))

@@ -58,7 +58,7 @@ class FrameLog:
     @property
     def late(self) -> NDArray[np.bool_]:
         """(n,) frames that missed 1 / R."""
-        return self.waited_s + self.sent_s > 1 / self.fps
+        return self.waited_s + self.sent_s > 1 / self.fps + SHORTEST_S
 
     @property
     def shown(self) -> NDArray[np.int64]:
@@ -146,7 +146,7 @@ def simulate_frames(
     """Push `loops` rounds of a package's frames, with levels that one of CHOOSERS names; see `push_frames`.
 
     `keys`: frames carry their share of their group's keys. Raises ConfigError for a package without measured quality
-    or an unknown chooser, TransportError for a trace that ends too soon.
+    or an unknown chooser, TransportError as `push_frames`.
     """
     if chooser not in CHOOSERS:
         raise ConfigError(f"frame mode: expected {', '.join(CHOOSERS)}, got {chooser}")
@@ -160,28 +160,28 @@ def push_frames(frames: Sequence[Levels], fps: float, link: Link, choose: Choose
 
     `known`: B is the true rate at the frame's moment, as in the paper, else estimated from the frames before. A method
     without levels gives one Option a frame, and `choose_top` sends them all. Raises ConfigError unless fps > 0 and
-    there are frames, TransportError for a trace that ends too soon.
+    there are frames, TransportError for a trace that ends too soon, and as `Link.passed_s` for one that is too slow.
     """
     if not frames:
         raise ConfigError("frame mode: expected at least one frame, got none")
-    trace = link.trace
+    if not fps > 0:
+        raise ConfigError(f"frame rate: expected more than 0, got {fps}")
     history: list[Download] = []
     free_s = 0.0
     pushed: list[_Frame] = []
     for n, levels in enumerate(frames):
-        rate = trace.rate_at(n / fps) if known else estimate_throughput(history[-MEMORY:])
-        level, fits = choose(levels, frame_budget(rate, fps))
         due_s = n / fps
+        now = link.trace.rate_at(due_s)
+        level, fits = choose(levels, frame_budget(now if known else estimate_throughput(history[-MEMORY:]), fps))
         begin_s = max(due_s, free_s)
         if level == SKIPPED:
             pushed.append(_Frame(SKIPPED, 0.0, 0.0, 0.0, 0.0, False, math.nan))
             if not known:  # a packet to measure with: an estimate of zero must be able to recover
-                history.append(_download(PROBE_BYTES, begin_s, trace.arrival_s(PROBE_BYTES, begin_s)))
+                history.append(_download(PROBE_BYTES, begin_s, link.passed_s(PROBE_BYTES, begin_s)))
             continue
         size = levels[level].size_bytes
-        free_s = trace.arrival_s(size, begin_s)
+        free_s = link.passed_s(size, begin_s)
         history.append(_download(size, begin_s, free_s))
-        now = trace.rate_at(due_s)
         paper_s = 8 * size / now if now > 0 else math.inf
         waited_s, quality = begin_s - due_s, levels[level].quality
         pushed.append(_Frame(level, float(size), free_s - begin_s, waited_s, paper_s, fits, quality))

@@ -29,7 +29,9 @@ class Temporal:
 
     weight: float = 1e-3
     unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally
-    until: float = 0.65  # share of the iterations in which it acts; then what is still 0 stays so, and the rest is free
+    # Share of the iterations in which it acts; then what is still 0 stays so, and the rest is free. In fits of networks
+    # it acts throughout.
+    until: float = 0.65
 
 
 @documented

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.play.bound import paper_programme
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.frame_mode import NOTHING, SKIPPED, choose_top, frame_options, push_frames, simulate_frames
@@ -85,6 +85,12 @@ def test_what_stands_on_the_screen():
     assert known["psnr_screen"] == pytest.approx((40 + 20 + 20 + 22 + 36 + 35) / 6)
 
 
+def test_a_frame_that_takes_its_time_to_the_last_bit_is_not_late():
+    """Sums of times are rounded: without a tolerance some of these frames missed theirs by 1e-15 s."""
+    log = push_frames([(Option(0, 1000, 40.0, 0.0),)] * 300, 29.97, link([8e3 * 29.97]), choose_top)
+    assert not log.late.any() and (log.shown == np.arange(300)).all()
+
+
 def test_before_anything_has_come_nothing_stands():
     log = push_frames(frames(50, 60), 10.0, link([0, 8e3], [0, 0.1]), choose_top)
     assert log.shown.tolist() == [NOTHING, 0]
@@ -122,5 +128,9 @@ def test_what_cannot_be_played():
         simulate_frames(CATALOGUE, link([1e4]), "best", 1)
     with pytest.raises(ConfigError, match="at least one frame"):
         push_frames([], 10.0, link([1e4]), choose_top)
+    with pytest.raises(ConfigError, match="more than 0, got 0"):
+        push_frames(frame_options(CATALOGUE, False), 0.0, link([1e4]), choose_top)
+    with pytest.raises(TransportError, match="would take inf s"):
+        simulate_frames(CATALOGUE, link([1e-20]), "unpruned", 1)
     with pytest.raises(ConfigError, match="no measured quality"):
         simulate_frames(Catalogue(tiny_manifest(psnr=None)), link([1e4]), "paper", 1)
