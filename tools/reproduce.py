@@ -112,7 +112,11 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--scene", action="append", default=[], metavar="NAME=FOLDER")
     parser.add_argument("--methods", default=",".join(METHODS))
     parser.add_argument("--traces", nargs="+", default=[str(DATA / "fox" / "trace.csv")])
-    parser.add_argument("--ablate", metavar="NAME=FOLDER", help="scene of the ablations (default: the embedded fox)")
+    parser.add_argument(
+        "--ablate",
+        metavar="NAME=FOLDER",
+        help="scene of the ablations, of 160 pixels unless told (default: the fox)",
+    )
     parser.add_argument("--only", default=",".join(PARTS))
     parser.add_argument("--jobs", type=int, default=2, help="processes, each on one core (default: 2)")
     parser.add_argument("--quick", action="store_true")
@@ -132,7 +136,7 @@ def _plan(args: argparse.Namespace) -> Plan:
         subjects=tuple(s.quick() if args.quick else s for s in subjects),
         methods=tuple(args.methods.split(",")),
         traces=tuple(open_trace(file) for file in files),
-        ablated=ablated.quick() if args.quick else replace(ablated, size=SIZE),
+        ablated=ablated.quick() if args.quick else replace(ablated, size=ablated.size or SIZE),
         parts=tuple(args.only.split(",")),
         quick=args.quick,
         jobs=args.jobs,
@@ -163,7 +167,7 @@ def _streams(plan: Plan, subject: Subject, trained: Sequence[Trained]) -> list[d
     """Every method's stream of a scene over all traces."""
     mine = [t for t in trained if t.scene == subject.name]
     key: dict[str, Any] = {"frames": [[t.method, [asdict(f) for f in t.frames]] for t in mine]}
-    key |= {"choosers": CHOOSERS, "traces": [t.name for t in plan.traces], "quick": plan.quick}
+    key |= {"choosers": CHOOSERS, "traces": [[t.name, t.mean_bps] for t in plan.traces], "quick": plan.quick}
 
     def make() -> list[dict[str, Any]]:
         footage = subject.footage(plan.output)
@@ -226,9 +230,7 @@ def _ablate(kept: KeptParts, subject: Subject, base: TrainSettings, output: Path
 
 def _report(plan: Plan, trained: Sequence[Trained], found: Mapping[str, list[dict[str, Any]]]) -> None:
     for name, rows in found.items():
-        write_csv(
-            [{n: v for n, v in row.items() if n != "percentiles_ms"} for row in rows], plan.output / f"{name}.csv"
-        )
+        write_csv(rows, plan.output / f"{name}.csv")
     write_json(plan.output / "results.json", {**machine(), "command": " ".join(sys.argv[1:]), **found})
     plot_quality(trained, plan.output / "quality.png")
     plot_sizes(found["methods"], plan.output / "sizes.png")

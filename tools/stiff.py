@@ -4,7 +4,8 @@
 
 Parts are trainer, gradients, codec and selector. Writes OUT/stiff.md and its maps (docs/stiff.md and the pictures
 beside it are made so), and keeps every finished sweep as OUT/NAME.json: a run that was interrupted goes on where it
-was. --quick takes a few values of everything. Exit status 1 where the code as it is diverges or is not finite.
+was; after a change of the code take another OUT. --quick takes a few values of everything. Exit
+status 1 where the code as it is diverges or is not finite.
 """
 
 from __future__ import annotations

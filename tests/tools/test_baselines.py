@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.store import open_package
 from airgs_codec.scene.ply import read_ply
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene
+from tests.support.paths import VALID
 from tests.support.scenes import random_gaussians
 from tests.support.training import write_blobs
+from tools.baselines.airgs import fetched_bytes, key_bytes
 from tools.baselines.method import Footage, Shown, frame_path, mean_bytes, run_method
 
 
@@ -58,3 +61,28 @@ def test_a_folder_of_another_run_is_refused(footage):
     run_method(Growing(), footage)
     with pytest.raises(ConfigError, match="these settings"):
         run_method(Growing(settings={"rate": 0.2}), footage)
+
+
+def test_a_folder_of_other_pictures_is_refused(footage):
+    run_method(Growing(), replace(footage, source={"size": 160}))
+    with pytest.raises(ConfigError, match="these settings"):
+        run_method(Growing(), replace(footage, source={"size": 320}))
+
+
+def test_a_run_that_was_stopped_before_its_first_frame_is_not_another_one(footage):
+    with pytest.raises(KeyboardInterrupt):
+        run_method(Growing(until=0), footage)
+    with pytest.raises(ConfigError, match="these settings"):
+        run_method(Growing(settings={"rate": 0.2}), footage)
+
+
+@pytest.mark.parametrize("name", ["kept", "moving", "one-gaussian", "paged", "two-groups-sh1"])
+def test_bytes_of_frames_are_all_that_a_viewer_of_the_top_rung_fetches(name):
+    package = open_package(VALID / name)
+    m = package.manifest
+    tables = [path for path in sorted((VALID / name).rglob("*")) if path.name in ("airgs.json", "manifest.mpd")]
+    listed = {*m.rung_files(0, 0), *m.table_files(), "init.mp4"}
+    sizes = fetched_bytes(package)
+    assert len(sizes) == m.frames
+    assert sum(sizes) == sum(p.stat().st_size for p in [*tables, *(VALID / name / path for path in listed)])
+    assert all(sizes[group.start] >= key_bytes(m, number, 0) for number, group in enumerate(m.groups))

@@ -18,7 +18,7 @@ from tools.reproduce import main
 from tools.reproduction.ablations import changes
 from tools.reproduction.kept import KeptParts
 from tools.reproduction.scenes import parse_subject
-from tools.reproduction.streams import Level, Stream, spread_keys
+from tools.reproduction.streams import Level, Stream, spread_keys, stream_all
 from tools.reproduction.training import Trained, row_of
 
 
@@ -74,6 +74,13 @@ def test_what_stands_on_the_screen_is_what_counts():
     table = stream.table(slow)
     assert table["psnr_screen"] == pytest.approx((30 + 20) / 2)
     assert table["blank"] == 0.5
+
+
+def test_a_stream_of_which_nothing_fits_has_no_times():
+    stream = Stream("m", "paper-no-cliff", (Level(0.0, np.array([1e6, 1e6]), np.full((2, 2), 30.0)),))
+    (row,) = stream_all([stream], [constant(8e3)], 1, 10.0)
+    assert row["skipped"] == 1 and row["kb_frame"] == 0
+    assert math.isnan(row["worst_ms"]) and math.isnan(row["psnr"]) and np.isnan(row["percentiles_ms"]).all()
 
 
 def test_a_row_says_the_worst_frame_and_the_keyframes_after_the_first():

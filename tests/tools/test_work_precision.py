@@ -118,6 +118,20 @@ def test_a_conclusion_changes_when_rows_do():
     assert "`slow` needs 100 % more bytes" in conclusions.presets([r for r in rows if r.panel == "presets"])
 
 
+def test_a_way_that_is_not_measured_yet_is_left_out():
+    rows = [r for r in rows_of_everything() if r.panel == "horizon" and r.curve != selector.MILP]
+    sentence = conclusions.horizon(rows)
+    assert f"`{selector.LP}` goes from 0.60 to 0.30 dB" in sentence and selector.MILP not in sentence
+    assert "8 segments ahead in place of 1" in sentence
+
+
+def test_a_ladder_that_does_worse_is_not_said_to_lower_the_regret():
+    rows = [r for r in rows_of_everything() if r.panel == "levels"]
+    assert " lower the regret" in conclusions.levels(rows)
+    worse = [dataclasses.replace(r, error=0.2) if r.setting == "64" else r for r in rows]
+    assert " raise the regret" in conclusions.levels(worse)
+
+
 def test_scenes_are_told_apart():
     rows = [row("stages", decode.H264, "L0", 1e-3, math.nan, scene=s) for s in ("fox", "spinach")]
     assert conclusions.stages(rows).count("takes 100 %") == 2

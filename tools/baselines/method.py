@@ -6,8 +6,8 @@ A run is a folder: NNNNNN.ply of every frame, frames.json with what it cost, and
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -33,6 +33,7 @@ class Footage:
     frames: int
     points: Points | None  # of the first frame; None: the scene has none
     folder: Path  # where the method may keep what it needs to go on, beside the frames
+    source: Mapping[str, object] = field(default_factory=dict)  # what tells the pictures from others, as JSON
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,22 +76,25 @@ class Frame:
 def run_method(method: Method, footage: Footage, progress: Progress = silent) -> list[Frame]:
     """Train a method, keep every frame as it comes, and measure it on the held-out cameras.
 
-    A run that was stopped goes on after its last frame. Raises ConfigError for a folder that holds a run of another
-    method or other settings.
+    A run that was stopped goes on after its last frame. Its record is written before anything is trained, so that what
+    a method keeps by itself is never taken for that of another run. Raises ConfigError for a folder that holds a run of
+    another method, other settings or other pictures.
     """
-    wanted = {"method": method.name, "settings": method.settings, "frames": footage.frames}
+    wanted: dict[str, object] = {"method": method.name, "settings": method.settings}
+    wanted |= {"frames": footage.frames, "source": footage.source}
     path = footage.folder / RECORD
     footage.folder.mkdir(parents=True, exist_ok=True)
     frames = _kept(path, wanted)
     if len(frames) == footage.frames:
         return frames
+    _keep(path, wanted, frames)
     for t, shown in enumerate(method.frames(footage, len(frames), progress), start=len(frames)):
         write_ply(frame_path(footage.folder, t), shown.gaussians)
         views = footage.pictures.held_out(t)
         quality, likeness = mean_psnr(shown.gaussians, views), mean_ssim(shown.gaussians, views)
         rows = len(shown.gaussians)
         frames.append(Frame(shown.kind, rows, shown.bytes, round(shown.seconds, 3), quality, likeness))
-        write_json(path, wanted | {"done": [asdict(frame) for frame in frames]})
+        _keep(path, wanted, frames)
     return frames
 
 
@@ -102,6 +106,10 @@ def frame_path(folder: Path, frame: int) -> Path:
 def mean_bytes(frames: Sequence[Frame]) -> float:
     """Bytes a frame."""
     return float(np.mean([frame.bytes for frame in frames]))
+
+
+def _keep(path: Path, wanted: dict[str, object], frames: Sequence[Frame]) -> None:
+    write_json(path, wanted | {"done": [asdict(frame) for frame in frames]})
 
 
 def _kept(path: Path, wanted: dict[str, object]) -> list[Frame]:

@@ -237,18 +237,19 @@ def _choice(row: Row) -> str:
 
 
 def horizon(rows: Rows) -> str:
-    """The longest horizon beside the shortest, for every way."""
-    parts = []
-    for curve in (selector.MPC, selector.LP, selector.MILP):
-        some = pick(rows, curve=curve)
-        if len(some) > 1:
-            near, far = some[0], some[-1]
-            parts.append(
-                f"`{curve}` goes from {near.error:.2f} to {far.error:.2f} dB of regret and from "
-                f"{seconds(near.seconds)} to {seconds(far.seconds)} a choice"
-            )
-    many = some[-1].setting if parts else ""
-    return f"Looking {many} segments ahead in place of {some[0].setting}, {', '.join(parts)}." if parts else ""
+    """The longest horizon beside the shortest, for every way that has the same two."""
+    curves = [pick(rows, curve=curve) for curve in (selector.MPC, selector.LP, selector.MILP)]
+    ends = [(some[0], some[-1]) for some in curves if len(some) > 1]
+    if not ends:
+        return ""
+    few, many = (row.setting for row in ends[0])
+    parts = [
+        f"`{near.curve}` goes from {near.error:.2f} to {far.error:.2f} dB of regret and from "
+        f"{seconds(near.seconds)} to {seconds(far.seconds)} a choice"
+        for near, far in ends
+        if (near.setting, far.setting) == (few, many)
+    ]
+    return f"Looking {many} segments ahead in place of {few}, {', '.join(parts)}."
 
 
 def levels(rows: Rows) -> str:
@@ -258,8 +259,9 @@ def levels(rows: Rows) -> str:
         return ""
     few, many, programme = greedy[0], greedy[-1], whole[-1]
     same = "the same" if math.isclose(programme.error, many.error, abs_tol=5e-4) else f"{programme.error:.3f} dB"
+    moves = "lower" if many.error < few.error else "raise"
     return (
-        f"{many.setting} levels in place of {few.setting} lower the regret from {few.error:.2f} to {many.error:.3f} "
+        f"{many.setting} levels in place of {few.setting} {moves} the regret from {few.error:.2f} to {many.error:.3f} "
         f"dB; the integer programme has {same}, for {seconds(programme.seconds)} a frame in place of "
         f"{seconds(many.seconds)}."
     )

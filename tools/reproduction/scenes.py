@@ -44,7 +44,7 @@ class Subject:
     def footage(self, folder: Path) -> Footage:
         """What a method is trained on, into a folder. Raises SceneError."""
         scene = self.open()
-        return Footage(Pictures(scene, max_size=self.size), len(scene), scene.points, folder)
+        return Footage(Pictures(scene, max_size=self.size), len(scene), scene.points, folder, self.words())
 
 
 def parse_subject(text: str) -> Subject:

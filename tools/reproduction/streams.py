@@ -139,11 +139,18 @@ def _stream(stream: Stream, traces: Sequence[Trace], offsets: int, fps: float) -
     tables = [stream.table(log) for log in logs]
     times = np.concatenate([log.paper_s[log.levels != SKIPPED] for log in logs])
     finite = 1e3 * times[np.isfinite(times)]
+    finite = finite if len(finite) else np.array([np.nan])  # nothing was sent
     return {
         "method": stream.method,
         "chooser": stream.chooser,
         "runs": len(logs),
-        **{name: float(np.nanmean([table[name] for table in tables])) for name in FIGURES},
+        **{name: _mean([table[name] for table in tables]) for name in FIGURES},
         "worst_ms": float(finite.max()),
         "percentiles_ms": np.percentile(finite, PERCENTILES).tolist(),
     }
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Mean of the values that are known; NaN where none is."""
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.mean(known)) if known else np.nan

@@ -6,7 +6,6 @@ K slots, L levels.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -215,6 +214,3 @@ def sweep_sessions(quick: bool = False) -> Sweep:
         "(airgs_codec/play/trace.py, airgs_codec/play/link.py)",
         cells=tuple(cells),
     )
-
-
-SWEEPS: tuple[Callable[[bool], Sweep], ...] = (sweep_programmes, sweep_margin, sweep_sessions)
