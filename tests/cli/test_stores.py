@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import re
 import shutil
 
 import pytest
@@ -88,7 +89,8 @@ def test_reading_is_as_from_the_folder(package, tmp_path, capsys):
         out = tmp_path / place.partition(":")[0].strip("/").replace("/", "-")
         out.mkdir()
         assert [command(place, out) for command in commands] == [0] * len(commands)
-        said[place] = capsys.readouterr().out.replace(str(out), ""), read_files(out)
+        words = re.sub(r'("solve_\w+": )[^,\n]+', r"\1…", capsys.readouterr().out)  # seconds of a solver
+        said[place] = words.replace(str(out), ""), read_files(out)
     assert said[package] == said[str(VALID / "moving")]
 
 
