@@ -138,11 +138,12 @@ class Trainer:
             return before.gaussians
         temporal = self._temporal(group.steps)
         start, iterations = None, s.frame_iterations
-        if self._is_foreseen(before, target.views[::2]):
-            start = self._start(base, before.velocity)
-        elif s.deltas == "direct":
-            iterations = round(UNFORESEEN * iterations)
-        if group.networks is not None:
+        if group.networks is None:
+            if self._is_foreseen(before, target.views[::2]):
+                start = self._start(base, before.velocity)
+            else:
+                iterations = round(UNFORESEEN * iterations)
+        else:
             by_mlp = iterations if s.deltas == "mlp" else round(MLP_SHARE * iterations)
             iterations -= by_mlp
             driven = MlpDriven(base, group.networks, temporal)

@@ -48,8 +48,8 @@ export interface Cliff {
  *
  * Pareto filter, then the cliff test. Drops are counted per 10 % of the bytes saved, over at least one such step from
  * level to level. A level is past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least
- * `epsDb`), or, for the first level, `cliffDb`; or when its quality is under `minQuality`. O(n log n). Throws ConfigError: no options (10), beta ≤ 1 (6),
- * a size or quality that is no number (11).
+ * `epsDb`), or, for the first level, `cliffDb`; or when its quality is under `minQuality`. O(n log n).
+ * Throws ConfigError: no options (10), beta ≤ 1 (6), a size or quality that is no number (11).
  */
 export function buildLadder(options: readonly Option[], cliff: Cliff = {}): Option[] {
   const { beta = DEFAULT_BETA, epsDb = EPS_DB, cliffDb = 3, minQuality = -Infinity } = cliff;
