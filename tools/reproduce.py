@@ -155,7 +155,7 @@ def reproduce(plan: Plan) -> int:
     if "stream" in plan.parts:
         found["streams"] = [row for s in plan.subjects for row in _streams(plan, s, trained)]
     if "prune" in plan.parts and OURS in plan.methods:
-        found["pruning"] = [row for s in plan.subjects for row in _pruning(plan, s)]
+        found["pruning"] = [row for s in plan.subjects for row in _pruning(plan, s, trained)]
         found["overhead"] = [_overhead(plan, s, rows) for s in plan.subjects]
     if "ablate" in plan.parts:
         found["ablations"] = _ablations(plan)
@@ -166,7 +166,7 @@ def reproduce(plan: Plan) -> int:
 def _streams(plan: Plan, subject: Subject, trained: Sequence[Trained]) -> list[dict[str, Any]]:
     """Every method's stream of a scene over all traces."""
     mine = [t for t in trained if t.scene == subject.name]
-    key: dict[str, Any] = {"frames": [[t.method, [asdict(f) for f in t.frames]] for t in mine]}
+    key: dict[str, Any] = {"trained": [asdict(t) | {"fps": None} for t in mine]}
     key |= {"choosers": CHOOSERS, "traces": [[t.name, t.mean_bps] for t in plan.traces], "quick": plan.quick}
 
     def make() -> list[dict[str, Any]]:
@@ -187,8 +187,9 @@ def _streams(plan: Plan, subject: Subject, trained: Sequence[Trained]) -> list[d
     return list(plan.kept.get(f"streams-{subject.name}", key, make))
 
 
-def _pruning(plan: Plan, subject: Subject) -> list[dict[str, Any]]:
+def _pruning(plan: Plan, subject: Subject, trained: Sequence[Trained]) -> list[dict[str, Any]]:
     """What pruning costs in our package of a scene."""
+    ours = next(t for t in trained if (t.scene, t.method) == (subject.name, OURS))
     folder = plan.folder(subject, OURS)
 
     def make() -> list[dict[str, Any]]:
@@ -197,7 +198,7 @@ def _pruning(plan: Plan, subject: Subject) -> list[dict[str, Any]]:
         rows = measure_pruning(package, original, pictures, plan.mean_rate)
         return [{"scene": subject.name, **row} for row in rows]
 
-    key = {"quick": plan.quick, "rate": plan.mean_rate, "subject": subject.words()}
+    key = {"rate": plan.mean_rate, "subject": subject.words(), "trained": asdict(ours) | {"fps": None}}
     return list(plan.kept.get(f"pruning-{subject.name}", key, make))
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from airgs_codec._report import new_figure, plain_log_ticks, save_figure
 from tools.reproduction.ablations import Outcome
 from tools.reproduction.training import Trained
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 COLOURS = {
     "airgs": "#d62728",
@@ -22,15 +26,14 @@ COLOURS = {
 
 def plot_quality(trained: Sequence[Trained], path: Path) -> None:
     """PSNR of every frame, a panel a scene."""
-    scenes = list(dict.fromkeys(t.scene for t in trained))
-    figure = new_figure(5.2 * len(scenes), 3.8)
-    for axis, scene in zip(figure.subplots(1, len(scenes), squeeze=False)[0], scenes, strict=True):
+    figure, panels = _panels((t.scene for t in trained), 5.2)
+    for scene, axis in panels.items():
         for t in (t for t in trained if t.scene == scene):
             axis.plot([f.psnr for f in t.frames], color=COLOURS.get(t.method), label=t.method)
             keys = [i for i, f in enumerate(t.frames) if f.kind == "key"]
             if len(keys) < len(t.frames):
                 axis.plot(keys, [t.frames[i].psnr for i in keys], "o", markersize=4, color=COLOURS.get(t.method))
-        axis.set(title=scene, xlabel="frame", ylabel="PSNR at held-out cameras, dB")
+        axis.set(xlabel="frame", ylabel="PSNR at held-out cameras, dB")
         axis.grid(alpha=0.3)
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize=8)
     save_figure(figure, path)
@@ -38,25 +41,23 @@ def plot_quality(trained: Sequence[Trained], path: Path) -> None:
 
 def plot_sizes(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     """PSNR over bytes a frame, a panel a scene."""
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    figure = new_figure(4.4 * len(scenes), 3.8)
-    for axis, scene in zip(figure.subplots(1, len(scenes), squeeze=False)[0], scenes, strict=True):
+    figure, panels = _panels((row["scene"] for row in rows), 4.4)
+    for scene, axis in panels.items():
         for row in (row for row in rows if row["scene"] == scene):
             axis.plot(row["kb_frame"], row["psnr"], "o", color=COLOURS.get(row["method"]))
             axis.annotate(row["method"], (row["kb_frame"], row["psnr"]), (4, 4), textcoords="offset points", fontsize=8)
         axis.set_xscale("log")
         axis.margins(0.2)
         plain_log_ticks(axis.xaxis)
-        axis.set(title=scene, xlabel="kB a frame", ylabel="PSNR at held-out cameras, dB")
+        axis.set(xlabel="kB a frame", ylabel="PSNR at held-out cameras, dB")
         axis.grid(alpha=0.3)
     save_figure(figure, path)
 
 
 def plot_times(streams: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Distributions of transmission times, a panel a scene."""
-    scenes = list(dict.fromkeys(row["scene"] for row in streams))
-    figure = new_figure(5.2 * len(scenes), 3.8)
-    for axis, scene in zip(figure.subplots(1, len(scenes), squeeze=False)[0], scenes, strict=True):
+    figure, panels = _panels((row["scene"] for row in streams), 5.2)
+    for scene, axis in panels.items():
         for row in (row for row in streams if row["scene"] == scene):
             style = "-" if row["chooser"] == "unpruned" else "--"
             name = f"{row['method']}, {row['chooser']}" if row["method"].startswith("airgs") else row["method"]
@@ -64,7 +65,7 @@ def plot_times(streams: Sequence[Mapping[str, Any]], path: Path) -> None:
             axis.plot(times, range(len(times)), style, color=COLOURS.get(row["method"]), label=name)
         axis.set_xscale("log")
         plain_log_ticks(axis.xaxis)
-        axis.set(title=scene, xlabel="transmission of a frame, ms", ylabel="share of frames sent, %")
+        axis.set(xlabel="transmission of a frame, ms", ylabel="share of frames sent, %")
         axis.grid(alpha=0.3)
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
     save_figure(figure, path)
@@ -106,3 +107,13 @@ def plot_ablations(outcomes: Sequence[Outcome], path: Path) -> None:
             axis.set_xlim(min(known) - 0.5, max(known) + 0.3)
     left.invert_yaxis()
     save_figure(figure, path)
+
+
+def _panels(scenes: Iterable[str], width: float) -> tuple[Figure, dict[str, Axes]]:
+    """A figure with a panel of `width` inches for each different scene, which is its title."""
+    names = list(dict.fromkeys(scenes))
+    figure = new_figure(width * len(names), 3.8)
+    panels = dict(zip(names, figure.subplots(1, len(names), squeeze=False)[0], strict=True))
+    for name, axis in panels.items():
+        axis.set_title(name)
+    return figure, panels
