@@ -37,3 +37,16 @@ def demo_package(tmp_path_factory):
 def demo_copy(demo_package, tmp_path):
     """A copy of the embedded scene's package that a test may write to."""
     return shutil.copytree(demo_package, tmp_path / "demo.airgs")
+
+
+@pytest.fixture(scope="session")
+def bucket():
+    """The address of a bucket in a server of object stores, for all tests; each has a prefix of its own."""
+    pytest.importorskip("obstore", reason="obstore, the extra `cloud`, is not installed")
+    pytest.importorskip("moto", reason="moto, a server for tests, is not installed")
+    from tests.support.servers import object_store
+
+    with pytest.MonkeyPatch.context() as patch, object_store("scenes") as environment:
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        yield "s3://scenes"

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec._settings import about
+from airgs_codec._stores import is_address
 from airgs_codec.analysis.rows import ROWS
 from airgs_codec.cli.baking import add_baking, is_told, told_baking
 from airgs_codec.cli.common import Bar, add_device, add_views, expect_rate, fraction, run_command
@@ -56,10 +57,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "scene",
-        type=Path,
         help="a folder of frames (.ply, compressed .ply, .spz, SOG, .splat, glTF), optionally with sequence.json and "
         "cameras, or one such file; or a clip (.splatv, .4dgs, .splat4d, Spacetime Gaussians .ply); or a folder of "
-        "multi-view pictures",
+        "multi-view pictures; frames and clips also at an address, s3://, gs:// or az://",
     )
     parser.add_argument(
         "-o",
@@ -223,20 +223,16 @@ def _settings(args: argparse.Namespace) -> EncodeSettings:
 def _run(args: argparse.Namespace) -> int:
     settings = _settings(args)
     expect_rate("--fps", args.fps)
-    scene = args.scene.resolve()  # "." has no name of its own
-    target: str = args.output or str(scene.with_name(scene.name + ".airgs"))
+    target: str = args.output or _default_target(args.scene)
     if args.follow:
         return _follow(args, settings, target)
-    baking, multiview = told_baking(args), is_multiview(args.scene)
-    if multiview and is_told(baking):
-        raise ConfigError(f"{args.scene}: expected a clip for --bake-fps or --duration, got multi-view pictures")
-    folder = train_by_default(args.scene, args.fps, args.device, quiet=args.json) if multiview else args.scene
-    sequence = open_sequence(folder, views=args.views, fps=args.fps, **baking)
+    sequence, credit = _open(args)
     if sequence.clip and not args.json:
         print(f"clip: {args.scene}: {sequence.clip.note}", flush=True)
-    goal, attribution = _goal(args, sequence), args.attribution or read_attribution(args.scene)
-    if sequence.cameras_path and not args.json:
-        print(_cameras_line(sequence), flush=True)
+    goal, attribution = _goal(args, sequence), args.attribution or credit
+    cameras = sequence.files.name_of(sequence.cameras_path) if sequence.cameras_path else None
+    if cameras and not args.json:
+        print(f"cameras: {cameras}, {_counts(sequence)}", flush=True)
     bar = Bar(args.json)
     try:
         report = encode(sequence, target, settings, goal=goal, attribution=attribution, progress=bar)
@@ -244,9 +240,26 @@ def _run(args: argparse.Namespace) -> int:
         bar.close()
     if args.contact_sheet:
         _draw_places(args.contact_sheet, sequence, report.manifest.region)
-    cameras = {"cameras": str(sequence.cameras_path) if sequence.cameras_path else None}
-    print(json.dumps(_as_json(report, target) | cameras) if args.json else _as_words(report, target))
+    print(json.dumps(_as_json(report, target) | {"cameras": cameras}) if args.json else _as_words(report, target))
     return 0
+
+
+def _default_target(scene: str) -> str:
+    """Beside the scene."""
+    place = scene.rstrip("/") if is_address(scene) else Path(scene).resolve()  # "." has no name of its own
+    return f"{place}.airgs"
+
+
+def _open(args: argparse.Namespace) -> tuple[GaussianSequence, str]:
+    """The sequence that is encoded, trained where pictures were given, and who made the scene."""
+    baking, folder = told_baking(args), Path(args.scene)
+    if is_address(args.scene) or not is_multiview(folder):
+        sequence = open_sequence(args.scene, views=args.views, fps=args.fps, **baking)
+        return sequence, sequence.attribution
+    if is_told(baking):
+        raise ConfigError(f"{args.scene}: expected a clip for --bake-fps or --duration, got multi-view pictures")
+    trained = train_by_default(folder, args.fps, args.device, quiet=args.json)
+    return open_sequence(trained, views=args.views, fps=args.fps), read_attribution(folder)
 
 
 def _follow(args: argparse.Namespace, settings: EncodeSettings, target: str) -> int:
@@ -254,6 +267,8 @@ def _follow(args: argparse.Namespace, settings: EncodeSettings, target: str) -> 
     for name in ("target_psnr", "target_mb", "target_mbps", "contact_sheet", "bake_fps", "duration"):
         if getattr(args, name) is not None:
             raise ConfigError(f"--{name.replace('_', '-')}: expected a sequence that is whole, got --follow")
+    if is_address(args.scene):
+        raise ConfigError(f"--follow: expected a folder of this machine, got {args.scene}")
     folder = GrowingFolder(args.scene, views=args.views, fps=args.fps)
     bar = Bar(args.json)
     more = frames_may_come(args.idle)
@@ -271,10 +286,10 @@ def _draw_places(path: Path, sequence: GaussianSequence, region: Region) -> None
     write_contact_sheet(path, sequence.read(len(sequence) // 2), views)
 
 
-def _cameras_line(sequence: GaussianSequence) -> str:
-    """Which cameras were taken, in words."""
+def _counts(sequence: GaussianSequence) -> str:
+    """How many cameras were taken, in words."""
     held_out = sum(camera.held_out for camera in sequence.cameras)
-    return f"cameras: {sequence.cameras_path}, {len(sequence.cameras)} of them, {held_out} held out"
+    return f"{len(sequence.cameras)} of them, {held_out} held out"
 
 
 def _goal(args: argparse.Namespace, sequence: GaussianSequence) -> Goal | None:

@@ -59,21 +59,21 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="the same as JSON")
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="picture of the ladder and of bytes over time")
     parser.add_argument("--ladder", action="store_true", help="measure the dense level space (minutes)")
-    parser.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original, for --ladder (default: L0)")
+    parser.add_argument("--against", metavar="SEQUENCE", help="the original, for --ladder (default: L0)")
     add_baking(parser)
     add_views(parser, "cameras, for --ladder", "those of --against, or drawn from the region")
 
 
 def _add_validate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("package", help=PACKAGE)
-    parser.add_argument("--against", type=Path, metavar="SEQUENCE", help="the original: measure the errors again")
+    parser.add_argument("--against", metavar="SEQUENCE", help="the original: measure the errors again")
     add_baking(parser)
     parser.add_argument("--json", action="store_true", help="findings as JSON")
 
 
 def _add_rungs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("package", help=PACKAGE)
-    parser.add_argument("original", type=Path, help="the sequence that it was made of")
+    parser.add_argument("original", help="the sequence that it was made of")
     add_baking(parser)
     parser.add_argument("--level", help="one level, L0, L1, … or its number (default: all)")
     parser.add_argument("--key-quality", help="one key quality, Q0, Q1, … or its number (default: all)")

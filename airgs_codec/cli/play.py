@@ -79,7 +79,7 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
     out = parser.add_argument_group("output")
     add_views(out, "cameras that the viewer goes by", "the viewing region")
-    out.add_argument("--original", type=Path, metavar="SEQUENCE", help="shown beside the screen in --video")
+    out.add_argument("--original", metavar="SEQUENCE", help="shown beside the screen in --video")
     add_baking(out)
     out.add_argument("--report", type=Path, metavar="DIR", help="write pictures and a page")
     out.add_argument("--video", type=Path, metavar="OUT.mp4", help="film what was on the screen")

@@ -29,7 +29,7 @@ from airgs_codec.package.tables import Group
 from airgs_codec.package.writing import GrowingPackage, write_tables
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.growing import GrowingFolder
-from airgs_codec.scene.sequence import GaussianSequence, read_attribution
+from airgs_codec.scene.sequence import GaussianSequence
 
 POLL_S = 0.2  # between two looks at the folder
 
@@ -143,7 +143,7 @@ def _begin(
     part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
     views = plan_views(part, settings)
     survey = survey_group(part, GroupSpan(0, 0, stop), views)
-    credit = read_attribution(sequence.folder) if attribution is None else attribution
+    credit = sequence.attribution if attribution is None else attribution
     found = calibrate_job(EncodeJob(part, [survey], views, (), credit), settings, progress)
     rounds = Rounds(settings.measure_pictures)
     given = settings.levels != DEFAULT_LEVELS

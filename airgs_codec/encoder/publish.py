@@ -25,7 +25,7 @@ from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.storage import open_storage
 from airgs_codec.package.writing import write_tables
 from airgs_codec.progress import Progress, Stopwatch, silent
-from airgs_codec.scene.sequence import GaussianSequence, read_attribution
+from airgs_codec.scene.sequence import GaussianSequence
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def encode(
         views = plan_views(sequence, settings)
         groups = _plan_groups(sequence, views, settings)
         surveys = survey_groups(sequence, groups.spans, views, progress)
-        credit = read_attribution(sequence.folder) if attribution is None else attribution
+        credit = sequence.attribution if attribution is None else attribution
         survey_s = watch.lap()
         job = EncodeJob(sequence, surveys, views, [*rows.notes, *groups.notes], credit)
         calibrated = calibrate_job(job, settings, progress)

@@ -22,7 +22,6 @@ from airgs_codec.package.world import up_of, world_from, world_words
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.scene.camera import resized, training_views
-from airgs_codec.scene.formats.table import format_of
 from airgs_codec.scene.sequence import GaussianSequence
 
 CHECKED = 8  # further ones, which show what leaving out would do
@@ -66,7 +65,7 @@ class ViewPlan:
         axes, notes = sequence.axes, []
         if world is None and axes:
             world = world_from(axes.up, axes.metres)
-            source = "the file" if sequence.clip else f"the specification of {format_of(sequence.paths[0]).name}"
+            source = "the file" if sequence.clip else f"the specification of {sequence.format.name}"
             notes.append(f"{world_words(world)}; {source} says so")
         plan = _plan(sequence, pictures, margin, region, None if world is None else up_of(world))
         return replace(plan, world=world, renderer=renderer, notes=(*plan.notes, *notes))

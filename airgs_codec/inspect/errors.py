@@ -45,7 +45,8 @@ def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Mea
     m = package.manifest
     if len(sequence) != m.frames or sequence.sh_degree < m.sh_degree:
         expected = f"{m.frames} frames of SH degree {m.sh_degree} or more"
-        raise ConfigError(f"{sequence.folder}: expected {expected}, got {len(sequence)} of {sequence.sh_degree}")
+        place = sequence.files.name_of(sequence.folder)
+        raise ConfigError(f"{place}: expected {expected}, got {len(sequence)} of {sequence.sh_degree}")
     sequence = restore_rows(sequence, m.generator.settings.get("rows", AUTO)).sequence
     for index, group in enumerate(m.groups):
         frames = [g.with_degree(m.sh_degree) for g in sequence.load(range(group.start, group.stop)).frames]

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from airgs_codec._stores import Store, is_address
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import compared_views, region_views, rung_frames
 from airgs_codec.inspect.summary import rung_bytes
 from airgs_codec.package.manifest import Quality, pooled_quality
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.region import CHECKING, background_of
-from airgs_codec.package.storage import is_address
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
@@ -55,8 +55,10 @@ class Side:
 
 
 def is_package(place: str) -> bool:
-    """Whether a package is expected at a place: addresses are those of packages."""
-    return is_address(place) or Path(place, JSON_NAME).is_file()
+    """Whether a package is at a place. Raises ConfigError for an address that cannot be, TransportError."""
+    if is_address(place):
+        return Store.at(place).open(JSON_NAME) is not None
+    return Path(place, JSON_NAME).is_file()
 
 
 def open_side(
@@ -97,7 +99,7 @@ def _of_package(name: str, package: Package, rung: str) -> Side:
 
 
 def _of_scene(name: str, sequence: GaussianSequence) -> Side:
-    stated = sequence.clip or (sequence.folder / SETTINGS_NAME).is_file() or sequence.fps != DEFAULT_FPS
+    stated = sequence.clip or sequence.files.beside(sequence.folder / SETTINGS_NAME) or sequence.fps != DEFAULT_FPS
     return Side(
         name=name,
         rung=None,

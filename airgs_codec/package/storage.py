@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Protocol
 
-from airgs_codec.errors import ConfigError
+from airgs_codec._stores import Store, is_address
+from airgs_codec.package.bucket import Bucket
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.tables import FileEntry
-
-SCHEMES = ("s3", "gs", "az")
 
 
 class Storage(Protocol):
@@ -43,23 +41,5 @@ class Storage(Protocol):
 
 
 def open_storage(place: str | Path) -> Storage:
-    """The storage at a folder or an address: s3://bucket/prefix, gs://bucket/prefix or az://container/prefix.
-
-    Raises ConfigError for other addresses, ones that cannot be, and where the extra `cloud` is not installed.
-    """
-    if not is_address(place):
-        return Folder(Path(place))
-    scheme = str(place).partition("://")[0]
-    if scheme not in SCHEMES:
-        known = ", ".join(f"{scheme}://" for scheme in SCHEMES)
-        raise ConfigError(f"{place}: expected a folder or an address of {known}, got {scheme}://")
-    if importlib.util.find_spec("obstore") is None:
-        raise ConfigError(f"{place}: object stores need obstore: pip install 'airgs-codec[cloud]'")
-    from airgs_codec.package.bucket import Bucket
-
-    return Bucket.at(str(place))
-
-
-def is_address(place: str | Path) -> bool:
-    """Whether a place is an address rather than a folder. (A `Path` is none: it joins the slashes of an address.)"""
-    return "://" in str(place)
+    """The storage at a folder or an address. Raises ConfigError as `Store.at` does."""
+    return Bucket(Store.at(str(place))) if is_address(place) else Folder(Path(place))

@@ -20,6 +20,7 @@ from airgs_codec.errors import SceneError
 
 BLOCK = 1 << 14  # rows read at once: some MB
 MAX_HEADER = 1 << 20  # bytes
+HEADER_END = b"end_header"  # the last line of a header
 _MAX_DIGITS = 18  # of a count: it fits 64 bits
 _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {
@@ -84,7 +85,7 @@ def read_header(path: Path) -> Header:
         with path.open("rb") as file:
             head = file.read(1 << 12)
             newline = next((end for end in (b"\r\n", b"\n", b"\r") if head.startswith(b"ply" + end)), b"")
-            last = newline + b"end_header" + newline
+            last = newline + HEADER_END + newline
             while newline and last not in head and len(head) < MAX_HEADER and (more := file.read(len(head))):
                 head += more
     except OSError as error:

@@ -1,4 +1,4 @@
-"""A Gaussian sequence on disk: a folder of frames or one file, optional sequence.json, cameras and usage.npz."""
+"""A Gaussian sequence: a folder of frames or one file, optional sequence.json, cameras and usage.npz."""
 
 from __future__ import annotations
 
@@ -10,16 +10,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._stores import is_address
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
 from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
+from airgs_codec.scene.files import LOCAL, Files
 from airgs_codec.scene.formats.axes import Axes
 from airgs_codec.scene.formats.clip import Bake, Clip
 from airgs_codec.scene.formats.clips import SUFFIXES, clip_format
 from airgs_codec.scene.formats.find import Found, find_frames
-from airgs_codec.scene.formats.table import format_of, read_frame, read_frame_header
+from airgs_codec.scene.formats.table import Format, format_of, read_frame, read_frame_header
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.mirror import Mirror
 from airgs_codec.scene.ply import PlyHeader
 from airgs_codec.scene.rates import frame_rate
 from airgs_codec.scene.repair import Repaired, repair
@@ -32,7 +35,10 @@ USAGE_NAME = "usage.npz"
 
 @dataclass(frozen=True, slots=True)
 class GaussianSequence:
-    """A sequence as `open_sequence` gives it: frames in display order, of which only the headers are in memory."""
+    """A sequence as `open_sequence` gives it: frames in display order, of which only the headers are in memory.
+
+    It can be pickled. Paths are names for `files`, which gives where each can be read.
+    """
 
     folder: Path
     paths: tuple[Path, ...]  # of the frames
@@ -47,6 +53,7 @@ class GaussianSequence:
     orders: Mapping[int, NDArray[np.int32]] = field(default_factory=dict, compare=False)  # (N,) rows of files, by frame
     breaks: tuple[int, ...] = ()  # frames whose rows are not those of the frame before, though they are as many
     clip: Clip | None = None  # the file that all frames are in, if it is one; every path is its
+    files: Files = field(default=LOCAL, compare=False)  # where they are
 
     @property
     def sh_degree(self) -> int:
@@ -56,7 +63,20 @@ class GaussianSequence:
     @property
     def axes(self) -> Axes | None:
         """Which way is up, where the file of a clip or the specification of the frames' format says it."""
-        return self.clip.axes if self.clip else format_of(self.paths[0]).axes
+        return self.clip.axes if self.clip else self.format.axes
+
+    @property
+    def format(self) -> Format:
+        """The format of the frames, where they are no clip. Raises SceneError."""
+        with self.files.hold(self.paths[:1]) as [path]:
+            return format_of(path)
+
+    @property
+    def attribution(self) -> str:
+        """Who made the scene, as the ATTRIBUTION.txt in its folder says; empty without one. Raises SceneError."""
+        with self.files.naming():
+            path = self.files.beside(self.folder / ATTRIBUTION_NAME)
+            return read_attribution(path.parent) if path else ""
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -66,26 +86,30 @@ class GaussianSequence:
 
         Rows that are in another order than in the files are not those that it measured.
         """
-        path = self.folder / USAGE_NAME
-        if self.alone or not path.is_file() or any(frame in self.orders for frame in range(start, stop)):
+        if self.alone or any(frame in self.orders for frame in range(start, stop)):
             return None
-        return load_usage(path, start, stop)
+        with self.files.naming():
+            path = self.files.beside(self.folder / USAGE_NAME)
+            return load_usage(path, start, stop) if path else None
 
     def read(self, frame: int) -> Gaussians:
         """Read one frame unrepaired, as its file has it but for `orders`. Raises SceneError when the file is broken."""
-        g = self.clip.read(frame) if self.clip else read_frame(self.paths[frame])
+        with self.files.hold([self.paths[frame]]) as [path]:
+            g = self.clip.read(path, frame) if self.clip else read_frame(path)
         g = g.with_degree(self.sh_degree)
         return g.take(self.orders[frame]) if frame in self.orders else g
 
-    def load(self, frames: Iterable[int]) -> Repaired:
+    def load(self, wanted: Iterable[int]) -> Repaired:
         """Read frames of one group and repair them together: a row that is dropped in one is dropped in all.
 
         Raises SceneError when a file is broken or no finite row is left.
         """
-        numbers = list(frames)
+        numbers = list(wanted)
         span = f"frame {numbers[0]}" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}"
         name = (self.paths[0] if self.alone else self.folder).name
-        return repair([self.read(i) for i in numbers], f"{name} {span}")
+        with self.files.hold(dict.fromkeys(self.paths[i] for i in numbers)):
+            frames = [self.read(i) for i in numbers]
+        return repair(frames, f"{name} {span}")
 
 
 def read_attribution(folder: Path) -> str:
@@ -107,6 +131,8 @@ def open_sequence(
 ) -> GaussianSequence:
     """Open a folder of frames, a file of one frame or a clip; rows are read only when they are asked for.
 
+    It may be at an address, s3://, gs:// or az://: then files are fetched when they are read (`scene.mirror`).
+
     Frames are of any format in `scene.formats.table.FORMATS`, all of the same, in natural order of their names (frame2
     before frame10); of an INRIA model the newest iteration is taken. Beside them may lie
 
@@ -127,15 +153,26 @@ def open_sequence(
 
     Raises SceneError when there is nothing there, it has no frames, a frame is broken, has no rows or another SH degree
     than the first, one of the files beside them is malformed, or something is to be baked that leaves no choice.
+    ConfigError for an address that cannot be, TransportError for a store that does not answer.
     """
-    found = find_frames(Path(folder))
     rate = None if bake_fps is None else frame_rate(str(folder), bake_fps)
     bake = Bake(rate, None if duration is None else Fraction(str(duration)))
-    if len(found.paths) == 1 and (form := clip_format(found.paths[0])):
-        return _sequence_of_clip(found, form.open(found.paths[0], bake), views, fps)
+    files, place = Mirror.at(str(folder)) if is_address(folder) else (LOCAL, Path(folder))
+    with files.naming():
+        return replace(_open(files, place, bake, views, fps), files=files)
+
+
+def _open(
+    files: Files, place: Path, bake: Bake, views: str | Path | None, fps: Fraction | float | None
+) -> GaussianSequence:
+    found = find_frames(place)
+    if len(found.paths) == 1 and (form := files.read_headers(found.paths, clip_format)[0]):
+        with files.hold(found.paths) as [path]:
+            return _sequence_of_clip(found, form.open(path, bake), views, fps)
     if bake != Bake():
-        raise SceneError(f"{folder}: expected a clip to bake ({', '.join(SUFFIXES)}), got frames")
-    frames = [(path, read_frame_header(path)) for path in found.paths]
+        raise SceneError(f"{place}: expected a clip to bake ({', '.join(SUFFIXES)}), got frames")
+    headers = files.read_headers(found.paths, read_frame_header)
+    frames = list(zip(found.paths, headers, strict=True))
     return sequence_of(found.folder, frames, views=views, fps=fps, alone=found.alone)
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._stores import is_address
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import to_bytes, write_jpeg
@@ -26,7 +27,6 @@ from airgs_codec.package.parse import parse_root
 from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME
 from airgs_codec.package.region import first_place, levelled, place_view
 from airgs_codec.package.staging import staged
-from airgs_codec.package.storage import is_address
 from airgs_codec.package.store import Package, open_package, read_file, root_of
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import render

@@ -8,8 +8,8 @@ import shutil
 import pytest
 
 pytest.importorskip("obstore", reason="obstore, the extra `cloud`, is not installed")
-pytest.importorskip("moto", reason="moto, a server for tests, is not installed")
 
+from airgs_codec import _stores
 from airgs_codec.cli import decode, encode, manifest, play
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package import storage
@@ -18,25 +18,15 @@ from tests.support.mutations import read_files
 from tests.support.page import put_page
 from tests.support.paths import VALID
 from tests.support.scenes import moving_frames, write_sequence
-from tests.support.servers import object_store
+from tests.support.servers import put_folder
 
-BUCKET = "scenes"
 ENCODE = ["--preset", "ultrafast", "--steps", "default", "--measure-pictures", "0"]
 
 
-@pytest.fixture(scope="session")
-def server():
-    """A server for all tests; each has a prefix of its own."""
-    with pytest.MonkeyPatch.context() as patch, object_store(BUCKET) as environment:
-        for name, value in environment.items():
-            patch.setenv(name, value)
-        yield
-
-
 @pytest.fixture
-def place(server, request):
+def place(bucket, request):
     """A prefix with nothing below it."""
-    return f"s3://{BUCKET}/{request.node.name}/scene.airgs"
+    return f"{bucket}/{request.node.name}/scene.airgs"
 
 
 @pytest.fixture
@@ -46,9 +36,9 @@ def scene(tmp_path):
 
 
 @pytest.fixture(scope="session")
-def package(server):
+def package(bucket):
     """An address with a package, which no test changes."""
-    address = f"s3://{BUCKET}/moving"
+    address = f"{bucket}/moving"
     with storage.open_storage(address).staged() as stage:
         shutil.copytree(VALID / "moving", stage, dirs_exist_ok=True)
     return address
@@ -122,12 +112,12 @@ def test_a_growing_package_is_readable_after_every_group(place, scene, monkeypat
     ("address", "environment", "expected"),
     [
         ("s3://nowhere/scene", {}, "bucket does not exist"),
-        (f"s3://{BUCKET}/nothing", {}, "expected a package"),
+        ("s3://scenes/nothing", {}, "expected a package"),
         ("az://container/x", {}, "no credentials"),
         ("ftp://host/x", {}, "expected a folder or an address of s3://"),
     ],
 )
-def test_what_cannot_be_read_is_one_line(server, monkeypatch, capsys, address, environment, expected):
+def test_what_cannot_be_read_is_one_line(bucket, monkeypatch, capsys, address, environment, expected):
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     assert manifest.main(["inspect", address]) == 2
@@ -135,13 +125,13 @@ def test_what_cannot_be_read_is_one_line(server, monkeypatch, capsys, address, e
     assert error.count("\n") == 1 and address in error and expected in error
 
 
-def test_a_bucket_that_is_not_there_is_told_before_the_work(server, scene, capsys):
+def test_a_bucket_that_is_not_there_is_told_before_the_work(bucket, scene, capsys):
     assert encode.main([str(scene), "-o", "s3://nowhere/scene", *ENCODE]) == 2
     assert "bucket does not exist" in capsys.readouterr().err
 
 
 def test_a_missing_extra_is_named(monkeypatch, capsys):
-    monkeypatch.setattr(storage.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(_stores.importlib.util, "find_spec", lambda name: None)
     assert manifest.main(["inspect", "s3://scenes/x"]) == 2
     assert "airgs-codec[cloud]" in capsys.readouterr().err
 
@@ -156,3 +146,18 @@ def test_a_changed_object_is_refused(place, capsys):
     assert manifest.main(["validate", place, "--json"]) == 1
     reasons = {finding["reason"] for finding in json.loads(capsys.readouterr().out)}
     assert {"size_mismatch", "foreign_file"} <= reasons
+
+
+def test_a_sequence_is_encoded_from_there(place, scene, tmp_path, capsys):
+    (scene / "ATTRIBUTION.txt").write_text("Somebody")
+    source = put_folder(scene, f"{place}/scene")
+    assert encode.main([source, *ENCODE]) == 0
+    assert encode.main([str(scene), "-o", str(tmp_path / "here.airgs"), *ENCODE]) == 0
+    there, here = contents(f"{source}.airgs"), read_files(tmp_path / "here.airgs")
+    assert there == here and open_package(f"{source}.airgs").manifest.attribution == "Somebody"
+    capsys.readouterr()
+    frame = ["--frames", "0", "--draws", "1", "--json"]
+    assert manifest.main(["rungs", f"{source}.airgs", source, *frame]) == 0
+    assert manifest.main(["compare", source, f"{source}.airgs", "--frames", "0", "--json"]) == 0
+    assert encode.main([source, "--follow"]) == 2
+    assert f"expected a folder of this machine, got {source}" in capsys.readouterr().err

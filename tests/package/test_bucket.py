@@ -9,6 +9,7 @@ pytest.importorskip("obstore", reason="obstore, the extra `cloud`, is not instal
 from obstore.exceptions import GenericError
 from obstore.store import MemoryStore
 
+from airgs_codec._stores import Store
 from airgs_codec.errors import ConfigError, FormatError, TransportError
 from airgs_codec.package.bucket import NEW, Bucket
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME
@@ -42,12 +43,12 @@ class FailingStore:
 
 
 def files(store):
-    bucket = Bucket("memory", store)
+    bucket = Bucket(Store("memory", store))
     return {name: bucket.open(name)[1]() for name in bucket.paths()}
 
 
 def publish(store, package):
-    with Bucket("memory", store).staged() as stage:
+    with Bucket(Store("memory", store)).staged() as stage:
         shutil.copytree(package, stage, dirs_exist_ok=True)
 
 
@@ -99,7 +100,7 @@ def _outcome(store, failing, before):
     try:
         publish(failing, OTHER)
     except TransportError:
-        with pytest.raises(KeyboardInterrupt), Bucket("memory", store).staged():
+        with pytest.raises(KeyboardInterrupt), Bucket(Store("memory", store)).staged():
             raise KeyboardInterrupt from None
         found = files(store)
         if not before and JSON_NAME not in found:  # what was cut off is no package; the next one takes its place
@@ -118,7 +119,7 @@ def test_what_is_cut_off_while_it_takes_its_place_is_said():
 
 
 def test_an_error_of_the_writer_changes_nothing(store, before):
-    with pytest.raises(RuntimeError), Bucket("memory", store).staged() as stage:
+    with pytest.raises(RuntimeError), Bucket(Store("memory", store)).staged() as stage:
         shutil.copytree(OTHER, stage, dirs_exist_ok=True)
         raise RuntimeError
     assert files(store) == (read_files(before) if before else {})
@@ -135,7 +136,7 @@ def test_an_upload_that_fails_once_leaves_nothing_behind(store, before):
 def test_foreign_objects_are_never_touched(store, name):
     store.put(name, b"years of work")
     before = files(store)
-    with pytest.raises(ConfigError, match=name), Bucket("memory", store).staged():
+    with pytest.raises(ConfigError, match=name), Bucket(Store("memory", store)).staged():
         raise AssertionError("unreachable")
     assert files(store) == before
 
@@ -154,7 +155,7 @@ def test_players_are_told_what_files_are():
 def test_reading_checks_as_on_disk():
     store = MemoryStore()
     publish(store, OLD)
-    bucket = Bucket("memory", store)
+    bucket = Bucket(Store("memory", store))
     size, read = bucket.open(MPD_NAME)
     assert size == len(read()) == (OLD / MPD_NAME).stat().st_size
     with pytest.raises(FormatError, match="missing_file"):

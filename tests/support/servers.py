@@ -12,6 +12,7 @@ from urllib.request import Request, urlopen
 
 from starlette.types import ASGIApp
 
+from airgs_codec._stores import Store
 from airgs_codec.serve.app import make_app
 from airgs_codec.serve.files import PackageFiles
 from airgs_codec.serve.server import ServerSettings, listen, serve
@@ -85,9 +86,18 @@ def object_store(bucket: str) -> Iterator[dict[str, str]]:
     server.start()
     try:
         endpoint = "http://{}:{}".format(*server.get_host_and_port())
-        with urlopen(Request(f"{endpoint}/{bucket}", method="PUT"), timeout=10):
+        with urlopen(Request(f"{endpoint}/{bucket}", method="PUT"), timeout=60):
             pass
         secret = {"AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test", "AWS_REGION": "us-east-1"}
         yield {"AWS_ENDPOINT": endpoint, "AWS_ALLOW_HTTP": "true", **secret}
     finally:
         server.stop()
+
+
+def put_folder(folder: Path, address: str) -> str:
+    """Put the files of a folder below an address, which it gives."""
+    store = Store.at(address)
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            store.put(path.relative_to(folder).as_posix(), path.read_bytes(), {})
+    return address

@@ -29,7 +29,7 @@ class Clip:
 
     headers: tuple[PlyHeader, ...]  # of the frames
     fps: Fraction  # frames a second
-    read: Callable[[int], Gaussians]  # a frame, unrepaired; raises SceneError
+    read: Callable[[Path, int], Gaussians]  # a frame of its file, wherever that is, unrepaired; raises SceneError
     note: str  # what was read, and how it became frames, for people
     breaks: tuple[int, ...] = ()  # frames whose rows are known to be others than those of the frame before
     axes: Axes | None = None  # as the file says; None: it does not

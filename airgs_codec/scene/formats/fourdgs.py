@@ -43,10 +43,10 @@ def open_4dgs(path: Path, bake: Bake) -> Clip:
     headers = tuple(known[count] for count in counts)
     breaks = tuple(int(frame) for frame in found["breaks"])
     axes = Axes(tuple(found["up"].tolist()), float(found["metres"]) or None) if len(found["up"]) else None
-    return Clip(headers, fps, functools.partial(_read, path, fps, headers), note, breaks, axes)
+    return Clip(headers, fps, functools.partial(_read, fps, headers), note, breaks, axes)
 
 
-def _read(path: Path, fps: Fraction, headers: tuple[PlyHeader, ...], frame: int) -> Gaussians:
+def _read(fps: Fraction, headers: tuple[PlyHeader, ...], path: Path, frame: int) -> Gaussians:
     """One frame. Raises SceneError."""
     start = frame - frame % _BLOCK
     stop = min(start + _BLOCK, len(headers))

@@ -70,6 +70,15 @@ def read_gltf(path: Path) -> Gaussians:
     return join_rows(parts)
 
 
+def external_buffers(path: Path) -> list[str]:
+    """Names of the files beside it that its buffers are in. Raises SceneError."""
+    try:
+        uris = [buffer.get("uri") for buffer in _open(path, only_json=True).json.get("buffers", [])]
+        return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
+    except _BROKEN as error:
+        raise _refusal(path, error) from error
+
+
 def _refusal(path: Path, error: Exception) -> SceneError:
     words = f"no {error}" if isinstance(error, KeyError) else str(error)
     return SceneError(f"{path}: expected glTF with {EXTENSION}: {words[:160]}")

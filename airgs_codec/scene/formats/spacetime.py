@@ -66,10 +66,10 @@ def open_spacetime(path: Path, load: Load, name: str, bake: Bake) -> Clip:
     count = len(_model(load, path).means)
     default = " by default, no length is stated" if bake.seconds is None else ""
     note = f"{name}, {count} Gaussians baked to {frames} frames at {rate_words(fps)}: {float(seconds):.4g} s{default}"
-    return Clip((PlyHeader(count, 0),) * frames, fps, functools.partial(_frame, load, path, frames), note)
+    return Clip((PlyHeader(count, 0),) * frames, fps, functools.partial(_frame, load, frames), note)
 
 
-def _frame(load: Load, path: Path, frames: int, frame: int) -> Gaussians:
+def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
     return _model(load, path).at(frame / frames)
 
 

@@ -52,7 +52,7 @@ def open_splat4d(path: Path, bake: Bake) -> Clip:
     frame = check_count(path, PlyHeader(count, 0))
     count_frames(path, fps, frames / fps)
     note = f".splat4d, {count} Gaussians in {frames} frames, {rate_words(fps)}"
-    return Clip((frame,) * frames, fps, functools.partial(_read, path, count), note)
+    return Clip((frame,) * frames, fps, functools.partial(_read, count), note)
 
 
 def _header(path: Path, data: bytes) -> dict[str, Any]:
@@ -65,7 +65,7 @@ def _header(path: Path, data: bytes) -> dict[str, Any]:
     return dict(json.loads(data[_HEADER.size : _HEADER.size + length]))
 
 
-def _read(path: Path, count: int, frame: int) -> Gaussians:
+def _read(count: int, path: Path, frame: int) -> Gaussians:
     """One frame. Raises SceneError."""
     command = find_command("splat4d")
     if command is None:
