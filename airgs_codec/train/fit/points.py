@@ -25,14 +25,16 @@ BOX_MARGIN = 1.15  # size of the box of random points, over that of the given on
 def scene_extent(cameras: Sequence[Camera], points: Points | None = None) -> float:
     """Size of a scene in world units: 1.1 times the largest distance of a camera to their centre, as 3DGS has it.
 
-    Where all cameras are in one place, the largest standard deviation of the points; 1 where there are none.
+    It is at least the median distance of the points to that centre. Cameras that stand around a scene are as far from
+    each other as from it; those of a narrow rig before it would make steps and sizes too small for what they see. 1
+    where all cameras are in one place and there are no points.
     """
     places = np.stack([camera.position for camera in cameras])
-    extent = 1.1 * float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
-    if extent > 0:
-        return extent
-    spread = points.positions.std(axis=0).max() if points is not None and len(points.positions) else 0.0
-    return float(spread) or 1.0
+    centre = places.mean(axis=0)
+    extent = 1.1 * float(np.linalg.norm(places - centre, axis=1).max())
+    if points is None or not len(points.positions):
+        return extent or 1.0
+    return max(extent, float(np.median(np.linalg.norm(points.positions - centre, axis=1)))) or 1.0
 
 
 def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng: np.random.Generator) -> Points:
