@@ -102,6 +102,7 @@ def _add_player_options(parser: argparse.ArgumentParser) -> None:
         words = f"do not {about(SessionSettings, name)}"
         player.add_argument(option, dest=name, action="store_false", help=words)
     player.add_argument("--loops", type=int, help=about(SessionSettings, "loops"))
+    player.add_argument("--budget", type=int, metavar="N", help=about(SessionSettings, "budget"))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -115,6 +116,8 @@ def _run(args: argparse.Namespace) -> int:
         require_matplotlib("--report")
         if args.report.exists() and not args.report.is_dir():
             raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
+    if args.budget is not None and (args.compare or args.mode != "segments"):
+        raise ConfigError("--budget: expected a single session, got --compare or another --mode")
     if args.package.startswith(("http://", "https://")):
         return _over_http(args)
     if args.as_fast:
@@ -164,7 +167,7 @@ def _settings(package: Package | None, args: argparse.Namespace) -> SessionSetti
             decode_s = float(args.decode_ms) / 1e3
         except ValueError as error:
             raise ConfigError(f"--decode-ms: expected milliseconds or measure, got {args.decode_ms}") from error
-    names = ("buffer_s", "startup_s", "resume_s", "replace", "abandon", "pipelined", "loops")
+    names = ("buffer_s", "startup_s", "resume_s", "replace", "abandon", "pipelined", "loops", "budget")
     return SessionSettings(decode_frame_s=decode_s, **{name: getattr(args, name) for name in names})
 
 

@@ -154,8 +154,9 @@ class _Programme:
         return costs.ravel()
 
     def upper(self) -> NDArray[np.float64]:
-        """(columns,) 1 for shares, the capacity at the deadline for F_k."""
+        """(columns,) 1 for shares, 0 where the budget does not allow them, the capacity at the deadline for F_k."""
         upper = np.ones((len(self._horizon.slots), self._width))
+        upper[:, : self.rungs] = [self._catalogue.allowed(slot.segment) for slot in self._horizon.slots]
         upper[:, -1] = [slot.capacity * (1 + ROUNDING) / self.unit for slot in self._horizon.slots]
         return upper.ravel()
 

@@ -6,7 +6,7 @@ quality by quality. A position is a segment of a session, which may play the seq
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.errors import FormatError
+from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.store import Package
@@ -22,6 +22,7 @@ from airgs_codec.play.ladder import Option, saved_shares
 
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
+OVER_BUDGET = 1 << 50  # bytes of a rung that shows too many Gaussians: more than any link carries
 KeyUnits = frozenset[tuple[int, int]]  # (key quality, tier) of those units of a group that are decoded
 NONE: KeyUnits = frozenset()
 
@@ -59,6 +60,7 @@ class Catalogue:
     """What a package offers. Wire bytes are those of files with `header_bytes` for each.
 
     A session over a growing package (`live`) begins with its newest group and goes on while `grow` is called.
+    No rung is offered that shows more Gaussians than the `budget` has.
     """
 
     manifest: Manifest
@@ -66,6 +68,7 @@ class Catalogue:
     root_bytes: int = 0  # of airgs.json
     live: bool = False  # more groups may come in this session
     first: int = 0  # the segment that a session begins with
+    budget: int | None = None  # Gaussians that a picture may show at most; None: any number
 
     @staticmethod
     def of(package: Package) -> Catalogue:
@@ -75,6 +78,20 @@ class Catalogue:
     def grow(self, manifest: Manifest, root_bytes: int) -> None:
         """Go on with the tables of the same package, to which groups were added."""
         self.manifest, self.root_bytes, self.live = manifest, root_bytes, manifest.live
+
+    def limit(self, budget: int | None) -> None:
+        """Show at most so many Gaussians from now on; None: any number."""
+        self.budget = budget
+        for name in ("_options", "bytes_after", "bytes_from_scratch"):
+            self.__dict__.pop(name, None)
+
+    def check_budget(self, segments: Iterable[int]) -> None:
+        """Raises ConfigError where every rung of one of these segments shows more Gaussians than the budget has."""
+        if self.budget is None:
+            return
+        least = max((int(self.rows[segment].min()) for segment in segments if self._knows(segment)), default=0)
+        if least > self.budget:
+            raise ConfigError(f"budget: expected {least} Gaussians or more, got {self.budget}")
 
     @cached_property
     def _options(self) -> dict[tuple[Any, ...], tuple[Option, ...]]:
@@ -150,6 +167,17 @@ class Catalogue:
         levels = range(len(self.manifest.levels))
         return Rows(lambda s: np.array([self._wire(self.manifest.state_files(s, j)) for j in levels]))
 
+    @cached_property
+    def rows(self) -> Rows:
+        """(S, Q L) Gaussians that a rung shows: the rows of its key tiers."""
+        m, last = self.manifest, [self.manifest.levels[j].tiers - 1 for _, j in self.rungs]
+        return Rows(lambda s: np.cumsum([tier.count for tier in m.groups[m.group_of(s)].tiers])[last])
+
+    def allowed(self, segment: int) -> NDArray[np.bool_]:
+        """(Q L,) whether the budget has the Gaussians of a rung."""
+        most = np.inf if self.budget is None else self.budget
+        return np.asarray(self.rows[segment] <= most)
+
     def levels(self, segment: int) -> tuple[Option, ...]:
         """The levels of a segment by the bytes of their states and their quality with the finest keys."""
         sizes, quality = self.state_bytes[segment].tolist(), self.quality[segment]
@@ -216,22 +244,26 @@ class Catalogue:
     def sizes(self, segment: int, decoded: KeyUnits, of_base: KeyUnits = NONE) -> list[int]:
         """(Q L,) wire bytes of the keys that are missing and the state.
 
-        `decoded` are units of the segment's group, `of_base` of the group whose rows it keeps.
+        `decoded` are units of the segment's group, `of_base` of the group whose rows it keeps. A rung that the budget
+        does not allow has OVER_BUDGET bytes.
         """
         m = self.manifest
         group = m.group_of(segment)
         own, base, states = self.key_bytes[group], self.base_bytes(group), self.state_bytes[segment]
         missing = np.where(_absent(decoded, own.shape), own, 0) + np.where(_absent(of_base, own.shape), base, 0)
-        return [int(missing[q, : m.levels[j].tiers].sum() + states[j]) for q, j in self.rungs]
+        sizes = [int(missing[q, : m.levels[j].tiers].sum() + states[j]) for q, j in self.rungs]
+        return [size if ok else OVER_BUDGET for size, ok in zip(sizes, self.allowed(segment), strict=True)]
 
     def options(self, segment: int, decoded: KeyUnits, of_base: KeyUnits = NONE) -> tuple[Option, ...]:
-        """Every rung of a segment, by number; kept, since a session asks for few combinations over and over."""
+        """Every rung of a segment that the budget allows, by number; kept, since sessions ask for few combinations."""
         key = segment, decoded, of_base
         if key not in self._options:
             saved, quality = saved_shares(self.state_bytes[segment]), self.quality[segment]
             sizes = self.sizes(segment, decoded, of_base)
             self._options[key] = tuple(
-                Option(r, sizes[r], float(quality[r]), saved[j]) for r, (_, j) in enumerate(self.rungs)
+                Option(r, sizes[r], float(quality[r]), saved[j])
+                for r, (_, j) in enumerate(self.rungs)
+                if sizes[r] < OVER_BUDGET
             )
         return self._options[key]
 

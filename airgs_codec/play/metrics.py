@@ -75,6 +75,7 @@ class SessionMetrics:
     frame_ms_p95: float
     frame_ms_max: float
     rungs: Mapping[str, int]  # segments shown with each; "lost" counts the others
+    gaussians: int  # most that a picture showed
     trace: str | None  # these are None over a real connection
     trace_mean_bps: float | None
     trace_scale: float | None
@@ -166,6 +167,7 @@ def session_metrics(
         frame_ms_p95=float(np.percentile(took_ms, 95)),
         frame_ms_max=float(took_ms.max()),
         rungs=dict(names.most_common()),
+        gaussians=max((int(catalogue.rows[s.segment, s.rung]) for s in shown if s.rung is not None), default=0),
         trace=trace.name if trace else None,
         trace_mean_bps=trace.mean_bps if trace else None,
         trace_scale=trace.scale if trace else None,

@@ -7,7 +7,8 @@ would come sooner; whole key files that have arrived are kept. A segment none of
 last picture stands for its time, and the session goes on.
 
 What a batch offers stands in the table of its group: those of the first segments that the policy looks at are fetched
-before the first batch, later ones with the batch before. A segment whose table cannot be had is lost.
+before the first batch, later ones with the batch before. A segment whose table cannot be had is lost. Rungs that show
+more Gaussians than the budget are as if they could not be had.
 
 The sequence may be played several times, as if it were longer: keys and states are fetched again, tables are not. One
 that grows is played as it grows: airgs.json is fetched again a group's length after the last time, until it says that
@@ -49,7 +50,8 @@ def run(
 ) -> Iterator[Event]:
     """Play a package from the first request to the last picture.
 
-    Raises ConfigError where the policy needs quality that was not measured, TransportError when the link fails.
+    Raises ConfigError where the policy needs quality that was not measured and where all rungs of the first segment are
+    over the budget, TransportError when the link fails.
     """
     if policy.needs_quality and not catalogue.measured:
         raise ConfigError(
@@ -84,9 +86,12 @@ class _Player:
         """All events of the session, in the order in which they happen."""
         yield from self._fetch_root(0)
         position = 0
+        self.catalogue.limit(self.settings.budget)
         while position < self.playout.end or (yield from self._grow(position)):
             while wanted := self._wanted_tables(position):
                 yield self._fetch_tables(wanted, position)
+            if not position:
+                self.catalogue.check_budget([self.catalogue.index(0)])
             self.playout.make_room(position)
             earliest_s = self.playout.earliest_request_s(position)
             while self.now_s < earliest_s and (yield from self._replace_best()):

@@ -118,11 +118,14 @@ def simulate(
     """Play a package over a trace, with the trace's own round trip, or over a link.
 
     `policy` is a value or one of the names that `make_policy` takes; `faults` are files that cannot be used, as
-    `find_faults` gives them. Raises ConfigError for an unknown policy and for one that needs quality that was not
-    measured, TransportError for a trace that ends too soon.
+    `find_faults` gives them. Raises ConfigError for an unknown policy, for one that needs quality that was not measured
+    and for a budget that all rungs of a segment are over, TransportError for a trace that ends too soon.
     """
     catalogue = Catalogue.of(package) if isinstance(package, Package) else package
     link = Link.over(trace) if isinstance(trace, Trace) else trace
+    if settings and settings.budget is not None:
+        catalogue.limit(settings.budget)
+        catalogue.check_budget(range(catalogue.segments))
     return play(catalogue, SimulatedDownloader(link, catalogue, faults or {}), policy, settings, link)
 
 

@@ -24,6 +24,7 @@ class SessionSettings:
         True, "request a segment one round trip before the current batch ends, knowing one download less"
     )
     loops: int | None = setting(None, "times the sequence is played (default: about 30 s of play)")
+    budget: int | None = setting(None, "most Gaussians that are fetched and shown of a group (default: any number)")
 
     def __post_init__(self) -> None:
         if not 0 < self.buffer_s < math.inf:
@@ -33,5 +34,7 @@ class SessionSettings:
                 raise ConfigError(f"{name}: expected 0 s or more, got {value:g}")
         if not 0 <= self.decode_frame_s < math.inf:
             raise ConfigError(f"decoding: expected 0 s a frame or more, got {self.decode_frame_s:g}")
+        if self.budget is not None and self.budget < 1:
+            raise ConfigError(f"budget: expected at least 1 Gaussian, got {self.budget}")
         if self.loops is not None and self.loops < 1:
             raise ConfigError(f"loops: expected at least 1, got {self.loops}")

@@ -104,10 +104,10 @@ def test_help_and_defaults_are_those_of_the_settings(monkeypatch):
     assert "else 123)" in text
     args = play_command._parser().parse_args(["scene.airgs"])
     assert play_command._settings(None, args) == SessionSettings()
-    changed = ["--buffer", "3", "--startup", "2", "--resume", "1", "--decode-ms", "5", "--loops", "4"]
+    changed = ["--buffer", "3", "--startup", "2", "--resume", "1", "--decode-ms", "5", "--loops", "4", "--budget", "9"]
     flags = ["--no-replace", "--no-abandon", "--no-pipelining"]
     args = play_command._parser().parse_args(["scene.airgs", *changed, *flags])
-    assert play_command._settings(None, args) == SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4)
+    assert play_command._settings(None, args) == SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4, 9)
 
 
 def test_policies_are_compared_over_traces(capsys):
@@ -123,6 +123,9 @@ def test_policies_are_compared_over_traces(capsys):
         (["--rtt", "-1"], "round trip"),
         (["--rtt", "nan"], "round trip"),
         (["--loops", "0"], "loops"),
+        (["--budget", "0"], "budget: expected at least 1 Gaussian"),
+        (["--budget", "1"], "Gaussians or more, got 1"),
+        (["--budget", "9", "--mode", "frames"], "--budget: expected a single session"),
         (["--buffer", "nan"], "buffer"),
         (["--offset", "1e9"], "offset"),
         (["--scale", "0"], "scale"),

@@ -66,6 +66,7 @@ class Offer:
             state_bytes=self.sizes,
             key_bytes=np.zeros((len(self.sizes), 1, 1)),
             seconds=lambda s: 1.0,
+            allowed=lambda s: np.ones(len(levels), np.bool_),
         )
 
 

@@ -218,6 +218,7 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
         ("stalls", f"{r['stalls']}, {r['stall_s']:.3f} s, {100 * r['stall_ratio']:.2f} %"),
         ("PSNR on screen", quality),
         ("rungs", ", ".join(f"{name} x{count}" for name, count in r["rungs"].items())),
+        ("Gaussians", _gaussian_words(log)),
         ("switches", f"{r['switches']}, mean change {r['change_db']:.2f} dB"),
         ("fetched, kB", f"{wire}; {r['bytes_per_frame'] / 1e3:.2f} a frame"),
         ("wire", f"{r['wire_bytes'] / 1e3:.1f} kB with headers" + used),
@@ -237,6 +238,11 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
     if log.retried:
         rows.append(("asked for again", f"{len(log.retried)} files; {_some(log.retried)}"))
     return rows
+
+
+def _gaussian_words(log: SessionLog) -> str:
+    budget = log.settings.budget
+    return f"at most {log.metrics.gaussians:,}" + ("" if budget is None else f" of a budget of {budget:,}")
 
 
 def _some(lines: Sequence[str]) -> str:

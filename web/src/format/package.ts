@@ -113,6 +113,11 @@ export class Tables {
     return this.index.atSegment(segment);
   }
 
+  /** Gaussians of a group in each key tier. Throws what `group` does. */
+  rows(group: number): number[] {
+    return this.group(group).tiers.map((tier) => tier.count);
+  }
+
   segment(segment: number): Segment {
     const group = this.groupOf(segment);
     return this.group(group).segments[segment - this.index.entry(group).firstSegment]!;

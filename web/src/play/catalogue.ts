@@ -3,9 +3,10 @@
 // S segments, G groups, T key tiers, Q key qualities, L levels. A rung is a key quality with a level; rungs are
 // numbered quality by quality. A position is a segment of a session, which may play the sequence several times.
 import { ROOT_PATH } from "../format/paths.ts";
-import type { Root, Segment } from "../format/types.ts";
 import { Kept } from "./kept.ts";
 import { type Option, savedShares } from "./ladder.ts";
+import type { Offers } from "./offers.ts";
+import { ConfigError } from "./settings.ts";
 
 /** Seconds of play where nobody says how often the sequence is played. */
 export const SESSION_S = 30;
@@ -18,6 +19,8 @@ const KEPT_OPTIONS = 4096;
 /** Those key units of a group that are decoded: tier t of key quality q is number q T + t. */
 export type KeyUnits = ReadonlySet<number>;
 export const NONE: KeyUnits = new Set();
+/** Bytes of a rung that shows too many Gaussians: more than any link carries. */
+const OVER_BUDGET = 2 ** 50;
 
 /** Paths of the files that are requested together, in the order in which they arrive. */
 export interface Batch {
@@ -29,54 +32,10 @@ export interface Batch {
 /** All paths: key units tier by tier, then the state segment, then tables for what comes next. */
 export const filesOf = (batch: Batch): string[] => [...batch.keys, ...batch.state, ...batch.tables];
 
-/** A rung of the whole package, for people who choose one. */
-export interface RungInfo {
-  /** Such as Q1+L2. */
-  name: string;
-  /** dB, mean over the time of the segments whose tables are known; null: not measured. */
-  psnr: number | null;
-  /** Mean over the same segments, headers included. */
-  kbps: number;
-  /** Whether no other rung has more quality at no more bytes. */
-  onLadder: boolean;
-}
-
-/** The tables of a package, as far as a player looks at them: `Tables` of the format, or numbers alone.
- *
- * Groups, segments and files are counted from 0. Questions about a group whose table is not there (`has`) throw.
- */
-export interface Offers {
-  readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "frames"> & {
-    readonly views: Pick<Root["views"], "reference">;
-    readonly qualities: readonly Pick<Root["qualities"][number], "id">[];
-    readonly levels: readonly Pick<Root["levels"][number], "id" | "tiers">[];
-  };
-  readonly rootBytes: number;
-  readonly index: {
-    readonly groups: number;
-    readonly segments: number;
-    readonly pages: number;
-    entry(group: number): { start: number; stop: number; firstSegment: number; segments: number };
-    pageOfSegment(segment: number): number | null;
-    pageOfGroup(group: number): number | null;
-    hasPage(page: number): boolean;
-    guessSpan(segment: number): { start: number; stop: number };
-  };
-  has(group: number): boolean;
-  segment(segment: number): Pick<Segment, "start" | "stop"> & { levels: readonly { psnr: readonly number[] }[] };
-  groupOf(segment: number): number;
-  /** The group whose rows a group keeps; null: none. */
-  base(group: number): number | null;
-  keyFiles(group: number, tier: number, quality: number): string[];
-  /** Those of the key unit of the base whose rows a key unit keeps. */
-  keptFiles(group: number, tier: number, quality: number): string[];
-  stateFiles(segment: number, level: number): string[];
-  entry(path: string): { bytes: number };
-}
-
 /** What a package offers. Wire bytes are those of files with `headerBytes` for each.
  *
- * A session over a growing package begins with its newest group (`first`), and its tables grow under it.
+ * A session over a growing package begins with its newest group (`first`), and its tables grow under it. No rung is
+ * offered that shows more Gaussians than the budget has.
  */
 export class Catalogue {
   /** (key quality, level) of every rung. */
@@ -101,6 +60,7 @@ export class Catalogue {
   constructor(
     readonly tables: Offers,
     readonly headerBytes = HEADER_BYTES,
+    readonly budget = Number.POSITIVE_INFINITY,
   ) {
     const { qualities, levels, tiers, frame_rate } = tables.root;
     this.rungs = qualities.flatMap((_, q) => levels.map((_, j) => [q, j] as const));
@@ -166,6 +126,20 @@ export class Catalogue {
     });
   }
 
+  /** (Q L) Gaussians that a rung of a segment shows: the rows of its key tiers. */
+  rows(segment: number): number[] {
+    const { root } = this.tables;
+    const rows = this.tables.rows(this.tables.groupOf(segment));
+    return this.rungs.map(([, j]) => rows.slice(0, root.levels[j].tiers).reduce((sum, count) => sum + count));
+  }
+
+  /** Throws ConfigError where every rung at a position shows more Gaussians than the budget has. */
+  checkBudget(position: number): void {
+    const segment = this.index(position);
+    const least = this.knows(segment) ? Math.min(...this.rows(segment)) : 0;
+    if (least > this.budget) throw new ConfigError(`budget: expected ${least} Gaussians or more, got ${this.budget}`);
+  }
+
   /** (L) wire bytes of a state segment; 0 where there is nothing to fetch. */
   stateBytes(segment: number): Float64Array {
     const levels = this.tables.root.levels;
@@ -193,7 +167,7 @@ export class Catalogue {
 
   /** (Q L · Q L) wire bytes of rung c after rung p in the segment before, of the same group, at place p Q L + c. */
   bytesAfter(segment: number): Float64Array {
-    return this.kept.after.get(segment, () => this.table(this.held, (held) => this.sizes(segment, held, held)));
+    return this.kept.after.get(segment, () => this.table(this.held, (held) => this.prices(segment, held, held)));
   }
 
   /**
@@ -206,7 +180,7 @@ export class Catalogue {
     if (base === null) return this.bytesFromScratch(segment);
     const held = known.get(base) ?? NONE;
     return this.table(this.baseAfter(segment, base), (after) =>
-      this.sizes(segment, NONE, new Set([...held, ...after])),
+      this.prices(segment, NONE, new Set([...held, ...after])),
     );
   }
 
@@ -228,7 +202,13 @@ export class Catalogue {
 
   /** (Q L) wire bytes of a rung when no key of its group is decoded, nor of one whose rows it keeps. */
   bytesFromScratch(segment: number): Float64Array {
-    return this.kept.scratch.get(segment, () => this.sizes(segment, NONE));
+    return this.kept.scratch.get(segment, () => this.prices(segment, NONE));
+  }
+
+  /** What `sizes` gives; OVER_BUDGET for rungs that show too many Gaussians. */
+  private prices(segment: number, decoded: KeyUnits, base?: KeyUnits): Float64Array {
+    const rows = this.rows(segment);
+    return this.sizes(segment, decoded, base).map((size, rung) => (rows[rung] > this.budget ? OVER_BUDGET : size));
   }
 
   /** (Q L) wire bytes of the keys that are missing, of the group and of the one whose rows it keeps, and the state. */
@@ -246,15 +226,16 @@ export class Catalogue {
     });
   }
 
-  /** Every rung of a segment, by number; kept, since a session asks for few combinations over and over. */
+  /** Every rung of a segment that the budget allows, by number; kept, since sessions ask for few combinations. */
   options(segment: number, decoded: KeyUnits, base: KeyUnits = NONE): readonly Option[] {
     const held = [decoded, base].map((units) => [...units].sort((a, b) => a - b).join(" "));
     return this.kept.options.get(`${segment}: ${held.join("; ")}`, () => {
       const quality = this.quality(segment);
-      const sizes = this.sizes(segment, decoded, base);
+      const sizes = this.prices(segment, decoded, base);
       const saved = savedShares(this.stateBytes(segment));
-      return this.rungs.map(([, j], index) => {
-        return { index, sizeBytes: sizes[index], quality: quality[index], saved: saved[j] };
+      return this.rungs.flatMap(([, j], index) => {
+        const sizeBytes = sizes[index];
+        return sizeBytes < OVER_BUDGET ? { index, sizeBytes, quality: quality[index], saved: saved[j] } : [];
       });
     });
   }

@@ -4,7 +4,7 @@ import type { Root } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
 import type { TargetFormat } from "../render/target.ts";
-import type { Catalogue, RungInfo } from "./catalogue.ts";
+import type { Catalogue } from "./catalogue.ts";
 import type { Clip } from "./clip.ts";
 import type { SessionEvent } from "./events.ts";
 import { Feed } from "./feed.ts";
@@ -13,7 +13,7 @@ import { Pipeline } from "./pipeline.ts";
 import type { Problem } from "./player.ts";
 import { EARLY, Playout } from "./playout.ts";
 import { wishedPolicy } from "./policies/named.ts";
-import { RungTotals } from "./rungs.ts";
+import { type RungInfo, RungTotals } from "./rungs.ts";
 import { Screen } from "./screen.ts";
 import { sessionSettings } from "./settings.ts";
 import type { PlayerStats, Statistics } from "./statistics.ts";
@@ -32,6 +32,8 @@ export interface Wishes {
   paused: boolean;
   speed: number;
   readonly bufferS: number;
+  /** Most Gaussians of a group; any number without it. */
+  readonly budget?: number;
   readonly target?: TargetFormat;
 }
 

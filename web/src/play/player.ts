@@ -3,9 +3,10 @@ import { firstView, levelled } from "../format/region.ts";
 import type { Region, World } from "../format/types.ts";
 import { Media } from "../media/client.ts";
 import type { TargetFormat } from "../render/target.ts";
-import { Catalogue, type RungInfo } from "./catalogue.ts";
+import { Catalogue, HEADER_BYTES } from "./catalogue.ts";
 import { joinNewest } from "./http-downloader.ts";
 import { Playback, type Wishes } from "./playback.ts";
+import type { RungInfo } from "./rungs.ts";
 import { type PlayerStats, Statistics } from "./statistics.ts";
 import type { ViewState } from "./view.ts";
 
@@ -16,6 +17,8 @@ export interface PlayerOptions {
   loop?: boolean;
   /** Most media time that is fetched ahead, seconds; default 10. */
   bufferS?: number;
+  /** Most Gaussians that are fetched and shown of a group; default: any number. */
+  budget?: number;
   /** What splats are blended into; default: half floats, where the browser has them. */
   target?: TargetFormat;
 }
@@ -66,7 +69,7 @@ export class Player extends EventTarget {
     const turn = ++this.#opened;
     const media = await Media.open(src);
     try {
-      const catalogue = new Catalogue(media.tables);
+      const catalogue = new Catalogue(media.tables, HEADER_BYTES, this.#wishes.budget);
       await joinNewest(catalogue, media);
       if (turn !== this.#opened) return media.close();
       this.#playback?.close();

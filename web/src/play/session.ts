@@ -175,6 +175,7 @@ class Run {
     const { playout, policy, stores } = this.parts;
     const state = stores.tables.has(position) ? this.state(position, latencyS) : null;
     if (!state?.options.length) {
+      if (position === this.first) this.parts.catalogue.checkBudget(position);
       yield { type: "lost", position, atS: this.nowS };
       playout.enqueue(position, null, this.nowS);
       return true;

@@ -1,5 +1,5 @@
 // Colours of rungs: from dark to light as they get better, so that those who see no hues tell them apart as well.
-import type { RungInfo } from "../play/catalogue.ts";
+import type { RungInfo } from "../play/rungs.ts";
 
 /** Viridis (Smith and van der Walt 2015) without its darkest part, which the dark time line would swallow. */
 const RAMP = [

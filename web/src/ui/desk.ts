@@ -1,6 +1,6 @@
 // What the parts of the element know of it.
 
-import type { RungInfo } from "../play/catalogue.ts";
+import type { RungInfo } from "../play/rungs.ts";
 import type { Orbit } from "./orbit.ts";
 import type { PlayerLike } from "./player-like.ts";
 

@@ -12,7 +12,16 @@ import { type Owner, View } from "./view.ts";
 const Base = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
 
 export abstract class PlayerElement extends Base implements Owner {
-  static readonly observedAttributes = ["src", "poster", "controls", "loop", "policy", "quality", "view-region"];
+  static readonly observedAttributes = [
+    "src",
+    "poster",
+    "controls",
+    "loop",
+    "policy",
+    "quality",
+    "budget",
+    "view-region",
+  ];
   readonly #root = this.attachShadow({ mode: "open", delegatesFocus: true });
   #view: View | null = null;
   #end = new AbortController();
@@ -162,7 +171,8 @@ export abstract class PlayerElement extends Base implements Owner {
       return;
     }
     const { src, autoplay, controls, poster, quality, loop, policy } = this;
-    const settings = { loop, ...(policy ? { policy } : {}) };
+    const budget = Number(this.getAttribute("budget") ?? Infinity);
+    const settings = { loop, budget, ...(policy ? { policy } : {}) };
     const plan = { src, autoplay, controls, poster, quality, settings, free: this.viewRegion === "free" };
     try {
       this.#view = new View(this, plan, this.#root);

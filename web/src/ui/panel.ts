@@ -1,6 +1,6 @@
 // The panel of figures, for those who want to know.
 
-import type { RungInfo } from "../play/catalogue.ts";
+import type { RungInfo } from "../play/rungs.ts";
 import { ranked, stripes } from "./colours.ts";
 import type { Desk } from "./desk.ts";
 import { iconButton, make, write } from "./dom.ts";

@@ -1,6 +1,6 @@
 // What the element asks of a player: `Player` of play/player.ts, or one that only pretends, in tests.
 import type { Region } from "../format/types.ts";
-import type { RungInfo } from "../play/catalogue.ts";
+import type { RungInfo } from "../play/rungs.ts";
 import type { PlayerStats } from "../play/statistics.ts";
 import type { ViewState } from "../play/view.ts";
 
@@ -44,6 +44,8 @@ export interface PlayerLike extends EventTarget {
 export interface PlayerSettings {
   policy?: string;
   loop?: boolean;
+  /** Most Gaussians that are fetched and shown of a group. */
+  budget?: number;
 }
 
 /** What a player tells. */

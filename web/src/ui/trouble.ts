@@ -101,6 +101,9 @@ export function troubleOf(error: unknown, src: string): Trouble {
       again: true,
     };
   }
+  if (name === "ConfigError") {
+    return { icon: "warn", title: "It cannot be played with these settings", text: message, details, again: false };
+  }
   if (/\bWebGL2\b/.test(message)) return { ...UNDRAWN, details, again: true };
   return { icon: "warn", title: "Something went wrong", text: message, details, again: true };
 }

@@ -1,6 +1,6 @@
 // One life of the element: from a source to a player, a camera and controls, until it is closed.
 
-import type { RungInfo } from "../play/catalogue.ts";
+import type { RungInfo } from "../play/rungs.ts";
 import { rungColours } from "./colours.ts";
 import type { Desk } from "./desk.ts";
 import { FullScreen } from "./fullscreen.ts";

@@ -1,5 +1,5 @@
 // Figures in words for people.
-import type { RungInfo } from "../play/catalogue.ts";
+import type { RungInfo } from "../play/rungs.ts";
 
 const MINUTE = 60;
 const HOUR = 3600;

@@ -1,7 +1,7 @@
 // What a package offers a player, from numbers alone: `Offers` without files or tables. All count from 0.
 import { GroupIndex, PAGE } from "../../src/format/index.ts";
 import { keyMediaPath, keySidecarPath, locate, stateMediaPath } from "../../src/format/paths.ts";
-import type { Offers } from "../../src/play/catalogue.ts";
+import type { Offers } from "../../src/play/offers.ts";
 
 export interface SegmentNumbers {
   frames: number;
@@ -14,6 +14,8 @@ export interface SegmentNumbers {
 export interface GroupNumbers {
   /** Bytes. */
   table: number;
+  /** Gaussians, one a tier, where a test counts them. */
+  rows?: number[];
   /** One a tier; 0: no rows. */
   sidecars: number[];
   /** By tier and quality. */
@@ -101,6 +103,11 @@ export class NumberOffers implements Offers {
 
   groupOf(segment: number): number {
     return this.index.atSegment(segment);
+  }
+
+  rows(group: number): number[] {
+    const { rows, sidecars } = this.numbers.groups[group];
+    return rows ?? sidecars.map(() => 0);
   }
 
   keyFiles(group: number, tier: number, quality: number): string[] {

@@ -1,0 +1,37 @@
+// What a player asks the tables of a package.
+import type { Root, Segment } from "../format/types.ts";
+
+/** The tables of a package, as far as a player looks at them: `Tables` of the format, or numbers alone.
+ *
+ * Groups, segments and files are counted from 0. Questions about a group whose table is not there (`has`) throw.
+ */
+export interface Offers {
+  readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "frames"> & {
+    readonly views: Pick<Root["views"], "reference">;
+    readonly qualities: readonly Pick<Root["qualities"][number], "id">[];
+    readonly levels: readonly Pick<Root["levels"][number], "id" | "tiers">[];
+  };
+  readonly rootBytes: number;
+  readonly index: {
+    readonly groups: number;
+    readonly segments: number;
+    readonly pages: number;
+    entry(group: number): { start: number; stop: number; firstSegment: number; segments: number };
+    pageOfSegment(segment: number): number | null;
+    pageOfGroup(group: number): number | null;
+    hasPage(page: number): boolean;
+    guessSpan(segment: number): { start: number; stop: number };
+  };
+  has(group: number): boolean;
+  segment(segment: number): Pick<Segment, "start" | "stop"> & { levels: readonly { psnr: readonly number[] }[] };
+  groupOf(segment: number): number;
+  /** Gaussians of a group in each key tier. */
+  rows(group: number): readonly number[];
+  /** The group whose rows a group keeps; null: none. */
+  base(group: number): number | null;
+  keyFiles(group: number, tier: number, quality: number): string[];
+  /** Those of the key unit of the base whose rows a key unit keeps. */
+  keptFiles(group: number, tier: number, quality: number): string[];
+  stateFiles(segment: number, level: number): string[];
+  entry(path: string): { bytes: number };
+}
