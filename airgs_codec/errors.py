@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class AirgsError(Exception):
     """Everything this package raises on purpose; its text is one line that says where, what was expected, what came.
@@ -14,7 +16,19 @@ class AirgsError(Exception):
     + TrainingError (RuntimeError)  a fit went wrong: its loss is not finite, or nothing is left
     + CodecError (RuntimeError)     FFmpeg refused, or decoded something else than it encoded
     + TransportError (OSError)      a segment did not arrive, a store refused, a trace cannot be used
+    + WorkError (RuntimeError)      jobs could not be finished: workers died of them, or a result is gone
+
+    Errors come whole from worker processes: they can be pickled, whatever their constructors take.
     """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _rebuild, (type(self), self.args), self.__dict__
+
+
+def _rebuild(kind: type[AirgsError], words: tuple[Any, ...]) -> AirgsError:
+    error = kind.__new__(kind, *words)
+    error.args = words
+    return error
 
 
 class SceneError(AirgsError, ValueError):
@@ -48,3 +62,7 @@ class CodecError(AirgsError, RuntimeError):
 
 class TransportError(AirgsError, OSError):
     """A segment did not arrive, an object store refused, or a trace of a link cannot be used."""
+
+
+class WorkError(AirgsError, RuntimeError):
+    """Jobs could not be finished: their workers died again and again, or what one reads is not there any more."""

@@ -27,7 +27,9 @@ def demo_package(tmp_path_factory):
     from airgs_codec.scene.sequence import open_sequence
 
     folder = tmp_path_factory.mktemp("demo") / "fox.airgs"
-    encode(open_sequence(FOX), folder, EncodeSettings(calibrate="none", measure_pictures=8, preset="veryfast", jobs=2))
+    encode(
+        open_sequence(FOX), folder, EncodeSettings(calibrate="none", measure_pictures=8, preset="veryfast", threads=2)
+    )
     before = read_files(folder)
     yield folder
     assert read_files(folder) == before, "a test wrote into the shared package"

@@ -11,8 +11,8 @@ from tests.support.paths import PACKAGE
 
 ROOT = "the root"
 ORDER = (
-    ROOT, "media", "scene", "render", "package", "analysis", "coding", "decoder", "train", "play", "serve", "encoder",
-    "inspect", "cli",
+    ROOT, "media", "scene", "render", "package", "jobs", "analysis", "coding", "decoder", "train", "play", "serve",
+    "encoder", "inspect", "cli",
 )  # fmt: skip
 MAY_IMPORT = {
     "torch": {
@@ -33,7 +33,9 @@ MAY_IMPORT = {
     "cv2": {"media/image.py"},
     "colour": {"media/color.py"},
     "numba": {"coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "train/loss/kernels.py"},
-    "matplotlib": {"_report.py"},
+    "matplotlib": {"_report.py", "jobs/report.py"},
+    "dask": {"jobs/dask_engine.py"},
+    "distributed": {"jobs/dask_engine.py"},
     "aiohttp": {"play/http.py", "play/http_files.py"},
     "hypercorn": {"serve/server.py"},
     "obstore": {"_stores.py"},

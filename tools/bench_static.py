@@ -27,6 +27,7 @@ from airgs_codec.encoder.settings import as_preview
 from airgs_codec.inspect.compare import region_views
 from airgs_codec.inspect.sides import Side, open_side
 from airgs_codec.inspect.two import compare_two
+from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.region import CHECKING
 from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
@@ -67,17 +68,18 @@ class Row:
 
 def measure(path: Path, folder: Path, above: float, draws: int) -> Row:
     """Write a file's first frame both ways into a folder, and look at them."""
-    sequence, bar = open_sequence(path), Bar(False)
+    sequence, bar = open_sequence(path), Bar()
     original, spz = open_side(str(path)), folder / "frame.spz"
     write_frames(choose_target(str(spz), None, 1), [(0, sequence.load([0]).frames[0])], Fraction(1))
     first, final = folder / "first.airgs", folder / "final.airgs"
-    encode(sequence, first, as_preview(EncodeSettings()), progress=bar)
+    encode(sequence, first, as_preview(EncodeSettings()))
     cameras = region_views(_region(first), draws, CHECKING)
     theirs = _look(original, open_side(str(spz)), cameras)
-    try:
-        encode(sequence, final, EncodeSettings(), goal=Goal(PSNR, theirs.psnr + above), progress=bar)
-    except OutOfReachError as error:  # files that are rounded like SPZ already: as near as it comes
-        encode(sequence, final, EncodeSettings(quality=error.factor), progress=bar)
+    with temporary_work(bar) as work:
+        try:
+            encode(sequence, final, EncodeSettings(), goal=Goal(PSNR, theirs.psnr + above), work=work)
+        except OutOfReachError as error:  # files that are rounded like SPZ already: as near as it comes
+            encode(sequence, final, EncodeSettings(quality=error.factor), work=work)
     bar.close()
     ours = _look(original, open_side(str(final)), cameras)
     return Row(_name(path), sequence.headers[0].count, sequence.sh_degree, theirs, ours)

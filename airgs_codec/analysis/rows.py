@@ -51,13 +51,19 @@ class Restored:
 
 
 def restore_rows(
-    sequence: GaussianSequence, rows: str = AUTO, progress: Progress = silent, frames: range | None = None
+    sequence: GaussianSequence,
+    rows: str = AUTO,
+    progress: Progress = silent,
+    frames: range | None = None,
+    *,
+    in_order: bool = False,
 ) -> Restored:
     """Put the rows of every frame into the order of the first frame of its run; see `count_runs`.
 
     `rows`: "auto" compares each frame with the one before and matches those that lost their order; "keep" takes rows as
     they are; "match" matches every frame, whether it looks out of order or not. `frames`: only these are looked at, by
-    default all. Raises SceneError for a broken frame.
+    default all. `in_order`: somebody has looked at all of them, and none lost its order. Raises SceneError for a broken
+    frame.
     """
     asked = range(len(sequence)) if frames is None else frames
     if rows == KEEP:
@@ -65,6 +71,8 @@ def restore_rows(
     runs = [(max(a, asked.start), min(b, asked.stop)) for a, b in count_runs(sequence)]
     runs = [(start, stop) for start, stop in runs if start < stop]
     alone = tuple(frame for frame in _alone(sequence) if frame in asked)
+    if rows == AUTO and in_order:
+        return Restored(sequence, alone=alone)
     orders: dict[int, NDArray[np.int32]] = {}
     sure, breaks = {}, []
     for start, stop in runs:

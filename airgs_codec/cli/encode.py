@@ -17,9 +17,10 @@ from airgs_codec.cli.baking import add_baking, is_told, told_baking
 from airgs_codec.cli.common import Bar, add_device, add_views, expect_rate, fraction, run_command
 from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.training import train_by_default
+from airgs_codec.cli.work import add_work, told_work
 from airgs_codec.cli.world import add_world, told_world, with_signs
 from airgs_codec.encoder.follow import follow
-from airgs_codec.encoder.publish import EncodeReport, encode
+from airgs_codec.encoder.publish import EncodeReport, encode, encode_part
 from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import (
     DEFAULT_LEVELS,
@@ -36,6 +37,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.contact_sheet import write_contact_sheet
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
+from airgs_codec.jobs.report import write_report
 from airgs_codec.media.h264 import PRESETS
 from airgs_codec.package.parse import read_region
 from airgs_codec.package.region import place_view
@@ -100,6 +102,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_rate(parser)
     _add_ladder(parser)
     _add_coding(parser)
+    add_work(parser)
     return parser
 
 
@@ -175,7 +178,9 @@ def _add_coding(parser: argparse.ArgumentParser) -> None:
     )
     _add_setting(group, "--measure-pictures", "measure_pictures", metavar="N")
     _add_setting(group, "--preset", "preset", choices=PRESETS)
-    _add_setting(group, "--jobs", "jobs", metavar="N")
+    group.add_argument(
+        "--threads", type=int, metavar="N", help=f"{about(EncodeSettings, 'threads')} (shared by --jobs)"
+    )
     add_device(group, "where multi-view video is trained, and pictures that decide and measure are drawn")
 
 
@@ -206,7 +211,7 @@ def _settings(args: argparse.Namespace) -> EncodeSettings:
     chosen = parse_levels(args.levels) if args.levels else None
     calibrate = "none" if args.steps == "default" else "steps" if chosen else "ladder"
     region = read_region(args.region) if args.region else None
-    known = ("quality", "steps", "levels", "region", "world")
+    known = ("quality", "steps", "levels", "region", "world", "threads")
     same = {name: getattr(args, name) for name in FIELDS if name in args and name not in known}
     settings = EncodeSettings(
         quality=QUALITY_FACTORS[args.quality],
@@ -214,6 +219,7 @@ def _settings(args: argparse.Namespace) -> EncodeSettings:
         levels=chosen or DEFAULT_LEVELS,
         region=region,
         world=told_world(args),
+        threads=args.threads or max(1, DEFAULT_SETTINGS.threads // max(1, args.jobs)),
         **same,
     )
     settings = as_in_paper(settings) if args.ladder else settings
@@ -235,11 +241,20 @@ def _run(args: argparse.Namespace) -> int:
         print(f"cameras: {cameras}, {_counts(sequence)}", flush=True)
     bar = Bar(args.json)
     try:
-        report = encode(sequence, target, settings, goal=goal, attribution=attribution, progress=bar)
+        with told_work(args, bar) as work:
+            if args.part:
+                report = encode_part(sequence, settings, work, goal=goal, attribution=attribution)
+            else:
+                report = encode(sequence, target, settings, goal=goal, attribution=attribution, work=work)
     finally:
         bar.close()
+    if args.report:
+        write_report(args.report, report.records)
     if args.contact_sheet:
         _draw_places(args.contact_sheet, sequence, report.manifest.region)
+    if args.part:
+        print(f"{args.work}: all jobs are done; airgs-manifest merge {args.work} -o {target} publishes the package")
+        return 0
     print(json.dumps(_as_json(report, target) | {"cameras": cameras}) if args.json else _as_words(report, target))
     return 0
 

@@ -15,6 +15,7 @@ from airgs_codec.cli.baking import add_baking, told_baking
 from airgs_codec.cli.common import PACKAGE, Bar, add_views, parse_range, run_command
 from airgs_codec.cli.compare import add_compare, compare
 from airgs_codec.cli.export import add_export, export
+from airgs_codec.encoder.publish import merge
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
 from airgs_codec.inspect.compare import (
@@ -33,6 +34,7 @@ from airgs_codec.inspect.plot import plot_ladder
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.inspect.validate import exceeded, validate
+from airgs_codec.jobs.store import open_store
 from airgs_codec.package.manifest import Manifest, Quality
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background, checking_views
 from airgs_codec.package.store import Package, open_package
@@ -51,6 +53,7 @@ def _parser() -> argparse.ArgumentParser:
     add_compare(commands.add_parser("compare", help="two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures"))
     _add_rungs(commands.add_parser("rungs", help="PSNR, SSIM and CIEDE2000 of every rung against the original"))
     add_export(commands.add_parser("export-page", help="a folder for any static host: the player and packages"))
+    _add_merge(commands.add_parser("merge", help="publish the package that runs of airgs-encode --part have made"))
     return parser
 
 
@@ -88,6 +91,11 @@ def _add_rungs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="the same as JSON")
 
 
+def _add_merge(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("work", help="what was --work of the parts: a folder, or s3://, gs://, az:// and a prefix")
+    parser.add_argument("-o", "--output", required=True, help=PACKAGE)
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status."""
     args = _parser().parse_args(argv)
@@ -97,6 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "compare": compare,
         "rungs": _rungs,
         "export-page": export,
+        "merge": _merge,
     }
     return run_command("airgs-manifest", lambda: work[args.command](args))
 
@@ -179,6 +188,12 @@ def _rungs(args: argparse.Namespace) -> int:
         views = ", ".join(f"{count} {split}" for split, count in splits_of(cameras).items())
         print(f"{len(frames)} frames; views: {views}; PSNR of the error pooled over pictures, and of the worst picture")
         print(format_comparison({"claimed": claimed, **splits}))
+    return 0
+
+
+def _merge(args: argparse.Namespace) -> int:
+    manifest, size = merge(open_store(args.work), args.output)
+    print(f"{format_summary(summarise(manifest, size))}\n\n{args.output}: {manifest.frames} frames")
     return 0
 
 

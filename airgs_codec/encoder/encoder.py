@@ -1,168 +1,163 @@
-"""Gaussians -> files and tables of a package, group after group.
+"""A whole sequence to the files and tables of a package, by jobs of one group each.
 
 The canonical frame of a group makes its key; what that decodes to is the space that the states of its frames are
-differences to. The frames of one group are in memory at a time.
+differences to. Which groups keep rows of which is settled between the keys and the states: a group keeps rows of the
+last one before it that keeps none, or becomes the one that later groups may keep rows of.
 """
 
 from __future__ import annotations
 
 import itertools
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from airgs_codec.encoder.kept import BaseGroup, keep_known
-from airgs_codec.encoder.keys import CodedKeys, code_keys, decode_base, encode_keys, key_bytes
-from airgs_codec.encoder.plan import CODED_HERE, GroupLayout, keep_rows, lay_out
-from airgs_codec.encoder.representation import Clock, Done, Representation
+from airgs_codec.encoder.group import CodedKey, GroupFiles
+from airgs_codec.encoder.group_jobs import GroupJobs
+from airgs_codec.encoder.plan import split_segments
+from airgs_codec.encoder.quality import Measured, Round, Rounds, RoundSums, measure_groups
+from airgs_codec.encoder.representation import Clock
 from airgs_codec.encoder.settings import KEPT, EncodeSettings
-from airgs_codec.encoder.states import code_states, encode_states
-from airgs_codec.encoder.survey import Survey
-from airgs_codec.encoder.tables import CodedGroup, Provenance, build_manifest, publish_group
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.tables import Provenance, build_manifest
+from airgs_codec.jobs.job import Job
+from airgs_codec.jobs.work import Work
 from airgs_codec.media.fragments import init_segment
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.memory import MemoryFiles
 from airgs_codec.package.paths import INIT_NAME
-from airgs_codec.package.tables import Group
-from airgs_codec.progress import Progress, silent
-from airgs_codec.scene.sequence import GaussianSequence
+from airgs_codec.package.store import Package, root_of
+from airgs_codec.package.tables import Group, file_entry
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EncodeJob:
     """What every encode of one sequence shares, whatever the settings."""
 
-    sequence: GaussianSequence
-    surveys: Sequence[Survey]  # one a group
-    views: ViewPlan
+    groups: GroupJobs
+    work: Work
     notes: Sequence[str] = ()  # what grouping found
     attribution: str = ""
 
     def about(self, settings: EncodeSettings) -> Provenance:
         """What a package says of where it comes from."""
+        views, sequence = self.groups.views, self.groups.sequence
         return Provenance(
             settings,
-            self.views.region,
-            self.views.world,
-            self.views.table(settings.measure_pictures),
+            views.region,
+            views.world,
+            views.table(settings.measure_pictures),
             self.attribution,
-            [*self.views.notes, *self.notes],
-            len(self.sequence),
-            self.sequence.sh_degree,
+            [*views.notes, *self.notes],
+            len(sequence),
+            sequence.sh_degree,
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Encoded:
-    """What an encode wrote, and which rows it wrote."""
+    """A package of which all jobs are done, but which is not written."""
 
     manifest: Manifest  # without measured quality
-    layouts: Sequence[GroupLayout]
-    depths: Sequence[NDArray[np.uint8]]  # of the rows of each group, in file order
-    base: BaseGroup  # whose rows the next group may keep
+    init: bytes
+    files: Sequence[Job]  # for each group: its `GroupFiles`
+    base: Job  # the key whose rows a next group may keep
+    work: Work
+
+    def group(self, number: int) -> GroupFiles:
+        """What one group is made of."""
+        found = self.work.result(self.files[number])
+        assert isinstance(found, GroupFiles)
+        return found
+
+    def base_key(self) -> CodedKey:
+        """The group whose rows a next group may keep."""
+        key = self.work.result(self.base)
+        assert isinstance(key, CodedKey)
+        return key
+
+    def package(self) -> Package:
+        """All of it in memory, to look at."""
+        parts = [self.group(number).files for number in range(len(self.files))]
+        files = {path: data for part in parts for path, data in part.items()}
+        return Package(MemoryFiles("encoded package", {INIT_NAME: self.init, **files}), self.manifest, 0)
 
 
-def encode_sequence(job: EncodeJob, settings: EncodeSettings, folder: Path, progress: Progress = silent) -> Encoded:
-    """Write every file of a package into `folder` but tables and manifests.
+def encode_sequence(job: EncodeJob, settings: EncodeSettings) -> Encoded:
+    """Do all that a package needs but its quality.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails.
     """
-    clock = Clock.of(job.sequence.fps)
-    finished, most = itertools.count(1), len(job.surveys) * count_streams(settings)
-    groups: list[Group] = []
-    layouts, depths = [], []
-    base: BaseGroup | None = None
-    progress("encoding", 0, most)
-    with tempfile.TemporaryDirectory(prefix=".scratch", dir=folder) as scratch:
-        for survey in job.surveys:
-            first = sum(len(group.segments) for group in groups)
-            task = GroupTask(job.sequence, survey, first, Path(scratch), base)
-            coded = code_group(task, settings, lambda: progress("encoding", next(finished), most))
-            groups.append(publish_group(Folder(folder), coded))
-            base = coded.base
-            layouts.append(coded.layout)
-            depths.append(coded.states.depths)
-    init = Folder(folder).write(INIT_NAME, init_segment(clock.timescale, *largest_picture(groups)))
+    groups, work = job.groups, job.work
+    clock = Clock.of(groups.sequence.fps)
+    everyone = range(len(groups))
+    work.run([groups.survey(g) for g in everyone])
+    work.run([groups.key(g, settings) for g in everyone])
+    bases = _choose_bases(job, settings)
+    segments = [len(split_segments(span, settings.segment_s, clock.fps)) for span in groups.spans]
+    files = []
+    for g, first in zip(everyone, itertools.accumulate(segments, initial=0), strict=False):
+        base = bases[g]
+        key = groups.key(g, settings) if base is None else groups.keep(g, base, settings)
+        files.append(groups.files(g, key, None if base is None else groups.key(base, settings), first, settings))
+    work.run(files)
+    tables: list[Group] = [work.result(one).table for one in files]
+    init = init_segment(clock.timescale, *largest_picture(tables))
     about = job.about(settings)
-    about = replace(about, decisions=[*about.decisions, *_note_kept(groups, layouts)])
-    return Encoded(build_manifest(about, clock, init, Groups.of(groups)), layouts, depths, coded.base)
+    about = replace(about, decisions=[*about.decisions, *_note_kept(tables)])
+    last = len(groups) - 1 if bases[-1] is None else bases[-1]
+    manifest = build_manifest(about, clock, file_entry(init), Groups.of(tables))
+    return Encoded(manifest, init, files, groups.key(last, settings), work)
 
 
-def _note_kept(groups: Sequence[Group], layouts: Sequence[GroupLayout]) -> list[str]:
+def _choose_bases(job: EncodeJob, settings: EncodeSettings) -> list[int | None]:
+    """For each group the earlier one whose rows it keeps; None where it keeps none.
+
+    Groups that might keep rows of the same one are tried at the same time, ever more while they do.
+    """
+    groups, work = job.groups, job.work
+    bases: list[int | None] = [None]
+    base, together = 0, 1
+    while len(bases) < len(groups):
+        if settings.keys != KEPT:
+            bases.append(None)
+            continue
+        tried = range(len(bases), min(len(groups), len(bases) + together))
+        jobs = [groups.keep(g, base, settings) for g in tried]
+        work.run(jobs)
+        together *= 2
+        for g, tried_job in zip(tried, jobs, strict=True):
+            kept = work.result(tried_job) is not None
+            bases.append(base if kept else None)
+            if not kept:
+                base, together = g, 1
+                break
+    return bases
+
+
+def measure_quality(job: EncodeJob, encoded: Encoded, original: GroupJobs, rounds: Rounds) -> Manifest:
+    """The tables of an encoded package with the quality of every segment, level and key quality.
+
+    `original` has all SH bands; `quality.measure_groups` says what is measured.
+    """
+    m = encoded.manifest
+    tables = root_of(m), list(m.groups)
+
+    def ask(asked: Round) -> list[RoundSums]:
+        jobs = [original.measure(encoded.files, g, asked, tables) for g in range(len(m.groups))]
+        job.work.run(jobs)
+        return [job.work.result(one) for one in jobs]
+
+    measured: Measured = measure_groups(m, range(len(m.groups)), original.views, rounds, ask)
+    return measured.whole(m)
+
+
+def _note_kept(groups: Sequence[Group]) -> list[str]:
     """A line on the groups that keep rows, if any do."""
-    keeping = [place for place, group in enumerate(groups) if group.keeps is not None]
+    keeping = [group for group in groups if group.keeps is not None]
     if not keeping:
         return []
-    kept = sum(int((layouts[place].base_rows != CODED_HERE).sum()) for place in keeping)
-    share = kept / sum(groups[place].count for place in keeping)
+    kept = sum(tier.kept for group in keeping for tier in group.tiers)
+    share = kept / sum(group.count for group in keeping)
     return [f"{len(keeping)} of {len(groups)} groups keep {share:.0%} of their Gaussians from an earlier one"]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GroupTask:
-    """A group that is to be encoded."""
-
-    sequence: GaussianSequence
-    survey: Survey
-    first_segment: int  # how many segments the groups before it have
-    scratch: Path  # a folder for samples that wait to be encoded
-    base: BaseGroup | None = None  # an earlier group whose rows it may keep
-
-
-def count_streams(settings: EncodeSettings) -> int:
-    """How many streams of pictures a group has."""
-    return len(settings.tiers) * len(settings.key_factors) + len(settings.levels)
-
-
-def code_group(task: GroupTask, settings: EncodeSettings, done: Done) -> CodedGroup:
-    """Quantise and encode a group; `done` is called after every stream of pictures.
-
-    Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
-    """
-    sequence, survey = task.sequence, task.survey
-    clock = Clock.of(sequence.fps)
-    loaded = sequence.load(range(survey.span.start, survey.span.stop))
-    fresh = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
-    coded = _encode_kept(task, fresh, settings, done)
-    layout, keys, key_pictures = coded or (fresh, *_encode_keys(fresh, clock, settings, done))
-    base = task.base if coded else None
-    spaces = [None] * len(settings.key_factors) if base is None else base.spaces
-    decoded = [decode_base(layout, keys, key_pictures, settings, q, space) for q, space in enumerate(spaces)]
-    bases = [part.space for part in decoded]
-    states = code_states(layout, bases, loaded.frames, settings, task.scratch)
-    state_pictures = encode_states(layout, states, clock, settings, done)
-    size = key_bytes(layout, keys, key_pictures, base.layout if base else None)
-    kept_of = base or BaseGroup(layout, [part.channels for part in decoded], bases, size)
-    return CodedGroup(layout, keys, states, key_pictures, state_pictures, task.first_segment, kept_of)
-
-
-def _encode_keys(
-    layout: GroupLayout, clock: Clock, settings: EncodeSettings, done: Done
-) -> tuple[CodedKeys, list[list[Representation]]]:
-    keys = code_keys(layout, settings)
-    return keys, encode_keys(layout, keys, clock, settings, done)
-
-
-def _encode_kept(
-    task: GroupTask, fresh: GroupLayout, settings: EncodeSettings, done: Done
-) -> tuple[GroupLayout, CodedKeys, list[list[Representation]]] | None:
-    """The key of a group that keeps rows; None where it has none to keep or that saves too little."""
-    if task.base is None or settings.keys != KEPT:
-        return None
-    layout = keep_known(fresh, task.base, settings)
-    if layout is None:
-        return None
-    keys, pictures = _encode_keys(layout, Clock.of(task.sequence.fps), settings, lambda: None)
-    if key_bytes(layout, keys, pictures, task.base.layout) > task.base.worth_bytes(len(layout.rows)):
-        return None
-    for _ in itertools.chain(*pictures):
-        done()
-    return layout, keys, pictures
 
 
 def largest_picture(groups: Sequence[Group]) -> tuple[int, int]:

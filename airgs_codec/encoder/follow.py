@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -11,22 +10,24 @@ from pathlib import Path
 
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
 from airgs_codec.analysis.rows import Restored, restore_rows
-from airgs_codec.encoder.encoder import EncodeJob, GroupTask, code_group
-from airgs_codec.encoder.kept import BaseGroup
-from airgs_codec.encoder.publish import calibrate_job
-from airgs_codec.encoder.quality import Rounds, measure_groups
-from airgs_codec.encoder.settings import DEFAULT_LEVELS, EncodeSettings
+from airgs_codec.encoder.encoder import EncodeJob
+from airgs_codec.encoder.group import CodedKey, code_group, code_key, keep_key
+from airgs_codec.encoder.group_jobs import GroupJobs
+from airgs_codec.encoder.look import look_at_frames
+from airgs_codec.encoder.publish import calibrate_job, finish
+from airgs_codec.encoder.quality import Rounds, measure_package
+from airgs_codec.encoder.settings import DEFAULT_LEVELS, KEPT, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, survey_group
-from airgs_codec.encoder.tables import publish_group
 from airgs_codec.encoder.verify import Attempt, encode_verified
 from airgs_codec.encoder.views import ViewPlan, plan_views
+from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.storage import Storage, open_storage
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Group
-from airgs_codec.package.writing import GrowingPackage, write_tables
+from airgs_codec.package.writing import GrowingPackage
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.growing import GrowingFolder
 from airgs_codec.scene.sequence import GaussianSequence
@@ -53,22 +54,25 @@ class _Publisher:
     views: ViewPlan
     sh_degree: int  # bands above it are not worth their bytes
     rounds: Rounds  # of pictures that measure a segment
-    bases: list[BaseGroup]  # the newest last: the next group may keep rows of it
+    bases: list[CodedKey]  # the newest last: the next group may keep rows of it
 
     def publish(self, sequence: GaussianSequence, start: int, stop: int) -> None:
         """Encode, measure and publish one more group."""
-        m = self.package.manifest
+        m, settings = self.package.manifest, self.settings
         coded_as = replace(sequence, max_sh_degree=self.sh_degree)
         survey = survey_group(coded_as, GroupSpan(len(m.groups), start, stop), self.views)
-        with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
-            task = GroupTask(coded_as, survey, len(m.segments), Path(scratch), self.bases[-1])
-            coded = code_group(task, self.settings, lambda: None)
-        self.bases[:] = [coded.base]
-        group = publish_group(self.package.files, coded)
+        key, base = code_key(coded_as, survey, settings), self.bases[-1]
+        kept = keep_key(key, base, settings, sequence.fps) if settings.keys == KEPT else None
+        if kept is None:
+            self.bases[:] = [key]
+        group = code_group(coded_as, kept or key, base if kept else None, settings, len(m.segments))
+        for path, data in group.files.items():
+            self.package.files.write(path, data)
+        table = group.table
         if self.rounds.count:
-            package = Package(self.package.files, self.package.expect(group), 0)
-            [group], _ = measure_groups(package, sequence, self.views, [len(m.groups)], self.rounds)
-        self.package.add(group)
+            package, number = Package(self.package.files, self.package.expect(table), 0), len(m.groups)
+            [table] = measure_package(package, sequence, self.views, [number], self.rounds).groups
+        self.package.add(table)
 
 
 def follow(
@@ -142,24 +146,23 @@ def _begin(
     """Settle everything on the first group, frames [0, stop), and publish it."""
     part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
     views = plan_views(part, settings)
-    survey = survey_group(part, GroupSpan(0, 0, stop), views)
     credit = sequence.attribution if attribution is None else attribution
-    found = calibrate_job(EncodeJob(part, [survey], views, (), credit), settings, progress)
     rounds = Rounds(settings.measure_pictures)
     given = settings.levels != DEFAULT_LEVELS
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
-    with storage.staged() as stage:
-        verified = encode_verified(
-            Attempt(found.job, part, found.settings, found.expected, rounds, given), stage, progress
-        )
+    with temporary_work(progress) as work:
+        groups = GroupJobs.of(part, [(0, stop)], look_at_frames(part, work).names, views)
+        found = calibrate_job(EncodeJob(groups, work, (), credit), settings)
+        verified = encode_verified(Attempt(found.job, groups, found.settings, found.expected, rounds, given))
         decisions = [*verified.manifest.decisions, *found.decisions, *verified.stories]
         manifest = replace(verified.manifest, live=True, decisions=decisions)
-        write_tables(Folder(stage), manifest, LiveClock(available, datetime.now(UTC)))
+        with storage.staged() as stage:
+            finish(verified, manifest).write(work.store, Folder(stage), LiveClock(available, datetime.now(UTC)))
+        base = verified.encoded.base_key()
     turns = manifest.views.measured // max(1, views.measured(rounds.count))
     package = GrowingPackage(storage, manifest, available)
-    return _Publisher(
-        package, verified.settings, views, found.job.sequence.sh_degree, rounds.again(turns), [verified.base]
-    )
+    sh_degree = found.job.groups.sequence.sh_degree
+    return _Publisher(package, verified.settings, views, sh_degree, rounds.again(turns), [base])
 
 
 def _published(m: Manifest, sequence: GaussianSequence, notes: list[str]) -> PublishedGroup:

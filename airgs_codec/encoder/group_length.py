@@ -68,7 +68,7 @@ def compare_lengths(sequence: GaussianSequence, views: ViewPlan, settings: Encod
     if len(lengths) < 2:
         return []
     trial = _Trial.of(sequence, (start, stop), lengths, views, settings)
-    with ThreadPoolExecutor(settings.jobs) as pool:
+    with ThreadPoolExecutor(settings.threads) as pool:
         return sorted(pool.map(trial.cost, lengths), key=lambda cost: cost.score)
 
 

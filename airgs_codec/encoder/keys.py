@@ -26,7 +26,6 @@ from airgs_codec.encoder.representation import (
     EMPTY,
     AtlasPictures,
     Clock,
-    Done,
     Representation,
     encode_checked,
     encode_parallel,
@@ -102,7 +101,7 @@ def _with_picture(atlas: Atlas) -> Atlas:
 
 
 def encode_keys(
-    layout: GroupLayout, keys: CodedKeys, clock: Clock, settings: EncodeSettings, done: Done
+    layout: GroupLayout, keys: CodedKeys, clock: Clock, settings: EncodeSettings
 ) -> list[list[Representation]]:
     """The picture of every tier in every key quality, tier x quality."""
     codec, ticks = key_codec(settings.preset), clock.frame_ticks
@@ -115,7 +114,7 @@ def encode_keys(
         return encode_checked([gop], pictures.size, clock, codec)
 
     tasks = [functools.partial(encode, part) for tier in keys.tiers for part in tier]
-    coded = iter(encode_parallel(tasks, settings.jobs, done))
+    coded = iter(encode_parallel(tasks, settings.threads))
     return [[next(coded) for _ in tier] for tier in keys.tiers]
 
 

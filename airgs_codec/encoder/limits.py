@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.encoder import Encoded
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.group_jobs import GroupJobs
 from airgs_codec.media.metrics import Reference, psnr
-from airgs_codec.package.store import Package
 from airgs_codec.scene.gaussians import Gaussians, join_rows
-from airgs_codec.scene.sequence import GaussianSequence
 
 FRAMES = 6  # of the sequence, each looked at from a view of its own
 PARTS = {
@@ -28,19 +26,19 @@ PARTS = {
 LEFT_OUT = "Gaussians left out"
 
 
-def find_limit(package: Package, encoded: Encoded, original: GaussianSequence, views: ViewPlan) -> tuple[str, float]:
+def find_limit(encoded: Encoded, original: GroupJobs) -> tuple[str, float]:
     """The part of the top rung without whose error pictures gain most, and the PSNR in dB that they would have then.
 
-    The part is a name of PARTS or LEFT_OUT. Raises FormatError for a package that does not decode.
+    The part is a name of PARTS or LEFT_OUT.
     """
     errors: dict[str, list[float]] = {}
-    draw = views.renderer.render
+    package, draw = encoded.package(), original.views.renderer.render
     numbers = evenly_spaced(package.manifest.frames, FRAMES)
-    for number, camera in zip(numbers, views.measuring, strict=False):
-        whole = original.load([number]).frames[0]
-        group = next(g for g, layout in enumerate(encoded.layouts) if number < layout.span.stop)
+    for number, camera in zip(numbers, original.views.measuring, strict=False):
+        whole = original.sequence.load([number]).frames[0]
+        group = next(span.index for span in original.spans if number < span.stop)
         reference = Reference.of(draw(whole, camera).rgb)
-        for name, shown in _made_exact(whole, decode(package, number), encoded.layouts[group].rows):
+        for name, shown in _made_exact(whole, decode(package, number), encoded.group(group).rows):
             errors.setdefault(name, []).append(reference.mse(draw(shown, camera).rgb))
     means = {name: float(np.mean(found)) for name, found in errors.items()}
     best = min(means, key=lambda name: means[name])

@@ -1,36 +1,49 @@
-"""From a sequence to a published package: survey, calibrate, encode, check, measure, write the manifests last."""
+"""From a sequence to a published package: look, survey, calibrate, encode, check, measure, write the manifests last."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import pickle
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from airgs_codec.analysis.grouping import Grouping, plan_groups
 from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.encoder.calibration import cache
-from airgs_codec.encoder.calibration.calibrate import calibrate
+from airgs_codec.encoder.calibration.calibrate import Calibration, calibrate
 from airgs_codec.encoder.encoder import EncodeJob
-from airgs_codec.encoder.group_length import compare_lengths
+from airgs_codec.encoder.group import GroupFiles
+from airgs_codec.encoder.group_jobs import GroupJobs, length_job
 from airgs_codec.encoder.leave_out import omit_bands
+from airgs_codec.encoder.look import look_at_frames
 from airgs_codec.encoder.quality import Rounds
 from airgs_codec.encoder.rate_target import Goal
 from airgs_codec.encoder.search import search_quality
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
-from airgs_codec.encoder.survey import Survey, survey_groups
-from airgs_codec.encoder.verify import Attempt, encode_verified
+from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
 from airgs_codec.encoder.views import ViewPlan, plan_views
+from airgs_codec.errors import WorkError
+from airgs_codec.jobs.job import Job, Record, load
+from airgs_codec.jobs.store import Store
+from airgs_codec.jobs.work import Work, temporary_work
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.storage import open_storage
+from airgs_codec.package.mpd import LiveClock
+from airgs_codec.package.paths import INIT_NAME
+from airgs_codec.package.storage import Storage, open_storage
+from airgs_codec.package.store import manifest_of, root_of
+from airgs_codec.package.tables import Group, Root
 from airgs_codec.package.writing import write_tables
-from airgs_codec.progress import Progress, Stopwatch, silent
+from airgs_codec.progress import Stopwatch
 from airgs_codec.scene.sequence import GaussianSequence
+
+PACKAGE_ENTRY = "package"  # of a store: what the last encode that was whole came to
 
 
 @dataclass(frozen=True, slots=True)
 class EncodeReport:
-    """What was published, and how many seconds each part of the work took."""
+    """What was encoded, and how many seconds each part of the work took."""
 
     manifest: Manifest
     manifest_bytes: int  # all tables and manifest.mpd together
@@ -42,6 +55,7 @@ class EncodeReport:
     encode_s: float
     measure_s: float
     cached: bool  # the calibration was kept from before
+    records: Sequence[Record] = ()  # of the jobs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +69,32 @@ class Calibrated:
     cached: bool
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Finished:
+    """A package whose files are results of jobs: all that is left is to write it."""
+
+    root: Root
+    groups: Sequence[Group]
+    init: bytes
+    entries: Sequence[str]  # of a store: the `GroupFiles` of each group
+
+    def write(self, store: Store, place: Storage, clock: LiveClock | None = None) -> int:
+        """Write all files, tables last; gives the length of tables and manifest.mpd together.
+
+        `clock`: of a package that grows. Raises WorkError where results are gone from the store.
+        """
+        place.write(INIT_NAME, self.init)
+        for entry in self.entries:
+            found = load(store, entry)
+            if found is None:
+                raise WorkError(f"{store.name}: expected the files {entry[:12]}, which are gone; encode again")
+            [group] = found
+            assert isinstance(group, GroupFiles)
+            for path, data in group.files.items():
+                place.write(path, data)
+        return write_tables(place, manifest_of(self.root, self.groups), clock)
+
+
 def encode(
     sequence: GaussianSequence,
     path: str | Path,
@@ -62,51 +102,116 @@ def encode(
     *,
     goal: Goal | None = None,
     attribution: str | None = None,
-    progress: Progress = silent,
+    work: Work | None = None,
 ) -> EncodeReport:
     """Encode a sequence and publish it as the package at `path`, a folder or an address, whole or not at all.
 
     `goal`: a quality factor is searched for that brings the top rung to this PSNR or size; `settings.quality` is where
     the search starts. `attribution`: who made the scene, by default what ATTRIBUTION.txt in its folder says. A package
-    that is at `path` already is replaced.
+    that is at `path` already is replaced. `work`: who does the jobs, and where their results stay, by default this
+    process and a folder that is removed. The bytes are the same whoever does them.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails, and ConfigError for a
     margin below 0, a goal out of reach or a `path` with other files in it; then `path` is as it was. TransportError for
-    an object store that does not answer.
+    an object store that does not answer, WorkError for workers that die.
     """
-    watch = Stopwatch()
+    with open_storage(path).staged() as stage, _at(work) as at:
+        report, finished = _encode(sequence, settings, goal, attribution, at)
+        return replace(report, manifest_bytes=finished.write(at.store, Folder(stage)))
+
+
+def encode_part(
+    sequence: GaussianSequence,
+    settings: EncodeSettings,
+    work: Work,
+    *,
+    goal: Goal | None = None,
+    attribution: str | None = None,
+) -> EncodeReport:
+    """Do the jobs of `encode` without publishing anything; `merge` does that from the store of `work`.
+
+    Several runs with the same store share the jobs: `work.part` says which come first here. Each ends when all are
+    done, and does those that nobody else has done. Raises what `encode` raises.
+    """
+    report, finished = _encode(sequence, settings, goal, attribution, work)
+    work.store.write(PACKAGE_ENTRY, pickle.dumps(finished))
+    return report
+
+
+def merge(store: Store, path: str | Path) -> tuple[Manifest, int]:
+    """Publish what `encode_part` has left in a store; the tables, and the length of tables and manifest.mpd together.
+
+    Raises WorkError where there is no whole package, and what `encode` raises for `path`.
+    """
+    data = store.read(PACKAGE_ENTRY)
+    if data is None:
+        raise WorkError(f"{store.name}: expected a work folder with all parts of a package, which no part has finished")
+    finished = pickle.loads(data)
+    assert isinstance(finished, Finished)
     with open_storage(path).staged() as stage:
-        rows = restore_rows(sequence, settings.rows, progress)
-        sequence, rows_s = rows.sequence, watch.lap()
-        views = plan_views(sequence, settings)
-        groups = _plan_groups(sequence, views, settings)
-        surveys = survey_groups(sequence, groups.spans, views, progress)
-        credit = sequence.attribution if attribution is None else attribution
-        survey_s = watch.lap()
-        job = EncodeJob(sequence, surveys, views, [*rows.notes, *groups.notes], credit)
-        calibrated = calibrate_job(job, settings, progress)
-        calibrate_s = watch.lap()
-        wanted, job, settings = settings, calibrated.job, calibrated.settings
-        rounds, expected = Rounds(settings.measure_pictures), calibrated.expected
-        if goal:
-            factor, found = search_quality(job, sequence, settings, goal, stage, progress)
-            settings, expected = settings.at(factor), None
-            rounds = found if rounds.count else rounds
-        search_s = watch.lap()
-        given = wanted.levels != DEFAULT_LEVELS
-        attempt = encode_verified(Attempt(job, sequence, settings, expected, rounds, given), stage, progress)
-        decisions = [*attempt.manifest.decisions, *calibrated.decisions, *attempt.stories]
-        manifest = replace(attempt.manifest, decisions=decisions)
-        size = write_tables(Folder(stage), manifest)
-        seconds = (survey_s, calibrate_s, search_s, attempt.encode_s, attempt.measure_s)
-        return EncodeReport(manifest, size, rows, rows_s, *seconds, calibrated.cached)
+        size = finished.write(store, Folder(stage))
+    return manifest_of(finished.root, finished.groups), size
 
 
-def _plan_groups(sequence: GaussianSequence, views: ViewPlan, settings: EncodeSettings) -> Grouping:
+@contextmanager
+def _at(work: Work | None) -> Iterator[Work]:
+    if work is not None:
+        yield work
+        return
+    with temporary_work() as at:
+        yield at
+
+
+def _encode(
+    sequence: GaussianSequence,
+    settings: EncodeSettings,
+    goal: Goal | None,
+    attribution: str | None,
+    work: Work,
+) -> tuple[EncodeReport, Finished]:
+    watch = Stopwatch()
+    looked = look_at_frames(sequence, work)
+    rows = restore_rows(sequence, settings.rows, work.progress, in_order=looked.in_order)
+    sequence, rows_s = rows.sequence, watch.lap()
+    views = plan_views(sequence, settings)
+    grouping = _plan_groups(sequence, looked.names, views, settings, work)
+    original = GroupJobs.of(sequence, grouping.spans, looked.names, views)
+    credit = sequence.attribution if attribution is None else attribution
+    job = EncodeJob(original, work, [*rows.notes, *grouping.notes], credit)
+    work.run([original.survey(g) for g in range(len(original))])
+    survey_s = watch.lap()
+    calibrated = calibrate_job(job, settings)
+    calibrate_s = watch.lap()
+    given, job, settings = settings.levels != DEFAULT_LEVELS, calibrated.job, calibrated.settings
+    rounds, expected = Rounds(settings.measure_pictures), calibrated.expected
+    if goal:
+        factor, found = search_quality(job, original, settings, goal)
+        settings, expected = settings.at(factor), None
+        rounds = found if rounds.count else rounds
+    search_s = watch.lap()
+    verified = encode_verified(Attempt(job, original, settings, expected, rounds, given))
+    manifest = replace(
+        verified.manifest, decisions=[*verified.manifest.decisions, *calibrated.decisions, *verified.stories]
+    )
+    seconds = (rows_s, survey_s, calibrate_s, search_s, verified.encode_s, verified.measure_s)
+    report = EncodeReport(manifest, 0, rows, *seconds, calibrated.cached, work.records())
+    return report, finish(verified, manifest)
+
+
+def finish(verified: Verified, manifest: Manifest) -> Finished:
+    """A verified package with tables that say so."""
+    encoded = verified.encoded
+    entries = [one.entry for one in encoded.files]
+    return Finished(root_of(manifest), list(manifest.groups), encoded.init, entries)
+
+
+def _plan_groups(
+    sequence: GaussianSequence, names: Sequence[str], views: ViewPlan, settings: EncodeSettings, work: Work
+) -> Grouping:
     """Groups of the length that is asked for, or that costs least."""
     if settings.group_frames is not None:
         return plan_groups(sequence, settings.group_frames)
-    costs = compare_lengths(sequence, views, settings)
+    costs = work.result(length_job(sequence, names, views, settings))
     if not costs:
         return plan_groups(sequence)
     grouping = plan_groups(sequence, costs[0].frames)
@@ -117,31 +222,33 @@ def _plan_groups(sequence: GaussianSequence, views: ViewPlan, settings: EncodeSe
     return replace(grouping, notes=[story, *grouping.notes])
 
 
-def calibrate_job(job: EncodeJob, settings: EncodeSettings, progress: Progress) -> Calibrated:
+def calibrate_job(job: EncodeJob, settings: EncodeSettings) -> Calibrated:
     """Settings for this scene, and the job without the SH bands that it does not need."""
     if settings.calibrate == "none":
         return Calibrated(job, settings, None, (), False)
-    progress("calibration", 0, 1)
-    subject = _longest(job.surveys)
-    name = cache.digest(job.sequence, subject, job.views, settings)
+    groups, work = job.groups, job.work
+    work.progress("calibration", 0, 1)
+    subject = _longest(groups)
+    name = cache.name_of(groups.content(subject), groups.views, settings)
+    survey = work.result(groups.survey(subject))
     kept = cache.load(name)
-    calibration = kept or calibrate(job.sequence, subject, settings)
+    arguments = (groups.sequence, groups.survey(subject).result, settings)
+    trial = Job("calibration", "", name, calibrate, arguments)
+    calibration: Calibration = kept or work.result(trial)
     if kept is None:
         cache.keep(name, calibration)
     expected = calibration.expected * settings.quality**2 if settings.calibrate == "ladder" else None
     settings = calibration.apply(settings)
     step = settings.steps.key.sh_rest * settings.quality
-    bands, note = omit_bands(job.sequence, subject, step, settings.scaled_price)
+    bands, note = omit_bands(groups.sequence, survey, step, settings.scaled_price)
     if note is None:
         return Calibrated(job, settings, expected, (), kept is not None)
-    fewer = replace(job.sequence, max_sh_degree=bands)
-    spans = [(survey.span.start, survey.span.stop) for survey in job.surveys]
-    surveys = survey_groups(fewer, spans, job.views, progress)
-    return Calibrated(replace(job, sequence=fewer, surveys=surveys), settings, expected, (note,), kept is not None)
+    fewer = replace(groups, sequence=replace(groups.sequence, max_sh_degree=bands))
+    return Calibrated(replace(job, groups=fewer), settings, expected, (note,), kept is not None)
 
 
-def _longest(surveys: Sequence[Survey]) -> Survey:
+def _longest(groups: GroupJobs) -> int:
     """The middle one of the longest groups."""
-    most = max(survey.span.frames for survey in surveys)
-    longest = [survey for survey in surveys if survey.span.frames == most]
+    most = max(span.frames for span in groups.spans)
+    longest = [span.index for span in groups.spans if span.frames == most]
     return longest[len(longest) // 2]

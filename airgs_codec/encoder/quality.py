@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,7 +17,6 @@ from airgs_codec.media.metrics import Reference, psnr
 from airgs_codec.package.manifest import Groups, Manifest, Quality
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Group, Segment, SegmentLevel
-from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.sequence import GaussianSequence
@@ -42,6 +42,12 @@ class QualitySums:
         self.similarity += reference.ssim(picture)
         self.difference += delta_e(picture, reference.picture)
 
+    def extend(self, other: QualitySums) -> None:
+        """The pictures of another."""
+        self.squared += other.squared
+        self.similarity += other.similarity
+        self.difference += other.difference
+
     def quality(self, scale: float = 1.0) -> Quality:
         """Over all pictures added so far, at least one; squared errors are multiplied by `scale`."""
         count = len(self.squared)
@@ -62,67 +68,87 @@ class Rounds:
         return Rounds(self.count, rounds, rounds)
 
 
-def measure_quality(
-    package: Package, sequence: GaussianSequence, views: ViewPlan, rounds: Rounds, progress: Progress = silent
-) -> Manifest:
-    """The package's tables with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
+SegmentSums = list[list[QualitySums]]  # level x key quality, of one segment
+RoundSums = list[SegmentSums]  # of the segments of a group
+
+
+@dataclass(frozen=True, slots=True)
+class Round:
+    """Which pictures of every segment are measured: the next ones, after so many rounds of as many."""
+
+    number: int
+    count: int  # pictures of a segment, at least
+
+
+Ask = Callable[[Round], Sequence[RoundSums]]  # measures a round of some groups
+
+
+def measure_groups(m: Manifest, numbers: Sequence[int], views: ViewPlan, rounds: Rounds, ask: Ask) -> Measured:
+    """Tables of some groups with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
 
     PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
-    `rounds.count` pictures a segment; again and again in so many others, until the standard error of the top rung is at
-    most UNSURE. Errors are heavy-tailed: a large Gaussian close to one view outweighs many others.
+    `rounds.count` pictures a segment, which `ask` measures; again and again in so many others, until the standard error
+    of the top rung is at most UNSURE. Errors are heavy-tailed: a large Gaussian close to a view outweighs many others.
 
     Key qualities that are not the level's own are measured in one of OFF_LADDER of the pictures. Their squared errors
     are scaled by what the level's own error in all pictures is to its error in these (a ratio estimator; Cochran,
     Sampling Techniques, 1977, chapter 6), since a view that is hard for one rung is hard for all.
     """
-    m = package.manifest
-    groups, measured = measure_groups(package, sequence, views, range(len(m.groups)), rounds, progress)
-    return replace(m, groups=Groups.of(groups), views=replace(m.views, measured=measured))
-
-
-def measure_groups(
-    package: Package,
-    sequence: GaussianSequence,
-    views: ViewPlan,
-    numbers: Sequence[int],
-    rounds: Rounds,
-    progress: Progress = silent,
-) -> tuple[list[Group], int]:
-    """Tables of some groups with their quality, and how many pictures of each segment were measured."""
-    m = package.manifest
     indices = [s for number in numbers for s in m.segments_of(number)]
     sums = {s: [[QualitySums() for _ in m.qualities] for _ in m.levels] for s in indices}
-    turn = views.measured(rounds.count)
     for done in range(rounds.most):
-        for place, index in enumerate(indices):
-            progress("quality", done * len(indices) + place, (done + 1) * len(indices))
-            segment = m.segments[index]
-            pictures = views.measure(done * len(m.segments) + index, segment.start, segment.stop, rounds.count)
-            compared = _references(sequence, pictures, views.renderer)
-            _measure_segment(package, index, sums[index], compared, views.renderer)
+        found = [of_segment for of_group in ask(Round(done, rounds.count)) for of_segment in of_group]
+        for index, of_segment in zip(indices, found, strict=True):
+            for mine, new in zip(itertools.chain(*sums[index]), itertools.chain(*of_segment), strict=True):
+                mine.extend(new)
         if done + 1 >= rounds.least and _standard_error(m, sums) <= UNSURE:
             break
+    turn = views.measured(rounds.count)
     groups = []
     for number in numbers:
         segments = [_with_sums(m, m.segments[s], sums[s], turn) for s in m.segments_of(number)]
         groups.append(replace(m.groups[number], segments=segments))
-    return groups, (done + 1) * turn
+    return Measured(groups, (done + 1) * turn)
 
 
-def _measure_segment(
-    package: Package,
-    index: int,
-    sums: Sequence[Sequence[QualitySums]],
-    compared: Sequence[_Compared],
-    renderer: Renderer,
-) -> None:
-    """Add pictures of a segment to the sums of every level and key quality."""
-    m = package.manifest
-    bases = [decode_canonical(package, m.group_of(index), quality) for quality in range(len(m.qualities))]
-    for j, level in enumerate(m.levels):
-        for quality, base in enumerate(bases):
-            looked_at = compared if quality == level.quality else compared[::OFF_LADDER]
-            _measure(package, (index, j), base, looked_at, sums[j][quality], renderer)
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """Groups whose quality is known."""
+
+    groups: list[Group]
+    pictures: int  # of each segment that were measured
+
+    def whole(self, m: Manifest) -> Manifest:
+        """The tables of a package of which these are all groups."""
+        return replace(m, groups=Groups.of(self.groups), views=replace(m.views, measured=self.pictures))
+
+
+def measure_package(
+    package: Package, sequence: GaussianSequence, views: ViewPlan, numbers: Sequence[int], rounds: Rounds
+) -> Measured:
+    """The quality of some groups of a package whose files are there; see `measure_groups`."""
+
+    def ask(asked: Round) -> list[RoundSums]:
+        return [measure_round(package, sequence, views, number, asked) for number in numbers]
+
+    return measure_groups(package.manifest, numbers, views, rounds, ask)
+
+
+def measure_round(package: Package, sequence: GaussianSequence, views: ViewPlan, group: int, asked: Round) -> RoundSums:
+    """Render every rung of a group of a package beside the original, in the pictures of one round."""
+    m, found = package.manifest, []
+    bases = [decode_canonical(package, group, quality) for quality in range(len(m.qualities))]
+    for index in m.segments_of(group):
+        segment = m.segments[index]
+        pictures = views.measure(asked.number * len(m.segments) + index, segment.start, segment.stop, asked.count)
+        compared = _references(sequence, pictures, views.renderer)
+        sums = [[QualitySums() for _ in m.qualities] for _ in m.levels]
+        for j, level in enumerate(m.levels):
+            for quality, base in enumerate(bases):
+                looked_at = compared if quality == level.quality else compared[::OFF_LADDER]
+                _measure(package, (index, j), base, looked_at, sums[j][quality], views.renderer)
+        found.append(sums)
+    return found
 
 
 def _standard_error(m: Manifest, sums: Mapping[int, Sequence[Sequence[QualitySums]]]) -> float:

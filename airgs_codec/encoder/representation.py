@@ -67,7 +67,6 @@ class Representation:
     differences: tuple[NDArray[np.uint8], ...]  # (pages * H, W) largest luma error of each closed GOP
 
 
-Done = Callable[[], None]  # called when a representation is finished
 EMPTY = Representation((), (0, 0), ())
 
 
@@ -96,14 +95,7 @@ def _encode_checked(
     raise CodecError(f"decoded luma leaves {DARKEST}-{BRIGHTEST} at every QP")
 
 
-def encode_parallel(tasks: Sequence[Callable[[], Representation]], jobs: int, done: Done) -> list[Representation]:
-    """What the tasks give, in order, `jobs` at a time: x264 releases the interpreter lock, so threads serve.
-
-    `done` is called after each of them.
-    """
-    results = []
-    with ThreadPoolExecutor(jobs) as pool:
-        for future in [pool.submit(task) for task in tasks]:
-            results.append(future.result())
-            done()
-    return results
+def encode_parallel(tasks: Sequence[Callable[[], Representation]], threads: int) -> list[Representation]:
+    """What the tasks give, in order: x264 releases the interpreter lock, so threads serve."""
+    with ThreadPoolExecutor(threads) as pool:
+        return [future.result() for future in [pool.submit(task) for task in tasks]]

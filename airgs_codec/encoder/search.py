@@ -3,39 +3,28 @@
 from __future__ import annotations
 
 import itertools
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
-from airgs_codec.encoder.encoder import EncodeJob, encode_sequence
+from airgs_codec.encoder.encoder import EncodeJob, encode_sequence, measure_quality
+from airgs_codec.encoder.group_jobs import GroupJobs
 from airgs_codec.encoder.limits import find_limit
-from airgs_codec.encoder.quality import Rounds, measure_quality
+from airgs_codec.encoder.quality import Rounds
 from airgs_codec.encoder.rate_target import PSNR, Goal, OutOfReachError, find_quality
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.packing import pack_json
-from airgs_codec.package.store import Package, root_of
+from airgs_codec.package.store import root_of
 from airgs_codec.package.tables import FileEntry, Group, SegmentLevel, digest
-from airgs_codec.progress import Progress
-from airgs_codec.scene.sequence import GaussianSequence
 
 TRIAL_PICTURES = 12  # measured in each segment for a PSNR, where the package itself is not measured
 
 
-def search_quality(
-    job: EncodeJob,
-    original: GaussianSequence,
-    settings: EncodeSettings,
-    goal: Goal,
-    folder: Path,
-    progress: Progress,
-) -> tuple[float, Rounds]:
+def search_quality(job: EncodeJob, original: GroupJobs, settings: EncodeSettings, goal: Goal) -> tuple[float, Rounds]:
     """The quality factor that brings the top rung to its goal, and the pictures that it was measured with.
 
     Raises ConfigError for a goal out of reach. The error then names what keeps pictures from a higher PSNR. PSNR is
-    measured against `original`, which has all SH bands. Trials are written into `folder` and removed.
+    measured against `original`, which has all SH bands.
     """
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
     rounds = Rounds(settings.measure_pictures or TRIAL_PICTURES)
@@ -43,14 +32,12 @@ def search_quality(
 
     def trial(factor: float) -> float:
         nonlocal rounds
-        progress(f"trial {next(numbers)}: quality factor {factor:.3g}", 0, 1)
-        with tempfile.TemporaryDirectory(prefix=".trial", dir=folder) as name:
-            manifest = encode_sequence(job, top.at(factor), Path(name), progress).manifest
-            if goal.kind != PSNR:
-                return kilobytes_a_frame(manifest, settings)
-            package = Package(Folder(Path(name)), manifest, 0)
-            tables = measure_quality(package, original, job.views, rounds, progress)
-        rounds = rounds.again(tables.views.measured // job.views.measured(rounds.count))  # the same pictures for all
+        job.work.progress(f"trial {next(numbers)}: quality factor {factor:.3g}", 0, 1)
+        encoded = encode_sequence(job, top.at(factor))
+        if goal.kind != PSNR:
+            return kilobytes_a_frame(encoded.manifest, settings)
+        tables = measure_quality(job, encoded, original, rounds)
+        rounds = rounds.again(tables.views.measured // original.views.measured(rounds.count))  # the same ones for all
         measured = pooled_quality(tables, 0, 0)
         assert measured is not None
         return measured.psnr
@@ -60,9 +47,7 @@ def search_quality(
     except OutOfReachError as error:
         if goal.kind != PSNR or error.got > goal.value:
             raise
-        with tempfile.TemporaryDirectory(prefix=".trial", dir=folder) as name:
-            encoded = encode_sequence(job, top.at(error.factor), Path(name), progress)
-            part, reached = find_limit(Package(Folder(Path(name)), encoded.manifest, 0), encoded, original, job.views)
+        part, reached = find_limit(encode_sequence(job, top.at(error.factor)), original)
         why = f"; what holds it back most: {part}, without whose error it would be {reached:.4g} dB"
         raise OutOfReachError(goal, error.got, error.factor, why) from None
 

@@ -131,9 +131,9 @@ class EncodeSettings:
         10, "pictures of each segment, at least, of frames and views of their own, that measure every rung; 0: none"
     )
     preset: str = setting(DEFAULT_PRESET, "x264 preset")
-    jobs: int = computed_setting(
+    threads: int = computed_setting(
         lambda: os.cpu_count() or 1,
-        "representations encoded at the same time, by default one for each core; the bytes are the same",
+        "representations of a group encoded at the same time, by default one for each core; the bytes are the same",
     )
     device: str = setting(
         "auto", "where pictures that decide and measure are drawn: cpu, cuda, or auto, cuda where gsplat can run"
@@ -184,7 +184,7 @@ class EncodeSettings:
             (self.rows in ROWS, f"expected rows {', '.join(ROWS)}, got {self.rows}"),
             (self.keys in KEYS, f"expected keys {', '.join(KEYS)}, got {self.keys}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
-            (self.jobs >= 1, f"expected at least one job, got {self.jobs}"),
+            (self.threads >= 1, f"expected at least one thread, got {self.threads}"),
         ]
         for good, message in checks:
             if not good:

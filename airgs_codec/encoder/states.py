@@ -27,7 +27,6 @@ from airgs_codec.encoder.representation import (
     EMPTY,
     AtlasPictures,
     Clock,
-    Done,
     Representation,
     encode_checked,
     encode_parallel,
@@ -171,7 +170,7 @@ def _code_level(
 
 
 def encode_states(
-    layout: GroupLayout, states: CodedStates, clock: Clock, settings: EncodeSettings, done: Done
+    layout: GroupLayout, states: CodedStates, clock: Clock, settings: EncodeSettings
 ) -> list[Representation]:
     """The pictures of every level, a closed GOP for each segment that is fetched."""
     codec = state_codec(settings.preset)
@@ -182,7 +181,7 @@ def encode_states(
         pictures = AtlasPictures.of(level.samples.open(), level.atlas)
         return encode_checked(_level_gops(layout, level, pictures, clock.frame_ticks), pictures.size, clock, codec)
 
-    return encode_parallel([functools.partial(encode, level) for level in states.levels], settings.jobs, done)
+    return encode_parallel([functools.partial(encode, level) for level in states.levels], settings.threads)
 
 
 def _level_gops(layout: GroupLayout, level: CodedLevel, pictures: AtlasPictures, ticks: int) -> Iterator[ClosedGop]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from airgs_codec.analysis.importance import importance
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.encoder.views import Pictures, ViewPlan
-from airgs_codec.progress import Progress
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
@@ -71,14 +70,3 @@ def survey_group(sequence: GaussianSequence, span: GroupSpan, views: ViewPlan) -
         usage = known
     ranked = importance(frames, usage, sensitivity)
     return Survey(span, views.check(span.frames), usage, sensitivity, ranked, views.trusted, views.renderer)
-
-
-def survey_groups(
-    sequence: GaussianSequence, spans: Sequence[tuple[int, int]], views: ViewPlan, progress: Progress
-) -> list[Survey]:
-    """Survey the groups whose frames are [start, stop), one after the other."""
-    surveys = []
-    for index, (start, stop) in enumerate(spans):
-        progress("survey", index, len(spans))
-        surveys.append(survey_group(sequence, GroupSpan(index, start, stop), views))
-    return surveys

@@ -20,8 +20,7 @@ from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
 from airgs_codec.package import paths, tables
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.package.storage import Storage
-from airgs_codec.package.tables import NO_FILE, STATIC, FileEntry, Group, GroupTier, Segment, SegmentLevel
+from airgs_codec.package.tables import NO_FILE, STATIC, FileEntry, Group, GroupTier, Segment, SegmentLevel, file_entry
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,12 +33,12 @@ class CodedGroup:
     key_pictures: Sequence[Sequence[Representation]]  # T x qualities
     state_pictures: Sequence[Representation]  # L
     first_segment: int  # how many segments the groups before it have
-    base: BaseGroup  # whose rows it keeps, and later groups may; itself where it keeps none
+    base: BaseGroup | None  # whose rows it keeps, if it keeps any
 
     @property
     def keeps(self) -> GroupLayout | None:
         """The group whose rows it keeps."""
-        return None if self.base.layout is self.layout else self.base.layout
+        return self.base.layout if self.base else None
 
     @property
     def number(self) -> int:
@@ -50,11 +49,10 @@ class CodedGroup:
 Files = Mapping[str, FileEntry]  # by path
 
 
-def publish_group(storage: Storage, group: CodedGroup) -> Group:
-    """Write the pictures and sidecars of a group; gives its table, without measured quality."""
-    contents = itertools.chain(_key_files(group), _state_files(group))
-    files = {path: storage.write(path, data) for path, data in contents}
-    return _group_table(group, files)
+def finish_group(group: CodedGroup) -> tuple[Group, dict[str, bytes]]:
+    """The table of a group, without measured quality, and the bytes of its pictures and sidecars by their paths."""
+    contents = dict(itertools.chain(_key_files(group), _state_files(group)))
+    return _group_table(group, {path: file_entry(data) for path, data in contents.items()}), contents
 
 
 def _key_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
@@ -156,7 +154,7 @@ def _tier_table(group: CodedGroup, files: Files, tier: int) -> GroupTier:
     parts, pictures, layout = group.keys.tiers[tier], group.key_pictures[tier], group.layout
     atlases = [_bounded(part.atlas, part.error, shown, KEY) for part, shown in zip(parts, pictures, strict=True)]
     rows, kept = (span.stop - span.start for span in (layout.tier_rows(tier), layout.kept_rows(tier)))
-    if kept:
+    if kept and group.base:
         errors = (kept_errors(layout, group.base, tier, quality) for quality in range(len(atlases)))
         atlases = [widen(atlas, error, KEY) for atlas, error in zip(atlases, errors, strict=True)]
     media = [files.get(paths.key_media_path(tier, q, group.number), NO_FILE) for q in range(len(parts))]

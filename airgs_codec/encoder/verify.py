@@ -6,28 +6,23 @@ N rows of a group.
 from __future__ import annotations
 
 import itertools
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence
-from airgs_codec.encoder.kept import BaseGroup
-from airgs_codec.encoder.quality import Rounds, measure_quality
+from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence, measure_quality
+from airgs_codec.encoder.group_jobs import GroupJobs
+from airgs_codec.encoder.quality import Rounds
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.region import draw_views
-from airgs_codec.package.store import Package
 from airgs_codec.package.tables import STATIC
-from airgs_codec.progress import Progress, Stopwatch, silent
+from airgs_codec.progress import Stopwatch
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows
-from airgs_codec.scene.sequence import GaussianSequence
 
 ATTEMPTS = 4  # encodes at most
 SHORTFALL_DB = 0.5  # of the top rung, that is not taken
@@ -41,7 +36,7 @@ class Attempt:
     """What is to be encoded, and what is expected of it."""
 
     job: EncodeJob
-    original: GaussianSequence  # with all SH bands
+    original: GroupJobs  # with all SH bands
     settings: EncodeSettings  # nothing is left to calibrate
     expected: float | None  # mean squared error of pictures of the top rung; None: any is taken
     rounds: Rounds  # of pictures that measure it; a count of 0: none do
@@ -60,16 +55,16 @@ class Repair:
 class Verified:
     """A package whose rungs each beat the cheaper ones, and how it got there."""
 
-    manifest: Manifest
+    manifest: Manifest  # with measured quality
+    encoded: Encoded
     settings: EncodeSettings  # that it was encoded with at last
     stories: tuple[str, ...]  # one line a repair
     encode_s: float
     measure_s: float
-    base: BaseGroup  # whose rows the next group may keep
 
 
-def encode_verified(attempt: Attempt, folder: Path, progress: Progress = silent) -> Verified:
-    """Encode into the empty `folder` and measure, again with other settings while a rung must be repaired.
+def encode_verified(attempt: Attempt) -> Verified:
+    """Encode and measure, again with other settings while a rung must be repaired.
 
     Rungs that a cheaper one beats are dropped; what a top rung leaves out or withholds is taken back where it made
     more error than expected, and steps are made finer where nothing else explains a shortfall.
@@ -77,22 +72,19 @@ def encode_verified(attempt: Attempt, folder: Path, progress: Progress = silent)
     stories: list[str] = []
     watch, encode_s, measure_s = Stopwatch(), 0.0, 0.0
     for number in itertools.count(1):
-        encoded = encode_sequence(attempt.job, attempt.settings, folder, progress)
+        encoded = encode_sequence(attempt.job, attempt.settings)
         encode_s += watch.lap()
-        manifest = encoded.manifest
         if not attempt.rounds.count:
-            return Verified(manifest, attempt.settings, (), encode_s, 0.0, encoded.base)
-        package = Package(Folder(folder), manifest, 0)
-        manifest = measure_quality(package, attempt.original, attempt.job.views, attempt.rounds, progress)
+            return Verified(encoded.manifest, encoded, attempt.settings, (), encode_s, 0.0)
+        manifest = measure_quality(attempt.job, encoded, attempt.original, attempt.rounds)
         repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
         measure_s += watch.lap()
         if repair is None:
             ends = f"; top rung now {_rung_psnr(manifest, 0):.2f} dB" if stories else ""
             told = (*stories[:-1], *(s + ends for s in stories[-1:]))
-            return Verified(manifest, attempt.settings, told, encode_s, measure_s, encoded.base)
+            return Verified(manifest, encoded, attempt.settings, told, encode_s, measure_s)
         stories.append(repair.story)
         attempt = replace(attempt, settings=repair.settings)
-        _empty(folder)
     raise AssertionError("unreachable")
 
 
@@ -167,19 +159,20 @@ def _take_back(attempt: Attempt, encoded: Encoded, measured: float, promised: fl
 def _part_errors(attempt: Attempt, encoded: Encoded) -> tuple[float, float]:
     """Mean squared error of pictures without the rows left out, and with updates of the top level withheld."""
     errors: list[tuple[float, float]] = []
-    draw = attempt.job.views.renderer.render
-    views = iter(draw_views(attempt.job.views.region, CHECKED, CHECKING))
-    picked = evenly_spaced(len(encoded.layouts), CHECKED)
+    groups = attempt.job.groups
+    draw = groups.views.renderer.render
+    views = iter(draw_views(groups.views.region, CHECKED, CHECKING))
+    picked = evenly_spaced(len(groups), CHECKED)
     for i in picked:
-        layout, depths = encoded.layouts[i], encoded.depths[i]
-        frames = attempt.job.sequence.load(range(layout.span.start, layout.span.stop)).frames
+        coded, span = encoded.group(i), groups.spans[i]
+        frames = groups.sequence.load(range(span.start, span.stop)).frames
         for place, camera in zip(evenly_spaced(len(frames), max(1, CHECKED // len(picked))), views, strict=False):
             whole = draw(frames[place], camera).rgb
             canonical = mean_frame(frames)
             errors.append(
                 (
-                    mse(draw(_only(frames[place], layout.rows), camera).rgb, whole),
-                    mse(draw(_held(frames[place], canonical, layout.rows[depths == STATIC]), camera).rgb, whole),
+                    mse(draw(_only(frames[place], coded.rows), camera).rgb, whole),
+                    mse(draw(_held(frames[place], canonical, coded.rows[coded.depths == STATIC]), camera).rgb, whole),
                 )
             )
     rows, held = np.mean(errors, axis=0)
@@ -195,12 +188,3 @@ def _held(g: Gaussians, canonical: Gaussians, rows: NDArray[np.intp]) -> Gaussia
     kept = np.ones(len(g), bool)
     kept[rows] = False
     return mix_rows(g, canonical, kept)
-
-
-def _empty(folder: Path) -> None:
-    """Remove what a former attempt wrote."""
-    for path in folder.iterdir():
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink()

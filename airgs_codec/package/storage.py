@@ -13,8 +13,8 @@ from airgs_codec.package.folder import Folder
 from airgs_codec.package.tables import FileEntry
 
 
-class Storage(Protocol):
-    """The files of one package, by their paths in it."""
+class Files(Protocol):
+    """The files of one package, by their paths in it, to be read."""
 
     @property
     def name(self) -> str:
@@ -26,11 +26,15 @@ class Storage(Protocol):
         Raises FormatError (missing_file, unsafe_path), TransportError where a store does not answer.
         """
 
-    def write(self, relative: str, data: bytes) -> FileEntry:
-        """Write a file, whole or not at all, and give its entry for the tables. Raises OSError (TransportError)."""
-
     def paths(self) -> list[str]:
         """All that is there, sorted, whether it belongs to the package or not."""
+
+
+class Storage(Files, Protocol):
+    """The files of one package in a place where they can be written as well."""
+
+    def write(self, relative: str, data: bytes) -> FileEntry:
+        """Write a file, whole or not at all, and give its entry for the tables. Raises OSError (TransportError)."""
 
     def staged(self) -> AbstractContextManager[Path]:
         """Gives an empty folder of this machine; what the block leaves in it is the package when the block ends.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.packing import MAX_ROOT_BYTES
 from airgs_codec.package.parse import parse_group, parse_page, parse_root
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path, locate, page_path
-from airgs_codec.package.storage import Storage, open_storage
+from airgs_codec.package.storage import Files, open_storage
 from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest
 
 Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -> its bytes
@@ -22,7 +22,7 @@ Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -
 class Package:
     """An open package: its tables, and its files by their relative paths."""
 
-    files: Storage
+    files: Files
     manifest: Manifest
     root_bytes: int  # of airgs.json
     mpd_bytes: int = 0  # of manifest.mpd
@@ -41,7 +41,7 @@ class Package:
         return read_file(self.files, relative, self.manifest.entry(relative))
 
 
-def read_file(files: Storage, relative: str, entry: FileEntry) -> bytes:
+def read_file(files: Files, relative: str, entry: FileEntry) -> bytes:
     """A file of a package whose length and digest are known; `Package.read` says what is raised."""
     size, read = files.open(relative)
     if size != entry.bytes:
@@ -77,6 +77,12 @@ def root_of(m: Manifest) -> Root:
     return Root(**shared, init=m.init, index=m.groups.table)
 
 
+def manifest_of(root: Root, groups: Sequence[Group]) -> Manifest:
+    """The tables of a package whose groups' tables are in memory; the index in `root` is made anew."""
+    shared = {field.name: getattr(root, field.name) for field in fields(Header)}
+    return Manifest(**shared, init=root.init, groups=Groups.of(groups))
+
+
 def open_package(path: str | Path) -> Package:
     """Open the package at `path`, a folder or an address: read and check airgs.json; other files are read when needed.
 
@@ -93,7 +99,7 @@ def open_package(path: str | Path) -> Package:
     return Package(files, manifest, len(data), mpd_bytes)
 
 
-def _open_root(files: Storage, relative: str) -> tuple[int, Callable[[], bytes]]:
+def _open_root(files: Files, relative: str) -> tuple[int, Callable[[], bytes]]:
     try:
         return files.open(relative)
     except FormatError:

@@ -35,7 +35,13 @@ def package(tmp_path_factory):
     scene = write_sequence(folder / "scene", [there[turn[i % len(turn)]] for i in range(1000)])
     levels = (LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1))
     settings = EncodeSettings(
-        calibrate="none", measure_pictures=0, group_frames=30, preset="ultrafast", keep_all=True, levels=levels, jobs=2
+        calibrate="none",
+        measure_pictures=0,
+        group_frames=30,
+        preset="ultrafast",
+        keep_all=True,
+        levels=levels,
+        threads=2,
     )
     encode(open_sequence(scene), folder / "out", settings)
     return open_package(folder / "out"), open_sequence(scene)

@@ -15,13 +15,15 @@ from airgs_codec.encoder.calibration.subject import Subject
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import GroupSpan, survey_group
 from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.jobs.work import temporary_work
 from airgs_codec.scene.ply import write_ply
 from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
 from airgs_codec.scene.usage import Usage, save_usage
+from tests.support.jobs import encode_job
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
-FAST = EncodeSettings(preset="veryfast", jobs=2)
+FAST = EncodeSettings(preset="veryfast", threads=2)
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +41,13 @@ def calibration(fox):
 
 
 def test_a_calibration_is_the_same_every_time_and_survives_the_cache(fox, calibration):
-    sequence, survey, _ = fox
+    sequence, survey, views = fox
     assert calibrate(sequence, survey, FAST) == calibration
-    name = cache.digest(*fox, FAST)
+    name = cache.name_of("frames", views, FAST)
     cache.keep(name, calibration)
     assert cache.load(name) == calibration
-    assert cache.digest(*fox, replace(FAST, quality=2.0)) == name  # quality multiplies what was calibrated
-    assert cache.digest(*fox, replace(FAST, segment_s=0.5)) != name
+    assert cache.name_of("frames", views, replace(FAST, quality=2.0)) == name  # quality multiplies what was calibrated
+    assert cache.name_of("frames", views, replace(FAST, segment_s=0.5)) != name
     (cache.folder() / f"{name}.json").write_text('{"steps": 3}')
     assert cache.load(name) is None
 
@@ -57,7 +59,8 @@ def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_pat
     def digest():
         sequence = open_sequence(folder)
         views = ViewPlan.of(sequence, 24)
-        return cache.digest(sequence, survey_group(sequence, GroupSpan(0, 0, 6), views), views, FAST)
+        with temporary_work() as work:
+            return cache.name_of(encode_job(sequence, views, work).groups.content(0), views, FAST)
 
     digests = [digest()]
     for number in (1, 2, 4):  # neither first, canonical nor last

@@ -27,7 +27,7 @@ SETTINGS = EncodeSettings(
     measure_pictures=2,
     decide_pictures=4,
     preset="ultrafast",
-    jobs=1,
+    threads=1,
     region=replace(region(place(0.0)), width=96, height=72),
 )
 FRAMES = moving_frames(150, 8)

@@ -14,7 +14,7 @@ from tests.support.regions import place, region
 from tests.support.scenes import frozen, random_gaussians, write_sequence
 
 FRAMES = 40
-FAST = EncodeSettings(preset="ultrafast", jobs=1, segment_s=0.1)
+FAST = EncodeSettings(preset="ultrafast", threads=1, segment_s=0.1)
 CHANGING = ("means", "log_scales", "quaternions", "sh_dc")
 SEEN = replace(region(place(0.0)), width=64, height=48)
 

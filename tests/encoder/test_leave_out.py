@@ -13,7 +13,7 @@ from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence
 
-FAST = EncodeSettings(preset="veryfast", jobs=2)
+FAST = EncodeSettings(preset="veryfast", threads=2)
 
 
 def test_keep_all_keeps_all(demo_package, tmp_path):

@@ -50,7 +50,7 @@ def test_levels_of_one_tier_do_with_the_first_tier(tmp_path):
     frames = moving_frames(600, 4)
     sequence = open_sequence(write_sequence(tmp_path / "scene", frames))
     levels = (LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1))
-    settings = EncodeSettings(calibrate="none", levels=levels, tiers=(0.6, 0.4), preset="veryfast", jobs=2)
+    settings = EncodeSettings(calibrate="none", levels=levels, tiers=(0.6, 0.4), preset="veryfast", threads=2)
     encode(sequence, tmp_path / "out", settings)
     package = open_package(tmp_path / "out")
     m = package.manifest

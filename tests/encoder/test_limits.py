@@ -5,14 +5,13 @@ from dataclasses import replace
 import pytest
 
 from airgs_codec.coding.steps import StepSettings
-from airgs_codec.encoder.encoder import EncodeJob, encode_sequence
+from airgs_codec.encoder.encoder import encode_sequence
 from airgs_codec.encoder.limits import LEFT_OUT, find_limit
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import survey_groups
 from airgs_codec.encoder.views import ViewPlan
-from airgs_codec.package.folder import Folder
-from airgs_codec.package.store import Package
+from airgs_codec.jobs.work import temporary_work
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.jobs import encode_job
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -30,11 +29,12 @@ def job(tmp_path_factory):
     """A small moving scene."""
     sequence = open_sequence(write_sequence(tmp_path_factory.mktemp("limits") / "scene", moving_frames(200, 3)))
     views = ViewPlan.of(sequence, 6, region=replace(region(place(0.0)), width=96, height=72))
-    return EncodeJob(sequence, survey_groups(sequence, [(0, 3)], views, lambda *_: None), views)
+    with temporary_work() as work:
+        yield encode_job(sequence, views, work)
 
 
 @pytest.mark.parametrize("part", COARSE)
-def test_the_part_that_is_coarse_is_named(job, tmp_path, part):
+def test_the_part_that_is_coarse_is_named(job, part):
     settings = EncodeSettings(
         calibrate="none",
         levels=(LevelSettings(0.0),),
@@ -43,6 +43,4 @@ def test_the_part_that_is_coarse_is_named(job, tmp_path, part):
         steps=COARSE[part],
         preset="ultrafast",
     )
-    encoded = encode_sequence(job, settings, tmp_path)
-    package = Package(Folder(tmp_path), encoded.manifest, 0)
-    assert find_limit(package, encoded, job.sequence, job.views)[0] == part
+    assert find_limit(encode_sequence(job, settings), job.groups)[0] == part

@@ -7,22 +7,23 @@ import numpy as np
 import pytest
 
 from airgs_codec.decoder.decode import decode_canonical, decode_frames
-from airgs_codec.encoder.encoder import EncodeJob, encode_sequence
+from airgs_codec.encoder.encoder import encode_sequence
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.rank import RowUsage, rank_updates
 from airgs_codec.encoder.settings import EncodeSettings, as_in_paper, as_preview
-from airgs_codec.encoder.survey import survey_groups
 from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import STATIC
 from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
 from airgs_codec.scene.usage import MEASURES, Usage, save_usage
+from tests.support.jobs import encode_job
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence
 
 SEEN = replace(region(place(0.0)), width=96, height=72)
 PAPER = as_in_paper(
-    EncodeSettings(preset="ultrafast", jobs=1, measure_pictures=1, decide_pictures=4, region=SEEN, quality=2.0)
+    EncodeSettings(preset="ultrafast", threads=1, measure_pictures=1, decide_pictures=4, region=SEEN, quality=2.0)
 )
 
 
@@ -46,9 +47,8 @@ def test_the_papers_ladder_withholds_from_none_to_all(scene, tmp_path):
     assert np.abs(moved.means - canonical.means).max() > 0.05
 
 
-def test_updates_are_withheld_in_the_order_of_hits(scene, tmp_path):
-    states = encoded(scene, PAPER, tmp_path)
-    layout, depths = states.layouts[0], states.depths[0]
+def test_updates_are_withheld_in_the_order_of_hits(scene):
+    layout, depths = encoded(scene, PAPER)
     hits, moving = layout.usage.hits, depths != STATIC
     for low, high in zip(range(9), range(1, 10), strict=True):
         first, second = hits[moving & (depths == low)], hits[moving & (depths == high)]
@@ -56,10 +56,13 @@ def test_updates_are_withheld_in_the_order_of_hits(scene, tmp_path):
     assert moving.sum() == 100 and len(set(hits[moving].tolist())) > 20
 
 
-def encoded(scene, settings, folder):
+def encoded(scene, settings):
+    """Layout of the only group, and the depths of its rows."""
     views = ViewPlan.of(scene, settings.decide_pictures, region=SEEN)
-    surveys = survey_groups(scene, [(0, 4)], views, lambda *_: None)
-    return encode_sequence(EncodeJob(scene, surveys, views), settings, folder)
+    with temporary_work() as work:
+        job = encode_job(scene, views, work)
+        depths = encode_sequence(job, settings).group(0).depths
+        return work.result(job.groups.key(0, settings)).layout, depths
 
 
 @pytest.fixture
@@ -73,11 +76,11 @@ def measured(scene, tmp_path):
 
 
 @pytest.mark.parametrize("usage", MEASURES)
-def test_other_measures_of_the_trainer_do_not_rank_the_papers_levels(measured, tmp_path, usage):
+def test_other_measures_of_the_trainer_do_not_rank_the_papers_levels(measured, usage):
     """Rows of level k have fewer hits than those of level k + 1, whatever usage ranks the key tiers."""
     settings = replace(PAPER, usage=usage)
-    states = encoded(measured, settings, tmp_path)
-    rows, depths = states.layouts[0].rows, states.depths[0]
+    layout, depths = encoded(measured, settings)
+    rows = layout.rows
     moving = depths != STATIC
     assert moving.sum() == 100
     order = rows[moving][np.argsort(rows[moving])]  # hits are the row + 1
@@ -88,8 +91,8 @@ def test_other_measures_of_the_trainer_do_not_rank_the_papers_levels(measured, t
 
 
 @pytest.mark.parametrize(("usage", "takes"), [("max", True), ("hits", False), ("sum", False)])
-def test_the_trainers_motion_ranks_updates_only_with_the_usage_that_it_is_made_of(measured, tmp_path, usage, takes):
-    layout = encoded(measured, replace(PAPER, usage=usage, update_rank="usage"), tmp_path).layouts[0]
+def test_the_trainers_motion_ranks_updates_only_with_the_usage_that_it_is_made_of(measured, usage, takes):
+    layout, _ = encoded(measured, replace(PAPER, usage=usage, update_rank="usage"))
     changes = np.full((4, 13, len(layout.rows)), 1.0)
     expected = layout.usage.score * np.sqrt(13)
     found = layout.usage.rank("usage", changes)

@@ -5,7 +5,7 @@ import pytest
 
 from airgs_codec.encoder import quality
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.quality import OFF_LADDER, ROUNDS, QualitySums, Rounds, measure_quality
+from airgs_codec.encoder.quality import OFF_LADDER, ROUNDS, QualitySums, Rounds, measure_package
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.media.metrics import Reference, psnr
@@ -55,9 +55,10 @@ def measured_sums(small, monkeypatch, unsure):
 
     monkeypatch.setattr(quality, "QualitySums", Kept)
     monkeypatch.setattr(quality, "UNSURE", unsure)
-    return sums, measure_quality(
-        package, sequence, ViewPlan.of(sequence, 24), Rounds(12)
-    )  # small pictures: twice as many
+    views, groups = ViewPlan.of(sequence, 24), range(len(package.manifest.groups))  # small pictures: twice as many
+    measured = measure_package(package, sequence, views, groups, Rounds(12))
+    made = len(package.manifest.segments) * 4
+    return sums[:made], measured.whole(package.manifest)
 
 
 def test_rungs_of_the_ladder_are_measured_with_all_pictures_and_others_with_fewer(small, monkeypatch):

@@ -28,7 +28,7 @@ from tests.support.paths import FOX
 from tests.support.regions import region
 from tests.support.scenes import frozen, moving_frames, random_gaussians, write_sequence
 
-FAST = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", jobs=2)
+FAST = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", threads=2)
 
 
 def encoded(tmp_path, frames, settings=FAST):
@@ -249,8 +249,8 @@ def test_groups_of_different_counts_share_their_representations(tmp_path):
 
 
 def test_equal_input_gives_equal_packages(tmp_path):
-    a = encoded(tmp_path / "a", moving_frames(90, 3), replace(FAST, jobs=1))
-    b = encoded(tmp_path / "b", moving_frames(90, 3), replace(FAST, jobs=4))
+    a = encoded(tmp_path / "a", moving_frames(90, 3), replace(FAST, threads=1))
+    b = encoded(tmp_path / "b", moving_frames(90, 3), replace(FAST, threads=4))
     assert root_of(a.manifest) == root_of(b.manifest)
 
 
@@ -285,7 +285,7 @@ def test_what_is_not_there_is_refused(fox, arguments):
         {"calibrate": "sometimes"},
         {"levels": (LevelSettings(0.0),)},  # calibration would replace them
         {"tiers": (0.5, 0.5)},
-        {"jobs": 0},
+        {"threads": 0},
     ],
 )
 def test_settings_that_cannot_work_are_refused(settings):

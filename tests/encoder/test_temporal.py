@@ -28,7 +28,7 @@ def ladder(tmp_path_factory):
     """Bytes, claimed PSNR and PSNR over all frames from other views, of each level with the keys that it corrects."""
     folder = tmp_path_factory.mktemp("temporal")
     sequence = open_sequence(write_temporal(folder / "clip"))
-    encode(sequence, folder / "clip.airgs", EncodeSettings(preset="veryfast", jobs=2), goal=Goal(PSNR, TARGET_DB))
+    encode(sequence, folder / "clip.airgs", EncodeSettings(preset="veryfast", threads=2), goal=Goal(PSNR, TARGET_DB))
     package = open_package(folder / "clip.airgs")
     m, frames = package.manifest, range(len(sequence))
     names = [f"{m.qualities[level.quality].id}+{level.id}" for level in m.levels]

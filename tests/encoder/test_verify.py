@@ -6,16 +6,17 @@ import numpy as np
 import pytest
 
 from airgs_codec.encoder import verify
-from airgs_codec.encoder.encoder import EncodeJob, encode_sequence
+from airgs_codec.encoder.encoder import Encoded, encode_sequence
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.quality import Rounds
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import survey_groups
 from airgs_codec.encoder.verify import Attempt, encode_verified, find_repair
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.inspect.validate import validate
+from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.jobs import encode_job
 from tests.support.manifests import with_segments
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence
@@ -29,7 +30,7 @@ SETTINGS = EncodeSettings(
     measure_pictures=3,
     decide_pictures=6,
     preset="ultrafast",
-    jobs=1,
+    threads=1,
     region=replace(region(place(0.0)), width=96, height=72),
 )
 
@@ -39,13 +40,14 @@ def attempt(tmp_path_factory):
     """A scene in which half of the rows move, as it is to be encoded; nothing is expected."""
     sequence = open_sequence(write_sequence(tmp_path_factory.mktemp("verify") / "scene", moving_frames(200, 4)))
     views = ViewPlan.of(sequence, SETTINGS.decide_pictures, region=SETTINGS.region)
-    surveys = survey_groups(sequence, [(0, 4)], views, lambda *_: None)
-    return Attempt(EncodeJob(sequence, surveys, views), sequence, SETTINGS, None, Rounds(SETTINGS.measure_pictures))
+    with temporary_work() as work:
+        job = encode_job(sequence, views, work)
+        yield Attempt(job, job.groups, SETTINGS, None, Rounds(SETTINGS.measure_pictures))
 
 
 @pytest.fixture(scope="module")
-def encoded(attempt, tmp_path_factory):
-    return encode_sequence(attempt.job, SETTINGS, tmp_path_factory.mktemp("package"))
+def encoded(attempt):
+    return encode_sequence(attempt.job, SETTINGS)
 
 
 def measured(encoded, quality):
@@ -116,28 +118,31 @@ def test_fewer_updates_are_withheld_where_they_are_to_blame(attempt, encoded, mo
     assert repair.settings.levels[0].pruned == 0.25 and not repair.settings.keep_all
 
 
-def test_parts_of_the_error_are_rendered_in_views_of_their_own(attempt, encoded):
-    layout, depths = encoded.layouts[0], encoded.depths[0]
-    whole = replace(encoded, layouts=[layout], depths=[np.zeros_like(depths)])
-    assert verify._part_errors(attempt, whole)[1] == 0  # every row has updates
-    still = replace(encoded, layouts=[layout], depths=[np.full_like(depths, 255)])
-    assert verify._part_errors(attempt, still)[1] > 1e-4
-    fewer = replace(layout, rows=layout.rows[:-50])
-    assert verify._part_errors(attempt, replace(encoded, layouts=[fewer], depths=[depths[:-50]]))[0] > 1e-5
+def test_parts_of_the_error_are_rendered_in_views_of_their_own(attempt, encoded, monkeypatch):
+    group = encoded.group(0)
+
+    def errors(rows, depths):
+        monkeypatch.setattr(Encoded, "group", lambda *_: replace(group, rows=rows, depths=depths))
+        return verify._part_errors(attempt, encoded)
+
+    rows, depths = group.rows, group.depths
+    assert errors(rows, np.zeros_like(depths))[1] == 0  # every row has updates
+    assert errors(rows, np.full_like(depths, 255))[1] > 1e-4
+    assert errors(rows[:-50], depths[:-50])[0] > 1e-5
 
 
-def test_a_false_promise_makes_steps_finer_until_it_is_kept(attempt, tmp_path):
-    first = encode_verified(attempt, tmp_path)
+def test_a_false_promise_makes_steps_finer_until_it_is_kept(attempt):
+    first = encode_verified(attempt)
     reached = pooled_quality(first.manifest, 0, 0).psnr
     assert first.stories == ()
-    verify._empty(tmp_path)
-    second = encode_verified(replace(attempt, expected=10 ** (-(reached + 3) / 10)), tmp_path)
+    second = encode_verified(replace(attempt, expected=10 ** (-(reached + 3) / 10)))
     quality = pooled_quality(second.manifest, 0, 0).psnr
     assert quality > reached + 3 - verify.SHORTFALL_DB
     assert 1 <= len(second.stories) < verify.ATTEMPTS and f"{reached:.2f} dB where" in second.stories[0]
     assert second.stories[-1].endswith(f"top rung now {quality:.2f} dB")
-    written = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if p.is_file()}
-    assert set(second.manifest.files()) - set(second.manifest.table_files()) == written
+    assert set(second.manifest.files()) - set(second.manifest.table_files()) == set(
+        second.encoded.package().files.paths()
+    )
 
 
 def test_a_package_that_was_repaired_says_so_and_is_whole(attempt, tmp_path, monkeypatch):
@@ -145,6 +150,6 @@ def test_a_package_that_was_repaired_says_so_and_is_whole(attempt, tmp_path, mon
     honest = verify._rung_psnr
     monkeypatch.setattr(verify, "_rung_psnr", lambda m, j: honest(m, j) if len(m.levels) < 4 or j != 2 else 1.0)
     settings = replace(SETTINGS, levels=EncodeSettings().levels, tiers=EncodeSettings().tiers, key_factors=(1.0, 3.0))
-    m = encode(attempt.original, tmp_path / "out", settings).manifest
+    m = encode(attempt.original.sequence, tmp_path / "out", settings).manifest
     assert len(m.levels) == 3 and [v.pruned for v in m.levels] == [0.0, 0.3, 0.6]
     assert any(line.startswith("L2 dropped: L") for line in m.decisions) and validate(tmp_path / "out") == []

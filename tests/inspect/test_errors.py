@@ -19,7 +19,7 @@ from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence
 
-FAST = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", jobs=2)
+FAST = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", threads=2)
 
 
 def test_every_atlas_keeps_its_bound_and_the_bound_is_tight(demo_package):

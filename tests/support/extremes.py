@@ -24,7 +24,7 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import random_gaussians, write_sequence
 
-PLAIN = EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast", keep_all=True, jobs=1)
+PLAIN = EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast", keep_all=True, threads=1)
 Frames = list[Gaussians]
 TINY = float(np.finfo(np.float32).smallest_subnormal)
 

@@ -99,7 +99,7 @@ def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):
         "--set",
         "margin=0.1",
     ]
-    words += ["--set", "preset=ultrafast", "--set", "jobs=1", "--packages", str(tmp_path / "kept")]
+    words += ["--set", "preset=ultrafast", "--set", "threads=1", "--packages", str(tmp_path / "kept")]
     assert main([*words, "-o", str(tmp_path / "claims.json")]) == 0
     printed = capsys.readouterr()
     assert "clip 99.9: target: 99.9 PSNR is out of reach" in printed.err

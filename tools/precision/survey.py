@@ -13,14 +13,13 @@ from itertools import cycle, islice
 
 import numpy as np
 
-from airgs_codec.encoder.quality import Rounds, measure_quality
-from airgs_codec.encoder.survey import survey_groups
+from airgs_codec.encoder.quality import Rounds, measure_package
+from airgs_codec.encoder.survey import GroupSpan, survey_group
 from airgs_codec.encoder.views import Pictures, plan_views
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import Package
-from airgs_codec.progress import silent
 from airgs_codec.scene.gaussians import Gaussians
 from tools.precision.bench import Bench, Scene, picture_error, shown_frames
 from tools.precision.encode import ONE_RUNG, UNIT, at_target
@@ -103,8 +102,11 @@ def draws(subject: Subject, curve: str, count: int, trials: int) -> Iterator[Pic
 def own_claim(subject: Subject, place: Place, count: int) -> Row:
     """What the encoder claims with so many `--measure-pictures`; it also measures SSIM and CIEDE2000."""
     views = plan_views(subject.scene.sequence, ONE_RUNG)
-    seconds, m = seconds_of(lambda: measure_quality(subject.package, subject.scene.sequence, views, Rounds(count)))
-    quality = pooled_quality(m, 0, 0)
+    package, groups = subject.package, range(len(subject.package.manifest.groups))
+    seconds, measured = seconds_of(
+        lambda: measure_package(package, subject.scene.sequence, views, groups, Rounds(count))
+    )
+    quality = pooled_quality(measured.whole(package.manifest), 0, 0)
     assert quality is not None
     return Row.of(place, [seconds], [abs(quality.psnr - subject.truth)], OFF)
 
@@ -112,7 +114,7 @@ def own_claim(subject: Subject, place: Place, count: int) -> Row:
 def deciding(bench: Bench, scene: Scene) -> Iterator[Row]:
     """Bytes of a frame at 43 dB over the seconds of the survey, with more and more pictures that decide."""
     package = bench.package(scene, ONE_RUNG, "one-rung")
-    spans = [(group.start, group.stop) for group in package.manifest.groups]
+    spans = [GroupSpan(i, group.start, group.stop) for i, group in enumerate(package.manifest.groups)]
     for count in (2, 24) if bench.quick else DECIDING:
         place = Place("survey", "deciding", scene.name, "calibrated", str(count))
 
@@ -120,7 +122,8 @@ def deciding(bench: Bench, scene: Scene) -> Iterator[Row]:
             settings = replace(ONE_RUNG, calibrate="steps", decide_pictures=count)
             size, _ = at_target(scene.sequence, settings, 1)
             views = plan_views(scene.sequence, settings)
-            took = timed(lambda: survey_groups(scene.sequence, spans, views, silent), 1 if bench.quick else 3)
+            survey = lambda: [survey_group(scene.sequence, span, views) for span in spans]  # noqa: E731
+            took = timed(survey, 1 if bench.quick else 3)
             yield Row.of(place, took, [size / 1e3], UNIT, size)
 
         yield from bench.once(scene, {"measure": place, "quick": bench.quick}, work)

@@ -155,7 +155,7 @@ def sample_of(g: Gaussians) -> CalibrationSample:
 
 def calibrated(sample: CalibrationSample) -> Judged:
     """How trial encodes change the steps, and whether bytes and error together fall at the price that they name."""
-    settings = EncodeSettings(calibrate="steps", jobs=1)
+    settings = EncodeSettings(calibrate="steps", threads=1)
     subject = cast(
         Subject, SimpleNamespace(settings=settings, frames=sample.frames, layout=SimpleNamespace(removal_error=0.0))
     )

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from airgs_codec import __version__
 from airgs_codec._files import write_bytes
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.calibration.calibrate import REVISION, Calibration
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.errors import AirgsError
+from airgs_codec.jobs.digest import digest
 from airgs_codec.media.h264 import library_versions
 from airgs_codec.package.tables import KeySteps, StateSteps
-from airgs_codec.scene.sequence import GaussianSequence
 
 
 def folder() -> Path:
@@ -31,31 +28,14 @@ def folder() -> Path:
     return (Path(base) if base else Path.home() / ".cache") / "airgs-codec" / "calibration"
 
 
-def digest(sequence: GaussianSequence, survey: Survey, views: ViewPlan, settings: EncodeSettings) -> str:
+def name_of(frames: str, views: ViewPlan, settings: EncodeSettings) -> str:
     """SHA-256 of everything that a calibration depends on.
 
-    That is every frame of the group, since the repair of one frame changes the rows of all, the usage that the trainer
-    left, the views that decide, the settings and the versions of the code.
+    That is every frame of the group, since the repair of one frame changes the rows of all, and the usage that the
+    trainer left, all of which `frames` names; the views that decide, the settings and the versions of the code.
     """
-    h = hashlib.sha256()
-    choices = dataclasses.replace(settings, quality=1.0, calibrate="none", measure_pictures=0, jobs=1, world=None)
-    choices = dataclasses.replace(choices, device="auto")
-    versions = [__version__, REVISION, library_versions()]
-    words = [*versions, dataclasses.asdict(choices), str(sequence.fps), views.trusted, dataclasses.astuple(survey.span)]
-    h.update(json.dumps(words, sort_keys=True).encode())
-    usage = sequence.usage(survey.span.start, survey.span.stop)
-    for value in [*views.deciding, *([] if usage is None else [usage])]:
-        _update(h, value)
-    for frame in range(survey.span.start, survey.span.stop):
-        _update(h, sequence.read(frame))
-    return h.hexdigest()
-
-
-def _update(h: hashlib._Hash, value: Any) -> None:
-    """Add the fields of a dataclass of arrays and plain values."""
-    for field in dataclasses.fields(value):
-        part = getattr(value, field.name)
-        h.update(np.ascontiguousarray(part).tobytes() if isinstance(part, np.ndarray) else repr(part).encode())
+    choices = replace(settings, quality=1.0, calibrate="none", measure_pictures=0, threads=1, device="auto", world=None)
+    return digest(__version__, REVISION, library_versions(), choices, frames, views.deciding, views.trusted)
 
 
 def load(name: str) -> Calibration | None:

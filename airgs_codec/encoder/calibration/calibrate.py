@@ -53,10 +53,10 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
     top = sample
     if settings.calibrate == "ladder":
         guess = guess_price(sample, subject)
-        shares, _ = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.jobs)
+        shares, _ = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.threads)
         top = replace(sample, moving=withholding.kept(sample, shares[0][1])) if shares else sample
     steps, price = solve_steps(top, subject)
-    shares, expected = choose_shares(sample, withholding, steps, price, FACTORS, settings.jobs)
+    shares, expected = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
     if subject.layout.removal_error > 0:
         expected += subject.pruning.within(steps.rows).error
     if not shares:

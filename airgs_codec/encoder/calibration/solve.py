@@ -103,7 +103,7 @@ def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slo
     def trial(name: str, factor: float) -> Cost:
         return sample.cost(with_step(steps, name, get_step(steps, name) * factor), (STEPS[name],))
 
-    with ThreadPoolExecutor(subject.settings.jobs) as pool:
+    with ThreadPoolExecutor(subject.settings.threads) as pool:
         finer = list(pool.map(trial, names, itertools.repeat(1 / TRIAL)))
         coarser = list(pool.map(trial, names, itertools.repeat(TRIAL)))
     slopes: dict[str, Slope] = {}

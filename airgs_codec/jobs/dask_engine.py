@@ -1,0 +1,86 @@
+"""Workers of a Dask cluster (the extra `farm`), on this machine or on many."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import dask
+from dask.distributed import Client, LocalCluster, as_completed
+from distributed.scheduler import KilledWorker
+
+from airgs_codec.errors import WorkError
+from airgs_codec.jobs.engines import DEATHS, THREADS
+
+RETRIES = 2  # of a call that fails because its machine does: its disk, its network
+WAITING = 4  # calls for each thread of the cluster that are sent ahead
+CONNECT_S = 20
+
+
+class DaskEngine:
+    """Calls functions on a cluster. A worker that dies loses nothing: what it was doing goes to another."""
+
+    def __init__(self, client: Client, cluster: LocalCluster | None = None) -> None:
+        """`cluster`: ends with the engine."""
+        self._client = client
+        self._cluster = cluster
+
+    @staticmethod
+    def at(address: str) -> DaskEngine:
+        """The cluster whose scheduler is at an address. Raises WorkError where nobody answers there."""
+        try:
+            return DaskEngine(Client(address, timeout=CONNECT_S))
+        except (OSError, ValueError) as error:
+            raise WorkError(f"--executor dask:{address}: {' '.join(str(error).split())}") from error
+
+    @staticmethod
+    def local(count: int) -> DaskEngine:
+        """A cluster of so many processes of this machine, which share its cores."""
+        threads = str(max(1, (os.cpu_count() or 1) // count))
+        names = {f"distributed.nanny.pre-spawn-environ.{name}": threads for name in THREADS}
+        with dask.config.set({**names, "distributed.scheduler.allowed-failures": DEATHS}):
+            cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None)
+        return DaskEngine(Client(cluster), cluster)
+
+    def map(
+        self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], needs: Sequence[str] = ()
+    ) -> Iterator[Any]:
+        """What `function` gives for each tuple of arguments, as they are finished.
+
+        `needs`: resources that a worker must have been started with, one of each. Raises what a call raises first,
+        WorkError where workers die of a call, or the scheduler is gone.
+        """
+        resources = dict.fromkeys(needs, 1)
+        todo = iter(calls)
+        waiting = as_completed(raise_errors=True)
+        most = WAITING * max(1, sum(self._client.nthreads().values()))
+
+        def send() -> bool:
+            call = next(todo, None)
+            if call is None:
+                return False
+            future = self._client.submit(function, *call, pure=False, retries=RETRIES, resources=resources or None)
+            waiting.add(future)
+            return True
+
+        try:
+            while waiting.count() < most and send():
+                pass
+            for future in waiting:
+                yield future.result()
+                send()
+        except KilledWorker as error:
+            raise WorkError(f"{DEATHS} workers died of one job: is there memory for it? ({error})") from error
+        except (TimeoutError, RuntimeError, OSError) as error:
+            if self._client.status == "running":
+                raise
+            raise WorkError("the Dask scheduler is gone; begin again to go on") from error
+        finally:
+            waiting.clear()
+
+    def close(self) -> None:
+        """Leave the cluster; one that was made here ends."""
+        self._client.close()
+        if self._cluster is not None:
+            self._cluster.close()

@@ -1,0 +1,59 @@
+"""Names of content: equal values have equal names on every machine and in every process."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PACKAGE = Path(__file__).parent.parent
+
+
+def digest(*values: Any) -> str:
+    """SHA-256 of plain values, arrays, and dataclasses, sequences and mappings of them, as hexadecimal digits.
+
+    Raises TypeError for anything else: what has no content that can be told apart must not name a result.
+    """
+    h = hashlib.sha256()
+    for value in values:
+        _add(h, value)
+    return h.hexdigest()
+
+
+def _add(h: hashlib._Hash, value: Any) -> None:
+    if isinstance(value, np.ndarray):
+        h.update(f"array {value.dtype.str} {value.shape} ".encode())
+        h.update(np.ascontiguousarray(value).data)
+    elif value is None or isinstance(value, str | bytes | bool | int | float | Fraction | np.generic):
+        text = repr(value).encode()
+        h.update(f"{type(value).__name__} {len(text)} ".encode() + text)
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        h.update(f"{type(value).__qualname__} ".encode())
+        for field in dataclasses.fields(value):
+            _add(h, getattr(value, field.name))
+    elif isinstance(value, tuple | list):
+        h.update(f"sequence {len(value)} ".encode())
+        for part in value:
+            _add(h, part)
+    elif isinstance(value, Mapping):
+        h.update(f"mapping {len(value)} ".encode())
+        for name in sorted(value):
+            _add(h, name)
+            _add(h, value[name])
+    else:
+        raise TypeError(f"expected plain values, arrays or dataclasses, got {type(value).__qualname__}")
+
+
+@cache
+def code_digest() -> str:
+    """SHA-256 of this package's own code, so that results of other versions are not taken."""
+    h = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        h.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
+    return h.hexdigest()

@@ -1,0 +1,126 @@
+"""Where jobs are done: in this process, or in processes of this machine."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from airgs_codec.errors import WorkError
+
+DEATHS = 3  # of workers that a job may cause before it is given up
+THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+class Engine(Protocol):
+    """Calls functions somewhere."""
+
+    def map(
+        self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], needs: Sequence[str] = ()
+    ) -> Iterator[Any]:
+        """What `function` gives for each tuple of arguments, as they are finished.
+
+        `needs`: what a worker must have, such as "GPU"; engines of one machine have all that it has. Raises what a call
+        raises first; others are given up then. WorkError where its workers die.
+        """
+
+    def close(self) -> None:
+        """Give back what it holds. It may be used again."""
+
+
+@dataclass(frozen=True, slots=True)
+class InProcess:
+    """One call after the other, here."""
+
+    def map(
+        self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], needs: Sequence[str] = ()
+    ) -> Iterator[Any]:
+        """What `function` gives for each tuple of arguments, in their order. Raises what a call raises."""
+        for call in calls:
+            yield function(*call)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class Processes:
+    """So many processes of this machine, which share its cores. When one dies, all are replaced and go on."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._pool: ProcessPoolExecutor | None = None
+
+    def map(
+        self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], needs: Sequence[str] = ()
+    ) -> Iterator[Any]:
+        """What `function` gives for each tuple of arguments, as they are finished.
+
+        Raises what a call raises first, WorkError where DEATHS processes have died one after another.
+        """
+        left, deaths = dict(enumerate(calls)), 0
+        while left:
+            try:
+                for place, value in self._finish(function, left):
+                    del left[place]
+                    deaths = 0
+                    yield value
+            except BrokenProcessPool as error:
+                self.close()
+                deaths += 1
+                if deaths >= DEATHS:
+                    words = f"{deaths} workers died in a row, {len(left)} are left: is there memory for {self.count}?"
+                    raise WorkError(words) from error
+
+    def _finish(self, function: Callable[..., Any], calls: dict[int, tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
+        """Places and values as they are finished. Raises BrokenProcessPool where a process died."""
+        if self._pool is None:
+            threads = max(1, (os.cpu_count() or 1) // self.count)
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(
+                self.count, context, initializer=prepare_worker, initargs=(os.getpid(), threads)
+            )
+        waiting: dict[Future[Any], int] = {}
+        todo = iter(list(calls.items()))
+        try:
+            while True:
+                for place, call in todo:
+                    waiting[self._pool.submit(function, *call)] = place
+                    if len(waiting) > 2 * self.count:  # all arguments at once may not fit into memory
+                        break
+                if not waiting:
+                    return
+                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    yield waiting.pop(future), future.result()
+        finally:
+            for future in waiting:
+                future.cancel()
+
+    def close(self) -> None:
+        """End the processes, whatever they are doing."""
+        if self._pool is None:
+            return
+        processes = list((self._pool._processes or {}).values())
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()
+        self._pool = None
+
+
+def prepare_worker(parent: int, threads: int) -> None:
+    """Called first in a new process: so many threads for what it computes, and an end when its parent has ended."""
+    for name in THREADS:
+        os.environ[name] = str(threads)
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

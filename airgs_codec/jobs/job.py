@@ -1,0 +1,95 @@
+"""A job: a function of this package, what it reads, and the name of its result; and what a worker does with it."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from airgs_codec.errors import WorkError
+from airgs_codec.jobs.store import Store
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """In place of an argument: the result of another job, which the worker reads from the store."""
+
+    entry: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """One piece of work. Repeating it gives the same result."""
+
+    kind: str  # for people: survey, key, ...
+    label: str  # for people: which frames
+    entry: str  # name of its result: a digest of everything that it reads
+    function: Callable[..., Any]  # of a module, so that other processes find it
+    arguments: tuple[Any, ...] = ()  # each may be `Stored`
+    needs: tuple[str, ...] = ()  # what a worker must have: "GPU"
+
+    @property
+    def result(self) -> Stored:
+        """Its result as an argument of another job."""
+        return Stored(self.entry)
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Who did a job, and when."""
+
+    kind: str
+    label: str
+    worker: str  # machine and process
+    begun: float  # seconds since the epoch
+    seconds: float
+    bytes: int  # of its result
+
+
+def perform(store: Store, job: Job) -> Record:
+    """Do a job unless its result is there: all that a worker does.
+
+    Raises what the function raises, WorkError where something that it reads is not in the store.
+    """
+    known = read_record(store, job.entry)
+    if known is not None and store.has(job.entry):
+        return known
+    begun, start = time.time(), time.perf_counter()
+    value = job.function(*(_resolve(store, argument) for argument in job.arguments))
+    seconds = time.perf_counter() - start
+    data = pickle.dumps(value, protocol=5)
+    record = Record(job.kind, job.label, f"{platform.node()}:{os.getpid()}", begun, seconds, len(data))
+    store.write(job.entry, data)
+    store.write(_record_of(job.entry), pickle.dumps(record))
+    return record
+
+
+def load(store: Store, entry: str) -> tuple[Any] | None:
+    """The result of a job; None where it is not there, which a result of None is not."""
+    data = store.read(entry)
+    return None if data is None else (pickle.loads(data),)
+
+
+def read_record(store: Store, entry: str) -> Record | None:
+    """Who did a job and when; None where that is not known."""
+    data = store.read(_record_of(entry))
+    record = None if data is None else pickle.loads(data)
+    assert record is None or isinstance(record, Record)
+    return record
+
+
+def _record_of(entry: str) -> str:
+    return f"{entry}.record"
+
+
+def _resolve(store: Store, argument: Any) -> Any:
+    if not isinstance(argument, Stored):
+        return argument
+    found = load(store, argument.entry)
+    if found is None:
+        raise WorkError(f"{store.name}: expected the result {argument.entry[:12]}, which is gone; begin again")
+    return found[0]

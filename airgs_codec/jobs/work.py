@@ -1,0 +1,90 @@
+"""Runs jobs that are not done yet, and gives results: what an encode or a training asks its work for."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from airgs_codec.errors import WorkError
+from airgs_codec.jobs.engines import Engine, InProcess
+from airgs_codec.jobs.job import Job, Record, load, perform, read_record
+from airgs_codec.jobs.store import Store, WorkFolder
+from airgs_codec.progress import Progress, silent
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Which jobs come first here, where several runs without an engine between them share a store."""
+
+    index: int = 0  # below count
+    count: int = 1
+
+    def order(self, jobs: Sequence[Job]) -> list[Job]:
+        """Its own jobs, then those of the others from the last one on, in case nobody else does them."""
+        own = list(jobs[self.index :: self.count])
+        others = [job for place, job in enumerate(jobs) if place % self.count != self.index]
+        return own + others[::-1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Work:
+    """Jobs are done by an engine, each once; results stay in a store."""
+
+    store: Store
+    engine: Engine = field(default_factory=InProcess)
+    part: Part = Part()
+    progress: Progress = silent  # is told of jobs, and of what else goes on between them
+    asked: dict[str, None] = field(default_factory=dict)  # entries of all jobs so far, in order
+
+    def run(self, jobs: Sequence[Job]) -> None:
+        """Do all jobs whose results are not there; they are of one kind, and none reads what another gives.
+
+        Raises what a job raises, WorkError where workers die of it, OSError (TransportError) where the store fails.
+        """
+        unique = list({job.entry: job for job in jobs}.values())
+        self.asked.update(dict.fromkeys(job.entry for job in unique))
+        missing = [job for job in self.part.order(unique) if not self.store.has(job.entry)]
+        done = len(unique) - len(missing)
+        needs = jobs[0].needs if jobs else ()
+        for _ in self.engine.map(perform, [(self.store, job) for job in missing], needs):
+            done += 1
+            self.progress(jobs[0].kind, done, len(unique))
+
+    def result(self, job: Job) -> Any:
+        """The result of a job, which is done here where it is not there."""
+        self.asked[job.entry] = None
+        found = load(self.store, job.entry)
+        if found is None:
+            perform(self.store, job)
+            found = load(self.store, job.entry)
+        if found is None:
+            raise WorkError(f"{self.store.name}: expected the result that was just written, {job.entry[:12]}, got none")
+        return found[0]
+
+    def map(self, stage: str, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> list[Any]:
+        """What a function gives for each tuple of arguments, in their order; nothing is stored."""
+        results: dict[int, Any] = {}
+        for place, value in self.engine.map(_numbered, [(function, place, *call) for place, call in enumerate(calls)]):
+            results[place] = value
+            self.progress(stage, len(results), len(calls))
+        return [results[place] for place in range(len(calls))]
+
+    def records(self) -> list[Record]:
+        """Who did the jobs asked for so far, and when: those of which it is known."""
+        found = (read_record(self.store, entry) for entry in self.asked)
+        return [record for record in found if record is not None]
+
+
+def _numbered(function: Callable[..., Any], place: int, *arguments: Any) -> tuple[int, Any]:
+    return place, function(*arguments)
+
+
+@contextmanager
+def temporary_work(progress: Progress = silent) -> Iterator[Work]:
+    """Work in this process whose results nobody needs afterwards."""
+    with tempfile.TemporaryDirectory(prefix="airgs-work-") as folder:
+        yield Work(WorkFolder(Path(folder), lasting=False), progress=progress)

@@ -1,0 +1,143 @@
+"""A package is the same to the byte, whoever has done its jobs, in whatever order, and however often it was cut off."""
+
+from dataclasses import replace
+
+import pytest
+
+from airgs_codec.cli import encode as command
+from airgs_codec.cli import manifest
+from airgs_codec.encoder.publish import encode, encode_part, merge
+from airgs_codec.encoder.rate_target import PSNR, Goal
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.errors import WorkError
+from airgs_codec.inspect.validate import validate
+from airgs_codec.jobs import work as work_module
+from airgs_codec.jobs.engines import Processes
+from airgs_codec.jobs.store import WorkFolder
+from airgs_codec.jobs.work import Part, Work
+from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.mutations import read_files
+from tests.support.scenes import moving_frames, write_sequence
+
+SETTINGS = EncodeSettings(
+    calibrate="steps", measure_pictures=1, decide_pictures=4, preset="ultrafast", group_frames=4, threads=1
+)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """Twelve frames: four of one thing, and eight of another, which rests, so that its last four keep rows."""
+    frames = moving_frames(120, 4)
+    other = replace(frames[0], means=2 * frames[0].means)
+    return write_sequence(tmp_path_factory.mktemp("parts") / "scene", [*frames, *[other] * 8])
+
+
+@pytest.fixture(scope="module")
+def expected(scene, tmp_path_factory):
+    """The files of the package as one process makes it."""
+    folder = tmp_path_factory.mktemp("whole") / "scene.airgs"
+    m = encode(open_sequence(scene), folder, SETTINGS).manifest
+    assert [group.keeps for group in m.groups] == [None, None, 2]
+    assert not validate(folder)
+    return read_files(folder)
+
+
+def test_processes_write_the_same_bytes(scene, expected, tmp_path):
+    engine = Processes(2)
+    try:
+        work = Work(WorkFolder(tmp_path / "work"), engine)
+        report = encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=work)
+    finally:
+        engine.close()
+    assert read_files(tmp_path / "out") == expected
+    kinds = [record.kind for record in report.records]
+    assert {kind: kinds.count(kind) for kind in ("survey", "keys", "states")} == {"survey": 3, "keys": 3, "states": 3}
+
+
+def test_parts_in_any_order_are_merged_to_the_same_bytes(scene, expected, tmp_path):
+    store = WorkFolder(tmp_path / "work")
+    with pytest.raises(WorkError, match="which no part has finished"):
+        merge(store, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    for index in (1, 0):
+        encode_part(open_sequence(scene), SETTINGS, Work(store, part=Part(index, 2)))
+    merge(store, tmp_path / "out")
+    assert read_files(tmp_path / "out") == expected
+
+
+def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp_path, monkeypatch):
+    store, done = WorkFolder(tmp_path / "work"), []
+    perform = work_module.perform
+
+    def some(where, job):
+        if len(done) == 7:
+            raise KeyboardInterrupt
+        done.append(job.entry)
+        return perform(where, job)
+
+    monkeypatch.setattr(work_module, "perform", some)
+    with pytest.raises(KeyboardInterrupt):
+        encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=Work(store))
+    assert not (tmp_path / "out").exists()
+    again = []
+    monkeypatch.setattr(work_module, "perform", lambda where, job: again.append(job.entry) or perform(where, job))
+    encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=Work(store))
+    assert read_files(tmp_path / "out") == expected
+    assert again and not set(done) & set(again)
+    again.clear()
+    encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=Work(store))
+    assert again == []
+
+
+def test_one_frame_that_changes_is_the_only_group_that_is_made_again(scene, tmp_path, monkeypatch):
+    frames = moving_frames(120, 8)
+    folder = write_sequence(tmp_path / "scene", frames)
+    settings, store, done = EncodeSettings(**{**PLAIN, "keys": "apart"}), WorkFolder(tmp_path / "work"), []
+    encode(open_sequence(folder), tmp_path / "out", settings, work=Work(store))
+    write_ply(sorted(folder.glob("*.ply"))[6], frames[2])
+    perform = work_module.perform
+    monkeypatch.setattr(work_module, "perform", lambda where, job: done.append(job.label) or perform(where, job))
+    encode(open_sequence(folder), tmp_path / "out", settings, work=Work(store))
+    assert set(done) == {"frames 4-7"}
+
+
+PLAIN = {
+    "calibrate": "none", "measure_pictures": 1, "decide_pictures": 4, "preset": "ultrafast", "group_frames": 4,
+}  # fmt: skip
+
+
+def test_a_goal_is_reached_with_the_same_bytes(scene, tmp_path):
+    sequence, goal = open_sequence(scene), Goal(PSNR, 41.5)
+    settings = EncodeSettings(**PLAIN)
+    encode(sequence, tmp_path / "whole", settings, goal=goal)
+    store = WorkFolder(tmp_path / "work")
+    encode_part(sequence, settings, Work(store), goal=goal)
+    merge(store, tmp_path / "merged")
+    assert read_files(tmp_path / "merged") == read_files(tmp_path / "whole")
+
+
+def test_the_commands_share_work_and_merge(scene, tmp_path, capsys):
+    words = [str(scene), "--quick", "--group", "4", "--preset", "ultrafast"]
+    page, shared = tmp_path / "jobs.html", ["--work", str(tmp_path / "work")]
+    for part in ("2/2", "1/2"):
+        assert command.main([*words, *shared, "--part", part, "--report", str(page)]) == 0
+        assert "airgs-manifest merge" in capsys.readouterr().out
+    assert "<svg" in page.read_text() and "states" in page.read_text()
+    assert manifest.main(["merge", str(tmp_path / "work"), "-o", str(tmp_path / "merged")]) == 0
+    assert command.main([*words, "-o", str(tmp_path / "out")]) == 0
+    assert read_files(tmp_path / "merged") == read_files(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--part", "1/2"], "--part: expected --work"),
+        (["--jobs", "0"], "--jobs: expected at least one"),
+        (["--executor", "ray"], "--executor: expected dask or dask:ADDRESS, got 'ray'"),
+        (["--executor", "dask:tcp://h:1"], "expected --work, a place that all workers see"),
+    ],
+)
+def test_options_that_cannot_work_are_one_line(scene, tmp_path, capsys, words, expected):
+    assert command.main([str(scene), "-o", str(tmp_path / "out"), *words]) == 2
+    assert expected in capsys.readouterr().err and not (tmp_path / "out").exists()

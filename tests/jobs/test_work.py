@@ -1,0 +1,89 @@
+"""Jobs are done once, whoever does them; what dies, is damaged or comes in another order changes nothing."""
+
+from dataclasses import replace
+
+import pytest
+
+from airgs_codec.errors import FormatError, WorkError
+from airgs_codec.jobs.engines import DEATHS, InProcess, Processes
+from airgs_codec.jobs.job import Job, perform
+from airgs_codec.jobs.store import WorkFolder, seal, unseal
+from airgs_codec.jobs.work import Part, Work
+from tests.support.jobs import calls, die, die_once, refuse, square, total
+
+
+@pytest.fixture(scope="module")
+def processes():
+    engine = Processes(2)
+    yield engine
+    engine.close()
+
+
+def squares(folder, count=8):
+    return [Job("square", f"number {n}", f"{n:064x}", square, (n, str(folder))) for n in range(count)]
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_jobs_are_done_once_and_their_results_are_read_by_others(tmp_path, processes, several):
+    work = Work(WorkFolder(tmp_path / "work"), processes if several else InProcess())
+    jobs, seen = squares(tmp_path), []
+    replace(work, progress=lambda *words: seen.append(words)).run(jobs[:5])
+    work.run(jobs + jobs)
+    assert [work.result(job) for job in jobs] == [n * n for n in range(8)]
+    assert calls(tmp_path) == {str(n): 1 for n in range(8)}
+    assert seen == [("square", done, 5) for done in range(1, 6)]
+    joined = Job("total", "", "f" * 64, total, tuple(job.result for job in jobs))
+    work.run([joined])
+    assert work.result(joined) == sum(n * n for n in range(8))
+    records = work.records()
+    assert len(records) == 9 and {record.kind for record in records} == {"square", "total"}
+    assert all(record.seconds >= 0 and record.bytes > 0 for record in records)
+
+
+def test_a_damaged_result_is_made_again(tmp_path):
+    work, jobs = Work(WorkFolder(tmp_path / "work", lasting=False)), squares(tmp_path, 2)
+    work.run(jobs)
+    file = tmp_path / "work" / jobs[0].entry[:2] / jobs[0].entry
+    file.write_bytes(file.read_bytes()[:-1])
+    assert work.result(jobs[0]) == 0 and calls(tmp_path) == {"0": 2, "1": 1}
+    assert unseal(seal(b"abc")) == b"abc" and unseal(seal(b"abc")[:-1]) is None and unseal(b"") is None
+
+
+def test_a_result_that_is_gone_is_one_line(tmp_path):
+    lost = Job("total", "", "a" * 64, total, (squares(tmp_path)[3].result,))
+    with pytest.raises(WorkError, match="which is gone"):
+        perform(WorkFolder(tmp_path / "work"), lost)
+
+
+def test_every_part_begins_with_its_own_jobs_and_ends_with_all(tmp_path):
+    jobs = squares(tmp_path, 7)
+    orders = [[int(job.entry, 16) for job in Part(index, 3).order(jobs)] for index in range(3)]
+    assert orders == [[0, 3, 6, 5, 4, 2, 1], [1, 4, 6, 5, 3, 2, 0], [2, 5, 6, 4, 3, 1, 0]]
+    for index in (1, 0, 2):
+        Work(WorkFolder(tmp_path / "work"), part=Part(index, 3)).run(jobs)
+    assert calls(tmp_path) == {str(n): 1 for n in range(7)}
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_errors_of_jobs_come_whole_and_later_jobs_go_on(tmp_path, processes, several):
+    work = Work(WorkFolder(tmp_path / "work"), processes if several else InProcess())
+    bad = [Job("refuse", "", f"{n:064x}", refuse, (n,)) for n in (50, 51)]
+    with pytest.raises(FormatError, match=r"job 5[01]: expected another number \[bad_value\]") as caught:
+        work.run(bad)
+    assert caught.value.reason == "bad_value" and caught.value.where.startswith("job 5")
+    work.run(squares(tmp_path))
+    assert len(calls(tmp_path)) == 8
+
+
+def test_a_process_that_dies_is_replaced_and_loses_nothing(tmp_path):
+    engine = Processes(2)
+    try:
+        work = Work(WorkFolder(tmp_path / "work"), engine)
+        jobs = [*squares(tmp_path, 7), Job("die", "", "d" * 64, die_once, (7, str(tmp_path)))]
+        work.run(jobs)
+        assert [work.result(job) for job in jobs] == [n * n for n in range(7)] + [7]
+        assert set(calls(tmp_path).values()) <= {1, 2}  # what others did when one died may be done again
+        with pytest.raises(WorkError, match=f"{DEATHS} workers died in a row, 1 are left"):
+            work.run([Job("die", "", "e" * 64, die, (0,))])
+    finally:
+        engine.close()

@@ -1,0 +1,54 @@
+"""Jobs of small sequences in one group, and functions that workers can find."""
+
+import os
+from pathlib import Path
+
+from airgs_codec.encoder.encoder import EncodeJob
+from airgs_codec.encoder.group_jobs import GroupJobs
+from airgs_codec.encoder.look import look_at_frames
+from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.errors import FormatError
+from airgs_codec.jobs.work import Work
+from airgs_codec.scene.sequence import GaussianSequence
+
+
+def encode_job(sequence: GaussianSequence, views: ViewPlan, work: Work) -> EncodeJob:
+    """All frames of a sequence as one group."""
+    names = look_at_frames(sequence, work).names
+    return EncodeJob(GroupJobs.of(sequence, [(0, len(sequence))], names, views), work)
+
+
+def square(number: int, folder: str) -> int:
+    """The square of a number; leaves a line in a file of the folder for every call."""
+    with open(f"{folder}/calls-{number}", "a", encoding="utf-8") as file:
+        file.write("x")
+    return number * number
+
+
+def total(*numbers: int) -> int:
+    """The sum."""
+    return sum(numbers)
+
+
+def refuse(number: int) -> None:
+    """Bad input, as a package is refused."""
+    raise FormatError("bad_value", f"job {number}", "expected another number")
+
+
+def die_once(number: int, folder: str) -> int:
+    """Ends its process the first time that it is called for a number, as a machine that is taken away."""
+    flag = Path(folder) / f"died-{number}"
+    if not flag.exists():
+        flag.touch()
+        os._exit(9)
+    return number
+
+
+def die(_: int) -> None:
+    """Ends its process."""
+    os._exit(9)
+
+
+def calls(folder: Path) -> dict[str, int]:
+    """How often `square` was called for each number."""
+    return {path.name.removeprefix("calls-"): len(path.read_text()) for path in Path(folder).glob("calls-*")}
