@@ -10,9 +10,11 @@ import hashlib
 import os
 import tempfile
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Protocol
 
+from airgs_codec import _stores as objects
 from airgs_codec.errors import ConfigError
 
 DIGEST_BYTES = 32
@@ -78,7 +80,39 @@ class WorkFolder:
             raise
 
     def _file(self, entry: str) -> Path:
-        return self.path / entry[:2] / entry
+        return self.path / _object(entry)
+
+
+@dataclass(frozen=True, slots=True)
+class WorkPrefix:
+    """Entries as objects below a prefix of an object store; every process opens it anew by its address."""
+
+    name: str
+
+    def has(self, entry: str) -> bool:
+        """Whether there is such an object. Raises TransportError."""
+        return _open(self.name).open(_object(entry)) is not None
+
+    def read(self, entry: str) -> bytes | None:
+        """The bytes of an entry; None where there is none that is whole. Raises TransportError."""
+        found = _open(self.name).open(_object(entry))
+        data = None if found is None else unseal(found[1]())
+        if found is not None and data is None:
+            _open(self.name).delete([_object(entry)])
+        return data
+
+    def write(self, entry: str, data: bytes) -> None:
+        """Put an entry in the place of any other. Raises TransportError."""
+        _open(self.name).put(_object(entry), seal(data), {})
+
+
+@cache
+def _open(address: str) -> objects.Store:
+    return objects.Store.at(address)
+
+
+def _object(entry: str) -> str:
+    return f"{entry[:2]}/{entry}"
 
 
 def seal(data: bytes) -> bytes:
@@ -93,7 +127,13 @@ def unseal(sealed: bytes) -> bytes | None:
 
 
 def open_store(place: str) -> Store:
-    """The store at a folder. Raises ConfigError where there is a file."""
+    """The store at a folder or an address (s3://, gs://, az://).
+
+    Raises ConfigError where there is a file, for an address that cannot be, and what `objects.Store.at` raises.
+    """
+    if objects.is_address(place):
+        _open(place)
+        return WorkPrefix(place)
     path = Path(place)
     if path.exists() and not path.is_dir():
         raise ConfigError(f"{place}: expected a folder for work, got a file")

@@ -1,9 +1,11 @@
 """A package is the same to the byte, whoever has done its jobs, in whatever order, and however often it was cut off."""
 
+import pickle
 from dataclasses import replace
 
 import pytest
 
+from airgs_codec import _stores
 from airgs_codec.cli import encode as command
 from airgs_codec.cli import manifest
 from airgs_codec.encoder.publish import encode, encode_part, merge
@@ -13,7 +15,7 @@ from airgs_codec.errors import WorkError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs import work as work_module
 from airgs_codec.jobs.engines import Processes
-from airgs_codec.jobs.store import WorkFolder
+from airgs_codec.jobs.store import WorkFolder, open_store
 from airgs_codec.jobs.work import Part, Work
 from airgs_codec.scene.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
@@ -64,6 +66,17 @@ def test_parts_in_any_order_are_merged_to_the_same_bytes(scene, expected, tmp_pa
         encode_part(open_sequence(scene), SETTINGS, Work(store, part=Part(index, 2)))
     merge(store, tmp_path / "out")
     assert read_files(tmp_path / "out") == expected
+
+
+def test_an_object_store_holds_the_work_of_parts(scene, expected, bucket, tmp_path):
+    pytest.importorskip("obstore", reason="obstore, the extra `cloud`, is not installed")
+    store = open_store(f"{bucket}/work")
+    encode_part(open_sequence(scene), SETTINGS, Work(pickle.loads(pickle.dumps(store))))
+    merge(store, tmp_path / "out")
+    assert read_files(tmp_path / "out") == expected
+    store.write("ab", b"1")
+    _stores.Store.at(store.name).put("ab/ab", b"damaged", {})
+    assert store.read("ab") is None and not store.has("ab")
 
 
 def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp_path, monkeypatch):
