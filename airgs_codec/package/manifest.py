@@ -61,11 +61,15 @@ class Groups(Sequence[Group]):
             return [self[i] for i in range(len(self))[place]]
         number = range(len(self))[place]
         if number not in self._kept:
-            self._kept[number] = self._read(number, self.places.entry(number))
-            if len(self._kept) > KEPT:
-                self._kept.popitem(last=False)
+            self.keep(number, self._read(number, self.places.entry(number)))
         self._kept.move_to_end(number)
         return self._kept[number]
+
+    def keep(self, number: int, group: Group) -> None:
+        """Keep a table that is known, counted from 0, so that it need not be read."""
+        self._kept[number] = group
+        if len(self._kept) > KEPT:
+            self._kept.popitem(last=False)
 
 
 class Segments(Sequence[Segment]):

@@ -11,8 +11,8 @@ sequence. `mpd_check` reads an MPD back and refuses others.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 import numpy as np
@@ -21,7 +21,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.media.fragments import CODECS
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.paths import INIT_NAME, JSON_NAME, key_media_path, state_media_path
-from airgs_codec.package.tables import Group, Segment
+from airgs_codec.package.tables import Group, Header, Segment
 
 DASH = "urn:mpeg:dash:schema:mpd:2011"
 MIN_BUFFER_S = 1.0
@@ -40,12 +40,27 @@ CONTENT = {  # the elements that this format uses, and their children in the ord
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
-    """A file and when it plays."""
+class Run:
+    """Files of equal duration that follow each other without a gap, in number and in time."""
 
-    number: int
+    number: int  # of the first file
     start: int  # ticks
-    duration: int  # ticks
+    duration: int  # ticks, of each
+    count: int = 1
+
+    def follows(self, before: Run) -> bool:
+        """Whether it begins, in number and in time, where another run ends."""
+        end = before.number + before.count, before.start + before.count * before.duration
+        return (self.number, self.start) == end
+
+
+def append(timeline: list[Run], run: Run) -> None:
+    """Add what plays next, as part of the last run where it goes on like that."""
+    last = timeline[-1] if timeline else None
+    if last and run.follows(last) and run.duration == last.duration:
+        timeline[-1] = replace(last, count=last.count + run.count)
+    else:
+        timeline.append(run)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +69,7 @@ class Representation:
 
     id: str
     media: str  # template with $Number$
-    timeline: tuple[Unit, ...]
+    timeline: tuple[Run, ...]  # no two of which could be one
     bandwidth: int = field(default=0, compare=False)  # bit/s
 
 
@@ -77,12 +92,7 @@ class LiveClock:
 
 def adaptation_sets(m: Manifest) -> list[AdaptationSet]:
     """What the tables call for: the state, then each key tier; streams without files and empty sets are left out."""
-    streams = _streams(m)
-    state = [streams[f"L{j}"] for j in range(len(m.levels))]
-    keys = [[streams[f"T{t}/Q{q}"] for q in range(len(m.qualities))] for t in range(m.tiers)]
-    sets = [("state", 10, state), *((f"key;tier={t}", 1, row) for t, row in enumerate(keys))]
-    with_files = [(role, priority, tuple(r.listed() for r in row if r.timeline)) for role, priority, row in sets]
-    return [AdaptationSet(role, priority, row) for role, priority, row in with_files if row]
+    return Streams.of(m).sets()
 
 
 @dataclass(slots=True)
@@ -91,17 +101,17 @@ class _Stream:
 
     id: str
     media: str
-    timeline: list[Unit] = field(default_factory=list)
+    timeline: list[Run] = field(default_factory=list)
     rate: float = 0.0  # bit/s
 
-    def add(self, m: Manifest, number: int, span: Group | Segment, size: int) -> None:
+    def add(self, m: Header, number: int, span: Group | Segment, size: int) -> None:
         """The next file; one of no bytes is not there.
 
         At the largest `rate` every run of files has come MIN_BUFFER_S after its first one begins to play.
         """
         if size:
             frames, ticks = span.stop - span.start, m.frame_ticks
-            self.timeline.append(Unit(number, span.start * ticks, frames * ticks))
+            append(self.timeline, Run(number, span.start * ticks, frames * ticks))
             self.rate = max(self.rate, 8 * size / min(MIN_BUFFER_S, float(frames / m.fps)))
 
     def listed(self) -> Representation:
@@ -109,42 +119,71 @@ class _Stream:
         return Representation(self.id, self.media, tuple(self.timeline), int(self.rate) + 1)
 
 
-def _streams(m: Manifest) -> dict[str, _Stream]:
-    """Every stream by its id, from one walk over the groups."""
-    keys = {
-        (t, q): _Stream(f"T{t}/Q{q}", key_media_path(t, q, NUMBER)) for t, q in np.ndindex(m.tiers, len(m.qualities))
-    }
-    states = [_Stream(f"L{j}", state_media_path(j, NUMBER)) for j in range(len(m.levels))]
-    for g, group in enumerate(m.groups):
-        for (t, q), stream in keys.items():
-            stream.add(m, g + 1, group, group.tiers[t].pictures[q].bytes)
-        for number, segment in zip(m.segments_of(g), group.segments, strict=True):
-            for stream, level in zip(states, segment.levels, strict=True):
-                stream.add(m, number + 1, segment, level.file.bytes)
-    return {stream.id: stream for stream in (*keys.values(), *states)}
+class Streams:
+    """What the MPD says of all groups, whose tables are looked at once, in their order; regular ones take no room."""
+
+    def __init__(self, m: Header) -> None:
+        """`m`: the package, whose groups are added one by one."""
+        keys = np.ndindex(m.tiers, len(m.qualities))
+        self._header = m
+        self._keys = {(t, q): _Stream(f"T{t}/Q{q}", key_media_path(t, q, NUMBER)) for t, q in keys}
+        self._states = [_Stream(f"L{j}", state_media_path(j, NUMBER)) for j in range(len(m.levels))]
+        self._groups = self._segments = 0  # so far
+        self.longest = 0  # frames of a group
+
+    @staticmethod
+    def of(m: Manifest) -> Streams:
+        """Those of all groups of a package."""
+        streams = Streams(m)
+        for group in m.groups:
+            streams.add(group)
+        return streams
+
+    def add(self, group: Group) -> None:
+        """The next group."""
+        m = self._header
+        self._groups += 1
+        for (t, q), stream in self._keys.items():
+            stream.add(m, self._groups, group, group.tiers[t].pictures[q].bytes)
+        for segment in group.segments:
+            self._segments += 1
+            for stream, level in zip(self._states, segment.levels, strict=True):
+                stream.add(m, self._segments, segment, level.file.bytes)
+        self.longest = max(self.longest, group.stop - group.start)
+
+    def sets(self) -> list[AdaptationSet]:
+        """The state, then each key tier; streams without files and empty sets are left out."""
+        tiers, qualities = range(self._header.tiers), range(len(self._header.qualities))
+        keys = [[self._keys[t, q] for q in qualities] for t in tiers]
+        sets = [("state", 10, self._states), *((f"key;tier={t}", 1, row) for t, row in enumerate(keys))]
+        listed = [(role, priority, tuple(r.listed() for r in row if r.timeline)) for role, priority, row in sets]
+        return [AdaptationSet(role, priority, row) for role, priority, row in listed if row]
 
 
-def write_mpd(m: Manifest, clock: LiveClock | None = None) -> bytes:
-    """The text of manifest.mpd. Raises ConfigError for a growing package without a clock."""
+def write_mpd(m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> bytes:
+    """The text of manifest.mpd. Raises ConfigError for a growing package without a clock.
+
+    `streams`: those of all groups, where they are known; by default the table of every group is read.
+    """
+    streams = streams or Streams.of(m)
     ET.register_namespace("", DASH)
     duration = f"PT{float(m.frames / m.fps):.6f}S"
-    root = _element(None, "MPD", **_presentation(m, duration, clock))
+    root = _element(None, "MPD", **_presentation(m, duration, clock, streams.longest))
     period = _element(root, "Period", id="p0", start="PT0S", **({} if m.live else {"duration": duration}))
-    for number, adaptation_set in enumerate(adaptation_sets(m), 1):
+    for number, adaptation_set in enumerate(streams.sets(), 1):
         _write_set(period, m, number, adaptation_set)
     _element(period, "SupplementalProperty", schemeIdUri="urn:airgs:scene:2", value=JSON_NAME)
     ET.indent(root, "")  # a line for each element
     return b'<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
 
 
-def _presentation(m: Manifest, duration: str, clock: LiveClock | None) -> dict[str, str]:
+def _presentation(m: Manifest, duration: str, clock: LiveClock | None, longest: int) -> dict[str, str]:
     """Attributes of the MPD element."""
     common = {"profiles": "urn:mpeg:dash:profile:isoff-live:2011", "minBufferTime": f"PT{MIN_BUFFER_S:g}S"}
     if not m.live:
         return {"type": "static", **common, "mediaPresentationDuration": duration}
     if clock is None:
         raise ConfigError("the MPD of a growing package: expected the time from which it is available")
-    longest = max(group.stop - group.start for group in m.groups)
     return {
         "type": "dynamic",
         **common,
@@ -191,23 +230,15 @@ def _write_template(parent: ET.Element, m: Manifest, r: Representation) -> None:
         _element(timeline, "S", **attributes)
 
 
-def _runs(timeline: Iterable[Unit]) -> list[dict[str, str]]:
-    """Attributes of an S for each run of equal durations; t where it begins the timeline, t and n after a gap."""
-    runs: list[dict[str, int]] = []
-    before: Unit | None = None
-    for unit in timeline:
-        follows = before is not None and (unit.number, unit.start) == (
-            before.number + 1,
-            before.start + before.duration,
-        )
-        if before is not None and follows and before.duration == unit.duration:
-            runs[-1]["r"] = runs[-1].get("r", 0) + 1
-        elif follows:
-            runs.append({"d": unit.duration})
-        else:
-            runs.append({"t": unit.start, "d": unit.duration} | ({"n": unit.number} if before else {}))
-        before = unit
-    return [{name: str(value) for name, value in run.items()} for run in runs]
+def _runs(timeline: Iterable[Run]) -> Iterator[dict[str, str]]:
+    """Attributes of an S for each run; t where it begins the timeline, t and n after a gap."""
+    before: Run | None = None
+    for run in timeline:
+        place = {} if before and run.follows(before) else {"t": run.start}
+        gap = {"n": run.number} if place and before else {}
+        repeats = {"r": run.count - 1} if run.count > 1 else {}
+        yield {name: str(value) for name, value in (place | {"d": run.duration} | gap | repeats).items()}
+        before = run
 
 
 def _element(parent: ET.Element | None, tag: str, **attributes: str) -> ET.Element:

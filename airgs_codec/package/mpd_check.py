@@ -7,7 +7,7 @@ import xml.etree.ElementTree as ET
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import CONTENT, DASH, ID, Representation, Unit, adaptation_sets
+from airgs_codec.package.mpd import CONTENT, DASH, ID, Representation, Run, adaptation_sets, append
 from airgs_codec.package.paths import INIT_NAME, MPD_NAME
 
 _XLINK = "{http://www.w3.org/1999/xlink}"
@@ -134,13 +134,13 @@ def _id(representation: ET.Element) -> str:
 
 
 def _read(row: ET.Element, element: ET.Element, m: Manifest, wanted: Representation) -> Representation:
-    """A Representation with what it has from its AdaptationSet `row`. No more files are read than are wanted."""
+    """A Representation with what it has from its AdaptationSet `row`."""
     where = f"{MPD_NAME} {wanted.id}"
     template = _template(row, element, where)
     init, media = (template.get(name, "").replace(ID, wanted.id) for name in ("initialization", "media"))
     if init != INIT_NAME or _whole(template.get("timescale"), where) != m.timescale:
         raise FormatError("mpd_mismatch", where, f"expected {INIT_NAME} and timescale {m.timescale}")
-    return Representation(wanted.id, media, _timeline(template, len(wanted.timeline), where))
+    return Representation(wanted.id, media, _timeline(template, where))
 
 
 def _template(row: ET.Element, element: ET.Element, where: str) -> ET.Element:
@@ -154,16 +154,13 @@ def _template(row: ET.Element, element: ET.Element, where: str) -> ET.Element:
     return template
 
 
-def _timeline(template: ET.Element, count: int, where: str) -> tuple[Unit, ...]:
-    """At most `count` files."""
-    out: list[Unit] = []
+def _timeline(template: ET.Element, where: str) -> tuple[Run, ...]:
+    out: list[Run] = []
     end, number = 0, _whole(template.get("startNumber", "1"), where)
     for s in template.iter(f"{{{DASH}}}S"):
         start, duration, repeats = (_whole(a, where) for a in (s.get("t", str(end)), s.get("d"), s.get("r", "0")))
         number = _whole(s.get("n", str(number)), where)
-        if len(out) + 1 + repeats > count:
-            raise FormatError("mpd_mismatch", where, f"expected {count} files in the timeline, got more")
-        out += [Unit(number + i, start + i * duration, duration) for i in range(1 + repeats)]
+        append(out, Run(number, start, duration, 1 + repeats))
         end, number = start + (1 + repeats) * duration, number + 1 + repeats
     return tuple(out)
 

@@ -24,7 +24,7 @@ from airgs_codec.scene.gaussians import SH_REST
 VERSION = 2
 
 MAX_COUNT = 1 << 24  # Gaussians a group
-MAX_FRAMES = 1_000_000
+MAX_FRAMES = 100_000_000  # 38 days at 30 frames a second
 MAX_SIDE = 16384  # pixels, either side of a view
 MAX_PICTURE_SIDE = 4096  # samples
 MAX_MACROBLOCKS = 36_864  # of 16x16 samples, in a picture: H.264 level 5.1

@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.package.mpd import LiveClock, write_mpd
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.mpd import LiveClock, Streams, write_mpd
 from airgs_codec.package.packing import build_index, extend_index, pack_group, pack_json
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path, page_path
 from airgs_codec.package.storage import Storage
-from airgs_codec.package.store import root_of
-from airgs_codec.package.tables import Group, Spans
+from airgs_codec.package.store import open_manifest, read_file, root_of
+from airgs_codec.package.tables import FileEntry, Group
 
 
 def write_group(files: Storage, number: int, group: Group) -> bytes:
@@ -37,35 +37,48 @@ def write_tables(files: Storage, m: Manifest, clock: LiveClock | None = None) ->
     return write_root(files, m, clock) + sum(map(len, tables)) + sum(len(pack_json(page)) for page in pages)
 
 
-def write_root(files: Storage, m: Manifest, clock: LiveClock | None = None) -> int:
-    """Write manifest.mpd and airgs.json of a package whose tables are there; gives their length together."""
-    mpd = files.write(MPD_NAME, write_mpd(m, clock))
+def write_root(files: Storage, m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> int:
+    """Write manifest.mpd and airgs.json of a package whose tables are there; gives their length together.
+
+    `streams` as in `write_mpd`.
+    """
+    mpd = files.write(MPD_NAME, write_mpd(m, clock, streams))
     return mpd.bytes + files.write(JSON_NAME, pack_json(root_of(m))).bytes
 
 
 class GrowingPackage:
-    """A package to which groups are added, until it is closed; the tables of its groups are in memory."""
+    """A package to which groups are added, until it is closed.
+
+    Only the newest table is in memory, and what the MPD says of the others: they are read again where they are wanted.
+    """
 
     def __init__(self, files: Storage, m: Manifest, available: datetime) -> None:
         """`m`: the tables of the package so far, which are written; `available`: when its first frame was there."""
         self.files = files
-        self.manifest = m
-        self._groups = list(m.groups)
-        self._pages = build_index(self._groups, [pack_group(group) for group in self._groups])[1]
+        self._unwritten: dict[str, bytes] = {}  # tables that `expect` tells of
+        self._streams = Streams.of(m)
         self._available = available
+        self.manifest = open_manifest(root_of(m), self._read)
+        self.manifest.groups.keep(len(m.groups) - 1, m.groups[-1])
 
     def expect(self, group: Group) -> Manifest:
-        """The tables with one more group, whose files are written, but not its table."""
-        return self._extended(group, pack_group(group))[0]
+        """The tables with one more group, whose files are written, but not its table; until the next call or `add`."""
+        table, number = pack_group(group), len(self.manifest.groups)
+        index, page = extend_index(self.manifest.groups.table, group, table)
+        pages = {page_path(len(index.pages)): pack_json(page)} if page else {}
+        self._unwritten = {group_path(number + 1): table} | pages
+        root = replace(root_of(self.manifest), frames=group.stop, index=index)
+        found = open_manifest(root, self._read)
+        found.groups.keep(number, group)
+        return found
 
     def add(self, group: Group) -> None:
         """Publish one more group, whose files are written."""
-        table = write_group(self.files, len(self._groups) + 1, group)
-        self.manifest, page = self._extended(group, table)
-        self._groups.append(group)
-        if page:
-            self._pages.append(page)
-            self.files.write(page_path(len(self._pages)), pack_json(page))
+        self.manifest = self.expect(group)
+        for path, data in self._unwritten.items():
+            self.files.write(path, data)
+        self._unwritten = {}
+        self._streams.add(group)
         self._write_root()
 
     def close(self) -> None:
@@ -73,11 +86,9 @@ class GrowingPackage:
         self.manifest = replace(self.manifest, live=False)
         self._write_root()
 
-    def _extended(self, group: Group, table: bytes) -> tuple[Manifest, Spans | None]:
-        index, page = extend_index(self.manifest.groups.table, group, table)
-        groups, pages = [*self._groups, group], [*self._pages, *([page] if page else [])]
-        found = Groups(index, pages.__getitem__, lambda number, _: groups[number])
-        return replace(self.manifest, frames=group.stop, groups=found), page
+    def _read(self, path: str, entry: FileEntry) -> bytes:
+        """A page or a table of a group."""
+        return self._unwritten[path] if path in self._unwritten else read_file(self.files, path, entry)
 
     def _write_root(self) -> None:
-        write_root(self.files, self.manifest, LiveClock(self._available, datetime.now(UTC)))
+        write_root(self.files, self.manifest, LiveClock(self._available, datetime.now(UTC)), self._streams)

@@ -10,7 +10,7 @@ import pytest
 
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import CONTENT, DASH, MIN_BUFFER_S, LiveClock, Unit, adaptation_sets, write_mpd
+from airgs_codec.package.mpd import CONTENT, DASH, MIN_BUFFER_S, LiveClock, Run, adaptation_sets, write_mpd
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.paths import MPD_NAME
 from airgs_codec.package.tables import NO_FILE
@@ -174,8 +174,8 @@ def test_a_regular_sequence_makes_no_longer_mpd():
 def test_a_segment_without_files_is_a_gap_in_the_timeline():
     m = with_a_gap()
     state, tier, _ = representations(m)
-    assert state[0].timeline == (Unit(1, 0, 1000), Unit(3, 1500, 1000))
-    assert tier[0].timeline == (Unit(1, 0, 1000), Unit(2, 1000, 500), Unit(3, 1500, 1000))
+    assert state[0].timeline == (Run(1, 0, 1000), Run(3, 1500, 1000))
+    assert tier[0].timeline == (Run(1, 0, 1000), Run(2, 1000, 500), Run(3, 1500, 1000))
 
 
 def test_a_level_without_files_is_not_listed():
@@ -189,8 +189,9 @@ def test_every_run_of_segments_fits_its_bandwidth(m):
     stated = {r.get("id"): int(r.get("bandwidth", "0")) for r in root.iter(f"{NS}Representation")}
     for row in representations(m):
         for r in row:
-            starts = [unit.start / m.timescale for unit in r.timeline]
-            sizes = [8 * m.entry(r.media.replace("$Number$", str(unit.number))).bytes for unit in r.timeline]
+            files = [(run.number + i, run.start + i * run.duration) for run in r.timeline for i in range(run.count)]
+            starts = [start / m.timescale for _, start in files]
+            sizes = [8 * m.entry(r.media.replace("$Number$", str(number))).bytes for number, _ in files]
             needed = max(
                 sum(sizes[a : b + 1]) / (MIN_BUFFER_S + starts[b] - starts[a])
                 for a in range(len(starts))
