@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,8 +26,15 @@ def importance(frames: Sequence[Gaussians], usage: Usage, s: Sensitivity) -> NDA
     A picture is linear in each alpha, so alpha^2 times the squared derivative is exactly the error of leaving one row
     out. Rows that stand in for each other look cheap one by one; their blending weights (max and sum) keep them.
     """
-    squares = np.mean([g.opacities().astype(np.float64) ** 2 for g in frames], axis=0)
-    return usage.peak * usage.total * s.opacity * squares
+    return usage.peak * usage.total * s.opacity * mean_square_alpha(frames)
+
+
+def mean_square_alpha(frames: Sequence[Gaussians]) -> NDArray[np.float64]:
+    """(N,) mean of the squared alphas of some frames, which are looked at one after the other."""
+    total = np.zeros(len(frames[0]))
+    for g in frames:
+        total += g.opacities().astype(np.float64) ** 2
+    return total / len(frames)
 
 
 def pooled_error(errors: Sequence[float]) -> float:
@@ -56,7 +63,7 @@ class RowPruning:
 
     def __init__(
         self,
-        pictures: Sequence[tuple[Gaussians, Camera]],
+        pictures: Iterable[tuple[Gaussians, Camera]],
         rank: NDArray[np.float64],
         errors: dict[int, float],
         renderer: Renderer = CPU,
@@ -130,6 +137,37 @@ def select_omissions(
     return np.zeros(len(sizes), bool), 0.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class CostSums:
+    """Sums over rows of what channels take and what errors they make without their planes; see `estimate_cost`."""
+
+    centres: NDArray[np.float64]  # (c,) in steps
+    counts: NDArray[np.int64]  # (c, 2, values) how often the first pictures, and the changes after them, have a value
+    errors: NDArray[np.float64]  # (c,) squared differences to the centres, weighed
+    weights: NDArray[np.float64]  # (c,) of all rows
+
+    @staticmethod
+    def of(centres: NDArray[np.float64]) -> CostSums:
+        """No rows yet."""
+        c = len(centres)
+        return CostSums(centres, np.zeros((c, 2, 2 * WIDEST_CHANGE + 1), np.int64), np.zeros(c), np.zeros(c))
+
+    def add(self, values: NDArray[np.float64], weights: NDArray[np.float64]) -> None:
+        """More rows: (T, c, n) values in steps and (c, n) squared error of pictures for a squared step."""
+        for c, weight in enumerate(weights):
+            v = values[:, c] - self.centres[c]
+            self.errors[c] += float(np.square(v).mean(axis=0) @ weight)
+            self.weights[c] += float(weight.sum())
+            whole = np.rint(v)
+            self.counts[c, 0] += _count(whole[:1])
+            self.counts[c, 1] += _count(np.diff(whole, axis=0))
+
+    def costs(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(c,) bytes of each channel, and (c,) errors without it."""
+        sizes = [_entropy_bytes(first) + _entropy_bytes(changes) for first, changes in self.counts]
+        return np.array(sizes), np.maximum(0.0, self.errors - CODING_VARIANCE * self.weights)
+
+
 def estimate_cost(
     values: NDArray[np.float64], centres: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -140,19 +178,19 @@ def estimate_cost(
     little better. Errors are mean squared ones to first order. They take rows as independent, but neighbours that
     change alike make more error, so they are only good for ranking.
     """
-    sizes, errors = np.empty(len(centres)), np.empty(len(centres))
-    for c, weight in enumerate(weights):
-        v = values[:, c] - centres[c]
-        errors[c] = max(0.0, float(np.square(v).mean(axis=0) @ weight) - CODING_VARIANCE * float(weight.sum()))
-        whole = np.rint(v)
-        sizes[c] = _entropy_bytes(whole[:1]) + _entropy_bytes(np.diff(whole, axis=0))
-    return sizes, errors
+    sums = CostSums.of(centres)
+    sums.add(values, weights)
+    return sums.costs()
 
 
-def _entropy_bytes(whole: NDArray[np.float64]) -> float:
-    """Zero-order entropy of whole numbers, in bytes."""
-    if not whole.size:
-        return 0.0
-    counts = np.bincount((np.clip(whole, -WIDEST_CHANGE, WIDEST_CHANGE) + WIDEST_CHANGE).astype(np.intp).ravel())
-    share = counts[counts > 0] / whole.size
-    return float(-(share * np.log2(share)).sum()) * whole.size / 8
+def _count(whole: NDArray[np.float64]) -> NDArray[np.int64]:
+    """How often each whole number from -WIDEST_CHANGE to WIDEST_CHANGE stands there."""
+    places = (np.clip(whole, -WIDEST_CHANGE, WIDEST_CHANGE) + WIDEST_CHANGE).astype(np.intp)
+    return np.bincount(places.ravel(), minlength=2 * WIDEST_CHANGE + 1)
+
+
+def _entropy_bytes(counts: NDArray[np.int64]) -> float:
+    """Zero-order entropy of numbers of which each stands there so often, in bytes."""
+    total = int(counts.sum())
+    share = counts[counts > 0] / max(1, total)
+    return float(-(share * np.log2(share)).sum()) * total / 8

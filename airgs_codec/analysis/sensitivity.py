@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -40,7 +39,7 @@ class Sensitivity:
     sh_dc: NDArray[np.float64]  # (N,)
     sh_rest: NDArray[np.float64]  # (N,)
 
-    def take(self, rows: NDArray[np.intp]) -> Sensitivity:
+    def take(self, rows: NDArray[np.intp] | slice) -> Sensitivity:
         """The sensitivity of some rows, in the order of `rows`."""
         return Sensitivity(*(getattr(self, f.name)[rows] for f in fields(self)))
 
@@ -53,26 +52,27 @@ def measure_sensitivity(
     return measure_views([(frame, camera) for frame in frames for camera in chosen], renderer)[1]
 
 
-def measure_views(pictures: Sequence[tuple[Gaussians, Camera]], renderer: Renderer = CPU) -> tuple[Usage, Sensitivity]:
+def measure_views(pictures: Iterable[tuple[Gaussians, Camera]], renderer: Renderer = CPU) -> tuple[Usage, Sensitivity]:
     """Usage of the rows of a group in some pictures and their sensitivity, each picture drawn once for both.
 
     A picture is a frame of the group and a camera; pictures of one frame that follow each other share work. One random
     sign a picture sample: the squared derivative of a signed sum is, on average over signs, the sum of squared
-    derivatives (Hutchinson 1990). The signs are the same in every run. At least one picture.
+    derivatives (Hutchinson 1990). The signs are the same in every run. At least one picture; iterated over twice.
     """
     rng = np.random.default_rng(0)
-    usage = UsageSums(len(pictures[0][0]))
-    squares = np.zeros((len(fields(Sensitivity)), len(pictures[0][0])))
+    rows = len(next(iter(pictures))[0])
+    usage = UsageSums(rows)
+    squares = np.zeros((len(fields(Sensitivity)), rows))
     samples = 0
-    for _, same in itertools.groupby(pictures, key=lambda picture: id(picture[0])):
-        shown = list(same)
-        loaded = renderer.load(shown[0][0])
-        for _, camera in shown:
-            signs = rng.integers(0, 2, (camera.height, camera.width, 3)).astype(np.float32) * 2 - 1
-            contribution, derivatives = loaded.contribution_and_gradients(camera, signs)
-            usage.add(contribution)
-            squares += _squares(loaded.inputs, derivatives)
-            samples += signs.size
+    shown = None
+    for frame, camera in pictures:
+        if frame is not shown:
+            shown, loaded = frame, renderer.load(frame)
+        signs = rng.integers(0, 2, (camera.height, camera.width, 3)).astype(np.float32) * 2 - 1
+        contribution, derivatives = loaded.contribution_and_gradients(camera, signs)
+        usage.add(contribution)
+        squares += _squares(loaded.inputs, derivatives)
+        samples += signs.size
     return usage.usage(), Sensitivity(*(squares / samples))
 
 

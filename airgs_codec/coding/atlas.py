@@ -42,18 +42,31 @@ def picture_size(atlas: Atlas, macroblocks: int = MAX_MACROBLOCKS) -> tuple[int,
 def fit_atlas(codes: NDArray[np.int32], limit: float, omitted: NDArray[np.bool_] | None = None) -> Atlas:
     """Centres, planes and layout of (T, channels, n) codes; a channel within `limit` of its centre has no plane.
 
-    Centres are whole codes, so the distance to the chosen one decides, not the range: with a limit of 1.6, codes 0 to
-    3 need a plane. A channel of the mask `omitted` (channels,) has none either; its centre is its median.
+    A channel of the mask `omitted` (channels,) has none either; its centre is its median.
     """
-    low, high = codes.min(axis=(0, 2)).astype(np.int64), codes.max(axis=(0, 2)).astype(np.int64)
+    fits = [fit_centre(codes[:, channel], limit) for channel in range(codes.shape[1])]
+    varies = np.array([fit[1] for fit in fits])
+    planes = np.flatnonzero(varies if omitted is None else varies & ~omitted).tolist()
+    return make_atlas(codes.shape[2], [fit[0] for fit in fits], planes)
+
+
+def fit_centre(codes: NDArray[np.int32], limit: float) -> tuple[int, bool]:
+    """The centre of (T, n) codes of one channel, and whether some code is more than `limit` away from it.
+
+    Centres are whole codes, so the distance to the chosen one decides, not the range: with a limit of 1.6, codes 0 to
+    3 need a plane. The centre of such codes is their median.
+    """
+    low, high = int(codes.min()), int(codes.max())
     middle = (low + high) // 2
-    constant = high - middle <= limit
-    median = np.rint(np.median(codes, axis=(0, 2))).astype(np.int64)
-    centres = np.where(constant, middle, median)
-    centres = np.where(constant & (np.maximum(np.abs(low), np.abs(high)) <= limit), 0, centres)
-    planes = np.flatnonzero(~constant if omitted is None else ~constant & ~omitted).tolist()
-    width, columns = choose_layout(codes.shape[2], len(planes)) if planes else (0, 0)
-    return Atlas(codes.shape[2], centres.tolist(), planes, width, columns)
+    if high - middle > limit:
+        return round(float(np.median(codes))), True
+    return (0 if max(abs(low), abs(high)) <= limit else middle), False
+
+
+def make_atlas(rows: int, centres: list[int], planes: list[int]) -> Atlas:
+    """The atlas of so many rows with a centre for every channel and planes of some."""
+    width, columns = choose_layout(rows, len(planes)) if planes else (0, 0)
+    return Atlas(rows, centres, planes, width, columns)
 
 
 def centre_codes(codes: NDArray[np.int32], atlas: Atlas) -> NDArray[np.int32]:
@@ -61,9 +74,9 @@ def centre_codes(codes: NDArray[np.int32], atlas: Atlas) -> NDArray[np.int32]:
     return (codes - np.array(atlas.centres, np.int32)[:, None])[:, atlas.planes]
 
 
-@lru_cache(maxsize=64)
-def sample_index(rows: int, plane_width: int, columns: int, planes: int, stride: int) -> NDArray[np.intp]:
-    """(P, N) place of each sample in a picture of `stride` samples a line, counted line by line."""
+@lru_cache(maxsize=8)
+def row_places(rows: int, plane_width: int, stride: int) -> NDArray[np.intp]:
+    """(N,) place of each row's sample in a plane, counted line by line in a picture of `stride` samples a line."""
     i = np.arange(rows)
     block, cell = i // CELLS, i % CELLS
     x, y = np.zeros(rows, np.intp), np.zeros(rows, np.intp)
@@ -73,27 +86,37 @@ def sample_index(rows: int, plane_width: int, columns: int, planes: int, stride:
     blocks_wide = plane_width // BLOCK
     x += block % blocks_wide * BLOCK
     y += block // blocks_wide * BLOCK
-    plane = np.arange(planes)
-    height = plane_height(rows, plane_width)
-    corner = plane // columns * height * stride + plane % columns * plane_width
-    index = corner[:, None] + (y * stride + x)[None]
-    index.flags.writeable = False
-    return index
+    places = y * stride + x
+    places.flags.writeable = False
+    return places
+
+
+def plane_starts(atlas: Atlas, stride: int) -> list[int]:
+    """(P,) place of the first sample of each plane in a picture of `stride` samples a line."""
+    height = plane_height(atlas.rows, atlas.plane_width)
+    down_across = (divmod(plane, atlas.columns) for plane in range(len(atlas.planes)))
+    return [down * height * stride + across * atlas.plane_width for down, across in down_across]
 
 
 def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) -> NDArray[np.uint8]:
     """(T, P, N) samples -> (T, pages * height, width) pictures; cells that no sample has are 128."""
-    index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), width)
+    places = row_places(atlas.rows, atlas.plane_width, width)
     lines = -(-atlas.size[1] // height) * height
     pictures = np.full((len(samples), lines * width), GREY, np.uint8)
-    pictures[:, index.ravel()] = samples.reshape(len(samples), -1)
+    for picture, planes in zip(pictures, samples, strict=True):
+        for start, plane in zip(plane_starts(atlas, width), planes, strict=True):
+            picture[start:][places] = plane
     return pictures.reshape(-1, lines, width)
 
 
 def extract(picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
     """(pages * height, width) picture -> (P, N) samples."""
-    index = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), picture.shape[1])
-    return np.ascontiguousarray(picture).ravel().take(index)
+    places = row_places(atlas.rows, atlas.plane_width, picture.shape[1])
+    flat = np.ascontiguousarray(picture).ravel()
+    samples = np.empty((len(atlas.planes), atlas.rows), np.uint8)
+    for plane, start in zip(samples, plane_starts(atlas, picture.shape[1]), strict=True):
+        flat[start:].take(places, out=plane)
+    return samples
 
 
 def read_codes(picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32] | None) -> NDArray[np.int32]:

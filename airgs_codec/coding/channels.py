@@ -43,8 +43,11 @@ class Canonical:
 
     def first(self, count: int) -> Canonical:
         """Its first `count` rows: the canonical space that fewer key tiers make."""
-        rows = {f.name: getattr(self, f.name)[:count] for f in fields(self) if f.name != "transform"}
-        return replace(self, **rows)
+        return self.part(slice(count))
+
+    def part(self, rows: slice) -> Canonical:
+        """Some of its rows, of which nothing is copied."""
+        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "transform"})
 
     def kept(self, rows: NDArray[np.intp], depths: NDArray[np.uint8]) -> Canonical:
         """Some of its rows as a later group keeps them, with their depths there."""
@@ -120,32 +123,39 @@ def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSte
     last drawn: changes that nobody sees cost nothing. Before it is first drawn they hold that first value, and 0 if it
     is never drawn.
     """
-    inverse = conjugate(base.quaternions.astype(np.float64))
-    scale = colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1])
     out = np.empty((len(frames), STATE.width(base.colours.shape[1]), len(base.means)))
     drawn = np.empty((len(frames), len(base.means)), bool)
     for t, g in enumerate(frames):
-        opacity = to_opacity(g.opacity_logits.astype(np.float64))
-        drawn[t] = opacity >= LEAST_DRAWN
-        out[t, _MEANS] = ((g.means - base.means) / base.motion_units[:, None]).T
-        out[t, _SCALES] = (g.log_scales.astype(np.float64) - base.log_scales).T
-        out[t, _ROTATION] = to_rotation_vector(multiply(g.quaternions.astype(np.float64), inverse)).T
-        out[t, _OPACITY] = opacity - base.opacity
-        colour = (colours(g.sh_dc, g.sh_rest) - base.colours.astype(np.float64)) / scale
-        out[t, _COLOUR] = to_klt(colour, base.transform).T
-    _fill_undrawn(out, drawn)
+        out[t], drawn[t] = frame_channels(g, base, steps)
+    hold_undrawn(out[:, : _OPACITY.start], drawn)
+    hold_undrawn(out[:, _OPACITY.stop :], drawn)
     return out
 
 
-def _fill_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> None:
-    """Hold the last drawn value of every channel but opacity; writes into `channels`. `drawn` is (T, N)."""
+def frame_channels(g: Gaussians, base: Canonical, steps: StateSteps) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(10 + C, N) channels of one frame as it is, and (N,) whether a row is drawn."""
+    scale = colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1])
+    inverse = conjugate(base.quaternions.astype(np.float64))
+    opacity = to_opacity(g.opacity_logits.astype(np.float64))
+    out = np.empty((STATE.width(base.colours.shape[1]), len(base.means)))
+    out[_MEANS] = ((g.means - base.means) / base.motion_units[:, None]).T
+    out[_SCALES] = (g.log_scales.astype(np.float64) - base.log_scales).T
+    out[_ROTATION] = to_rotation_vector(multiply(g.quaternions.astype(np.float64), inverse)).T
+    out[_OPACITY] = opacity - base.opacity
+    colour = (colours(g.sh_dc, g.sh_rest) - base.colours.astype(np.float64)) / scale
+    out[_COLOUR] = to_klt(colour, base.transform).T
+    return out, opacity >= LEAST_DRAWN
+
+
+def hold_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> None:
+    """Hold the last drawn value of (T, c, N) channels; writes into them. `drawn` is (T, N)."""
     rows = np.flatnonzero(~drawn.all(axis=0))
-    others = np.setdiff1d(np.arange(channels.shape[1]), np.arange(channels.shape[1])[_OPACITY])
-    first = np.argmax(drawn[:, rows], axis=0)
-    last = np.where(drawn[:, rows].any(axis=0), channels[first[None], others[:, None], rows], 0.0)
+    drawn = drawn[:, rows]
+    first = channels[np.argmax(drawn, axis=0), :, rows].T
+    last = np.where(drawn.any(axis=0), first, 0.0)
     for t in range(len(channels)):
-        last = np.where(drawn[t, rows], channels[t][np.ix_(others, rows)], last)
-        channels[t][np.ix_(others, rows)] = last
+        last = np.where(drawn[t], channels[t][:, rows], last)
+        channels[t][:, rows] = last
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,6 +5,7 @@ T frames, P planes, N rows; code - centre = luma - 128 + UNIT * base. A sample h
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +52,30 @@ class Escapes:
     index: NDArray[np.int64]  # (E,) ascending flat indices into the shape
     jumps: NDArray[np.int32]  # (E,)
 
+    @staticmethod
+    def of(bases: NDArray[np.int32]) -> Escapes:
+        """The jumps of (T, P, N) bases."""
+        jumps = np.diff(bases, axis=0, prepend=np.zeros_like(bases[:1])).ravel()
+        index = np.flatnonzero(jumps)
+        frames, planes, rows = bases.shape
+        return Escapes((frames, planes, rows), index, jumps[index])
+
+    @staticmethod
+    def join(planes: Sequence[Escapes]) -> Escapes:
+        """The jumps of several planes, each of which has the same T and N; at least one."""
+        frames, _, rows = planes[0].shape
+        area = rows * len(planes)
+        index = np.concatenate([e.index // rows * area + p * rows + e.index % rows for p, e in enumerate(planes)])
+        order = np.argsort(index)
+        jumps = np.concatenate([part.jumps for part in planes])
+        return Escapes((frames, len(planes), rows), index[order], jumps[order])
+
+    def columns(self) -> list[Column]:
+        """The columns of a file: how many jumps, gaps of flat indices, sizes in zigzag coding."""
+        values = self.jumps.astype(np.int64)
+        zigzag = (values << 1) ^ (values >> 63)
+        return [(np.array([len(self.index)]), 0), (np.diff(self.index, prepend=0), 0), (zigzag, 1)]
+
     def bases(self, frame: int) -> NDArray[np.int32]:
         """(P, N) bases in force at a frame, counted from the start of the segment."""
         area = self.shape[1] * self.shape[2]
@@ -60,17 +85,8 @@ class Escapes:
         return bases.reshape(self.shape[1:])
 
 
-def columns(bases: NDArray[np.int32]) -> list[Column]:
-    """(T, P, N) bases -> the columns of their jumps: how many, gaps of flat indices, sizes in zigzag coding."""
-    jumps = np.diff(bases, axis=0, prepend=np.zeros_like(bases[:1])).ravel()
-    index = np.flatnonzero(jumps)
-    values = jumps[index].astype(np.int64)
-    zigzag = (values << 1) ^ (values >> 63)
-    return [(np.array([len(index)]), 0), (np.diff(index, prepend=0), 0), (zigzag, 1)]
-
-
 def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:
-    """Inverse of `columns` for bases of `shape` (T, P, N).
+    """Inverse of `Escapes.columns` for bases of `shape` (T, P, N).
 
     Raises FormatError(bad_sidecar) when there are more jumps than samples, an index leaves the shape or a jump 31 bits.
     """
@@ -87,9 +103,9 @@ def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:
     return Escapes(shape, np.cumsum(gaps), ((zigzag >> 1) ^ -(zigzag & 1)).astype(np.int32))
 
 
-def pack(bases: NDArray[np.int32]) -> bytes:
-    """(T, P, N) bases -> the column file of their jumps alone; empty where there are none."""
-    return encode_some(columns(bases))
+def pack(found: Escapes) -> bytes:
+    """The column file of jumps alone; empty where there are none."""
+    return encode_some(found.columns())
 
 
 def unpack(data: bytes | None, shape: tuple[int, int, int], where: str) -> Escapes:

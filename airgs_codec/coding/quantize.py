@@ -11,23 +11,23 @@ CODE_LIMIT = 1 << 30  # |code| stays below it, so that sums of a code, a centre 
 STEP_LIMITS = (1e-30, 1e30)  # of steps: products of codes and steps are float32
 
 
-def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: float) -> NDArray[np.int32]:
+def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: float, first: int = 0) -> NDArray[np.int32]:
     """(T, C, N) values, (C,) steps -> (T, C, N) codes; `from_codes` is at most step / (2 gain) off.
 
-    Raises SceneError for a value 2^30 codes or more from 0, since nothing is clipped, and for a step that is not within
-    STEP_LIMITS.
+    `first` is the number of the first channel, for errors. Raises SceneError for a value 2^30 codes or more from 0,
+    since nothing is clipped, and for a step that is not within STEP_LIMITS.
     """
     low, high = STEP_LIMITS
     if not ((steps >= low) & (steps <= high)).all():
         channel = int(np.argmin((steps >= low) & (steps <= high)))
-        raise SceneError(f"channel {channel}: expected a step of {low:g} to {high:g}, got {steps[channel]:g}")
-    codes = np.rint(values * (gain / steps)[:, None])
-    if codes.size and not np.abs(codes).max() < CODE_LIMIT:
+        raise SceneError(f"channel {first + channel}: expected a step of {low:g} to {high:g}, got {steps[channel]:g}")
+    codes = values * (gain / steps)[:, None]
+    np.rint(codes, out=codes)
+    if codes.size and not max(-codes.min(), codes.max()) < CODE_LIMIT:
         channel = int(np.unravel_index(np.abs(codes).argmax(), codes.shape)[1])
         largest = float(np.abs(values[:, channel]).max())
-        raise SceneError(
-            f"channel {channel}: expected at most {CODE_LIMIT} codes, got value {largest:g} at step {steps[channel]:g}"
-        )
+        got = f"value {largest:g} at step {steps[channel]:g}"
+        raise SceneError(f"channel {first + channel}: expected at most {CODE_LIMIT} codes, got {got}")
     return codes.astype(np.int32)
 
 

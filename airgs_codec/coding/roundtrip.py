@@ -28,7 +28,7 @@ def encode_and_decode(
     size = picture_size(atlas)
     coded = encode_gop(ClosedGop(assemble(luma, atlas, *size), 0, 1), size, Fraction(30), codec)
     sizes = list(coded.picture_bytes)
-    sizes[0] += len(encode_columns(escapes.columns(bases)))
+    sizes[0] += len(encode_columns(escapes.Escapes.of(bases).columns()))
     pictures = decode_pictures(open_segment(coded.media, "a trial").samples, "a trial", coded.pages)
     decoded = [from_codes(read_codes(p, atlas, b), steps, gain) for p, b in zip(pictures, bases, strict=True)]
     return sizes, np.stack(decoded).astype(np.float64)

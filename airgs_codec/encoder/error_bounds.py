@@ -31,12 +31,12 @@ class ErrorModel:
     constant: NDArray[np.float64]  # (channels,) error of the channels without a plane, 0 of the others
 
     @staticmethod
-    def of(values: NDArray[np.float64], atlas: Atlas, units: NDArray[np.float64]) -> ErrorModel:
-        """From the (T, channels, n) values that the atlas was made of and the (channels,) units of its codes."""
+    def of(low: NDArray[np.float64], high: NDArray[np.float64], atlas: Atlas, units: NDArray[np.float64]) -> ErrorModel:
+        """From (channels,) least and largest values that the atlas was made of and the units of its codes."""
         centres = np.array(atlas.centres, np.float64) * units
-        constant = np.abs(values - centres[:, None]).max(axis=(0, 2))
+        constant = np.maximum(np.abs(low - centres), np.abs(high - centres))
         constant[atlas.planes] = 0
-        return ErrorModel(units, np.abs(values).max(axis=(0, 2)), constant)
+        return ErrorModel(units, np.maximum(np.abs(low), np.abs(high)), constant)
 
     def bound(self, atlas: Atlas, differences: Sequence[NDArray[np.uint8]], layout: Layout) -> list[float]:
         """Largest error of each attribute of `layout`.

@@ -5,6 +5,7 @@ Keys get cheaper the longer a group is, states dearer: they grow with the distan
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import count_runs
+from airgs_codec.analysis.importance import mean_square_alpha
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import classify_motion
@@ -23,7 +25,7 @@ from airgs_codec.encoder.calibration.subject import block_rows
 from airgs_codec.encoder.plan import split_segments
 from airgs_codec.encoder.rank import rank_updates
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan
+from airgs_codec.encoder.survey import GroupSpan, ShownPictures
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.scene.camera import resized
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
@@ -77,7 +79,8 @@ class _Trial:
     """Frames of a run, and what pictures say about their rows."""
 
     run: tuple[int, int]  # [start, stop)
-    frames: dict[int, Gaussians]  # by number in the sequence
+    frames: Sequence[Gaussians]  # some of the sequence
+    numbers: Sequence[int]  # of these frames in the sequence, ascending
     sensitivity: Sensitivity
     settings: EncodeSettings
     sequence: GaussianSequence
@@ -95,13 +98,12 @@ class _Trial:
         windows = [_window(run, length) for length in lengths]
         coded = [n for window in windows for part in _segments(window, sequence, settings) for n in part]
         numbers = sorted({*seen, *coded})
-        frames = dict(zip(numbers, sequence.load(numbers).frames, strict=True))
+        frames = sequence.load(numbers).frames
         share = min(1.0, (PICTURE_PIXELS / (views.deciding[0].width * views.deciding[0].height)) ** 0.5)
         cameras = [resized(camera, share) for camera in views.deciding]
-        _, sensitivity = measure_views(
-            [(frames[n], camera) for n, camera in zip(seen, cameras, strict=False)], views.renderer
-        )
-        return _Trial(run, frames, sensitivity, settings, sequence, views.trusted)
+        pictures = [(bisect_left(numbers, n), camera) for n, camera in zip(seen, cameras, strict=False)]
+        _, sensitivity = measure_views(ShownPictures(frames, pictures), views.renderer)
+        return _Trial(run, frames, numbers, sensitivity, settings, sequence, views.trusted)
 
     def cost(self, length: int) -> LengthCost:
         """What groups of so many frames cost."""
@@ -113,7 +115,7 @@ class _Trial:
         weights = channel_weights(sample.classes, sample.sensitivity, steps.state, transform)
         costs = []
         for part in _segments(window, self.sequence, self.settings):
-            shown = [self.frames[n].take(sample.index) for n in part]
+            shown = [self.frames[bisect_left(self.numbers, n)].take(sample.index) for n in part]
             coded = replace(sample, frames=shown, segment_frames=len(shown))
             states = coded.states(base, steps)
             scores, moving = rank_updates(states[1:], states[1:] - states[0], weights)
@@ -123,7 +125,7 @@ class _Trial:
 
     def _sample(self, window: GroupSpan) -> CalibrationSample:
         """Blocks of the rows that a group needs, in file order; `index` counts input rows."""
-        inside = [g for n, g in self.frames.items() if window.start <= n < window.stop]
+        inside = self.frames[bisect_left(self.numbers, window.start) : bisect_left(self.numbers, window.stop)]
         canonical, rows = mean_frame(inside), self._needed(inside)
         sensitivity, key = self.sensitivity.take(rows), canonical.take(rows)
         classes = classify_motion(sensitivity, key)
@@ -143,7 +145,7 @@ class _Trial:
 
     def _needed(self, inside: Sequence[Gaussians]) -> NDArray[np.intp]:
         """Rows of some frames but those that together may be left out, by the first-order error of each."""
-        errors = self.sensitivity.opacity * np.mean([g.opacities().astype(np.float64) ** 2 for g in inside], axis=0)
+        errors = self.sensitivity.opacity * mean_square_alpha(inside)
         order = np.argsort(errors, kind="stable")
         allowed = self.settings.steps.rows**2 if self.trusted and not self.settings.keep_all else 0.0
         dropped = int(np.searchsorted(np.cumsum(errors[order]), allowed, side="right"))

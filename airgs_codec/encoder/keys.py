@@ -89,8 +89,8 @@ def _code_tier(
     codes = to_codes(values, steps, gain)
     atlas = _with_picture(fit_atlas(codes, gain / 2, omitted))
     samples, bases = escapes.split(centre_codes(codes, atlas))
-    error = ErrorModel.of(values, atlas, steps / gain)
-    return CodedAtlas(atlas, samples[0], encode_some([*detail, *escapes.columns(bases)]), error)
+    error = ErrorModel.of(values.min(axis=(0, 2)), values.max(axis=(0, 2)), atlas, steps / gain)
+    return CodedAtlas(atlas, samples[0], encode_some([*detail, *escapes.Escapes.of(bases).columns()]), error)
 
 
 def _with_picture(atlas: Atlas) -> Atlas:

@@ -1,6 +1,7 @@
 """What a group's pictures can do without, by what rendering without it shows.
 
-T frames and N rows of the group, n rows of its first level, C colour channels. Each decision comes with a note for
+T frames and N rows of the group, n rows of its first level, C colour channels. States are read from a file, some rows,
+a channel or a frame at a time. Each decision comes with a note for
 the tables, None where nothing was left out.
 """
 
@@ -12,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.importance import estimate_cost, pooled_error, select_omissions
+from airgs_codec.analysis.importance import CostSums, estimate_cost, pooled_error, select_omissions
 from airgs_codec.coding.channels import Canonical, StateApplier
 from airgs_codec.encoder.plan import CODED_HERE, GroupLayout
+from airgs_codec.encoder.state_values import StateValues
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.views import Pictures
 from airgs_codec.media.metrics import mse, psnr
@@ -112,16 +114,26 @@ class KeyOmissions:
         return self.layout.canonical_space(values.astype(np.float32), depths).to_gaussians()
 
 
-def note_static(layout: GroupLayout, states: NDArray[np.float64], depths: NDArray[np.uint8]) -> LeftOut | None:
-    """Note how many rows are static, the error that this is expected to add, and the bytes a frame that it saves.
-
-    `states` (T, 10 + C, N) are in steps.
-    """
+def note_static(layout: GroupLayout, values: StateValues, depths: NDArray[np.uint8]) -> LeftOut | None:
+    """Note how many rows are static, the error that this is expected to add, and the bytes a frame that it saves."""
     still = depths == STATIC
-    centres = np.zeros(states.shape[1])
-    sizes, errors = estimate_cost(states[:, :, still], centres, layout.state_weights()[:, still])
-    size = float(sizes.sum()) / len(states)
+    sizes, errors = _estimate_states(layout, values, still, np.zeros(values.channels), slice(None))
+    size = float(sizes.sum()) / values.frames
     return note_omission("updates", int(still.sum()), float(errors.sum()), size)
+
+
+def _estimate_states(
+    layout: GroupLayout, values: StateValues, rows: NDArray[np.bool_], centres: NDArray[np.float64], frames: slice
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`estimate_cost` of the states of a mask of rows (N,) in some frames; `centres` (10 + C,) are in channel units."""
+    steps = STATE.steps(layout.state_steps, layout.colours)
+    sums = CostSums.of(centres / steps)
+    for part in values.chunks():
+        chosen = np.flatnonzero(rows[part])
+        if len(chosen):
+            states = values.part(part, frames)[:, :, chosen] / steps[:, None]
+            sums.add(states, layout.state_weights(part)[:, chosen])
+    return sums.costs()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,28 +141,23 @@ class StateOmissions:
     """What the states of a group can do without."""
 
     layout: GroupLayout
-    states: NDArray[np.float64]  # (T, 10 + C, n) in channel units
-    steps: NDArray[np.float64]  # (10 + C, 1)
-    weights: NDArray[np.float64]  # (10 + C, n) squared error of pictures for a squared step
+    values: StateValues  # of the finest key quality
+    depths: NDArray[np.uint8]  # (N,)
     applier: StateApplier  # of the n rows
 
     @staticmethod
-    def of(
-        layout: GroupLayout, base: Canonical, values: NDArray[np.float64], depths: NDArray[np.uint8]
-    ) -> StateOmissions:
-        """From (T, 10 + C, N) values of all rows and their (N,) depths."""
-        rows = np.flatnonzero(depths != STATIC)
-        steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
-        applier = StateApplier.of(base, rows, layout.state_steps)
-        return StateOmissions(layout, values[:, :, rows], steps, layout.state_weights()[:, rows], applier)
+    def of(layout: GroupLayout, base: Canonical, values: StateValues, depths: NDArray[np.uint8]) -> StateOmissions:
+        """From differences to a canonical space and the (N,) depths of rows."""
+        applier = StateApplier.of(base, np.flatnonzero(depths != STATIC), layout.state_steps)
+        return StateOmissions(layout, values, depths, applier)
 
     def planes(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
         """(10 + C,) channels that every row may take from the channel's median."""
-        frames, count = self.states.shape[:2]
-        if price == 0 or not self.states.size:
+        frames, count, rows = self.values.frames, self.values.channels, self.applier.rows
+        if price == 0 or not len(rows):
             return np.zeros(count, bool), None
-        centres = np.median(self.states, axis=(0, 2))
-        sizes, guesses = estimate_cost(self.states / self.steps, centres / self.steps[:, 0], self.weights)
+        centres = np.array([np.median(self.values.channel(c, rows)) for c in range(count)])
+        sizes, guesses = self._estimate(centres, slice(None))
         full = self._render(self.layout.pictures, np.zeros(count, bool), centres)
 
         def error(omitted: NDArray[np.bool_]) -> float:
@@ -162,13 +169,13 @@ class StateOmissions:
 
     def segments(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
         """(S,) segments of the group for which the canonical space may stand."""
-        frames, count = self.states.shape[:2]
+        frames, count = self.values.frames, self.values.channels
         spans = self.layout.segments
-        if price == 0 or not self.states.size:
+        if price == 0 or not len(self.applier.rows):
             return np.zeros(len(spans), bool), None
         none = np.zeros(count)
         parts = [np.arange(start, stop) - self.layout.span.start for start, stop in spans]
-        pairs = [estimate_cost(self.states[p] / self.steps, none, self.weights) for p in parts]
+        pairs = [self._estimate(none, slice(part[0], part[-1] + 1)) for part in parts]
         sizes, guesses = (np.array([sum(pair[i]) for pair in pairs]) for i in (0, 1))
         shares = np.array([len(p) for p in parts]) / frames
 
@@ -185,6 +192,9 @@ class StateOmissions:
         saved = float(sizes[chosen].sum()) / frames
         return chosen, note_omission("segments", int(chosen.sum()), cost, saved)
 
+    def _estimate(self, centres: NDArray[np.float64], frames: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return _estimate_states(self.layout, self.values, self.depths != STATIC, centres, frames)
+
     def _of_segment(self, places: NDArray[np.intp]) -> Pictures:
         """Views of frames evenly spaced over a segment, which holds these places of the group."""
         cameras = [camera for _, camera in self.layout.pictures]
@@ -196,9 +206,10 @@ class StateOmissions:
         """Pictures of frames whose `omitted` channels are at their centres."""
         rendered = []
         for t, camera in pictures:
-            values = np.where(omitted[:, None], centres[:, None], self.states[t])
-            shown = self.applier.apply(values.astype(np.float32))
-            rendered.append(self.layout.renderer.render(shown, camera).rgb)
+            shown = self.values.frame(t)[:, self.applier.rows]
+            values = np.where(omitted[:, None], centres[:, None], shown)
+            frame = self.applier.apply(values.astype(np.float32))
+            rendered.append(self.layout.renderer.render(frame, camera).rgb)
         return rendered
 
 

@@ -24,7 +24,7 @@ from airgs_codec.coding.weights import channel_weights
 from airgs_codec.encoder.levels import assign_tiers
 from airgs_codec.encoder.rank import RowUsage
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, Survey, pair
+from airgs_codec.encoder.survey import GroupSpan, ShownPictures, Survey
 from airgs_codec.encoder.views import Pictures
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, Grid, KeySteps, StateSteps, unpack_matrix
@@ -85,9 +85,9 @@ class GroupLayout:
         parts = {name: getattr(self, name).take(order) for name in ("key", "usage", "sensitivity")}
         return replace(self, **arrays, **parts)
 
-    def state_weights(self) -> NDArray[np.float64]:
-        """(10 + C, N) what a squared step in a state channel adds to the mean squared error of pictures."""
-        return channel_weights(self.classes, self.sensitivity, self.state_steps, self.transform)
+    def state_weights(self, rows: slice = slice(None)) -> NDArray[np.float64]:
+        """(10 + C, n) what a squared step in a state channel of some rows adds to the squared error of pictures."""
+        return channel_weights(self.classes[rows], self.sensitivity.take(rows), self.state_steps, self.transform)
 
     def key_weights(self) -> NDArray[np.float64]:
         """(7 + C, N) the same for the channels of a key, which has no means."""
@@ -146,7 +146,7 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
 
 def prune_rows(frames: Sequence[Gaussians], survey: Survey) -> RowPruning:
     """Pruning of a group's rows by what some of its pictures show; `frames` are all of the group."""
-    return RowPruning(pair(frames, survey.checks), survey.importance, survey.removals, survey.renderer)
+    return RowPruning(ShownPictures(frames, survey.checks), survey.importance, survey.removals, survey.renderer)
 
 
 def keep_rows(frames: Sequence[Gaussians], survey: Survey, settings: EncodeSettings) -> KeptRows:

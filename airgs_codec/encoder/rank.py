@@ -19,7 +19,7 @@ class RowUsage:
     hits: NDArray[np.float64]  # (N,) pixels where a row is blended: the paper's usage frequency
     moved: NDArray[np.float64] | None  # (N,) `Usage.moved`, where the trainer left it and `score` is max: max x change
 
-    def take(self, rows: NDArray[np.intp]) -> RowUsage:
+    def take(self, rows: NDArray[np.intp] | slice) -> RowUsage:
         """The usage of some rows, in the order of `rows`."""
         return RowUsage(self.score[rows], self.hits[rows], None if self.moved is None else self.moved[rows])
 

@@ -43,12 +43,12 @@ class Clock:
 class AtlasPictures:
     """The pictures of an atlas, made as they are asked for."""
 
-    samples: NDArray[np.uint8]  # (T, P, n)
+    samples: Iterable[NDArray[np.uint8]]  # (P, n) of each picture; may be iterated over more than once
     atlas: Atlas
     size: tuple[int, int]  # width and height of a page
 
     @staticmethod
-    def of(samples: NDArray[np.uint8], atlas: Atlas) -> AtlasPictures:
+    def of(samples: Iterable[NDArray[np.uint8]], atlas: Atlas) -> AtlasPictures:
         """Pictures of the size that the atlas asks for."""
         return AtlasPictures(samples, atlas, picture_size(atlas))
 

@@ -1,7 +1,7 @@
 """All frames -> the states of every level: which rows it carries, its samples and escapes, its stream.
 
-T frames and N rows of a group, n rows of a level, P planes. Samples of all levels together may not fit into memory:
-they wait in a scratch folder until they are encoded.
+T frames and N rows of a group, n rows of a level, P planes, S segments. Neither the differences of all frames to the
+canonical space nor the samples of all levels may fit into memory: both wait in a scratch folder.
 """
 
 from __future__ import annotations
@@ -10,13 +10,15 @@ import functools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import centre_codes, fit_atlas
+from airgs_codec.coding.atlas import fit_centre, make_atlas, picture_size
 from airgs_codec.coding.channels import Canonical, state_channels
+from airgs_codec.coding.escapes import Escapes
 from airgs_codec.coding.quantize import to_codes
 from airgs_codec.encoder.error_bounds import ErrorModel
 from airgs_codec.encoder.leave_out import StateOmissions, note_static
@@ -32,6 +34,7 @@ from airgs_codec.encoder.representation import (
     encode_parallel,
 )
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.state_values import StateValues
 from airgs_codec.media.h264 import STATE_QP, ClosedGop, qp_step, state_codec
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
@@ -40,20 +43,27 @@ from airgs_codec.scene.gaussians import Gaussians
 
 @dataclass(frozen=True, slots=True)
 class StoredSamples:
-    """(T, P, n) luma samples in a file."""
+    """Luma samples of some frames of a group in a file: for each of P planes T x n bytes."""
 
     path: Path
+    planes: int
+    rows: int  # n
+    total: int  # T
+    frames: range  # of these
 
-    @staticmethod
-    def write(path: Path, samples: NDArray[np.uint8]) -> StoredSamples:
-        """Put samples into a file."""
-        np.save(path, samples)
-        return StoredSamples(path)
+    def part(self, start: int, stop: int) -> StoredSamples:
+        """Fewer of the frames."""
+        return replace(self, frames=self.frames[start:stop])
 
-    def open(self) -> NDArray[np.uint8]:
-        """The samples, read as they are used."""
-        samples: NDArray[np.uint8] = np.load(self.path, mmap_mode="r")
-        return samples
+    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
+        """(P, n) of one frame after the other."""
+        with self.path.open("rb") as file:
+            for frame in self.frames:
+                samples = np.empty((self.planes, self.rows), np.uint8)
+                for plane, place in enumerate(samples):
+                    file.seek((plane * self.total + frame) * self.rows)
+                    file.readinto(place.data)
+                yield samples
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,13 +98,11 @@ def code_states(
     that the level corrects. A segment is fetched if anything in it differs from the original canonical frame by more
     than half a step and rendering shows it. Samples go to files in `scratch`.
     """
-    shown = [frame.take(layout.rows) for frame in frames]
-    values = state_channels(shown, bases[0], layout.state_steps)
-    steps = STATE.steps(layout.state_steps, layout.colours)
-    states = values / steps[:, None]
-    changes = states - state_channels([layout.key], bases[0], layout.state_steps)[0] / steps[:, None]
-    depths = _find_depths(layout, states, changes, settings)
-    static = note_static(layout, states, depths)
+    file = scratch / "values"
+    values = StateValues.write(file, frames, layout.rows, bases[0], layout.state_steps)
+    ranked = rank_states(layout, values, bases[0], settings)
+    depths = ranked.depths(layout, settings)
+    static = note_static(layout, values, depths)
     omissions = StateOmissions.of(layout, bases[0], values, depths)
     omitted, no_planes = omissions.planes(settings.scaled_price)
     still, no_segments = omissions.segments(settings.scaled_price)
@@ -102,71 +110,113 @@ def code_states(
     for number, level in enumerate(settings.levels):
         if level.quality != quality:
             quality = level.quality
-            values = state_channels(shown, bases[quality], layout.state_steps)
-        rows = (depths != STATIC) & (depths >= number)
-        fetched = _fetched_frames(layout, changes, rows, level.factor / 2, still)
-        file = scratch / f"{number}.npy"
-        levels.append(_code_level(values[:, :, rows], steps * level.factor, omitted, fetched, file))
+            values = StateValues.write(file, frames, layout.rows, bases[quality], layout.state_steps)
+        rows = np.flatnonzero((depths != STATIC) & (depths >= number))
+        fetched = _fetched_frames(layout, ranked.largest[:, rows], level.factor / 2, still)
+        steps = STATE.steps(layout.state_steps, layout.colours) * level.factor
+        coder = _LevelCoder(values, rows, steps, fetched, scratch / str(number))
+        levels.append(coder.code(omitted))
     return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes, no_segments) if n))
 
 
-def _find_depths(
-    layout: GroupLayout, states: NDArray[np.float64], changes: NDArray[np.float64], settings: EncodeSettings
-) -> NDArray[np.uint8]:
-    """(N,) depths, from (T, 10 + C, N) differences to the decoded and to the original canonical frame, in steps."""
-    weights, rank = layout.state_weights(), settings.update_rank
-    score, moving = rank_updates(states, changes, weights, layout.usage, rank, settings.keep_all)
-    tiers = [settings.tiers_of(level) for level in settings.levels]
-    return assign_depths(score, moving, [level.pruned for level in settings.levels], layout.tiers, tiers)
+@dataclass(frozen=True, slots=True, eq=False)
+class RankedStates:
+    """What the changes of rows are worth."""
+
+    score: NDArray[np.float64]  # (N,) that ranks updates for pruning
+    moving: NDArray[np.bool_]  # (N,) rows that some level may carry
+    largest: NDArray[np.float64]  # (S, N) largest change of any channel from the original canonical frame, in steps
+
+    def depths(self, layout: GroupLayout, settings: EncodeSettings) -> NDArray[np.uint8]:
+        """(N,) deepest level that carries a row; STATIC: none."""
+        tiers = [settings.tiers_of(level) for level in settings.levels]
+        pruned = [level.pruned for level in settings.levels]
+        return assign_depths(self.score, self.moving, pruned, layout.tiers, tiers)
+
+
+def rank_states(layout: GroupLayout, values: StateValues, base: Canonical, settings: EncodeSettings) -> RankedStates:
+    """Rank the updates of a group; `values` are differences to the decoded canonical space `base`."""
+    steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
+    segments = [slice(start - layout.span.start, stop - layout.span.start) for start, stop in layout.segments]
+    score, moving = np.empty(values.rows), np.empty(values.rows, bool)
+    largest = np.empty((len(segments), values.rows))
+    for rows in values.chunks():
+        key = state_channels([layout.key.take(rows)], base.part(rows), layout.state_steps)[0]
+        states = values.part(rows) / steps
+        changes = states - key / steps
+        usage, weights = layout.usage.take(rows), layout.state_weights(rows)
+        score[rows], moving[rows] = rank_updates(
+            states, changes, weights, usage, settings.update_rank, settings.keep_all
+        )
+        largest[:, rows] = [np.abs(changes[segment]).max(axis=(0, 1)) for segment in segments]
+    return RankedStates(score, moving, largest)
 
 
 def _fetched_frames(
-    layout: GroupLayout,
-    changes: NDArray[np.float64],
-    rows: NDArray[np.bool_],
-    least: float,
-    still: NDArray[np.bool_],
+    layout: GroupLayout, largest: NDArray[np.float64], least: float, still: NDArray[np.bool_]
 ) -> list[slice | None]:
     """For each segment its frames in the group, None where nothing is to be fetched.
 
-    That is where no value of `changes` (T, 10 + C, N) exceeds `least` in the rows of a level, a mask (N,), and where
-    `still` (S,) says that rendering shows nothing.
+    That is where none of the (S, n) largest changes of the rows of a level exceeds `least`, and where `still` (S,) says
+    that rendering shows nothing.
     """
     parts: list[slice | None] = []
-    for (start, stop), omitted in zip(layout.segments, still, strict=True):
+    for (start, stop), changes, omitted in zip(layout.segments, largest, still, strict=True):
         part = slice(start - layout.span.start, stop - layout.span.start)
-        differs = bool((np.abs(changes[part][:, :, rows]) > least).any())
-        parts.append(part if differs and not omitted else None)
+        parts.append(part if (changes > least).any() and not omitted else None)
     return parts
 
 
-def _code_level(
-    values: NDArray[np.float64],
-    steps: NDArray[np.float64],
-    omitted: NDArray[np.bool_],
-    fetched: Sequence[slice | None],
-    file: Path,
-) -> CodedLevel:
-    """From (T, 10 + C, n) values, (10 + C,) steps, the (10 + C,) channels left out and the frames of each segment."""
-    nothing = tuple(None for _ in fetched)
-    if not values.shape[2]:
-        return CodedLevel(Atlas(0, [0] * len(steps), [], 0, 0), None, None, nothing)
-    gain = qp_step(STATE_QP)
-    codes = to_codes(values, steps, gain)
-    atlas = fit_atlas(codes, gain / 2, omitted)
-    error = ErrorModel.of(values, atlas, steps / gain)
-    if not atlas.planes or fetched == list(nothing):
-        return CodedLevel(replace(atlas, planes=[], plane_width=0, columns=0), error, None, nothing)
-    centred = centre_codes(codes, atlas)
-    samples = np.zeros(centred.shape, np.uint8)
-    coded: list[bytes | None] = []
-    for part in fetched:
-        if part is None:
-            coded.append(None)
-            continue
-        samples[part], bases = escapes.split(centred[part])
-        coded.append(escapes.pack(bases))
-    return CodedLevel(atlas, error, StoredSamples.write(file, samples), tuple(coded))
+@dataclass(frozen=True, slots=True, eq=False)
+class _LevelCoder:
+    """Codes the n rows of a level, one channel after the other."""
+
+    values: StateValues
+    rows: NDArray[np.intp]  # (n,) among the N
+    steps: NDArray[np.float64]  # (10 + C,)
+    fetched: Sequence[slice | None]  # frames of each segment; None: nothing is to be fetched
+    file: Path  # for samples
+
+    def code(self, omitted: NDArray[np.bool_]) -> CodedLevel:
+        """The level without the planes of (10 + C,) channels that are left out."""
+        nothing = tuple(None for _ in self.fetched)
+        count, gain = len(self.steps), qp_step(STATE_QP)
+        if not len(self.rows):
+            return CodedLevel(Atlas(0, [0] * count, [], 0, 0), None, None, nothing)
+        low, high = np.empty(count), np.empty(count)
+        centres: list[int] = []
+        planes: list[int] = []
+        jumps: list[list[Escapes]] = []  # of each plane in each segment that is fetched
+        with self.file.open("wb") as file:
+            for channel in range(count):
+                values = self.values.channel(channel, self.rows)
+                low[channel], high[channel] = values.min(), values.max()
+                codes = to_codes(values[:, None], self.steps[channel : channel + 1], gain, channel)
+                centre, varies = fit_centre(codes, gain / 2)
+                centres.append(centre)
+                if varies and not omitted[channel]:
+                    planes.append(channel)
+                    jumps.append(self._write(file, codes - np.int32(centre)))
+        atlas = make_atlas(len(self.rows), centres, planes)
+        error = ErrorModel.of(low, high, atlas, self.steps / gain)
+        if not planes or self.fetched == list(nothing):
+            return CodedLevel(replace(atlas, planes=[], plane_width=0, columns=0), error, None, nothing)
+        frames = self.values.frames
+        samples = StoredSamples(self.file, len(planes), len(self.rows), frames, range(frames))
+        packed = (escapes.pack(Escapes.join(of_segment)) for of_segment in zip(*jumps, strict=True))
+        coded = tuple(None if part is None else next(packed) for part in self.fetched)
+        return CodedLevel(atlas, error, samples, coded)
+
+    def _write(self, file: BinaryIO, codes: NDArray[np.int32]) -> list[Escapes]:
+        """Write the samples of a plane from (T, 1, n) centred codes; gives the jumps in segments that are fetched."""
+        samples = np.zeros(codes.shape, np.uint8)
+        jumps = []
+        for part in self.fetched:
+            if part is not None:
+                samples[part], bases = escapes.split(codes[part])
+                jumps.append(Escapes.of(bases))
+        file.write(samples.data)
+        return jumps
 
 
 def encode_states(
@@ -178,15 +228,15 @@ def encode_states(
     def encode(level: CodedLevel) -> Representation:
         if level.samples is None:
             return EMPTY
-        pictures = AtlasPictures.of(level.samples.open(), level.atlas)
-        return encode_checked(_level_gops(layout, level, pictures, clock.frame_ticks), pictures.size, clock, codec)
+        size = picture_size(level.atlas)
+        return encode_checked(_level_gops(layout, level, level.samples, clock.frame_ticks), size, clock, codec)
 
     return encode_parallel([functools.partial(encode, level) for level in states.levels], settings.threads)
 
 
-def _level_gops(layout: GroupLayout, level: CodedLevel, pictures: AtlasPictures, ticks: int) -> Iterator[ClosedGop]:
-    """The segments of a level that are fetched; `pictures` of all frames of the group, `ticks` a frame."""
+def _level_gops(layout: GroupLayout, level: CodedLevel, samples: StoredSamples, ticks: int) -> Iterator[ClosedGop]:
+    """The segments of a level that are fetched; `samples` of all frames of the group, `ticks` a frame."""
     for (start, stop), escaped in zip(layout.segments, level.escapes, strict=True):
         if escaped is not None:
-            shown = pictures.samples[start - layout.span.start : stop - layout.span.start]
-            yield ClosedGop(replace(pictures, samples=shown), start * ticks, ticks)
+            shown = samples.part(start - layout.span.start, stop - layout.span.start)
+            yield ClosedGop(AtlasPictures.of(shown, level.atlas), start * ticks, ticks)

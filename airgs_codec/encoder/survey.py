@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -55,16 +55,22 @@ class Survey:
         return self.importance if name == "importance" else self.usage.measure(name)
 
 
-def pair(frames: Sequence[Gaussians], pictures: Pictures) -> list[tuple[Gaussians, Camera]]:
-    """The pictures of a group with the Gaussians that they show; `frames` are all of the group."""
-    return [(frames[place], camera) for place, camera in pictures]
+@dataclass(frozen=True, slots=True, eq=False)
+class ShownPictures:
+    """Pictures of a group with the Gaussians that they show, one at a time."""
+
+    frames: Sequence[Gaussians]  # all of the group
+    pictures: Pictures
+
+    def __iter__(self) -> Iterator[tuple[Gaussians, Camera]]:
+        return ((self.frames[place], camera) for place, camera in self.pictures)
 
 
 def survey_group(sequence: GaussianSequence, span: GroupSpan, views: ViewPlan) -> Survey:
     """Survey one group over all of its frames; where the trainer's usage fits its rows, it takes precedence."""
     frames = sequence.load(range(span.start, span.stop)).frames
     pictures = sorted(views.decide(span.frames), key=lambda picture: picture[0])  # those of one frame share work
-    usage, sensitivity = measure_views(pair(frames, pictures), views.renderer)
+    usage, sensitivity = measure_views(ShownPictures(frames, pictures), views.renderer)
     known = sequence.usage(span.start, span.stop)
     if known is not None and len(known.peak) == len(frames[0]):
         usage = known

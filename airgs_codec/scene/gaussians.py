@@ -56,28 +56,27 @@ class Gaussians:
 def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:
     """The mean of frames of the same rows, each weighed by its alpha, so that what nobody sees does not count.
 
-    Alpha itself is averaged plainly; the shorter of both ways between two rotations is taken.
+    Alpha itself is averaged plainly; the shorter of both ways between two rotations is taken. Frames are looked at one
+    after the other.
     """
-    alphas = np.stack([g.opacities().astype(np.float64) for g in frames])
-    share = alphas + LEAST_SHARE  # of rows that are never seen every frame counts alike, where 0 / 0 would be no number
-    share /= share.sum(axis=0)
+    seen, weight = np.zeros(len(frames[0])), np.zeros(len(frames[0]))
+    for g in frames:
+        alpha = g.opacities().astype(np.float64)
+        seen += alpha
+        weight += alpha + LEAST_SHARE  # so that frames of rows that are never seen count alike
     middle = frames[len(frames) // 2].quaternions
-    turns = [np.where(np.einsum("ni,ni->n", g.quaternions, middle) < 0, -1.0, 1.0)[:, None] for g in frames]
-
-    def mean(columns: Sequence[NDArray]) -> NDArray[np.float32]:
-        total = sum(c * w.reshape(-1, *[1] * (c.ndim - 1)) for c, w in zip(columns, share, strict=True))
-        return np.asarray(total, np.float32)
-
-    quaternions = mean([g.quaternions * turn for g, turn in zip(frames, turns, strict=True)])
-    alpha = np.clip(alphas.mean(axis=0), ALPHA_LIMIT, 1 - ALPHA_LIMIT)
-    return Gaussians(
-        mean([g.means for g in frames]),
-        quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True),
-        mean([g.log_scales for g in frames]),
-        np.log(alpha / (1 - alpha)).astype(np.float32),
-        mean([g.sh_dc for g in frames]),
-        mean([g.sh_rest for g in frames]),
-    )
+    names = [f.name for f in fields(Gaussians) if f.name != "opacity_logits"]
+    sums = {name: np.zeros(getattr(frames[0], name).shape) for name in names}
+    for g in frames:
+        share = (g.opacities().astype(np.float64) + LEAST_SHARE) / weight
+        turn = np.where(np.einsum("ni,ni->n", g.quaternions, middle) < 0, -1.0, 1.0)
+        for name, total in sums.items():
+            column = getattr(g, name) * turn[:, None] if name == "quaternions" else getattr(g, name)
+            total += column * share.reshape(-1, *[1] * (column.ndim - 1))
+    alpha = np.clip(seen / len(frames), ALPHA_LIMIT, 1 - ALPHA_LIMIT)
+    means = {name: total.astype(np.float32) for name, total in sums.items()}
+    means["quaternions"] /= np.linalg.norm(means["quaternions"], axis=1, keepdims=True)
+    return Gaussians(**means, opacity_logits=np.log(alpha / (1 - alpha)).astype(np.float32))
 
 
 def mix_rows(a: Gaussians, b: Gaussians, choose: NDArray[np.bool_]) -> Gaussians:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.frames import LazyFrames
 from airgs_codec.scene.gaussians import Gaussians
 
 OPACITY_LOGIT_LIMIT = np.float32(20.0)  # sigmoid(20) = 1 - 2e-9; an infinite logit is stored as this
@@ -19,7 +20,7 @@ QUATERNION_MIN_NORM = 1e-12  # below it the squared length leaves float32: no di
 class Repaired:
     """Frames that share rows, with unit quaternions, and what was repaired in them."""
 
-    frames: list[Gaussians]
+    frames: Sequence[Gaussians]  # each is repaired when it is asked for
     notes: list[str]  # a sentence for each kind of repair; empty: nothing but lengths of quaternions was changed
 
 
@@ -27,20 +28,28 @@ def repair(frames: Sequence[Gaussians], where: str) -> Repaired:
     """Make frames of one group codable; `where` names them in notes and errors.
 
     Infinite opacity logits become ±20 and zero quaternions identity, all others unit length; a row that is not finite
-    in some frame is dropped in all of them. Raises SceneError when no row is left.
+    in some frame is dropped in all of them. All frames are looked at, one after the other. Raises SceneError when no
+    row is left.
     """
-    notes: list[str] = []
-    frames = [_with_finite_opacity(frame) for frame in frames]
-    finite = np.logical_and.reduce([_finite_rows(frame) for frame in frames])
-    if not finite.all():
-        notes.append(f"{where}: {int((~finite).sum())} Gaussians that are not finite in some frame were dropped")
-        frames = [frame.take(finite) for frame in frames]
+    finite = np.ones(len(frames[0]), bool)
+    zero = np.zeros(len(frames[0]), bool)
+    for frame in frames:
+        finite &= _finite_rows(_with_finite_opacity(frame))
+        zero |= _zero_quaternions(frame)
     if not finite.any():
         raise SceneError(f"{where}: expected finite Gaussians, all {len(finite)} have NaN or Inf in some frame")
-    zero = [np.linalg.norm(frame.quaternions.astype(np.float64), axis=1) < QUATERNION_MIN_NORM for frame in frames]
-    if count := int(np.logical_or.reduce(zero).sum()):
+    notes = []
+    if count := int((~finite).sum()):
+        notes.append(f"{where}: {count} Gaussians that are not finite in some frame were dropped")
+    if count := int((zero & finite).sum()):
         notes.append(f"{where}: {count} Gaussians with zero quaternions were given identity")
-    return Repaired([_with_unit_quaternions(f, z) for f, z in zip(frames, zero, strict=True)], notes)
+    return Repaired(LazyFrames(lambda place: _repaired(frames[place], finite), range(len(frames))), notes)
+
+
+def _repaired(frame: Gaussians, finite: NDArray[np.bool_]) -> Gaussians:
+    """A frame with the (N,) finite rows alone."""
+    frame = _with_finite_opacity(frame)
+    return _with_unit_quaternions(frame if finite.all() else frame.take(finite))
 
 
 def _with_finite_opacity(g: Gaussians) -> Gaussians:
@@ -54,7 +63,13 @@ def _finite_rows(g: Gaussians) -> NDArray[np.bool_]:
     return np.logical_and.reduce([np.isfinite(column).all(axis=1) for column in columns])
 
 
-def _with_unit_quaternions(g: Gaussians, zero: NDArray[np.bool_]) -> Gaussians:
-    """The frame with quaternions of length 1; identity in the (N,) rows `zero`."""
-    q = np.where(zero[:, None], np.array([1, 0, 0, 0], np.float32), g.quaternions).astype(np.float64)
+def _zero_quaternions(g: Gaussians) -> NDArray[np.bool_]:
+    """(N,) whether the quaternion of a row has no direction."""
+    return np.asarray(np.linalg.norm(g.quaternions.astype(np.float64), axis=1) < QUATERNION_MIN_NORM)
+
+
+def _with_unit_quaternions(g: Gaussians) -> Gaussians:
+    """The frame with quaternions of length 1, identity where they have no direction."""
+    zero = _zero_quaternions(g)[:, None]
+    q = np.where(zero, np.array([1, 0, 0, 0], np.float32), g.quaternions).astype(np.float64)
     return replace(g, quaternions=(q / np.linalg.norm(q, axis=1, keepdims=True)).astype(np.float32))

@@ -21,7 +21,8 @@ from airgs_codec.scene.formats.clip import Bake, Clip
 from airgs_codec.scene.formats.clips import SUFFIXES, clip_format
 from airgs_codec.scene.formats.find import Found, find_frames
 from airgs_codec.scene.formats.table import Format, format_of, read_frame, read_frame_header
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.frames import LazyFrames
+from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.mirror import Mirror
 from airgs_codec.scene.ply import PlyHeader
 from airgs_codec.scene.rates import frame_rate
@@ -31,6 +32,7 @@ from airgs_codec.scene.usage import Usage, load_usage
 
 ATTRIBUTION_NAME = "ATTRIBUTION.txt"
 USAGE_NAME = "usage.npz"
+KEPT_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not kept in memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,14 +104,21 @@ class GaussianSequence:
     def load(self, wanted: Iterable[int]) -> Repaired:
         """Read frames of one group and repair them together: a row that is dropped in one is dropped in all.
 
-        Raises SceneError when a file is broken or no finite row is left.
+        Frames that take more than KEPT_BYTES together are read once to find what must be repaired, and again whenever
+        they are asked for. Raises SceneError when a file is broken or no finite row is left.
         """
         numbers = list(wanted)
         span = f"frame {numbers[0]}" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}"
-        name = (self.paths[0] if self.alone else self.folder).name
-        with self.files.hold(dict.fromkeys(self.paths[i] for i in numbers)):
-            frames = [self.read(i) for i in numbers]
-        return repair(frames, f"{name} {span}")
+        where = f"{(self.paths[0] if self.alone else self.folder).name} {span}"
+        kept = sum(self._bytes(number) for number in numbers) <= KEPT_BYTES
+        stored = LazyFrames(self.read, numbers)
+        with self.files.hold(dict.fromkeys(self.paths[number] for number in numbers)):
+            done = repair(list(stored) if kept else stored, where)
+        return replace(done, frames=list(done.frames)) if kept else done
+
+    def _bytes(self, frame: int) -> int:
+        """What a frame takes in memory."""
+        return 4 * self.headers[frame].count * (14 + 3 * SH_REST[self.sh_degree])
 
 
 def read_attribution(folder: Path) -> str:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.coding.atlas import assemble, choose_layout, extract, fit_atlas, picture_size, sample_index
+from airgs_codec.coding.atlas import assemble, choose_layout, extract, fit_atlas, picture_size, row_places
 from airgs_codec.package.tables import MAX_PAGES, Atlas
 
 
@@ -29,7 +29,7 @@ def test_samples_come_back_from_their_cells(rows, planes):
 
 def test_a_block_is_filled_along_a_z_curve():
     layout = Atlas(300, [0], [0], 32, 1)
-    index = sample_index(300, 32, 1, 1, 64)[0]
+    index = row_places(300, 32, 64)
     assert [divmod(int(i), 64) for i in index[:5]] == [(0, 0), (0, 1), (1, 0), (1, 1), (0, 2)]
     assert divmod(int(index[256]), 64) == (0, 16)  # the next block is to the right
     assert picture_size(layout) == (64, 64)

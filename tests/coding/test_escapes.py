@@ -23,9 +23,19 @@ def test_escapes_are_lossless_and_stay_off_the_ends_of_luma(values):
     luma, bases = escapes.split(values)
     assert luma.min() >= 32 and luma.max() <= 224
     np.testing.assert_array_equal(luma.astype(np.int64) - 128 + escapes.UNIT * bases.astype(np.int64), values)
-    unpacked = escapes.unpack(escapes.pack(bases) or None, values.shape, "here")
+    unpacked = escapes.unpack(escapes.pack(escapes.Escapes.of(bases)) or None, values.shape, "here")
     for t in range(len(values)):
         np.testing.assert_array_equal(unpacked.bases(t), bases[t])
+
+
+@given(codes)
+@settings(max_examples=50)
+def test_planes_that_are_split_one_by_one_have_the_escapes_of_all_together(values):
+    whole = escapes.Escapes.of(escapes.split(values)[1])
+    planes = [escapes.Escapes.of(escapes.split(values[:, p : p + 1])[1]) for p in range(values.shape[1])]
+    joined = escapes.Escapes.join(planes)
+    assert joined.shape == whole.shape
+    assert joined.index.tolist() == whole.index.tolist() and joined.jumps.tolist() == whole.jumps.tolist()
 
 
 def fewest_jumps(series):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import GREY, sample_index
+from airgs_codec.coding.atlas import GREY, plane_starts, row_places
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
 from airgs_codec.decoder.decode import decode_canonical, decode_frames
@@ -171,7 +171,8 @@ class _Writer:
         luma[:lines] = picture[:lines]
         now = jumps.bases(frame)
         changed = now != (jumps.bases(frame - 1) if frame else np.zeros_like(now))
-        places = sample_index(atlas.rows, atlas.plane_width, atlas.columns, len(atlas.planes), atlas.width)
+        starts = plane_starts(atlas, atlas.width)
+        places = np.add.outer(starts, row_places(atlas.rows, atlas.plane_width, atlas.width))
         changes = {"texels": self.blob.add(places[changed].astype(np.uint32)), "bases": self.blob.add(now[changed])}
         return {"luma": self.blob.add(luma), "changes": changes if changed.any() else None}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import read_codes, sample_index
+from airgs_codec.coding.atlas import read_codes, row_places
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
@@ -112,7 +112,7 @@ def test_escapes_that_are_refused(case):
 def test_places_in_a_plane():
     for case in cases("planes", "places"):
         stride = case["plane_width"]
-        line, column = divmod(int(sample_index(case["row"] + 1, stride, 1, 1, stride)[0, -1]), stride)
+        line, column = divmod(int(row_places(case["row"] + 1, stride, stride)[-1]), stride)
         assert [column, line] == case["place"]
 
 

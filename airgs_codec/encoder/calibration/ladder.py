@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import pooled_error
 from airgs_codec.coding.channels import key_channels, state_channels
+from airgs_codec.coding.chunks import row_chunks
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.calibration.sample import CalibrationSample
 from airgs_codec.encoder.calibration.subject import Subject
@@ -136,8 +137,11 @@ def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.flo
     layout, settings = subject.layout, subject.settings
     channels = key_channels(frames[0], layout.transform, layout.key_steps).astype(np.float32)
     base = layout.canonical_space(channels, np.zeros(len(layout.codes), np.uint8))
-    states = state_channels(frames, base, layout.state_steps)
-    states /= STATE.steps(layout.state_steps, layout.colours)[:, None]
-    changes = states - states[0]
-    weights, rank = layout.state_weights(), settings.update_rank
-    return rank_updates(states[1:], changes[1:], weights, layout.usage, rank, settings.keep_all)
+    steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
+    score, moving = np.empty(len(layout.rows)), np.empty(len(layout.rows), bool)
+    for rows in row_chunks(len(layout.rows), len(frames) * len(steps)):
+        states = state_channels([frame.take(rows) for frame in frames], base.part(rows), layout.state_steps) / steps
+        weights, usage, rank = layout.state_weights(rows), layout.usage.take(rows), settings.update_rank
+        changes = states[1:] - states[0]
+        score[rows], moving[rows] = rank_updates(states[1:], changes, weights, usage, rank, settings.keep_all)
+    return score, moving

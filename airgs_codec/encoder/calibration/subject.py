@@ -5,6 +5,7 @@ N rows of the group, n rows of the sample.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +31,7 @@ MOST_FRAMES = 32
 class Subject:
     """The group that is calibrated on."""
 
-    frames: list[Gaussians]  # all of the group, with all input rows
+    frames: Sequence[Gaussians]  # all of the group, with all input rows
     layout: GroupLayout
     pruning: RowPruning
     settings: EncodeSettings
