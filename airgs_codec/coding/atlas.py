@@ -109,25 +109,29 @@ def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) 
     return pictures.reshape(-1, lines, width)
 
 
-def extract(picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
-    """(pages * height, width) picture -> (P, N) samples."""
-    places = row_places(atlas.rows, atlas.plane_width, picture.shape[1])
+def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None)) -> NDArray[np.uint8]:
+    """(pages * height, width) picture -> (P, n) samples of some rows."""
+    places = row_places(atlas.rows, atlas.plane_width, picture.shape[1])[rows]
     flat = np.ascontiguousarray(picture).ravel()
-    samples = np.empty((len(atlas.planes), atlas.rows), np.uint8)
+    samples = np.empty((len(atlas.planes), len(places)), np.uint8)
     for plane, start in zip(samples, plane_starts(atlas, picture.shape[1]), strict=True):
-        flat[start:].take(places, out=plane)
+        plane[:] = flat[start:][places]
     return samples
 
 
-def read_codes(picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32] | None) -> NDArray[np.int32]:
-    """A picture and the (P, N) bases in force -> (channels, N) codes; a channel without a plane is its centre.
+def read_codes(
+    picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32] | None, rows: slice = slice(None)
+) -> NDArray[np.int32]:
+    """A picture and the (P, N) bases in force -> (channels, n) codes of some rows.
 
-    None for the bases where there are no escapes.
+    A channel without a plane is its centre. None for the bases where there are no escapes.
     """
-    centres = np.array(atlas.centres, np.int32)[:, None]
-    codes = np.empty((len(atlas.centres), atlas.rows), np.int32)
-    codes[:] = centres
-    codes[atlas.planes] = extract(picture, atlas) + (centres[atlas.planes] - GREY)
+    samples = extract(picture, atlas, rows)
+    codes = np.empty((len(atlas.centres), samples.shape[1]), np.int32)
+    for channel in set(range(len(codes))).difference(atlas.planes):
+        codes[channel] = atlas.centres[channel]
+    for channel, plane in zip(atlas.planes, samples, strict=True):
+        np.add(plane, np.int32(atlas.centres[channel] - GREY), out=codes[channel])
     if bases is not None:
-        codes[atlas.planes] += escapes.UNIT * bases
+        codes[atlas.planes] += escapes.UNIT * bases[:, rows]
     return codes

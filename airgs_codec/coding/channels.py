@@ -7,13 +7,14 @@ N rows of all decoded tiers, n rows of a level, T frames, C colour channels. `ke
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.attributes import from_opacity, to_opacity
+from airgs_codec.coding.chunks import for_chunks
 from airgs_codec.coding.colour import colour_steps, colours, from_klt, split_colours, to_klt
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.coding.motion import motion_units
@@ -25,6 +26,7 @@ from airgs_codec.scene.rotations import conjugate, from_rotation_vector, multipl
 
 _MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
 _OPACITY, _COLOUR = STATE.slice("opacity"), STATE.slice(COLOUR)
+WIDTH = 64  # numbers that a row of a decoded frame takes while it is worked out
 LEAST_DRAWN = 1 / 255  # INRIA's renderer and all after it do not draw a Gaussian of less alpha
 
 
@@ -163,9 +165,8 @@ class StateApplier:
     """Adds decoded states to the n rows of one level; what all frames of a segment share is gathered once."""
 
     base: Canonical
-    rows: NDArray[np.intp]  # (n,) the level's rows among the N
-    motion_units: NDArray[np.float32]  # (n,)
-    quaternions: NDArray[np.float32]  # (n, 4)
+    shown: Gaussians  # the canonical space as a frame
+    rows: NDArray[np.intp]  # (n,) the level's rows among the N, ascending
     colour_steps: NDArray[np.float32]  # (C,)
     transform: NDArray[np.float32]  # (C, C)
     has_rotation: bool  # some rotation channel may differ from 0; this and the next only save work
@@ -178,30 +179,54 @@ class StateApplier:
         """An applier for these rows (n,); without `has_rotation` or `has_colour` those channels are taken to be 0."""
         scale = colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1]).astype(np.float32)
         transform = base.transform.astype(np.float32)
-        units, quaternions = base.motion_units[rows], base.quaternions[rows]
-        return StateApplier(base, rows, units, quaternions, scale, transform, has_rotation, has_colour)
+        return StateApplier(base, base.to_gaussians(), rows, scale, transform, has_rotation, has_colour)
 
     def apply(self, channels: NDArray[np.float32]) -> Gaussians:
-        """The frame that decoded state channels (10 + C, n) make of the canonical space: all N rows.
+        """The frame that decoded state channels (10 + C, n) make of the canonical space: all N rows."""
+        return self.apply_parts(lambda rows: channels[:, rows])
 
-        Columns are written one by one, which numpy does twice as fast as rows.
-        """
-        base, rows = self.base, self.rows
-        means, log_scales, opacity = base.means.copy(), base.log_scales.copy(), base.opacity.copy()
-        quaternions, colour = base.quaternions, base.colours
-        shifts, growth = channels[_MEANS] * self.motion_units, channels[_SCALES]
-        for axis in range(3):
-            means[rows, axis] += shifts[axis]
-            log_scales[rows, axis] += growth[axis]
-        opacity[rows] += channels[_OPACITY][0]
-        if self.has_rotation:
-            quaternions = quaternions.copy()
-            turn = from_rotation_vector(np.ascontiguousarray(channels[_ROTATION].T))
-            quaternions[rows] = multiply(turn, self.quaternions)
+    def apply_parts(self, read: Callable[[slice], NDArray[np.float32]]) -> Gaussians:
+        """The same frame, of channels that `read` gives for some of the n rows at a time, on several threads."""
+        shown, columns = self.shown, {}
+        for name in ("means", "log_scales", "opacity_logits", "quaternions"):
+            if name != "quaternions" or self.has_rotation:
+                columns[name] = np.empty_like(getattr(shown, name))
         if self.has_colour:
-            colour = colour.copy()
-            colour[rows] += from_klt(channels[_COLOUR].T, self.transform) * self.colour_steps
-        return _to_gaussians(means, quaternions, log_scales, opacity, colour)
+            columns["colours"] = np.empty_like(self.base.colours)
+
+        def fill(rows: slice) -> None:
+            for name, column in columns.items():
+                column[rows] = getattr(self.base if name == "colours" else shown, name)[rows]
+            start, stop = np.searchsorted(self.rows, (rows.start, rows.stop)).tolist()
+            if start < stop:
+                first, last = self.rows[start], self.rows[stop - 1]
+                some = slice(first, last + 1) if last - first == stop - start - 1 else self.rows[start:stop]
+                self._add(columns, some, read(slice(start, stop)))
+
+        for_chunks(fill, len(shown), WIDTH)
+        if self.has_colour:
+            dc, rest = split_colours(columns.pop("colours"))
+            columns |= {"sh_dc": np.ascontiguousarray(dc), "sh_rest": rest}
+        return replace(shown, **columns)
+
+    def _add(
+        self, columns: dict[str, NDArray[np.float32]], rows: NDArray[np.intp] | slice, channels: NDArray[np.float32]
+    ) -> None:
+        """Write what (10 + C, n) channels make of these rows (n,).
+
+        Axes are written one by one, which numpy does twice as fast as rows.
+        """
+        base = self.base
+        shifts, growth = channels[_MEANS] * base.motion_units[rows], channels[_SCALES]
+        for axis in range(3):
+            columns["means"][rows, axis] = base.means[rows, axis] + shifts[axis]
+            columns["log_scales"][rows, axis] += growth[axis]
+        columns["opacity_logits"][rows] = from_opacity(base.opacity[rows] + channels[_OPACITY][0])
+        if self.has_rotation:
+            turn = from_rotation_vector(np.ascontiguousarray(channels[_ROTATION].T))
+            columns["quaternions"][rows] = multiply(turn, base.quaternions[rows])
+        if self.has_colour:
+            columns["colours"][rows] += from_klt(channels[_COLOUR].T, self.transform) * self.colour_steps
 
 
 def _to_gaussians(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 CHUNK = 1 << 20  # numbers of all its rows together that a chunk has at most; but it has at least LEAST rows
 LEAST = 256  # rows
@@ -12,3 +15,18 @@ def row_chunks(rows: int, width: int) -> Iterator[slice]:
     """Slices that cover so many rows, each of which has `width` numbers."""
     size = max(LEAST, CHUNK // max(1, width))
     return (slice(start, min(start + size, rows)) for start in range(0, rows, size))
+
+
+def for_chunks(work: Callable[[slice], None], rows: int, width: int) -> None:
+    """Call `work` with every chunk, several at a time where there are several: numpy lets other threads run."""
+    chunks = list(row_chunks(rows, width))
+    if len(chunks) == 1:
+        work(chunks[0])
+        return
+    for _ in _pool().map(work, chunks):
+        pass
+
+
+@functools.cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="chunks")

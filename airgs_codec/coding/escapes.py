@@ -5,7 +5,8 @@ T frames, P planes, N rows; code - centre = luma - 128 + UNIT * base. A sample h
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,6 +84,18 @@ class Escapes:
         bases = np.zeros(area, np.int32)
         np.add.at(bases, self.index[:upto] % area, self.jumps[:upto])
         return bases.reshape(self.shape[1:])
+
+    def running(self) -> Iterator[NDArray[np.int32] | None]:
+        """(P, N) bases of one frame after the other, the same array every time; None before the first jump."""
+        frames, planes, rows = self.shape
+        bounds = np.searchsorted(self.index, np.arange(frames + 1) * planes * rows)
+        bases: NDArray[np.int32] | None = None
+        for start, stop in itertools.pairwise(bounds):
+            if stop and bases is None:
+                bases = np.zeros(self.shape[1:], np.int32)
+            if bases is not None:
+                bases.ravel()[self.index[start:stop] % bases.size] += self.jumps[start:stop]
+            yield bases
 
 
 def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:

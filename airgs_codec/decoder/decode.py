@@ -5,7 +5,10 @@ N rows of a group, n rows of a key tier or a level, P planes of an atlas, C colo
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -143,22 +146,40 @@ def decode_state(package: Package, index: int, level: int, first: int, last: int
 
     Raises FormatError.
     """
+    atlas = package.manifest.groups[package.manifest.group_of(index)].levels[level]
+    for picture, bases in _decode_pictures(package, index, level, first, last):
+        yield read_codes(picture, atlas, bases)
+
+
+def _decode_pictures(
+    package: Package, index: int, level: int, first: int, last: int
+) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.int32] | None]]:
+    """(pages * H, W) luma of each frame, as in `decode_state`, and the bases in force, until the next one."""
     m = package.manifest
     segment = m.segments[index]
     (media,) = m.state_files(index, level)
     atlas = m.groups[m.group_of(index)].levels[level]
     shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
     file = open_segment(package.read(media), media)
-    jumps = escapes.unpack(file.columns, shape, media)
+    bases = escapes.unpack(file.columns, shape, media).running()
     shown = 0
-    for shown, picture in enumerate(decode_pictures(file.samples, media, atlas.pages), 1):
+    pictures = itertools.islice(decode_pictures(file.samples, media, atlas.pages), last)
+    for shown, picture in enumerate(_ahead(pictures), 1):
+        now = next(bases)
         if shown > first:
             _expect_size(picture, atlas, media)
-            yield read_codes(picture, atlas, jumps.bases(shown - 1))
-        if shown == last:
-            break
+            yield picture, now
     if shown < last:
         raise FormatError("bad_picture", media, f"expected {shape[0]} pictures, got {shown}")
+
+
+def _ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
+    """The same pictures, of which the next one is decoded on another thread while one is worked with."""
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(next, pictures, None)
+        while (picture := coming.result()) is not None:
+            coming = pool.submit(next, pictures, None)
+            yield picture
 
 
 def decode_segment(
@@ -186,9 +207,14 @@ def decode_segment(
     varies = [_varies(atlas, STATE.slice(name)) for name in ("quaternions", COLOUR)]
     applier = StateApplier.of(base, rows, group.state_steps, *varies)
     first, last = places[0], places[-1] + 1
-    for place, codes in enumerate(decode_state(package, index, level, first, last), first):
+    pictures = _decode_pictures(package, index, level, first, last)
+
+    def read(picture: NDArray[np.uint8], bases: NDArray[np.int32] | None, some: slice) -> NDArray[np.float32]:
+        return from_codes(read_codes(picture, atlas, bases, some), steps, m.state_gain)
+
+    for place, shown in enumerate(pictures, first):
         if place in places:
-            yield applier.apply(from_codes(codes[:, : len(rows)], steps, m.state_gain))
+            yield applier.apply_parts(functools.partial(read, *shown))
 
 
 def _varies(atlas: Atlas, channels: slice) -> bool:

@@ -26,6 +26,8 @@ def test_escapes_are_lossless_and_stay_off_the_ends_of_luma(values):
     unpacked = escapes.unpack(escapes.pack(escapes.Escapes.of(bases)) or None, values.shape, "here")
     for t in range(len(values)):
         np.testing.assert_array_equal(unpacked.bases(t), bases[t])
+    for running, expected in zip(unpacked.running(), bases, strict=True):
+        np.testing.assert_array_equal(np.zeros_like(expected) if running is None else running, expected)
 
 
 @given(codes)

@@ -1,0 +1,50 @@
+"""Frames are decoded a few rows at a time, on several threads: the same as all rows at once.
+
+Colours may differ by the rounding of a product of matrices, which is worked out in another order at the ends of chunks.
+"""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from airgs_codec.coding import chunks
+from airgs_codec.coding.atlas import read_codes
+from airgs_codec.decoder.decode import decode_frames, decode_state
+from airgs_codec.package.store import open_package
+from airgs_codec.package.tables import Atlas
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_how_many_rows_are_decoded_together_changes_nothing(demo_package, monkeypatch, level):
+    package = open_package(demo_package)
+    frames = []
+    for most in (chunks.LEAST, 1 << 24):
+        monkeypatch.setattr(chunks, "CHUNK", 1)
+        monkeypatch.setattr(chunks, "LEAST", most)
+        frames.append([frame.gaussians for frame in decode_frames(package, 0, 6, level=level)])
+    assert len(frames[0][0]) > 2 * 256
+    for a, b in zip(*frames, strict=True):
+        for f in fields(a):
+            error = 2.0**-20 if f.name.startswith("sh_") else 0.0
+            np.testing.assert_allclose(getattr(a, f.name), getattr(b, f.name), rtol=0, atol=error)
+
+
+def test_the_codes_of_some_rows_are_those_of_all_of_them():
+    random = np.random.default_rng(0)
+    atlas = Atlas(1000, [7, -3, 0], [0, 2], 64, 2)
+    picture = random.integers(16, 236, (256, 128)).astype(np.uint8)
+    bases = random.integers(-2, 3, (2, 1000)).astype(np.int32)
+    whole = read_codes(picture, atlas, bases)
+    np.testing.assert_array_equal(read_codes(picture, atlas, bases, slice(300, 555)), whole[:, 300:555])
+    assert (whole[1] == -3).all() and len(np.unique(whole[0])) > 100
+
+
+def test_frames_of_a_segment_come_in_order_and_stop_where_they_are_asked_to(demo_package):
+    package = open_package(demo_package)
+    index = next(s for s in range(len(package.manifest.segments)) if package.manifest.state_files(s, 0))
+    segment = package.manifest.segments[index]
+    every = list(decode_state(package, index, 0, 0, segment.stop - segment.start))
+    some = list(decode_state(package, index, 0, 1, 3))
+    assert len(every) == segment.stop - segment.start
+    assert all(np.array_equal(a, b) for a, b in zip(some, every[1:3], strict=True))
