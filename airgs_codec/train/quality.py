@@ -24,6 +24,11 @@ def mean_psnr(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> 
     return float(np.mean([psnr(mse(loaded.draw(view.camera).rgb, view.target.rgb)) for view in views]))
 
 
+def better(before: Gaussians, after: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> Gaussians:
+    """Whichever of two shows more, `after` where they show the same."""
+    return before if mean_psnr(before, views, renderer) > mean_psnr(after, views, renderer) else after
+
+
 def mean_ssim(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> float:
     """Mean over views of each view's SSIM, 1 for equal pictures."""
     loaded = renderer.load(g)

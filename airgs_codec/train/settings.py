@@ -63,7 +63,11 @@ class TrainSettings:
     max_drop_db: float = setting(
         5.0, "loss against the first frame of its group above which a frame becomes a keyframe"
     )
-    keep_better: bool = setting(True, "keep a keyframe only where it shows more than the frame as it moved")
+    keep_better: bool = setting(
+        True,
+        "keep a keyframe only where it shows more than the frame as it moved, and that only where it shows no less "
+        "than the frame before as it was",
+    )
     seeds: bool = setting(True, "place new Gaussians of a keyframe where the views show what the present ones cannot")
     densify: str = setting(
         BUDGET,

@@ -35,7 +35,7 @@ from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates, Regularisers
 from airgs_codec.train.fit.points import initial_points, scene_extent
 from airgs_codec.train.fit.seeds import find_wrong, residual_seeds
 from airgs_codec.train.fit.temporal import codec_steps, temporal_weights
-from airgs_codec.train.quality import mean_psnr
+from airgs_codec.train.quality import better, mean_psnr
 from airgs_codec.train.settings import BUDGET, RANDOM, TrainSettings
 
 START_OPACITY = 0.1  # of the points that a first frame starts from
@@ -129,7 +129,8 @@ class Trainer:
     ) -> Gaussians:
         """The Gaussians of the frame before, moved (AirGS, "Training" 2). Networks of the group learn on.
 
-        Raises TrainingError where the loss is not finite.
+        Where the frame before shows more as it was, it stays: steps that are made for motion lead away from pictures
+        that are right to less than a grey level. Raises TrainingError where the loss is not finite.
         """
         s = self.settings
         base = from_gaussians(before.gaussians, self.device)
@@ -162,7 +163,8 @@ class Trainer:
         )
         schedule = self._schedule("motion", iterations, self._sh_degree, s.coarse)
         optimise(fitted, scope.views, schedule, self._rng(target.frame, 2), progress=progress)
-        return to_gaussians(fitted.detached())
+        found = to_gaussians(fitted.detached())
+        return better(before.gaussians, found, target.views[::2], self.renderer) if s.keep_better else found
 
     def fit_keyframe(
         self, target: FrameViews, before: FrameBefore, steps: Parameters, progress: Progress = silent

@@ -158,3 +158,14 @@ def test_a_frame_where_nothing_moves_is_the_frame_before():
     t = trainer()
     nothing = [np.zeros((48, 48), bool)] * 8
     assert t.fit_frame(FrameViews(1, views, nothing), FrameBefore(g, None), t.start_group(g, views)) is g
+
+
+def test_a_fit_that_shows_less_than_the_frame_before_is_not_taken():
+    truth = coloured_cloud()
+    views = views_of(moved(truth, slice(0, 20), (1e-6, 0.0, 0.0)), ring(8))  # less than 8 bits show
+    free = {"frame_iterations": 10, "temporal": Temporal(weight=0.0)}
+    for keep_better in (True, False):
+        t = trainer(**free, keep_better=keep_better)
+        g = t.fit_frame(FrameViews(1, views), FrameBefore(truth, None), t.start_group(truth, views))
+        assert (g is truth) == keep_better
+    assert mean_psnr(g, views) < mean_psnr(truth, views) - 3

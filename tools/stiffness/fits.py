@@ -16,12 +16,14 @@ from airgs_codec.render import cpu
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.adam import Adam
 from airgs_codec.train.fit.optimise import Schedule, optimise
-from airgs_codec.train.fit.parameters import Parameters, from_gaussians, render_views
+from airgs_codec.train.fit.parameters import Parameters, from_gaussians, render_views, to_gaussians
 from airgs_codec.train.fit.per_gaussian import PerGaussian
 from airgs_codec.train.fit.temporal import codec_steps, temporal_weights
 from airgs_codec.train.loss.photometric import photometric
 from airgs_codec.train.loss.target import Target
+from airgs_codec.train.quality import better
 from airgs_codec.train.settings import TrainSettings
+from airgs_codec.train.stages import MOVING_RATES
 from tools.stiffness.outcome import BOUNDED, INVISIBLE, Cell, Sweep, attempt, fit_end
 from tools.stiffness.scenes import EXTENT, Axis, Problem, needles
 
@@ -95,8 +97,13 @@ def loss(parameters: Parameters, views: Sequence[View]) -> torch.Tensor:
     return torch.stack(parts).mean()
 
 
-def fit(problem: Problem, steps: Steps, factor: float, iterations: int = ITERATIONS) -> tuple[str, float, str]:
-    """End of a fit, its loss over that at the start, and a note. Raises TrainingError as the trainer does."""
+def fit(
+    problem: Problem, steps: Steps, factor: float, iterations: int = ITERATIONS, keep_better: bool = True
+) -> tuple[str, float, str]:
+    """End of a fit, its loss over that at the start, and a note. Raises TrainingError as the trainer does.
+
+    `keep_better`: a frame after another one is taken only where it shows no less, as in the trainer.
+    """
     views = views_of(problem)
     base = from_gaussians(problem.start)
     variables = PerGaussian(
@@ -110,10 +117,13 @@ def fit(problem: Problem, steps: Steps, factor: float, iterations: int = ITERATI
         before = float(loss(base, views))
     optimise(variables, views, Schedule("fit", iterations, lambda done: 0), np.random.default_rng(0))
     after = variables.detached()
+    if keep_better and problem.rates == MOVING_RATES:  # a frame after another one
+        shown = better(problem.start, to_gaussians(after), views)
+        after = base if shown is problem.start else after
     finite = all(bool(torch.isfinite(p).all()) for p in after.values())
     with torch.no_grad():
         left = float(loss(after, views))
-    moved = any(bool((p.detach() != 0).any()) for p in variables.adam.parameters.values())
+    moved = after is not base and any(bool((p.detach() != 0).any()) for p in variables.adam.parameters.values())
     end = fit_end(before, left, finite)
     words = "nothing moves" if not moved else _words(problem, max(before, left)) if end == BOUNDED else ""
     return end, left / before if before else 1.0, words
@@ -141,7 +151,11 @@ def sweep_fits(axis: Axis, quick: bool = False) -> Sweep:
         problem = axis.make(value)
         for name, steps in known.items():
             for factor in factors:
-                cells.append(attempt(name, f"{factor:g}", value, partial(fit, problem, steps, factor)))
+                cells.append(
+                    attempt(
+                        name, f"{factor:g}", value, partial(fit, problem, steps, factor, keep_better=name == TRAINER)
+                    )
+                )
     return Sweep(
         name=f"train-{axis.name}",
         title=axis.title,

@@ -171,8 +171,9 @@ AXES = (
         "motion a frame / size of a Gaussian",
         moving,
         (1e-4, 1e-2, 0.1, 1.0, 10.0, 100.0),
-        "a frame starts where the motion before leads to, where that is nearer to the pictures, and what moved out of "
-        "its own sight is left to keyframes (airgs_codec/train/stages.py)",
+        "a frame starts where the motion before leads to, where that is nearer to the pictures; it stays as it was "
+        "where its fit shows less; and what moved out of its own sight is left to keyframes "
+        "(airgs_codec/train/stages.py)",
     ),
     Axis(
         "changes",
