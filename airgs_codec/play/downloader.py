@@ -7,13 +7,13 @@ other implementation.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from airgs_codec.errors import FormatError
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.events import Arrival, Request
+from airgs_codec.play.events import Arrival, Event, Request
 from airgs_codec.play.link import Link
 
 CHECK_S = 0.5  # a download is looked at so often, and given so long before the first look
@@ -32,8 +32,8 @@ class Partial:
 GiveUp = Callable[[Partial], bool]
 
 
-class Downloader(Protocol):
-    """Fetches one batch after another."""
+class Connection(Protocol):
+    """What a player knows of the way that batches come by."""
 
     @property
     def rtt_s(self) -> float:
@@ -43,11 +43,43 @@ class Downloader(Protocol):
     def pipelines(self) -> bool:
         """Whether a request may be sent before the batch before it has arrived."""
 
+
+class Downloader(Connection, Protocol):
+    """Fetches one batch after another."""
+
     def fetch(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
         """Request a batch and wait for it. `give_up` is asked every CHECK_S whether to abandon it.
 
         Raises TransportError when the link fails.
         """
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A batch that a player waits for; `give_up` is to be asked every CHECK_S whether to abandon it."""
+
+    request: Request
+    give_up: GiveUp | None
+
+
+Result = TypeVar("Result")
+Fetching = Generator[Event | Wanted, Arrival | None, Result]  # steps that end with a result
+Steps = Fetching[None]
+
+
+def answer(steps: Steps, downloader: Downloader) -> Iterator[Event]:
+    """The events of a player whose batches a downloader fetches."""
+    arrival: Arrival | None = None
+    while True:
+        try:
+            step = steps.send(arrival)
+        except StopIteration:
+            return
+        if isinstance(step, Wanted):
+            arrival = downloader.fetch(step.request, step.give_up)
+        else:
+            arrival = None
+            yield step
 
 
 @dataclass(slots=True, eq=False)

@@ -17,13 +17,13 @@ nothing will follow, or nothing has followed for SILENCE_S. Times are seconds fr
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.play.catalogue import Batch, Catalogue
-from airgs_codec.play.downloader import Downloader, GiveUp, Partial
+from airgs_codec.play.downloader import Connection, Downloader, Fetching, GiveUp, Partial, Steps, Wanted, answer
 from airgs_codec.play.events import Arrival, Arrived, BatchKind, Cut, Event, Lost, Replaced, Request, Shown
 from airgs_codec.play.keys import KeyStore, TableStore
 from airgs_codec.play.ladder import Decision, Option
@@ -53,11 +53,22 @@ def run(
     Raises ConfigError where the policy needs quality that was not measured and where all rungs of the first segment are
     over the budget, TransportError when the link fails.
     """
+    return answer(play_steps(catalogue, downloader, policy, settings), downloader)
+
+
+def play_steps(
+    catalogue: Catalogue, connection: Connection, policy: Policy, settings: SessionSettings | None = None
+) -> Steps:
+    """The same as steps of a player that fetches nothing itself: whoever runs it sends the arrival of every `Wanted`,
+    and None after every event, so that many players can share one thread.
+
+    Raises ConfigError where the policy needs quality that was not measured.
+    """
     if policy.needs_quality and not catalogue.measured:
         raise ConfigError(
             f"policy {policy.name}: the package has no measured quality, encode it without --measure-pictures 0"
         )
-    return _Player.new(catalogue, downloader, policy, settings or SessionSettings()).play()
+    return _Player.new(catalogue, connection, policy, settings or SessionSettings()).play()
 
 
 @dataclass(slots=True, eq=False)
@@ -65,7 +76,7 @@ class _Player:
     """State of one session."""
 
     catalogue: Catalogue
-    downloader: Downloader
+    connection: Connection
     policy: Policy
     settings: SessionSettings
     tables: TableStore
@@ -78,18 +89,18 @@ class _Player:
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for there again
 
     @staticmethod
-    def new(c: Catalogue, downloader: Downloader, policy: Policy, settings: SessionSettings) -> _Player:
+    def new(c: Catalogue, connection: Connection, policy: Policy, settings: SessionSettings) -> _Player:
         end = c.end(c.loops(settings.loops))
-        return _Player(c, downloader, policy, settings, TableStore(c), KeyStore(c), Playout(c, settings, end))
+        return _Player(c, connection, policy, settings, TableStore(c), KeyStore(c), Playout(c, settings, end))
 
-    def play(self) -> Iterator[Event]:
+    def play(self) -> Steps:
         """All events of the session, in the order in which they happen."""
         yield from self._fetch_root(0)
         position = 0
         self.catalogue.limit(self.settings.budget)
         while position < self.playout.end or (yield from self._grow(position)):
             while wanted := self._wanted_tables(position):
-                yield self._fetch_tables(wanted, position)
+                yield from self._fetch_tables(wanted, position)
             if not position:
                 self.catalogue.check_budget([self.catalogue.index(0)])
             self.playout.make_room(position)
@@ -99,14 +110,14 @@ class _Player:
             latency_s = self._latency_s(position, earliest_s)
             self.now_s = max(self.now_s, earliest_s)
             while not (yield from self._fetch_next(position, latency_s)):
-                latency_s = self.downloader.rtt_s
+                latency_s = self.connection.rtt_s
             yield from self._shown(self.playout.started(self.now_s))
             position += 1
         while (yield from self._replace_best()):
             pass
         yield from self._shown(self.playout.started())
 
-    def _grow(self, position: int) -> Generator[Event, None, bool]:
+    def _grow(self, position: int) -> Fetching[bool]:
         """Wait until a growing package has a segment for a position; False: it has ended before."""
         c, since_s = self.catalogue, self.now_s
         while c.live and c.end(1) <= position:
@@ -125,12 +136,12 @@ class _Player:
         self.playout.finish(self.now_s)
         return False
 
-    def _fetch_root(self, position: int) -> Iterator[Event]:
+    def _fetch_root(self, position: int) -> Steps:
         """Fetch airgs.json, and, as a package grows, the pages that now say what the root said before."""
         self.root_s = self.now_s
-        yield self._fetch_tables((JSON_NAME,), position)
+        yield from self._fetch_tables((JSON_NAME,), position)
         while (position or self.catalogue.live) and (pages := self.tables.missing_pages()):
-            yield self._fetch_tables(pages, position)
+            yield from self._fetch_tables(pages, position)
             if not self.unusable.isdisjoint(pages):
                 raise TransportError(f"{', '.join(pages)}: expected the index of the growing package")
 
@@ -139,28 +150,29 @@ class _Player:
         reach = range(position, min(position + self.policy.horizon, self.playout.end))
         return tuple(path for path in self.tables.missing(reach) if path not in self.unusable)
 
-    def _fetch_tables(self, paths: tuple[str, ...], position: int) -> Arrived:
-        batch = Batch(tables=paths)
-        arrival = self._receive(Request(BatchKind.TABLES, position, 0, batch, self.now_s, self.downloader.rtt_s))
-        return Arrived(arrival, Decision(0, True, "tables", arrival.bytes), 0.0, 0.0)
+    def _fetch_tables(self, paths: tuple[str, ...], position: int) -> Steps:
+        request = Request(BatchKind.TABLES, position, 0, Batch(tables=paths), self.now_s, self.connection.rtt_s)
+        arrival = yield from self._receive(request)
+        yield Arrived(arrival, Decision(0, True, "tables", arrival.bytes), 0.0, 0.0)
 
     def _latency_s(self, position: int, earliest_s: float) -> float:
         """What is left of the round trip when the link is free: pipelined, the request was sent before."""
-        rtt_s = self.downloader.rtt_s
-        if self.settings.pipelined and self.downloader.pipelines and position and earliest_s < self.now_s:
+        rtt_s = self.connection.rtt_s
+        if self.settings.pipelined and self.connection.pipelines and position and earliest_s < self.now_s:
             return max(0.0, rtt_s - (self.now_s - earliest_s))
         return rtt_s
 
     def _sent_s(self, latency_s: float) -> float:
-        return self.now_s - (self.downloader.rtt_s - latency_s)
+        return self.now_s - (self.connection.rtt_s - latency_s)
 
     def _history(self, sent_s: float) -> tuple[Download, ...]:
         """The last downloads that are over when a request is sent, oldest first."""
         return tuple(d for at_s, d in self.downloads[-REMEMBERED:] if at_s <= sent_s + SHORTEST_S)
 
-    def _receive(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
-        """Fetch a batch and keep what is of use; time goes on."""
-        arrival = self.downloader.fetch(request, give_up)
+    def _receive(self, request: Request, give_up: GiveUp | None = None) -> Fetching[Arrival]:
+        """Wait for a batch and keep what is of use; time goes on."""
+        arrival = yield Wanted(request, give_up)
+        assert arrival is not None, "a player that waits for a batch was sent none"
         self.now_s = arrival.at_s
         took_s = max(arrival.at_s - arrival.first_byte_s, SHORTEST_S)
         self.unusable.update(arrival.refused)
@@ -184,7 +196,7 @@ class _Player:
             if quality < shown_quality and tiers >= c.manifest.levels[level].tiers:
                 self.playout.replace(slot, c.rungs.index((quality, level)))
 
-    def _fetch_next(self, position: int, latency_s: float) -> Generator[Event, None, bool]:
+    def _fetch_next(self, position: int, latency_s: float) -> Fetching[bool]:
         """Choose a rung of the next segment and fetch it; False: it was abandoned or broken, choose again."""
         state = self._state(position, latency_s) if self.tables.has(position) else None
         if state is None or not state.options:
@@ -197,7 +209,7 @@ class _Player:
         if batch.files:  # without files nothing moves: the canonical space is decoded
             kind = BatchKind.GROUP if batch.keys else BatchKind.STATE
             request = Request(kind, position, decision.index, batch, self._sent_s(latency_s), latency_s)
-            arrival = self._receive(request, self._give_up(state, decision))
+            arrival = yield from self._receive(request, self._give_up(state, decision))
             yield Arrived(arrival, decision, budget_bytes(state), estimate_throughput(state.history))
             if arrival.abandoned:
                 self.given_up = position, decision.size_bytes
@@ -219,7 +231,7 @@ class _Player:
             buffer_limit_s=self.settings.buffer_s,
             request_latency_s=latency_s,
             shown_quality=self._quality(last) if last else None,
-            pipelined=self.settings.pipelined and self.downloader.pipelines,
+            pipelined=self.settings.pipelined and self.connection.pipelines,
             history=self._history(self._sent_s(latency_s)),
         )
 
@@ -242,7 +254,7 @@ class _Player:
         smallest = min(p.size_bytes for p in state.options)
         if not (self.settings.abandon and self.policy.may_abandon) or smallest >= decision.size_bytes:
             return None
-        deadline_s, rtt_s = max(state.deadline_s, self.now_s), self.downloader.rtt_s
+        deadline_s, rtt_s = max(state.deadline_s, self.now_s), self.connection.rtt_s
 
         def too_late(partial: Partial) -> bool:
             rate = max(partial.bytes, 1.0) / partial.elapsed_s
@@ -251,7 +263,7 @@ class _Player:
 
         return too_late
 
-    def _replace_best(self) -> Generator[Event, None, bool]:
+    def _replace_best(self) -> Fetching[bool]:
         """Fetch the replacement that gains most for its bytes, if any will be in time; False if there is none."""
         if not (self.settings.replace and self.policy.may_replace):
             return False
@@ -263,9 +275,9 @@ class _Player:
             return False
         _, slot, option = best
         reason = f"{option.quality:.1f} dB in place of {self._quality(slot):.1f}"
-        batch, rtt_s = self._replacing(slot, option.index), self.downloader.rtt_s
+        batch, rtt_s = self._replacing(slot, option.index), self.connection.rtt_s
         request = Request(BatchKind.REPLACEMENT, slot.position, option.index, batch, self.now_s, rtt_s)
-        arrival = self._receive(request)
+        arrival = yield from self._receive(request)
         yield Arrived(arrival, Decision(option.index, True, reason, option.size_bytes), 0.0, estimate_bps)
         if arrival.complete and self.now_s + self.settings.decode_frame_s <= slot.start_s:
             yield Replaced(slot.position, slot.rung or 0, option.index)
@@ -281,10 +293,12 @@ class _Player:
             here, index, level = self._quality(slot), c.index(slot.position), c.rungs[slot.rung or 0][1]
             for option in self.keys.options(slot.position):
                 gain = option.quality - (here or 0.0)
+                if gain < REPLACE_GAIN_DB:
+                    continue
                 size = option.size_bytes  # the state is decoded where only the keys would be better
                 size -= int(c.state_bytes[index, level]) if c.rungs[option.index][1] == level else 0
-                arrival_s = self.now_s + self.downloader.rtt_s + 8 * size / rate_bps
-                if gain < REPLACE_GAIN_DB or arrival_s + self.settings.decode_frame_s > slot.start_s:
+                arrival_s = self.now_s + self.connection.rtt_s + 8 * size / rate_bps
+                if arrival_s + self.settings.decode_frame_s > slot.start_s:
                     continue
                 if not self.unusable or self._usable(self._replacing(slot, option.index)):
                     yield gain * c.seconds_at(slot.position) / max(1, size), slot, option

@@ -7,7 +7,7 @@ chosen on the Ghent 4G traces, none of which is in the studies of the documentat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,7 +40,7 @@ def _harmonic(rates: Sequence[float]) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Model:
+class Model:
     """The link and the buffer as the controller takes them to be."""
 
     rate_bps: float
@@ -77,18 +77,25 @@ class _Model:
         return np.asarray((total - changes[:, :, None]).max(axis=1))
 
 
-def choose_robust_mpc(state: PlayerState) -> Decision:
+ValueBefore = Callable[
+    [Model, NDArray[np.int64], NDArray[np.float64], NDArray[np.float64], float, NDArray[np.float64]],
+    NDArray[np.float64],
+]
+
+
+def choose_robust_mpc(state: PlayerState, value_before: ValueBefore = Model.value_before) -> Decision:
     """The first of the rungs that maximise quality - changes - stalls - want of a reserve over the next segments.
 
     Dynamic programming backwards over (rung before, buffer), the buffer on a grid, at a constant discounted rate.
+    `value_before` is one step of it, for whoever has a faster one.
     """
     rate = discounted_throughput(state.history)
     if rate <= 0:
         return select(full_ladder(state), 0.0)
     limit_s = state.buffer_limit_s
-    model = _Model(rate, state.request_latency_s, limit_s, np.linspace(0.0, limit_s, GRID_POINTS))
+    model = Model(rate, state.request_latency_s, limit_s, np.linspace(0.0, limit_s, GRID_POINTS))
     segments = _horizon(state)
-    value = _value_after(state, model, segments)
+    value = _value_after(state, model, segments, value_before)
     rungs = np.array([p.index for p in state.options])
     sizes = np.array([p.size_bytes for p in state.options])
     quality = np.array([p.quality for p in state.options])
@@ -116,7 +123,9 @@ def _horizon(state: PlayerState) -> list[tuple[int, bool]]:
     return segments
 
 
-def _value_after(state: PlayerState, model: _Model, segments: list[tuple[int, bool]]) -> NDArray[np.float64]:
+def _value_after(
+    state: PlayerState, model: Model, segments: list[tuple[int, bool]], value_before: ValueBefore
+) -> NDArray[np.float64]:
     """(R, B) best total of what follows the next segment, by its rung and the buffer that it leaves."""
     c = state.catalogue
     value = np.zeros((len(c.rungs), GRID_POINTS))
@@ -125,5 +134,5 @@ def _value_after(state: PlayerState, model: _Model, segments: list[tuple[int, bo
         known = state.known_keys(state.position + i)
         sizes = c.bytes_at_start(segment, known) if starts_group else c.bytes_after[segment]
         before = c.quality[segments[i - 1][0]]
-        value = model.value_before(sizes, c.quality[segment], before, c.seconds(segment), value)
+        value = value_before(model, sizes, c.quality[segment], before, c.seconds(segment), value)
     return value
