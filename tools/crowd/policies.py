@@ -22,17 +22,19 @@ from airgs_codec.play.policies.state import RESERVE_S, STALL_DB, Policy
 
 @njit(cache=True)  # type: ignore[misc, unused-ignore]
 def _best_totals(
-    download_s: NDArray[np.float64],
+    sizes: NDArray[np.int64],
     quality: NDArray[np.float64],
     quality_before: NDArray[np.float64],
     seconds: float,
     value: NDArray[np.float64],
     grid_s: NDArray[np.float64],
     limit_s: float,
+    rate_bps: float,
+    latency_s: float,
 ) -> NDArray[np.float64]:
-    """(R, B); download_s (P, R), P = R or 1; see `Model.value_before`."""
+    """(R, B); sizes (P, R), P = R or 1; see `Model.value_before`."""
     rungs, points = value.shape
-    rows = download_s.shape[0]
+    rows = sizes.shape[0]
     best = np.full((len(quality_before), points), -np.inf)
     total = np.empty((rows, points))
     source = np.zeros(len(quality_before), np.int64)
@@ -40,13 +42,14 @@ def _best_totals(
         for p in range(rows):
             source[p] = p
             for earlier in range(p):
-                if download_s[earlier, r] == download_s[p, r]:
+                if sizes[earlier, r] == sizes[p, r]:
                     source[p] = earlier
                     break
             if source[p] != p:
                 continue
+            download_s = latency_s * (1.0 if sizes[p, r] > 0 else 0.0) + 8 * sizes[p, r] / rate_bps
             for b in range(points):
-                buffer = grid_s[b] - download_s[p, r]
+                buffer = grid_s[b] - download_s
                 left = min(max(buffer, 0.0) + seconds, limit_s)
                 place = left * ((points - 1) / limit_s)
                 at = min(int(place), points - 2)
@@ -72,9 +75,8 @@ def value_before(
 ) -> NDArray[np.float64]:
     """(R, B) the same as `Model.value_before`."""
     assert len(model.grid_s) == GRID_POINTS
-    download_s = model.download_s(sizes)
-    found = _best_totals(download_s, quality, quality_before, seconds, value, model.grid_s, model.limit_s)
-    return np.asarray(found)
+    link = model.grid_s, model.limit_s, model.rate_bps, model.latency_s
+    return np.asarray(_best_totals(sizes, quality, quality_before, seconds, value, *link))
 
 
 def crowd_policy(name: str, catalogue: Catalogue) -> Policy:

@@ -24,8 +24,8 @@ from airgs_codec.play.catalogue import NONE, Catalogue, KeyUnits
 
 Answer = TypeVar("Answer")
 SHARED = (  # tables that all visits of a programme share; each is made when it is first asked for
-    "_options", "rungs", "names", "fps", "quality", "delta_e", "state_bytes", "key_bytes", "bytes_after", "_after",
-    "bytes_from_scratch",
+    "_options", "rungs", "names", "fps", "quality", "delta_e", "state_bytes", "rows", "key_bytes", "bytes_after",
+    "_after", "bytes_from_scratch",
 )  # fmt: skip
 
 
@@ -110,6 +110,12 @@ class Visit(Catalogue):
         """(0, group) of a position."""
         return 0, self.manifest.group_of(self.first + position)
 
+    def limit(self, budget: int | None) -> None:
+        """See Catalogue; what copies share stays as it is where the budget does."""
+        if budget != self.budget:
+            self._at_start = {}
+            super().limit(budget)
+
     def bytes_at_start(self, segment: int, known: Mapping[int, KeyUnits]) -> NDArray[np.int64]:
         """See Catalogue; its answers depend on the keys of one group alone."""
         base = self.manifest.base_of(self.manifest.group_of(segment))
@@ -121,9 +127,16 @@ class Visit(Catalogue):
     def _knows(self, segment: int) -> bool:
         return True
 
+    def file_bytes(self, path: str) -> int:
+        """See Catalogue."""
+        if path not in self._file_bytes:
+            self._file_bytes[path] = super().file_bytes(path)
+        return self._file_bytes[path]
+
     def prepare(self) -> None:
         """Make what copies share."""
         self._at_start: dict[tuple[int, KeyUnits], NDArray[np.int64]] = {}
+        self._file_bytes: dict[str, int] = {}
         self._seconds = [super(Visit, self).seconds(s) for s in range(self.segments)]
         for name in SHARED:
             getattr(self, name)

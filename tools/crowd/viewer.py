@@ -87,6 +87,8 @@ class Batch:
     def _share(self, passed_bytes: float) -> None:
         """Spread what has passed since the last time over the files that were there, in equal parts."""
         new, self.shared_bytes = passed_bytes - self.shared_bytes, passed_bytes
+        if new <= 0:
+            return
         open_files = sorted((size, path) for path, size in self.rest.items() if size > 0)
         for number, (size, path) in enumerate(open_files):
             part = min(size, new / (len(open_files) - number))
