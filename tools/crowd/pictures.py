@@ -40,7 +40,7 @@ def _cache(runs: Sequence[Run], path: Path) -> None:
     axes.axvline(runs[0].edge["files_mb"], color="grey", ls=":", label="all files that were asked for")
     axes.set(xscale="log", xlabel="cache, MB", ylabel="hits, %", ylim=(None, 100.5))
     plain_log_ticks(axes.xaxis)
-    axes.legend()
+    axes.legend(loc="lower right")
     axes.grid(alpha=0.3)
     save_figure(figure, path)
 

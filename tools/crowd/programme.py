@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -35,7 +35,7 @@ class KnownManifest(Manifest):
     @staticmethod
     def of(m: Manifest) -> KnownManifest:
         """The tables of `m`."""
-        known = KnownManifest(**{field.name: getattr(m, field.name) for field in fields(Manifest)})
+        known = KnownManifest(**{part.name: getattr(m, part.name) for part in fields(Manifest)})
         object.__setattr__(known, "_answers", {})
         object.__setattr__(known, "_groups", [m.group_of(segment) for segment in range(len(m.segments))])
         return known
@@ -89,6 +89,7 @@ class Visit(Catalogue):
     """The part of a programme that a viewer watches: the segments from `first` to `stop`, that one not included."""
 
     stop: int = 0
+    _at_start: dict[tuple[int, KeyUnits], NDArray[np.int64]] = field(default_factory=dict, init=False, repr=False)
 
     def end(self, loops: int) -> int:
         """How many positions the visit has; it is one turn."""
@@ -135,7 +136,6 @@ class Visit(Catalogue):
 
     def prepare(self) -> None:
         """Make what copies share."""
-        self._at_start: dict[tuple[int, KeyUnits], NDArray[np.int64]] = {}
         self._file_bytes: dict[str, int] = {}
         self._seconds = [super(Visit, self).seconds(s) for s in range(self.segments)]
         for name in SHARED:
