@@ -18,7 +18,6 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import GroupTier
 from airgs_codec.play.ladder import Option, saved_shares
 
 SESSION_S = 30.0  # of play
@@ -172,11 +171,9 @@ class Catalogue:
     def rows(self) -> Rows:
         """(S, Q L) Gaussians that a rung shows: the rows of its key tiers."""
         last = [self.manifest.levels[j].tiers - 1 for _, j in self.rungs]
-        return Rows(lambda s: np.cumsum([tier.count for tier in self._tiers(s)])[last])
-
-    def _tiers(self, segment: int) -> list[GroupTier]:
-        """The key tiers of a segment's group."""
-        return self.manifest.groups[self.manifest.group_of(segment)].tiers
+        return Rows(
+            lambda s: np.cumsum([tier.count for tier in self.manifest.groups[self.manifest.group_of(s)].tiers])[last]
+        )
 
     def allowed(self, segment: int) -> NDArray[np.bool_]:
         """(Q L,) whether the budget has the Gaussians of a rung."""
