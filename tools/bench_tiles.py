@@ -1,6 +1,7 @@
 """What spatial tiles cost and save: a scene as one package and in tiles, fetched whole and by view.
 
-    python -m tools.bench_tiles SCENE -o FOLDER [--tiles 8] [--cut halves] [--seconds 12] [--ticks 2] [--segment 0.5]
+    python -m tools.bench_tiles SCENE -o FOLDER [--tiles 8] [--cut halves] [--seconds 12] [--swing 1]
+        [--ticks 2] [--segment 0.5] [--keep-all]
 
 SCENE is a Gaussian sequence whose frames are one group, such as `tools.make_wide_scene` writes. The quantiser steps,
 levels and key tiers that a calibration of the whole scene finds serve the whole and each tile, a package of its own. A
@@ -30,6 +31,7 @@ from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tools.tiles.measure import Bench, savings
 from tools.tiles.rules import rules_of
 from tools.tiles.split import CUTS, HALVES, Tile, restricted, split
+from tools.tiles.stock import Stock
 from tools.tiles.viewer import Watcher
 
 
@@ -40,50 +42,80 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--tiles", type=int, default=8)
     parser.add_argument("--cut", choices=CUTS, default=HALVES, help="boxes in halves, or ranges of the Morton order")
-    parser.add_argument("--seconds", type=float, default=12.0, help="of the viewer's walk (default: 12)")
+    parser.add_argument("--seconds", type=float, default=12.0, help="of the walk; 0: sizes alone (default: 12)")
+    parser.add_argument("--swing", type=float, default=1.0, help="how unsteadily the viewer turns (default: 1)")
     parser.add_argument("--ticks", type=int, default=2, help="pictures of each segment (default: 2)")
     parser.add_argument("--segment", type=float, default=0.5, metavar="S", help="seconds of a segment (default: 0.5)")
+    parser.add_argument("--keep-all", action="store_true", help="write all rows, so that tiles have those of the whole")
     args = parser.parse_args(words)
 
     def run() -> int:
         bar = Bar()
         sequence = open_sequence(args.scene)
         tiles = split(sequence, args.tiles, args.cut)
-        whole, parts = packages(sequence, tiles, args.cut, args.output, args.segment, bar)
-        watcher = Watcher.of(whole.manifest.region, args.seconds)
-        longest = max(s.stop - s.start for s in whole.manifest.segments) / float(whole.manifest.fps)
-        bench = Bench(sequence, whole, parts, tiles, watcher, round(args.seconds / longest), args.ticks)
-        rows = bench.run(rules_of(len(whole.manifest.levels)), bar)
-        bar.close()
-        saved = savings(rows)
-        table = {"rows": rows, "saved": saved, "tiles": [len(tile.rows) for tile in tiles]}
-        (args.output / f"tiles-{args.cut}-{args.tiles}.json").write_text(
-            json.dumps(table, indent=1) + "\n", encoding="utf-8"
+        settings = EncodeSettings(
+            segment_s=args.segment,
+            group_frames=len(sequence),
+            keep_all=args.keep_all,
+            keys="apart",
+            rows="keep",
+            measure_pictures=0,
         )
-        print("\n".join(lines(rows, saved)))
+        whole, parts = packages(sequence, tiles, args.output / args.cut, settings, bar)
+        print("\n".join(size_lines(whole, parts)))
+        if args.seconds > 0:
+            watcher = Watcher.of(whole.manifest.region, args.seconds, args.swing)
+            longest = max(s.stop - s.start for s in whole.manifest.segments) / float(whole.manifest.fps)
+            bench = Bench(sequence, whole, parts, tiles, watcher, round(args.seconds / longest), args.ticks)
+            rows = bench.run(rules_of(len(whole.manifest.levels)), bar)
+            saved = savings(rows)
+            table = json.dumps({"rows": rows, "saved": saved}, indent=1)
+            (args.output / f"{args.cut}-{args.tiles}-{args.swing:g}.json").write_text(table + "\n", encoding="utf-8")
+            print("\n".join(lines(rows, saved)))
+        bar.close()
         return 0
 
     return run_command("bench_tiles", run)
 
 
 def packages(
-    sequence: GaussianSequence, tiles: Sequence[Tile], cut: str, folder: Path, segment_s: float, progress: Progress
+    sequence: GaussianSequence, tiles: Sequence[Tile], folder: Path, settings: EncodeSettings, progress: Progress
 ) -> tuple[Package, list[Package]]:
     """The package of the whole and those of the tiles, with the same settings and viewing region."""
-    names = ["whole", *(f"{cut}-{number + 1:02d}-of-{len(tiles):02d}" for number in range(len(tiles)))]
-    settings = EncodeSettings(
-        segment_s=segment_s, group_frames=len(sequence), keys="apart", rows="keep", measure_pictures=0
-    )
-    if any(not (folder / name / "airgs.json").is_file() for name in names):
+    paths = [folder.parent / "whole"]
+    paths += [folder.with_name(f"{folder.name}-{number + 1:02d}-of-{len(tiles):02d}") for number in range(len(tiles))]
+    missing = {path for path in paths if not (path / "airgs.json").is_file()}
+    if missing:
         views = plan_views(sequence, settings)
         progress("calibration", 0, 1)
         survey = survey_group(sequence, GroupSpan(0, 0, len(sequence)), views)
         settings = replace(calibrate(sequence, survey, settings).apply(settings), region=views.region)
-        for name, part in zip(names, [sequence, *(restricted(sequence, tile) for tile in tiles)], strict=True):
-            if not (folder / name / "airgs.json").is_file():
-                encode(part, folder / name, settings, progress=progress)
-    whole, *parts = (open_package(folder / name) for name in names)
+        for path, part in zip(paths, [sequence, *(restricted(sequence, tile) for tile in tiles)], strict=True):
+            if path in missing:
+                encode(part, path, settings, progress=progress)
+    whole, *parts = (open_package(path) for path in paths)
     return whole, parts
+
+
+def size_lines(whole: Package, parts: Sequence[Package]) -> list[str]:
+    """Rows and bytes of the whole and of all tiles, by rung, of one pass through the sequence."""
+    rows = [sum(package.manifest.groups[0].count for package in packages) for packages in ([whole], parts)]
+    found = [f"rows: {rows[0]}, in tiles {rows[1]}"]
+    for place in range(len(whole.manifest.levels)):
+        whole_bytes, tile_bytes = (
+            sum(fetch_all(package, place) for package in packages) for packages in ([whole], parts)
+        )
+        more = 100 * (tile_bytes / whole_bytes - 1)
+        found.append(f"rung {place}: {whole_bytes / 1e3:.1f} kB, in tiles {tile_bytes / 1e3:.1f} kB, {more:+.1f} %")
+    return found
+
+
+def fetch_all(package: Package, place: int) -> int:
+    """Bytes on the wire of a rung of a whole package."""
+    stock = Stock.of(package)
+    for segment in range(len(package.manifest.segments)):
+        stock.fetch(0, segment, stock.ladder()[place])
+    return stock.bytes
 
 
 def lines(rows: Sequence[dict], saved: dict[str, list[float | None]]) -> list[str]:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from tools.tiles.split import Tile
 from tools.tiles.viewer import Watcher, distance, in_sight, moments
 
+LEADS, MARGINS = (0.3, 0.5, 1.0, 3.0), (0.0, 15.0, 30.0, 45.0, 75.0)  # seconds, degrees
 Choice = tuple[int | None, ...]  # of each tile its place on the ladder, from the best down; None: nothing
 
 
@@ -49,15 +50,14 @@ class Rule:
 
 
 def rules_of(rungs: int) -> list[Rule]:
-    """The rules that are compared: four kinds over all rungs, and others about the second best one."""
+    """The rules that are compared: some over all rungs, others about the second best one."""
     ladder = range(rungs)
     middle = min(1, rungs - 1)
     return [
         *(Rule("in sight, nothing else", base) for base in ladder),
         *(Rule("in sight, the rest coarse", base, coarse=True) for base in ladder),
-        *(Rule("in sight, by distance", base, by_distance=True) for base in ladder),
-        *(Rule("in sight, known in advance", base, margin=5.0, lead=None) for base in ladder),
-        *(Rule(f"margin {m:g}", middle, margin=m) for m in (0.0, 30.0)),
-        *(Rule(f"margin {m:g}, the rest coarse", middle, coarse=True, margin=m) for m in (0.0, 30.0)),
-        *(Rule(f"lead {s:g} s", middle, lead=s) for s in (0.3, 3.0)),
+        *(Rule("margin 45, the rest coarse", base, coarse=True, margin=45.0) for base in ladder),
+        *(Rule("known in advance", base, margin=5.0, lead=None) for base in ladder),
+        *(Rule("known, by distance", base, margin=5.0, lead=None, by_distance=True) for base in ladder),
+        *(Rule(f"lead {s:g} s, margin {m:g}", middle, lead=s, margin=m) for s in LEADS for m in MARGINS),
     ]

@@ -32,18 +32,19 @@ class Watcher:
     """The walk of a viewer through a region."""
 
     walk: list[Camera]
+    swing: float = 1.0  # factor on SWINGS
 
     @staticmethod
-    def of(region: Region, seconds: float) -> Watcher:
+    def of(region: Region, seconds: float, swing: float = 1.0) -> Watcher:
         """A walk that is long enough for so many seconds."""
-        longest = PACE * seconds + 2 * sum(ahead for ahead, _, _ in SWINGS)
-        return Watcher(walk_region(region, int(longest * RATE), RATE).cameras)
+        longest = PACE * seconds + 2 * swing * sum(ahead for ahead, _, _ in SWINGS)
+        return Watcher(walk_region(region, int(longest * RATE), RATE).cameras, swing)
 
     def at(self, time: float) -> Camera:
         """What he sees at a moment."""
         place = PACE * time
         for ahead, period, phase in SWINGS:
-            place += ahead * (np.sin(2 * np.pi * max(0.0, time) / period + phase) - np.sin(phase))
+            place += self.swing * ahead * (np.sin(2 * np.pi * max(0.0, time) / period + phase) - np.sin(phase))
         return self.walk[int(np.clip(round(place * RATE), 0, len(self.walk) - 1))]
 
     def expected(self, now: float, later: float) -> Camera:
