@@ -92,7 +92,7 @@ def packages(
         settings = replace(calibrate(sequence, survey, settings).apply(settings), region=views.region)
         for path, part in zip(paths, [sequence, *(restricted(sequence, tile) for tile in tiles)], strict=True):
             if path in missing:
-                encode(part, path, settings, progress=progress)
+                encode(part, path, settings)
     whole, *parts = (open_package(path) for path in paths)
     return whole, parts
 
