@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import dask
 from dask.distributed import Client, LocalCluster, as_completed
+from distributed.client import FutureCancelledError
+from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
-from airgs_codec.errors import WorkError
+from airgs_codec.errors import AirgsError, WorkError
 from airgs_codec.jobs.engines import DEATHS, THREADS
 
 RETRIES = 2  # of a call that fails because its machine does: its disk, its network
 WAITING = 4  # calls for each thread of the cluster that are sent ahead
 CONNECT_S = 20
+GONE = "the Dask scheduler does not answer any more; begin again to go on"
 
 
 class DaskEngine:
@@ -23,6 +27,7 @@ class DaskEngine:
 
     def __init__(self, client: Client, cluster: LocalCluster | None = None) -> None:
         """`cluster`: ends with the engine."""
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it would say comes as an error
         self._client = client
         self._cluster = cluster
 
@@ -72,10 +77,14 @@ class DaskEngine:
                 send()
         except KilledWorker as error:
             raise WorkError(f"{DEATHS} workers died of one job: is there memory for it? ({error})") from error
-        except (TimeoutError, RuntimeError, OSError) as error:
+        except AirgsError:
+            raise
+        except (FutureCancelledError, CommClosedError) as error:
+            raise WorkError(GONE) from error
+        except (OSError, RuntimeError) as error:  # of a call, or of a client that has given up
             if self._client.status == "running":
                 raise
-            raise WorkError("the Dask scheduler is gone; begin again to go on") from error
+            raise WorkError(GONE) from error
         finally:
             waiting.clear()
 
