@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 import textwrap
 from collections.abc import Callable
 from dataclasses import MISSING, Field, field, fields
@@ -36,3 +37,10 @@ def documented(settings: type[Settings]) -> type[Settings]:
 def _line(f: Field[Any]) -> str:
     default = "" if f.default is MISSING else f" = {f.default!r}"
     return f"{f.name}{default}: {f.metadata['about']}."
+
+
+def available_cores() -> int:
+    """Cores that this process may run on: fewer than the machine's where a scheduler has given it some."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

@@ -27,7 +27,7 @@ from airgs_codec.cli.common import run_command
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.dask_engine import DaskEngine
-from airgs_codec.jobs.engines import THREADS, Engine, InProcess, Processes
+from airgs_codec.jobs.engines import Engine, InProcess, Processes
 from airgs_codec.jobs.job import Job
 from airgs_codec.jobs.store import WorkFolder
 from airgs_codec.jobs.work import Work
@@ -88,9 +88,9 @@ def encodes(rows: int, frames: int) -> Iterator[Timed]:
         make_scene(rows, frames, folder / "scene")
         warm = replace(SETTINGS, threads=1)
         encode(open_sequence(folder / "scene"), folder / "warm", warm)  # compiles, and reads files into memory
-        alone = _timed(folder, "one", 1, lambda: Processes(1))
+        alone = _timed(folder, "one", 1, lambda: Processes(1, 1))
         yield Timed(work, ONE, alone, alone)
-        yield Timed(work, TWO, _timed(folder, "two", 1, lambda: Processes(WORKERS)), alone / WORKERS)
+        yield Timed(work, TWO, _timed(folder, "two", 1, lambda: Processes(WORKERS, 1)), alone / WORKERS)
         cores = os.cpu_count() or 1
         yield Timed(work, DEFAULT, _timed(folder, "default", cores, InProcess), alone / cores)
         files = [p.relative_to(folder / "one") for p in (folder / "one").rglob("*") if p.is_file()]
@@ -101,8 +101,6 @@ def encodes(rows: int, frames: int) -> Iterator[Timed]:
 
 def _timed(folder: Path, name: str, threads: int, engine: Callable[[], Engine]) -> float:
     """Seconds of an encode, the start of its processes included."""
-    for variable in THREADS:
-        os.environ[variable] = str(threads)
     begun, made = time.perf_counter(), engine()
     try:
         work = Work(WorkFolder(folder / f"{name}.work"), made)

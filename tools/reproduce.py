@@ -31,6 +31,7 @@ import numpy as np
 from airgs_codec._files import write_json
 from airgs_codec.cli.common import Bar, run_command
 from airgs_codec.errors import ConfigError
+from airgs_codec.jobs.engines import prepare_worker
 from airgs_codec.package.store import open_package
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.scene.ply import read_ply
@@ -211,7 +212,9 @@ def _overhead(plan: Plan, subject: Subject, rows: Sequence[Row]) -> dict[str, An
 def _ablations(plan: Plan) -> list[dict[str, Any]]:
     """Every change, some at a time; those that are kept are not run again."""
     base = _ablated_settings(plan)
-    with ProcessPoolExecutor(plan.jobs, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        plan.jobs, get_context("spawn"), prepare_worker, (os.getpid(), 1)
+    ) as pool:  # one core each
         tasks = [pool.submit(_ablate, plan.kept, plan.ablated, base, plan.output, name) for name in names(base)]
         return [task.result() for task in tasks]
 

@@ -147,9 +147,12 @@ def _open(args: argparse.Namespace) -> tuple[GaussianSequence, str]:
 
 def _follow(args: argparse.Namespace, settings: EncodeSettings, target: str) -> int:
     """Encode a sequence that somebody still writes."""
-    for name in ("target_psnr", "target_mb", "target_mbps", "contact_sheet", "bake_fps", "duration"):
+    whole = ("target_psnr", "target_mb", "target_mbps", "contact_sheet", "bake_fps", "duration")
+    for name in (*whole, "work", "part", "executor", "report"):
         if getattr(args, name) is not None:
             raise ConfigError(f"--{name.replace('_', '-')}: expected a sequence that is whole, got --follow")
+    if args.jobs != 1:
+        raise ConfigError("--jobs: expected a sequence that is whole, got --follow, whose groups come one by one")
     if is_address(args.scene):
         raise ConfigError(f"--follow: expected a folder of this machine, got {args.scene}")
     folder = GrowingFolder(args.scene, views=args.views, fps=args.fps)

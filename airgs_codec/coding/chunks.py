@@ -7,6 +7,8 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
+from airgs_codec._settings import available_cores
+
 CHUNK = 1 << 20  # numbers of all its rows together that a chunk has at most; but it has at least LEAST rows
 LEAST = 256  # rows
 
@@ -29,4 +31,8 @@ def for_chunks(work: Callable[[slice], None], rows: int, width: int) -> None:
 
 @functools.cache
 def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="chunks")
+    return ThreadPoolExecutor(available_cores(), thread_name_prefix="chunks")
+
+
+if hasattr(os, "register_at_fork"):  # the threads of a pool stay with the parent, and a child would wait for them
+    os.register_at_fork(after_in_child=_pool.cache_clear)

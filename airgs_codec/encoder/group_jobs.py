@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from airgs_codec._settings import available_cores
 from airgs_codec.encoder.group import GroupFiles, code_group, code_key, keep_key
 from airgs_codec.encoder.group_length import compare_lengths
 from airgs_codec.encoder.quality import Round, RoundSums, measure_round
@@ -17,7 +18,6 @@ from airgs_codec.encoder.survey import GroupSpan, survey_group
 from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.jobs.digest import code_digest, digest
 from airgs_codec.jobs.job import Job
-from airgs_codec.media.h264 import library_versions
 from airgs_codec.package.memory import MemoryFiles
 from airgs_codec.package.store import Package, manifest_of
 from airgs_codec.package.tables import Group, Root
@@ -99,9 +99,9 @@ class GroupJobs:
 
     def _job(self, kind: str, group: int, function: object, arguments: tuple[object, ...], *content: object) -> Job:
         span = self.spans[group]
-        entry = digest(code_digest(), library_versions(), kind, *content)
+        entry = digest(code_digest(), kind, *content)
         assert callable(function)
-        return Job(kind, f"frames {span.start}-{span.stop - 1}", entry, function, arguments)
+        return Job(kind, f"frames {span.start}-{span.stop - 1}", entry, function, arguments, code=code_digest())
 
 
 def _deciding(settings: EncodeSettings) -> EncodeSettings:
@@ -113,8 +113,9 @@ def length_job(sequence: GaussianSequence, names: Sequence[str], views: ViewPlan
     """What groups of different lengths cost: a list of `LengthCost`."""
     orders = [sequence.orders.get(frame) for frame in range(len(sequence))]
     content = (names, orders, sequence.breaks, sequence.keyframes, sequence.fps, views.deciding, views.trusted)
-    entry = digest(code_digest(), library_versions(), "lengths", content, views.renderer, _deciding(settings))
-    return Job("lengths of groups", "", entry, compare_lengths, (sequence, views, settings))
+    entry = digest(code_digest(), "lengths", content, views.renderer, _deciding(settings))
+    alone = replace(settings, threads=available_cores())
+    return Job("lengths of groups", "", entry, compare_lengths, (sequence, views, alone), code=code_digest())
 
 
 def measure_files(

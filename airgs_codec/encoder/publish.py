@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from airgs_codec._settings import available_cores
 from airgs_codec.analysis.grouping import Grouping, plan_groups
 from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.encoder.calibration import cache
@@ -24,6 +25,7 @@ from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, Encod
 from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
 from airgs_codec.encoder.views import ViewPlan, plan_views
 from airgs_codec.errors import WorkError
+from airgs_codec.jobs.digest import code_digest, digest
 from airgs_codec.jobs.job import Job, Record, load
 from airgs_codec.jobs.store import Store
 from airgs_codec.jobs.work import Work, temporary_work
@@ -117,6 +119,7 @@ def encode(
     """
     with open_storage(path).staged() as stage, _at(work) as at:
         report, finished = _encode(sequence, settings, goal, attribution, at)
+        at.store.write(PACKAGE_ENTRY, pickle.dumps((code_digest(), finished)))
         return replace(report, manifest_bytes=finished.write(at.store, Folder(stage)))
 
 
@@ -133,8 +136,9 @@ def encode_part(
     Several runs with the same store share the jobs: `work.part` says which come first here. Each ends when all are
     done, and does those that nobody else has done. Raises what `encode` raises.
     """
+    work.store.write(PACKAGE_ENTRY, pickle.dumps((code_digest(), None)))  # what was there is not this package
     report, finished = _encode(sequence, settings, goal, attribution, work)
-    work.store.write(PACKAGE_ENTRY, pickle.dumps(finished))
+    work.store.write(PACKAGE_ENTRY, pickle.dumps((code_digest(), finished)))
     return report
 
 
@@ -143,14 +147,24 @@ def merge(store: Store, path: str | Path) -> tuple[Manifest, int]:
 
     Raises WorkError where there is no whole package, and what `encode` raises for `path`.
     """
-    data = store.read(PACKAGE_ENTRY)
-    if data is None:
-        raise WorkError(f"{store.name}: expected a work folder with all parts of a package, which no part has finished")
-    finished = pickle.loads(data)
-    assert isinstance(finished, Finished)
+    finished = _last_package(store)
     with open_storage(path).staged() as stage:
         size = finished.write(store, Folder(stage))
     return manifest_of(finished.root, finished.groups), size
+
+
+def _last_package(store: Store) -> Finished:
+    data = store.read(PACKAGE_ENTRY)
+    try:
+        code, finished = (code_digest(), None) if data is None else pickle.loads(data)
+    except (pickle.UnpicklingError, AttributeError, ImportError, TypeError, ValueError):
+        code, finished = "", None
+    if code != code_digest():
+        raise WorkError(f"{store.name}: expected a work folder of this version of airgs-codec, got one of another")
+    if finished is None:
+        raise WorkError(f"{store.name}: expected a work folder with all parts of a package, which no part has finished")
+    assert isinstance(finished, Finished)
+    return finished
 
 
 @contextmanager
@@ -231,9 +245,9 @@ def calibrate_job(job: EncodeJob, settings: EncodeSettings) -> Calibrated:
     subject = _longest(groups)
     name = cache.name_of(groups.content(subject), groups.views, settings)
     survey = work.result(groups.survey(subject))
-    kept = cache.load(name)
-    arguments = (groups.sequence, groups.survey(subject).result, settings)
-    trial = Job("calibration", "", name, calibrate, arguments)
+    arguments = (groups.sequence, groups.survey(subject).result, replace(settings, threads=available_cores()))
+    trial = Job("calibration", "", digest(code_digest(), name), calibrate, arguments, code=code_digest())
+    kept = None if work.store.has(trial.entry) else cache.load(name)  # parts must not differ by what each has kept
     calibration: Calibration = kept or work.result(trial)
     if kept is None:
         cache.keep(name, calibration)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from airgs_codec._settings import computed_setting, documented, setting
+from airgs_codec._settings import available_cores, computed_setting, documented, setting
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.analysis.rows import AUTO, ROWS
 from airgs_codec.coding.steps import StepSettings
@@ -132,7 +131,7 @@ class EncodeSettings:
     )
     preset: str = setting(DEFAULT_PRESET, "x264 preset")
     threads: int = computed_setting(
-        lambda: os.cpu_count() or 1,
+        available_cores,
         "representations of a group encoded at the same time, by default one for each core; the bytes are the same",
     )
     device: str = setting(

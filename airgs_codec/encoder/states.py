@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import fit_centre, make_atlas, picture_size
+from airgs_codec.coding.atlas import fit_centre, make_atlas
 from airgs_codec.coding.channels import Canonical, state_channels
 from airgs_codec.coding.escapes import Escapes
 from airgs_codec.coding.quantize import to_codes
@@ -228,7 +228,7 @@ def encode_states(
     def encode(level: CodedLevel) -> Representation:
         if level.samples is None:
             return EMPTY
-        size = picture_size(level.atlas)
+        size = AtlasPictures.of(level.samples, level.atlas).size
         return encode_checked(_level_gops(layout, level, level.samples, clock.frame_ticks), size, clock, codec)
 
     return encode_parallel([functools.partial(encode, level) for level in states.levels], settings.threads)

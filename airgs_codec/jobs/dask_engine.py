@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -13,8 +12,10 @@ from distributed.client import FutureCancelledError
 from distributed.comm.core import CommClosedError
 from distributed.scheduler import KilledWorker
 
+from airgs_codec._settings import available_cores
 from airgs_codec.errors import AirgsError, WorkError
-from airgs_codec.jobs.engines import DEATHS, THREADS
+from airgs_codec.jobs.engines import DEATHS
+from airgs_codec.render.cpu import use_threads
 
 RETRIES = 2  # of a call that fails because its machine does: its disk, its network
 WAITING = 4  # calls for each thread of the cluster that are sent ahead
@@ -25,8 +26,9 @@ GONE = "the Dask scheduler does not answer any more; begin again to go on"
 class DaskEngine:
     """Calls functions on a cluster. A worker that dies loses nothing: what it was doing goes to another."""
 
-    def __init__(self, client: Client, cluster: LocalCluster | None = None) -> None:
-        """`cluster`: ends with the engine."""
+    def __init__(self, client: Client, cluster: LocalCluster | None = None, threads: int | None = None) -> None:
+        """`cluster`: ends with the engine. `threads`: for the kernels of a call, by default all that a worker has."""
+        self._threads = threads
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it would say comes as an error
         self._client = client
         self._cluster = cluster
@@ -42,11 +44,9 @@ class DaskEngine:
     @staticmethod
     def local(count: int) -> DaskEngine:
         """A cluster of so many processes of this machine, which share its cores."""
-        threads = str(max(1, (os.cpu_count() or 1) // count))
-        names = {f"distributed.nanny.pre-spawn-environ.{name}": threads for name in THREADS}
-        with dask.config.set({**names, "distributed.scheduler.allowed-failures": DEATHS}):
+        with dask.config.set({"distributed.scheduler.allowed-failures": DEATHS}):
             cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None)
-        return DaskEngine(Client(cluster), cluster)
+        return DaskEngine(Client(cluster), cluster, max(1, available_cores() // count))
 
     def map(
         self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], needs: Sequence[str] = ()
@@ -65,7 +65,9 @@ class DaskEngine:
             call = next(todo, None)
             if call is None:
                 return False
-            future = self._client.submit(function, *call, pure=False, retries=RETRIES, resources=resources or None)
+            future = self._client.submit(
+                _call, self._threads, function, *call, pure=False, retries=RETRIES, resources=resources or None
+            )
             waiting.add(future)
             return True
 
@@ -93,3 +95,10 @@ class DaskEngine:
         self._client.close()
         if self._cluster is not None:
             self._cluster.close()
+
+
+def _call(threads: int | None, function: Callable[..., Any], *arguments: Any) -> Any:
+    """What a worker does. An environment variable would come too late, or reach the process that starts workers."""
+    if threads is not None:
+        use_threads(threads)
+    return function(*arguments)

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import json
 from collections.abc import Mapping
 from fractions import Fraction
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from airgs_codec.media.h264 import library_versions
 
 PACKAGE = Path(__file__).parent.parent
 
@@ -52,8 +56,11 @@ def _add(h: hashlib._Hash, value: Any) -> None:
 
 @cache
 def code_digest() -> str:
-    """SHA-256 of this package's own code, so that results of other versions are not taken."""
-    h = hashlib.sha256()
+    """SHA-256 of this package's own code and of the versions of what it computes with.
+
+    Results of other versions are not taken.
+    """
+    h = hashlib.sha256(json.dumps([library_versions(), np.__version__, version("numba")], sort_keys=True).encode())
     for path in sorted(PACKAGE.rglob("*.py")):
         h.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
     return h.hexdigest()

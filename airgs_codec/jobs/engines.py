@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -12,10 +14,11 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from airgs_codec._settings import available_cores
 from airgs_codec.errors import WorkError
 
 DEATHS = 3  # of workers that a job may cause before it is given up
-THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+LEAVE_S = 5.0  # for a process to remove what it has begun
 
 
 class Engine(Protocol):
@@ -52,8 +55,10 @@ class InProcess:
 class Processes:
     """So many processes of this machine, which share its cores. When one dies, all are replaced and go on."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, threads: int | None = None) -> None:
+        """`threads` of each process, by default the share of the cores that `count` leaves it."""
         self.count = count
+        self._threads = threads or max(1, available_cores() // count)
         self._pool: ProcessPoolExecutor | None = None
 
     def map(
@@ -80,10 +85,9 @@ class Processes:
     def _finish(self, function: Callable[..., Any], calls: dict[int, tuple[Any, ...]]) -> Iterator[tuple[int, Any]]:
         """Places and values as they are finished. Raises BrokenProcessPool where a process died."""
         if self._pool is None:
-            threads = max(1, (os.cpu_count() or 1) // self.count)
             context = multiprocessing.get_context("spawn")
             self._pool = ProcessPoolExecutor(
-                self.count, context, initializer=prepare_worker, initargs=(os.getpid(), threads)
+                self.count, context, initializer=prepare_worker, initargs=(os.getpid(), self._threads)
             )
         waiting: dict[Future[Any], int] = {}
         todo = iter(list(calls.items()))
@@ -109,14 +113,23 @@ class Processes:
         self._pool.shutdown(wait=False, cancel_futures=True)
         for process in processes:
             process.terminate()
+        for process in processes:  # each removes what it has begun
+            process.join(LEAVE_S)
+            process.kill()
         self._pool = None
 
 
 def prepare_worker(parent: int, threads: int) -> None:
-    """Called first in a new process: so many threads for what it computes, and an end when its parent has ended."""
-    for name in THREADS:
-        os.environ[name] = str(threads)
+    """Called first in a new process: so many threads for kernels; it ends when it is told to or its parent has ended.
+
+    numba has been imported by then, as `spawn` runs the main module of the parent again.
+    """
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    from airgs_codec.render.cpu import use_threads
+
+    use_threads(threads)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
 
     def watch() -> None:
         while os.getppid() == parent:

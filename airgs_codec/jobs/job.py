@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from airgs_codec.errors import WorkError
+from airgs_codec.jobs.digest import code_digest
 from airgs_codec.jobs.store import Store
 
 
@@ -31,6 +32,7 @@ class Job:
     function: Callable[..., Any]  # of a module, so that other processes find it
     arguments: tuple[Any, ...] = ()  # each may be `Stored`
     needs: tuple[str, ...] = ()  # what a worker must have: "GPU"
+    code: str = ""  # that makes the result (`digest.code_digest`); empty: any
 
     @property
     def result(self) -> Stored:
@@ -50,11 +52,23 @@ class Record:
     bytes: int  # of its result
 
 
+class LostResultError(WorkError):
+    """A result that another job reads is not in the store any more, or was damaged there."""
+
+    def __init__(self, place: str, entry: str) -> None:
+        super().__init__(f"{place}: expected the result {entry[:12]}, which is gone; begin again")
+        self.entry = entry
+
+
 def perform(store: Store, job: Job) -> Record:
     """Do a job unless its result is there: all that a worker does.
 
-    Raises what the function raises, WorkError where something that it reads is not in the store.
+    Raises what the function raises, LostResultError where something that it reads is not in the store, and WorkError on
+    a worker with another version of this package or its libraries.
     """
+    if job.code not in ("", code_digest()):
+        version = "expected the version of airgs-codec, numpy, numba and FFmpeg that the command has, got another one"
+        raise WorkError(f"worker {platform.node()}: {version}")
     known = read_record(store, job.entry)
     if known is not None and store.has(job.entry):
         return known
@@ -91,5 +105,5 @@ def _resolve(store: Store, argument: Any) -> Any:
         return argument
     found = load(store, argument.entry)
     if found is None:
-        raise WorkError(f"{store.name}: expected the result {argument.entry[:12]}, which is gone; begin again")
+        raise LostResultError(store.name, argument.entry)
     return found[0]

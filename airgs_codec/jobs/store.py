@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
+import secrets
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -67,16 +67,16 @@ class WorkFolder:
         """Put an entry in the place of any other. Raises OSError."""
         file = self._file(entry)
         file.parent.mkdir(parents=True, exist_ok=True)
-        number, temporary = tempfile.mkstemp(prefix=".", suffix=".part", dir=file.parent)  # two may write one entry
+        temporary = file.with_name(f".{entry}.{secrets.token_hex(8)}.part")  # two may write one entry
         try:
-            with open(number, "wb") as out:
+            with temporary.open("xb") as out:
                 out.write(seal(data))
                 out.flush()
                 if self.lasting:
                     os.fsync(out.fileno())
             os.replace(temporary, file)
         except BaseException:
-            Path(temporary).unlink(missing_ok=True)
+            temporary.unlink(missing_ok=True)
             raise
 
     def _file(self, entry: str) -> Path:

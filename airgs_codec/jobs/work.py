@@ -11,9 +11,11 @@ from typing import Any
 
 from airgs_codec.errors import WorkError
 from airgs_codec.jobs.engines import Engine, InProcess
-from airgs_codec.jobs.job import Job, Record, load, perform, read_record
+from airgs_codec.jobs.job import Job, LostResultError, Record, load, perform, read_record
 from airgs_codec.jobs.store import Store, WorkFolder
 from airgs_codec.progress import Progress, silent
+
+LOSSES = 100  # results that are found to be gone while jobs of one kind are done, and made again
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,28 +40,38 @@ class Work:
     engine: Engine = field(default_factory=InProcess)
     part: Part = Part()
     progress: Progress = silent  # is told of jobs, and of what else goes on between them
-    asked: dict[str, None] = field(default_factory=dict)  # entries of all jobs so far, in order
+    asked: dict[str, Job] = field(default_factory=dict)  # all jobs so far by their entries, in order
 
     def run(self, jobs: Sequence[Job]) -> None:
         """Do all jobs whose results are not there; they are of one kind, and none reads what another gives.
 
         Raises what a job raises, WorkError where workers die of it, OSError (TransportError) where the store fails.
         """
-        unique = list({job.entry: job for job in jobs}.values())
-        self.asked.update(dict.fromkeys(job.entry for job in unique))
+        unique = {job.entry: job for job in jobs}
+        self.asked.update(unique)
+        for left in range(LOSSES, -1, -1):
+            try:
+                return self._run_missing(list(unique.values()))
+            except LostResultError as error:
+                lost = self.asked.get(error.entry)
+                if lost is None or not left:
+                    raise
+                self.run([lost])
+
+    def _run_missing(self, unique: Sequence[Job]) -> None:
         missing = [job for job in self.part.order(unique) if not self.store.has(job.entry)]
         done = len(unique) - len(missing)
-        needs = jobs[0].needs if jobs else ()
+        needs = unique[0].needs if unique else ()
         for _ in self.engine.map(perform, [(self.store, job) for job in missing], needs):
             done += 1
-            self.progress(jobs[0].kind, done, len(unique))
+            self.progress(unique[0].kind, done, len(unique))
 
     def result(self, job: Job) -> Any:
         """The result of a job, which is done here where it is not there."""
-        self.asked[job.entry] = None
+        self.asked[job.entry] = job
         found = load(self.store, job.entry)
         if found is None:
-            perform(self.store, job)
+            self.run([job])
             found = load(self.store, job.entry)
         if found is None:
             raise WorkError(f"{self.store.name}: expected the result that was just written, {job.entry[:12]}, got none")

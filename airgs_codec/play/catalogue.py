@@ -81,9 +81,9 @@ class Catalogue:
 
     def limit(self, budget: int | None) -> None:
         """Show at most so many Gaussians from now on; None: any number."""
-        self.budget = budget
-        for name in ("_options", "bytes_after", "bytes_from_scratch"):
+        for name in ("_options", "bytes_after", "bytes_from_scratch") if budget != self.budget else ():
             self.__dict__.pop(name, None)
+        self.budget = budget
 
     def check_budget(self, segments: Iterable[int]) -> None:
         """Raises ConfigError where every rung of one of these segments shows more Gaussians than the budget has."""

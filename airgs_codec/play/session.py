@@ -123,9 +123,8 @@ def simulate(
     """
     catalogue = Catalogue.of(package) if isinstance(package, Package) else package
     link = Link.over(trace) if isinstance(trace, Trace) else trace
-    if settings and settings.budget is not None:
-        catalogue.limit(settings.budget)
-        catalogue.check_budget(range(catalogue.segments))
+    catalogue.limit(settings.budget if settings else None)
+    catalogue.check_budget(range(catalogue.segments))
     return play(catalogue, SimulatedDownloader(link, catalogue, faults or {}), policy, settings, link)
 
 

@@ -123,6 +123,11 @@ class Gradients:
     absolute: Floats  # (N, 2) the same, the absolute values of single pixels summed (AbsGS)
 
 
+def use_threads(count: int) -> None:
+    """Let kernels that this thread calls work on so many threads at most."""
+    numba.set_num_threads(min(count, numba.get_num_threads()))
+
+
 def activate(g: Gaussians) -> RasterInputs[Floats]:
     """Gaussians in stored domain -> contiguous float32 arrays as the kernels take them."""
     with np.errstate(over="ignore"):  # a scale past float32 is Inf, and Inf is culled

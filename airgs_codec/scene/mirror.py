@@ -157,7 +157,7 @@ class Mirror(Files):
         folder = self._here / name
         if not folder.is_dir():
             return [name]
-        return [f"{name}/{path.name}" for path in sorted(folder.iterdir()) if path.is_file()]
+        return [f"{name}/{path.name}" for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
 
     def _fetch(self, names: Iterable[str]) -> None:
         missing = [name for name in dict.fromkeys(names) if name not in self._frames]
@@ -168,9 +168,15 @@ class Mirror(Files):
             self._frames.move_to_end(name)
 
     def _download(self, name: str) -> int:
-        size = self._store.download(name, self._here / name)
-        if size is None:
-            raise SceneError(f"{self._store.name}/{name}: expected the object that was listed, got nothing")
+        file = self._here / name
+        part = file.with_name(f".{file.name}.{threading.get_ident()}.part")  # others may be reading what is there
+        try:
+            size = self._store.download(name, part)
+            if size is None:
+                raise SceneError(f"{self._store.name}/{name}: expected the object that was listed, got nothing")
+            part.replace(file)
+        finally:
+            part.unlink(missing_ok=True)
         return size
 
     def _fetch_header(self, name: str) -> None:

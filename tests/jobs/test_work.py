@@ -53,6 +53,22 @@ def test_a_result_that_is_gone_is_one_line(tmp_path):
     lost = Job("total", "", "a" * 64, total, (squares(tmp_path)[3].result,))
     with pytest.raises(WorkError, match="which is gone"):
         perform(WorkFolder(tmp_path / "work"), lost)
+    other = Job("square", "", "b" * 64, square, (1, str(tmp_path)), code="another version")
+    with pytest.raises(WorkError, match="expected the version of airgs-codec"):
+        perform(WorkFolder(tmp_path / "work"), other)
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_results_that_are_gone_when_others_read_them_are_made_again(tmp_path, processes, several):
+    work = Work(WorkFolder(tmp_path / "work"), processes if several else InProcess())
+    jobs = squares(tmp_path, 4)
+    work.run(jobs)
+    joined = [Job("total", "", f"{n:064x}"[::-1], total, (jobs[n].result, jobs[n + 1].result)) for n in (1, 2)]
+    for n in (1, 2, 3):
+        file = tmp_path / "work" / jobs[n].entry[:2] / jobs[n].entry
+        file.write_bytes(file.read_bytes()[:-1])
+    work.run(joined)
+    assert [work.result(job) for job in joined] == [1 + 4, 4 + 9]
 
 
 def test_every_part_begins_with_its_own_jobs_and_ends_with_all(tmp_path):

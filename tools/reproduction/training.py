@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import AirgsError
+from airgs_codec.jobs.engines import prepare_worker
 from airgs_codec.progress import Progress
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.ply import read_ply
@@ -66,9 +67,10 @@ class Job:
 
 def train_all(jobs: Sequence[Job], processes: int, progress: Progress) -> list[Trained]:
     """All jobs, in their order. Raises the first error of a job, after those that run have ended."""
-    os.environ |= {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # seconds are of one core
     done: dict[int, Trained] = {}
-    with ProcessPoolExecutor(processes, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(
+        processes, get_context("spawn"), prepare_worker, (os.getpid(), 1)
+    ) as pool:  # one core each
         tasks = {pool.submit(_train, job): i for i, job in enumerate(jobs)}
         for task in as_completed(tasks):
             done[tasks[task]] = task.result()

@@ -74,9 +74,9 @@ def in_sight(tile: Tile, camera: Camera, margin: float) -> bool:
     axes = [np.linspace(low, high, CORNERS) for low, high in zip(tile.low, tile.high, strict=True)]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
     x, y, z = (points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]).T
-    across, down = np.minimum(half_angles(camera) + np.radians(margin), np.pi / 2 - 0.01)
-    inside = (z > camera.near) & (np.abs(x) <= z * np.tan(across)) & (np.abs(y) <= z * np.tan(down))
-    return bool(inside.any())
+    across, down = half_angles(camera) + np.radians(margin)
+    beside, above = np.abs(np.arctan2(x, z)), np.abs(np.arctan2(y, np.hypot(x, z)))
+    return bool(((beside <= across) & (above <= down)).any())
 
 
 def distance(tile: Tile, camera: Camera) -> float:

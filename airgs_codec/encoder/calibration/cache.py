@@ -35,7 +35,9 @@ def name_of(frames: str, views: ViewPlan, settings: EncodeSettings) -> str:
     trainer left, all of which `frames` names; the views that decide, the settings and the versions of the code.
     """
     choices = replace(settings, quality=1.0, calibrate="none", measure_pictures=0, threads=1, device="auto", world=None)
-    return digest(__version__, REVISION, library_versions(), choices, frames, views.deciding, views.trusted)
+    return digest(
+        __version__, REVISION, library_versions(), choices, frames, views.deciding, views.trusted, views.renderer
+    )
 
 
 def load(name: str) -> Calibration | None:
