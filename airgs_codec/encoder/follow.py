@@ -150,14 +150,13 @@ def _begin(
     rounds = Rounds(settings.measure_pictures)
     given = settings.levels != DEFAULT_LEVELS
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
-    with temporary_work(progress) as work:
+    with temporary_work(progress) as work, storage.staged() as stage:
         groups = GroupJobs.of(part, [(0, stop)], look_at_frames(part, work).names, views)
         found = calibrate_job(EncodeJob(groups, work, (), credit), settings)
         verified = encode_verified(Attempt(found.job, groups, found.settings, found.expected, rounds, given))
         decisions = [*verified.manifest.decisions, *found.decisions, *verified.stories]
         manifest = replace(verified.manifest, live=True, decisions=decisions)
-        with storage.staged() as stage:
-            finish(verified, manifest).write(work.store, Folder(stage), LiveClock(available, datetime.now(UTC)))
+        finish(verified, manifest).write(work.store, Folder(stage), LiveClock(available, datetime.now(UTC)))
         base = verified.encoded.base_key()
     turns = manifest.views.measured // max(1, views.measured(rounds.count))
     package = GrowingPackage(storage, manifest, available)

@@ -49,9 +49,16 @@ class GroupJobs:
         views = self.views
         return digest(views.deciding, views.decided, views.trusted, views.renderer)
 
+    @cached_property
+    def _contents(self) -> tuple[str, ...]:
+        return tuple(self._content(span) for span in self.spans)
+
     def content(self, group: int) -> str:
         """The name of all frames of a group as they are read, and of what the trainer measured of them."""
-        s, span = self.sequence, self.spans[group]
+        return self._contents[group]
+
+    def _content(self, span: GroupSpan) -> str:
+        s = self.sequence
         orders = [s.orders.get(frame) for frame in range(span.start, span.stop)]
         usage = s.usage(span.start, span.stop)
         return digest(self.names[span.start : span.stop], orders, s.sh_degree, s.fps, usage, span)

@@ -26,7 +26,7 @@ from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
 from airgs_codec.encoder.views import ViewPlan, plan_views
 from airgs_codec.errors import WorkError
 from airgs_codec.jobs.digest import code_digest, digest
-from airgs_codec.jobs.job import Job, Record, load
+from airgs_codec.jobs.job import Job, Record, Stored, read_result
 from airgs_codec.jobs.store import Store
 from airgs_codec.jobs.work import Work, temporary_work
 from airgs_codec.package.folder import Folder
@@ -87,10 +87,7 @@ class Finished:
         """
         place.write(INIT_NAME, self.init)
         for entry in self.entries:
-            found = load(store, entry)
-            if found is None:
-                raise WorkError(f"{store.name}: expected the files {entry[:12]}, which are gone; encode again")
-            [group] = found
+            group = read_result(store, Stored(entry))
             assert isinstance(group, GroupFiles)
             for path, data in group.files.items():
                 place.write(path, data)

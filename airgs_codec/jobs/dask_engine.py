@@ -48,15 +48,11 @@ class DaskEngine:
             cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None)
         return DaskEngine(Client(cluster), cluster, max(1, available_cores() // count))
 
-    def map(
-        self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], needs: Sequence[str] = ()
-    ) -> Iterator[Any]:
+    def map(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
         """What `function` gives for each tuple of arguments, as they are finished.
 
-        `needs`: resources that a worker must have been started with, one of each. Raises what a call raises first,
-        WorkError where workers die of a call, or the scheduler is gone.
+        Raises what a call raises first, WorkError where workers die of a call, or the scheduler is gone.
         """
-        resources = dict.fromkeys(needs, 1)
         todo = iter(calls)
         waiting = as_completed(raise_errors=True)
         most = WAITING * max(1, sum(self._client.nthreads().values()))
@@ -65,10 +61,7 @@ class DaskEngine:
             call = next(todo, None)
             if call is None:
                 return False
-            future = self._client.submit(
-                _call, self._threads, function, *call, pure=False, retries=RETRIES, resources=resources or None
-            )
-            waiting.add(future)
+            waiting.add(self._client.submit(_call, self._threads, function, *call, pure=False, retries=RETRIES))
             return True
 
         try:

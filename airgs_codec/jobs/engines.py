@@ -24,13 +24,10 @@ LEAVE_S = 5.0  # for a process to remove what it has begun
 class Engine(Protocol):
     """Calls functions somewhere."""
 
-    def map(
-        self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], needs: Sequence[str] = ()
-    ) -> Iterator[Any]:
+    def map(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
         """What `function` gives for each tuple of arguments, as they are finished.
 
-        `needs`: what a worker must have, such as "GPU"; engines of one machine have all that it has. Raises what a call
-        raises first; others are given up then. WorkError where its workers die.
+        Raises what a call raises first; others are given up then. WorkError where its workers die.
         """
 
     def close(self) -> None:
@@ -41,9 +38,7 @@ class Engine(Protocol):
 class InProcess:
     """One call after the other, here."""
 
-    def map(
-        self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], needs: Sequence[str] = ()
-    ) -> Iterator[Any]:
+    def map(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
         """What `function` gives for each tuple of arguments, in their order. Raises what a call raises."""
         for call in calls:
             yield function(*call)
@@ -61,9 +56,7 @@ class Processes:
         self._threads = threads or max(1, available_cores() // count)
         self._pool: ProcessPoolExecutor | None = None
 
-    def map(
-        self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]], needs: Sequence[str] = ()
-    ) -> Iterator[Any]:
+    def map(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
         """What `function` gives for each tuple of arguments, as they are finished.
 
         Raises what a call raises first, WorkError where DEATHS processes have died one after another.

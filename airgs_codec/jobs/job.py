@@ -31,7 +31,6 @@ class Job:
     entry: str  # name of its result: a digest of everything that it reads
     function: Callable[..., Any]  # of a module, so that other processes find it
     arguments: tuple[Any, ...] = ()  # each may be `Stored`
-    needs: tuple[str, ...] = ()  # what a worker must have: "GPU"
     code: str = ""  # that makes the result (`digest.code_digest`); empty: any
 
     @property
@@ -73,7 +72,7 @@ def perform(store: Store, job: Job) -> Record:
     if known is not None and store.has(job.entry):
         return known
     begun, start = time.time(), time.perf_counter()
-    value = job.function(*(_resolve(store, argument) for argument in job.arguments))
+    value = job.function(*(read_result(store, a) if isinstance(a, Stored) else a for a in job.arguments))
     seconds = time.perf_counter() - start
     data = pickle.dumps(value, protocol=5)
     record = Record(job.kind, job.label, f"{platform.node()}:{os.getpid()}", begun, seconds, len(data))
@@ -100,10 +99,9 @@ def _record_of(entry: str) -> str:
     return f"{entry}.record"
 
 
-def _resolve(store: Store, argument: Any) -> Any:
-    if not isinstance(argument, Stored):
-        return argument
-    found = load(store, argument.entry)
+def read_result(store: Store, stored: Stored) -> Any:
+    """The result that stands for an argument. Raises LostResultError where it is not there."""
+    found = load(store, stored.entry)
     if found is None:
-        raise LostResultError(store.name, argument.entry)
+        raise LostResultError(store.name, stored.entry)
     return found[0]

@@ -61,8 +61,7 @@ class Work:
     def _run_missing(self, unique: Sequence[Job]) -> None:
         missing = [job for job in self.part.order(unique) if not self.store.has(job.entry)]
         done = len(unique) - len(missing)
-        needs = unique[0].needs if unique else ()
-        for _ in self.engine.map(perform, [(self.store, job) for job in missing], needs):
+        for _ in self.engine.map(perform, [(self.store, job) for job in missing]):
             done += 1
             self.progress(unique[0].kind, done, len(unique))
 
