@@ -10,12 +10,13 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding import escapes
+from airgs_codec.coding.row_kernels import read_planes
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, Atlas, plane_height
 
 CELLS = BLOCK * BLOCK
 MIN_SIDE = 64  # smaller pictures trip encoders
 GREY = 128
+_NO_BASES = np.empty((0, 0), np.int32)
 
 
 def choose_layout(rows: int, planes: int) -> tuple[int, int]:
@@ -111,11 +112,10 @@ def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) 
 
 def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None)) -> NDArray[np.uint8]:
     """(pages * height, width) picture -> (P, n) samples of some rows."""
-    places = row_places(atlas.rows, atlas.plane_width, picture.shape[1])[rows]
-    flat = np.ascontiguousarray(picture).ravel()
-    samples = np.empty((len(atlas.planes), len(places)), np.uint8)
-    for plane, start in zip(samples, plane_starts(atlas, picture.shape[1]), strict=True):
-        plane[:] = flat[start:][places]
+    start, stop, _ = rows.indices(atlas.rows)
+    samples = np.empty((len(atlas.planes), stop - start), np.uint8)
+    places = [(plane, 0) for plane in range(len(samples))]
+    _read_planes(picture, atlas, places, None, start, samples)
     return samples
 
 
@@ -126,12 +126,29 @@ def read_codes(
 
     A channel without a plane is its centre. None for the bases where there are no escapes.
     """
-    samples = extract(picture, atlas, rows)
-    codes = np.empty((len(atlas.centres), samples.shape[1]), np.int32)
+    start, stop, _ = rows.indices(atlas.rows)
+    codes = np.empty((len(atlas.centres), stop - start), np.int32)
     for channel in set(range(len(codes))).difference(atlas.planes):
         codes[channel] = atlas.centres[channel]
-    for channel, plane in zip(atlas.planes, samples, strict=True):
-        np.add(plane, np.int32(atlas.centres[channel] - GREY), out=codes[channel])
-    if bases is not None:
-        codes[atlas.planes] += escapes.UNIT * bases[:, rows]
+    _read_planes(picture, atlas, [(c, atlas.centres[c] - GREY) for c in atlas.planes], bases, start, codes)
     return codes
+
+
+def _read_planes(
+    picture: NDArray[np.uint8],
+    atlas: Atlas,
+    places: list[tuple[int, int]],
+    bases: NDArray[np.int32] | None,
+    first: int,
+    out: NDArray[np.integer],
+) -> None:
+    """Write samples of the rows from `first` on; `places`: for each plane its line of `out` and what is added to it."""
+    if not places:
+        return
+    height = plane_height(atlas.rows, atlas.plane_width)
+    corners = np.empty((len(places), 4), np.int64)
+    for plane, (line, centre) in enumerate(places):
+        down, across = divmod(plane, atlas.columns)
+        corners[plane] = line, down * height, across * atlas.plane_width, centre
+    bases = _NO_BASES if bases is None else bases
+    read_planes(picture, corners, atlas.plane_width // BLOCK, bases, first, out)

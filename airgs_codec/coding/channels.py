@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.coding import row_kernels as kernels
 from airgs_codec.coding.attributes import from_opacity, to_opacity
 from airgs_codec.coding.chunks import for_chunks
 from airgs_codec.coding.colour import colour_steps, colours, from_klt, split_colours, to_klt
@@ -183,50 +184,43 @@ class StateApplier:
 
     def apply(self, channels: NDArray[np.float32]) -> Gaussians:
         """The frame that decoded state channels (10 + C, n) make of the canonical space: all N rows."""
-        return self.apply_parts(lambda rows: channels[:, rows])
+        return self.apply_parts(lambda rows: np.ascontiguousarray(channels[:, rows]))
 
     def apply_parts(self, read: Callable[[slice], NDArray[np.float32]]) -> Gaussians:
         """The same frame, of channels that `read` gives for some of the n rows at a time, on several threads."""
-        shown, columns = self.shown, {}
-        for name in ("means", "log_scales", "opacity_logits", "quaternions"):
-            if name != "quaternions" or self.has_rotation:
-                columns[name] = np.empty_like(getattr(shown, name))
+        shown, base = self.shown, self.base
+        out = {name: np.empty_like(getattr(shown, name)) for name in self._changing()}
         if self.has_colour:
-            columns["colours"] = np.empty_like(self.base.colours)
+            out["colours"] = np.empty_like(base.colours)
 
         def fill(rows: slice) -> None:
-            for name, column in columns.items():
-                column[rows] = getattr(self.base if name == "colours" else shown, name)[rows]
+            for name, column in out.items():
+                column[rows] = getattr(base if name == "colours" else shown, name)[rows]
             start, stop = np.searchsorted(self.rows, (rows.start, rows.stop)).tolist()
             if start < stop:
-                first, last = self.rows[start], self.rows[stop - 1]
-                some = slice(first, last + 1) if last - first == stop - start - 1 else self.rows[start:stop]
-                self._add(columns, some, read(slice(start, stop)))
+                self._add(out, self.rows[start:stop], read(slice(start, stop)))
 
         for_chunks(fill, len(shown), WIDTH)
         if self.has_colour:
-            dc, rest = split_colours(columns.pop("colours"))
-            columns |= {"sh_dc": np.ascontiguousarray(dc), "sh_rest": rest}
-        return replace(shown, **columns)
+            out["sh_rest"] = split_colours(out.pop("colours"))[1]
+        return replace(shown, **out)
 
-    def _add(
-        self, columns: dict[str, NDArray[np.float32]], rows: NDArray[np.intp] | slice, channels: NDArray[np.float32]
-    ) -> None:
-        """Write what (10 + C, n) channels make of these rows (n,).
+    def _changing(self) -> list[str]:
+        """Names of the columns of a frame, without SH rest, that states may change."""
+        names = ["means", "log_scales", "opacity_logits"]
+        return names + ["quaternions"] * self.has_rotation + ["sh_dc"] * self.has_colour
 
-        Axes are written one by one, which numpy does twice as fast as rows.
-        """
+    def _add(self, out: dict[str, NDArray[np.float32]], rows: NDArray[np.intp], channels: NDArray[np.float32]) -> None:
+        """Write what (10 + C, n) channels make of these rows (n,)."""
         base = self.base
-        shifts, growth = channels[_MEANS] * base.motion_units[rows], channels[_SCALES]
-        for axis in range(3):
-            columns["means"][rows, axis] = base.means[rows, axis] + shifts[axis]
-            columns["log_scales"][rows, axis] += growth[axis]
-        columns["opacity_logits"][rows] = from_opacity(base.opacity[rows] + channels[_OPACITY][0])
+        kernels.move_rows(channels[_MEANS], base.motion_units, base.means, rows, out["means"])
+        kernels.add_rows(channels[_SCALES], rows, out["log_scales"])
+        out["opacity_logits"][rows] = from_opacity(base.opacity[rows] + channels[_OPACITY][0])
         if self.has_rotation:
-            turn = from_rotation_vector(np.ascontiguousarray(channels[_ROTATION].T))
-            columns["quaternions"][rows] = multiply(turn, base.quaternions[rows])
+            kernels.turn_rows(channels[_ROTATION], base.quaternions, rows, out["quaternions"])
         if self.has_colour:
-            columns["colours"][rows] += from_klt(channels[_COLOUR].T, self.transform) * self.colour_steps
+            of = self.transform, self.colour_steps
+            kernels.add_colours(channels[_COLOUR], *of, rows, out["colours"], out["sh_dc"])
 
 
 def _to_gaussians(

@@ -119,7 +119,7 @@ def _take(part: int, state: NDArray[np.int64], data: NDArray[np.uint8]) -> int:
     return bit
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _decode(
     values: NDArray[np.int64], models: NDArray[np.int32], state: NDArray[np.int64], data: NDArray[np.uint8]
 ) -> None:
