@@ -145,6 +145,9 @@ def _read_planes(
     """Write samples of the rows from `first` on; `places`: for each plane its line of `out` and what is added to it."""
     if not places:
         return
+    width, lines = atlas.size
+    if picture.shape[0] < lines or picture.shape[1] < width:  # the loop does not look where it reads
+        raise ValueError(f"expected a picture of at least {width}x{lines}, got {picture.shape[1]}x{picture.shape[0]}")
     height = plane_height(atlas.rows, atlas.plane_width)
     corners = np.empty((len(places), 4), np.int64)
     for plane, (line, centre) in enumerate(places):

@@ -23,7 +23,7 @@ from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.package.layout import COLOUR, KEY, STATE
 from airgs_codec.package.tables import Grid, KeySteps, StateSteps
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.rotations import conjugate, from_rotation_vector, multiply, to_rotation_vector
+from airgs_codec.scene.rotations import conjugate, multiply, to_rotation_vector
 
 _MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
 _OPACITY, _COLOUR = STATE.slice("opacity"), STATE.slice(COLOUR)
@@ -105,18 +105,35 @@ def dequantise_key(
 
     `coarser` is that of the key quality; the codes of the sidecar may be those of finer cells.
     """
-    colour = from_klt(channels[KEY.slice(COLOUR)].T, transform.astype(np.float32))
-    scale = colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1]).astype(np.float32)
-    return Canonical(
-        means=grid_means(sidecar.codes, sidecar.classes, grid, coarser),
-        motion_units=motion_units(sidecar.classes),
-        quaternions=from_rotation_vector(np.ascontiguousarray(channels[KEY.slice("quaternions")].T)),
-        log_scales=np.ascontiguousarray(channels[KEY.slice("log_scales")].T),
-        opacity=channels[KEY.slice("opacity")][0],
-        colours=colour * scale,
-        depths=sidecar.depths,
-        transform=transform,
-    )
+    return dequantise_parts(_parts_of(channels), sidecar, transform, grid, steps, coarser)
+
+
+def dequantise_parts(
+    read: Callable[[slice], NDArray[np.float32]],
+    sidecar: KeySidecar,
+    transform: NDArray[np.float64],
+    grid: Grid,
+    steps: KeySteps,
+    coarser: int = 0,
+) -> Canonical:
+    """The same canonical space, of channels that `read` gives for some of the rows at a time, on several threads."""
+    count, width = len(sidecar.codes), len(transform)
+    of = transform.astype(np.float32), colour_steps(steps.sh_dc, steps.sh_rest, width).astype(np.float32)
+    means, units = np.empty((count, 3)), np.empty(count, np.float32)
+    quaternions, log_scales = np.empty((count, 4), np.float32), np.empty((count, 3), np.float32)
+    opacity, colour = np.empty(count, np.float32), np.zeros((count, width), np.float32)
+
+    def fill(rows: slice) -> None:
+        channels, classes = read(rows), sidecar.classes[rows]
+        means[rows] = grid_means(sidecar.codes[rows], classes, grid, coarser)
+        units[rows] = motion_units(classes)
+        log_scales[rows] = channels[KEY.slice("log_scales")].T
+        kernels.to_quaternions(channels[KEY.slice("quaternions")], quaternions[rows])
+        opacity[rows] = channels[KEY.slice("opacity")][0]
+        kernels.add_colours(channels[KEY.slice(COLOUR)], *of, np.arange(rows.start, rows.stop), colour)
+
+    for_chunks(fill, count, WIDTH)
+    return Canonical(means, units, quaternions, log_scales, opacity, colour, sidecar.depths, transform)
 
 
 def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSteps) -> NDArray[np.float64]:
@@ -184,7 +201,7 @@ class StateApplier:
 
     def apply(self, channels: NDArray[np.float32]) -> Gaussians:
         """The frame that decoded state channels (10 + C, n) make of the canonical space: all N rows."""
-        return self.apply_parts(lambda rows: np.ascontiguousarray(channels[:, rows]))
+        return self.apply_parts(_parts_of(channels))
 
     def apply_parts(self, read: Callable[[slice], NDArray[np.float32]]) -> Gaussians:
         """The same frame, of channels that `read` gives for some of the n rows at a time, on several threads."""
@@ -220,7 +237,13 @@ class StateApplier:
             kernels.turn_rows(channels[_ROTATION], base.quaternions, rows, out["quaternions"])
         if self.has_colour:
             of = self.transform, self.colour_steps
-            kernels.add_colours(channels[_COLOUR], *of, rows, out["colours"], out["sh_dc"])
+            kernels.add_colours(channels[_COLOUR], *of, rows, out["colours"])
+            kernels.copy_rows(out["colours"], rows, out["sh_dc"])
+
+
+def _parts_of(channels: NDArray[np.float32]) -> Callable[[slice], NDArray[np.float32]]:
+    """What gives the channels of some of the rows, as the compiled loops take them."""
+    return lambda rows: np.ascontiguousarray(channels[:, rows])
 
 
 def _to_gaussians(

@@ -63,6 +63,14 @@ def _turn(x, y, z):
 
 
 @njit(cache=True, nogil=True)
+def to_quaternions(vectors, quaternions):
+    """Rotation vectors (3, n) -> unit quaternions (n, 4)."""
+    for i in range(len(quaternions)):
+        w, x, y, z = _turn(vectors[0, i], vectors[1, i], vectors[2, i])
+        quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3] = w, x, y, z
+
+
+@njit(cache=True, nogil=True)
 def turn_rows(vectors, base, rows, quaternions):
     """Write the product of rotation vectors (3, n) and quaternions `base` (N, 4) to some rows (n,) of (N, 4)."""
     for i in range(len(rows)):
@@ -76,11 +84,8 @@ def turn_rows(vectors, base, rows, quaternions):
 
 
 @njit(cache=True, nogil=True)
-def add_colours(channels, transform, steps, rows, colours, sh_dc):
-    """Add to some rows (n,) of (N, C) colours what (C, n) KLT channels make: their product with (C, C), times steps.
-
-    The first three of these rows are written to `sh_dc` (N, 3) too.
-    """
+def add_colours(channels, transform, steps, rows, colours):
+    """Add to some rows (n,) of (N, C) colours what (C, n) KLT channels make: their product with (C, C), times steps."""
     total = np.empty(STRIP, np.float32)
     for start in range(0, len(rows), STRIP):
         count = min(STRIP, len(rows) - start)
@@ -93,10 +98,6 @@ def add_colours(channels, transform, steps, rows, colours, sh_dc):
                     total[i] += weight * channel[i]
             for i in range(count):
                 colours[np.uintp(some[i]), c] += total[i] * steps[c]
-            if c < sh_dc.shape[1]:
-                for i in range(count):
-                    r = np.uintp(some[i])
-                    sh_dc[r, c] = colours[r, c]
 
 
 @njit(cache=True, nogil=True)
@@ -115,3 +116,12 @@ def add_rows(channels, rows, values):
         r = np.uintp(rows[i])
         for axis in range(3):
             values[r, axis] += channels[axis, i]
+
+
+@njit(cache=True, nogil=True)
+def copy_rows(values, rows, columns):
+    """Write the first columns of some rows (n,) of `values` to those of `columns` (N, 3)."""
+    for i in range(len(rows)):
+        r = np.uintp(rows[i])
+        for c in range(3):
+            columns[r, c] = values[r, c]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import read_codes
-from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key, join_canonical
+from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_parts, join_canonical
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
@@ -101,16 +101,19 @@ def _decode_tier(package: Package, group: int, tier: int, quality: int) -> Itera
     """The rows of a tier, which has some: those that it keeps, then the others."""
     m = package.manifest
     g = m.groups[group]
-    codes, sidecar = decode_key(package, group, tier, quality)
+    read, sidecar = _read_key(package, group, tier, quality)
     base, kept = m.base_of(group), sidecar.kept
     if base is not None and len(kept.rows):
         transform = unpack_matrix(m.groups[base].colour_transform, m.colour_channels)
         yield join_canonical(list(_decode_tier(package, base, tier, quality)), transform).kept(kept.rows, kept.depths)
     if len(sidecar.codes):
         steps = KEY.steps(g.key_steps, m.colour_channels) * m.qualities[quality].factor
-        values = from_codes(codes, steps, m.key_gain)
         transform = unpack_matrix(g.colour_transform, m.colour_channels)
-        yield dequantise_key(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser)
+
+        def values(rows: slice) -> NDArray[np.float32]:
+            return from_codes(read(rows), steps, m.key_gain)
+
+        yield dequantise_parts(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser)
 
 
 def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
@@ -118,27 +121,42 @@ def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[N
 
     Raises FormatError.
     """
+    read, sidecar = _read_key(package, group, tier, quality)
+    return read(slice(None)), sidecar
+
+
+def _read_key(
+    package: Package, group: int, tier: int, quality: int
+) -> tuple[Callable[[slice], NDArray[np.int32]], KeySidecar]:
+    """What gives the codes of some rows of a key unit, and its sidecar, as in `decode_key`.
+
+    The picture is decoded on another thread while columns are read.
+    """
     m = package.manifest
     g = m.groups[group]
     unit, base = g.tiers[tier], m.base_of(group)
     sidecar_path, *pictures = m.key_files(group, tier, quality)
     grid, coarser, coarsest = g.grid, m.qualities[quality].coarser, m.qualities[-1].coarser
     kept = unit.kept, 0 if base is None else m.groups[base].tiers[tier].count
-    shared = unpack_key_sidecar(package.read(sidecar_path), unit.count - unit.kept, grid, coarsest, sidecar_path, kept)
+    count, data = unit.count - unit.kept, package.read(sidecar_path)
     if not pictures:
-        return np.empty((KEY.width(m.colour_channels), 0), np.int32), shared
+        none = np.empty((KEY.width(m.colour_channels), 0), np.int32)
+        return lambda rows: none, unpack_key_sidecar(data, count, grid, coarsest, sidecar_path, kept)
     (media,) = pictures
     segment = open_segment(package.read(media), media)
     atlas = unit.qualities[quality]
-    picture = next(decode_pictures(segment.samples, media, atlas.pages), None)
+    with ThreadPoolExecutor(1) as pool:
+        coming = pool.submit(next, decode_pictures(segment.samples, media, atlas.pages), None)
+        shared = unpack_key_sidecar(data, count, grid, coarsest, sidecar_path, kept)
+        reader = ColumnReader(segment.columns, media)
+        sidecar = read_detail(reader, shared, grid, coarser, coarsest)
+        jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
+        reader.close()
+        picture = coming.result()
     if picture is None:
         raise FormatError("bad_picture", media, "expected one picture, got none")
     _expect_size(picture, atlas, media)
-    reader = ColumnReader(segment.columns, media)
-    sidecar = read_detail(reader, shared, grid, coarser, coarsest)
-    jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
-    reader.close()
-    return read_codes(picture, atlas, jumps.bases(0)), sidecar
+    return functools.partial(read_codes, picture, atlas, next(jumps.running())), sidecar
 
 
 def decode_state(package: Package, index: int, level: int, first: int, last: int) -> Iterator[NDArray[np.int32]]:

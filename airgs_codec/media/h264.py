@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import repeat
 
 import av
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._settings import available_cores
 from airgs_codec.errors import CodecError, FormatError
 from airgs_codec.media.fragments import CodedPicture, media_segment
 from airgs_codec.media.mp4 import Segment, read_segment, start_codes
@@ -200,18 +203,23 @@ def decode_pictures(samples: Sequence[bytes], where: str, pages: int = 1) -> Ite
     """(pages * H, W) luma of each picture of a media segment, in display order; stop iterating to stop decoding.
 
     `samples` are those of its first page, then those of the next; a picture is its pages one below another. `where`
-    names the segment in errors. Raises FormatError(bad_picture) when the bytes do not decode, or pages differ.
+    names the segment in errors. Pages are decoded side by side. Raises FormatError(bad_picture) when the bytes do not
+    decode, or pages differ.
     """
     if pages == 1:
         yield from _decode_page(samples, where)
         return
     length = -(-len(samples) // pages)
     decoders = [_decode_page(samples[page * length :][:length], where) for page in range(pages)]
-    try:
-        for parts in zip(*decoders, strict=True):
+    with ThreadPoolExecutor(min(pages, available_cores())) as pool:
+        while True:
+            parts = list(pool.map(next, decoders, repeat(None)))
+            shapes = {None if part is None else part.shape for part in parts}
+            if shapes == {None}:
+                return
+            if len(shapes) > 1:
+                raise FormatError("bad_picture", where, f"expected {pages} pages of equal pictures, got {shapes}")
             yield np.concatenate(parts)
-    except ValueError as error:
-        raise FormatError("bad_picture", where, f"expected {pages} pages of equal pictures: {error}") from error
 
 
 def _decode_page(samples: Sequence[bytes], where: str) -> Iterator[NDArray[np.uint8]]:

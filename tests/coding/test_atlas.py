@@ -27,6 +27,13 @@ def test_samples_come_back_from_their_cells(rows, planes):
     np.testing.assert_array_equal(extract(larger[1], layout), samples[1])
 
 
+def test_a_picture_that_is_too_small_is_not_read():
+    layout = Atlas(300, [0], [0], 32, 1)
+    for shape in [(8, 64), (64, 16)]:
+        with pytest.raises(ValueError, match="expected a picture of at least"):
+            extract(np.zeros(shape, np.uint8), layout)
+
+
 def test_a_block_is_filled_along_a_z_curve():
     layout = Atlas(300, [0], [0], 32, 1)
     index = row_places(300, 32, 64)
