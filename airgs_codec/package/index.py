@@ -3,35 +3,66 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import accumulate
+from typing import Literal
 
-from airgs_codec.package.tables import PAGE, FileEntry, Index, Spans
+from airgs_codec.errors import FormatError
+from airgs_codec.package.paths import page_path
+from airgs_codec.package.tables import PAGE, FileEntry, Spans
 
 
 @dataclass(frozen=True, slots=True)
-class GroupEntry:
-    """What the index says of a group."""
+class Entry:
+    """What the index says of a group, or of the groups on a page."""
 
-    start: int  # its first frame
+    start: int  # the first frame
     stop: int
     first_segment: int
     segments: int  # how many
-    file: FileEntry  # its table
+    file: FileEntry  # the table of the group, or the page
+
+
+ReadPage = Callable[[str, Entry], Spans]  # path and what is said of a page -> the page
+Count = Literal["groups", "frames", "segments"]
+
+
+def count_groups(index: Sequence[Spans]) -> int:
+    """How many groups an index leads to."""
+    return sum(len(spans) * PAGE**level for level, spans in enumerate(index))
 
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Groups that follow each other: a page, or those after the last page."""
+    """Parts that follow each other: those of a level in the root, or those on a page."""
 
+    level: int  # of the parts; 0: they are groups, else pages of that level
     spans: Spans
-    frames: list[int]  # the first frame of each
-    segments: list[int]  # the first segment of each
+    groups: Sequence[int]  # the first group of each
+    frames: Sequence[int]  # the first frame of each
+    segments: Sequence[int]  # the first segment of each
 
     @staticmethod
-    def of(spans: Spans, frame: int, segment: int) -> _Block:
-        return _Block(spans, _starts(spans.frames, frame), _starts(spans.segments, segment))
+    def of(spans: Spans, level: int, group: int, frame: int, segment: int) -> _Block:
+        """The last three are where the first part begins."""
+        size = PAGE**level
+        groups = range(group, group + size * len(spans), size)
+        return _Block(level, spans, groups, _starts(spans.frames, frame), _starts(spans.segments, segment))
+
+    def place(self, count: Count, number: int) -> int:
+        """The place of the last part that begins at a group, frame or segment or before; -1 where all are later."""
+        return bisect_right(getattr(self, count), number) - 1
+
+    def path(self, place: int) -> str:
+        """The page at a place."""
+        return page_path(self.level, self.groups[place] // PAGE**self.level + 1)
+
+    def entry(self, place: int) -> Entry:
+        """What is said of the part at a place."""
+        start, spans = self.frames[place], self.spans
+        return Entry(start, start + spans.frames[place], self.segments[place], spans.segments[place], spans.file(place))
 
 
 def _starts(counts: list[int], first: int) -> list[int]:
@@ -39,66 +70,110 @@ def _starts(counts: list[int], first: int) -> list[int]:
 
 
 class GroupIndex:
-    """Finds groups. `read_page` gives the page of a number that counts from 0; each is asked for once."""
+    """Finds groups by descending from the root. `read_page` gives a page; each is asked for once.
 
-    def __init__(self, index: Index, read_page: Callable[[int], Spans]) -> None:
-        self._index, self._read_page = index, read_page
-        self._pages = _Block.of(index.pages, 0, 0)
-        self._paged_frames, self._paged_segments = sum(index.pages.frames), sum(index.pages.segments)
-        self._blocks = {len(index.pages): _Block.of(index.groups, self._paged_frames, self._paged_segments)}
-        self.pages = len(index.pages)
-        self.groups = PAGE * self.pages + len(index.groups)
-        self.frames = self._paged_frames + sum(index.groups.frames)
-        self.segments = self._paged_segments + sum(index.groups.segments)
+    What is asked for may raise what `read_page` raises.
+    """
 
-    def entry(self, group: int) -> GroupEntry:
+    def __init__(self, index: Sequence[Spans], read_page: ReadPage) -> None:
+        self._read_page = read_page
+        self._pages: dict[str, _Block] = {}
+        self._top: list[_Block] = []  # those of the root, the last groups first
+        self.groups = self.frames = self.segments = 0
+        for level in reversed(range(len(index))):
+            spans = index[level]
+            self._top.insert(0, _Block.of(spans, level, self.groups, self.frames, self.segments))
+            self.groups += PAGE**level * len(spans)
+            self.frames += sum(spans.frames)
+            self.segments += sum(spans.segments)
+
+    def entry(self, group: int) -> Entry:
         """What is said of a group. Raises IndexError."""
-        if not 0 <= group < self.groups:
-            raise IndexError(f"group {group}: there are {self.groups}")
-        block, place = self._block(group // PAGE), group % PAGE
-        start, spans = block.frames[place], block.spans
-        stop = start + spans.frames[place]
-        return GroupEntry(start, stop, block.segments[place], spans.segments[place], spans.file(place))
-
-    def page_file(self, number: int) -> FileEntry:
-        """The file of a page, counted from 0. Raises IndexError."""
-        return self._index.pages.file(range(self.pages)[number])
-
-    def page_of_segment(self, segment: int) -> int | None:
-        """The page that says where a segment is; None where the root says it."""
-        paged = segment < self._paged_segments
-        return bisect_right(self._pages.segments, segment) - 1 if paged else None
+        block, place = self._leaf("groups", group)
+        return block.entry(place)
 
     def at_frame(self, frame: int) -> int:
         """The group that shows a frame. Raises IndexError outside the sequence."""
-        if not 0 <= frame < self.frames:
-            raise IndexError(f"frame {frame}: the sequence has frames 0..{self.frames - 1}")
-        number = bisect_right(self._pages.frames, frame) - 1 if frame < self._paged_frames else self.pages
-        return PAGE * number + bisect_right(self._block(number).frames, frame) - 1
+        block, place = self._leaf("frames", frame)
+        return block.groups[place]
 
     def at_segment(self, segment: int) -> int:
         """The group that a segment belongs to. Raises IndexError outside the sequence."""
-        if not 0 <= segment < self.segments:
-            raise IndexError(f"segment {segment}: there are {self.segments}")
-        page = self.page_of_segment(segment)
-        number = self.pages if page is None else page
-        return PAGE * number + bisect_right(self._block(number).segments, segment) - 1
+        block, place = self._leaf("segments", segment)
+        return block.groups[place]
+
+    def pages(self) -> Iterator[str]:
+        """The paths of all pages, those that lead to others first."""
+        for level in reversed(range(1, len(self._top) + 1)):
+            yield from (page_path(level, number) for number in range(1, self.groups // PAGE**level + 1))
+
+    def page_file(self, level: int, number: int) -> FileEntry:
+        """The file of a page, counted from 0 in its level. Raises IndexError."""
+        for block, place in self._descend("groups", number * PAGE**level):
+            if block.level == level:
+                return block.entry(place).file
+        raise IndexError(f"page {number} of level {level}: there is none")
+
+    def check_page(self, level: int, number: int) -> None:
+        """Read a page, counted from 0 in its level."""
+        next(block for block, _ in self._descend("groups", number * PAGE**level) if block.level < level)
+
+    def pages_to_segment(self, segment: int) -> Iterator[str]:
+        """The pages that lead to a segment, from the root on; each is read when the next is asked for."""
+        return (block.path(place) for block, place in self._descend("segments", segment) if block.level)
+
+    def pages_to_group(self, group: int) -> Iterator[str]:
+        """The pages that lead to a group; see `pages_to_segment`."""
+        return (block.path(place) for block, place in self._descend("groups", group) if block.level)
+
+    def missing_pages(self, segment: int, there: Container[str]) -> list[str]:
+        """Pages with a segment or later ones that are not there, as far as pages that are there lead to them."""
+        missing, blocks = [], [block for block in self._top if block.level]
+        while blocks:
+            block = blocks.pop()
+            for place in range(len(block.spans)):
+                if block.segments[place] + block.spans.segments[place] <= segment:
+                    continue
+                if block.path(place) not in there:
+                    missing.append(block.path(place))
+                elif block.level > 1:
+                    blocks.append(self._page(block, place))
+        return missing
 
     def guess_span(self, segment: int) -> tuple[int, int]:
-        """Frames [start, stop) of a segment as if those of its group, or of its unread page, were of one length."""
-        page = self.page_of_segment(segment)
-        if page is not None and page not in self._blocks:
-            spans, place, block = self._index.pages, page, self._pages
-        else:
-            group = self.at_segment(segment)
-            block, place = self._block(group // PAGE), group % PAGE
-            spans = block.spans
-        count, before = spans.segments[place], segment - block.segments[place]
-        first, frames = block.frames[place], spans.frames[place]
-        return first + frames * before // count, first + frames * (before + 1) // count
+        """Frames [start, stop) of a segment as if those of its group were of one length, or those of a page that
+        cannot be read.
+        """
+        with suppress(FormatError):
+            for block, place in self._descend("segments", segment):
+                entry = block.entry(place)
+        before, frames = segment - entry.first_segment, entry.stop - entry.start
+        return entry.start + frames * before // entry.segments, entry.start + frames * (before + 1) // entry.segments
 
-    def _block(self, number: int) -> _Block:
-        if number not in self._blocks:
-            page = self._read_page(number)
-            self._blocks[number] = _Block.of(page, self._pages.frames[number], self._pages.segments[number])
-        return self._blocks[number]
+    def _leaf(self, count: Count, number: int) -> tuple[_Block, int]:
+        """The block of groups with a group, frame or segment, and the place of its group."""
+        *_, found = self._descend(count, number)
+        return found
+
+    def _descend(self, count: Count, number: int) -> Iterator[tuple[_Block, int]]:
+        """The blocks that lead to a group, frame or segment, and the places in them; the first is of the root."""
+        total: int = getattr(self, count)
+        if not 0 <= number < total:
+            raise IndexError(f"{count}: expected 0 to {total - 1}, got {number}")
+        block = next(block for block in self._top if block.place(count, number) >= 0)
+        while True:
+            place = block.place(count, number)
+            yield block, place
+            if not block.level:
+                return
+            block = self._page(block, place)
+
+    def _page(self, block: _Block, place: int) -> _Block:
+        """What stands on the page at a place of a block."""
+        path = block.path(place)
+        if path not in self._pages:
+            entry = block.entry(place)
+            page = self._read_page(path, entry)
+            start = block.groups[place], entry.start, entry.first_segment
+            self._pages[path] = _Block.of(page, block.level - 1, *start)
+        return self._pages[path]

@@ -13,7 +13,7 @@ from typing import overload
 
 from airgs_codec.errors import FormatError
 from airgs_codec.media.metrics import psnr
-from airgs_codec.package.index import GroupEntry, GroupIndex
+from airgs_codec.package.index import Entry, GroupIndex, ReadPage
 from airgs_codec.package.packing import build_index, pack_group
 from airgs_codec.package.paths import (
     INIT_NAME,
@@ -21,11 +21,10 @@ from airgs_codec.package.paths import (
     key_media_path,
     key_sidecar_path,
     locate,
-    page_path,
     state_media_path,
 )
 from airgs_codec.package.references import check_kept
-from airgs_codec.package.tables import MAX_PSNR, FileEntry, Group, Header, Index, Segment, Spans
+from airgs_codec.package.tables import MAX_PSNR, FileEntry, Group, Header, Segment, Spans
 
 KEPT = 1024  # tables of groups
 
@@ -33,10 +32,8 @@ KEPT = 1024  # tables of groups
 class Groups(Sequence[Group]):
     """The groups of a package in order. The tables last used are kept, the others are read again."""
 
-    def __init__(
-        self, index: Index, read_page: Callable[[int], Spans], read: Callable[[int, GroupEntry], Group]
-    ) -> None:
-        self.table = index
+    def __init__(self, index: list[Spans], read_page: ReadPage, read: Callable[[int, Entry], Group]) -> None:
+        self.columns = index
         self.places = GroupIndex(index, read_page)
         self._read = read
         self._kept: OrderedDict[int, Group] = OrderedDict()
@@ -45,7 +42,7 @@ class Groups(Sequence[Group]):
     def of(groups: Sequence[Group]) -> Groups:
         """Groups that are in memory."""
         index, pages = build_index(groups, [pack_group(group) for group in groups])
-        return Groups(index, pages.__getitem__, lambda number, _: groups[number])
+        return Groups(index, lambda path, _: pages[path], lambda number, _: groups[number])
 
     def __len__(self) -> int:
         return self.places.groups
@@ -153,8 +150,7 @@ class Manifest(Header):
 
     def table_files(self) -> list[str]:
         """Pages of the index and tables of the groups."""
-        pages = [page_path(number + 1) for number in range(self.groups.places.pages)]
-        return pages + [group_path(number + 1) for number in range(len(self.groups))]
+        return [*self.groups.places.pages(), *(group_path(number + 1) for number in range(len(self.groups)))]
 
     def files(self) -> Iterator[str]:
         """Every file of the package but airgs.json and manifest.mpd; reads the table of every group."""
@@ -183,8 +179,8 @@ class Manifest(Header):
                 return self.segments[number - 1].levels[level].file
             case "group", [number]:
                 return self.groups.places.entry(number - 1).file
-            case "page", [number]:
-                return self.groups.places.page_file(number - 1)
+            case "page", [level, number]:
+                return self.groups.places.page_file(level, number - 1)
         return self.init if path == INIT_NAME else None
 
     def bytes_of(self, paths: Sequence[str]) -> int:

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.tables import PAGE, Group, Index, Root, Spans, file_entry
+from airgs_codec.package.paths import page_path
+from airgs_codec.package.tables import PAGE, Group, Root, Spans, file_entry
 
 MAX_ROOT_BYTES = 1 << 24
 MAX_TABLE_BYTES = 1 << 28  # of a group's table, inflated
@@ -55,21 +56,33 @@ def inflate(data: bytes, where: str) -> bytes:
 EMPTY = Spans([], [], [], "")
 
 
-def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[Index, list[Spans]]:
-    """The index of groups whose tables are these bytes, and its pages."""
-    index, pages = Index(EMPTY, EMPTY), []
-    for group, table in zip(groups, tables, strict=True):
-        index, page = extend_index(index, group, table)
-        pages += [page] if page else []
+def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[list[Spans], dict[str, Spans]]:
+    """The index of groups whose tables are these bytes, and its pages by their paths."""
+    index: list[Spans] = []
+    pages: dict[str, Spans] = {}
+    for number, (group, table) in enumerate(zip(groups, tables, strict=True)):
+        index, filled = extend_index(index, number, group, table)
+        pages |= filled
     return index, pages
 
 
-def extend_index(index: Index, group: Group, table: bytes) -> tuple[Index, Spans | None]:
-    """The index with one more group, whose table is these bytes, and the page that it has filled."""
-    groups = _with(index.groups, group.stop - group.start, len(group.segments), table)
-    if len(groups) < PAGE:
-        return Index(index.pages, groups), None
-    return Index(_with(index.pages, sum(groups.frames), sum(groups.segments), pack_json(groups)), EMPTY), groups
+def extend_index(
+    index: Sequence[Spans], number: int, group: Group, table: bytes
+) -> tuple[list[Spans], dict[str, Spans]]:
+    """The index with one more group, counted from 0, whose table is these bytes, and the pages that it has filled.
+
+    As with the digits of a number in base PAGE: a level that would have PAGE entries has none, and the one above has
+    one more, which is the page that they stand on.
+    """
+    entry = (group.stop - group.start, len(group.segments), table)
+    pages: dict[str, Spans] = {}
+    for level, spans in enumerate([*index, EMPTY]):
+        full = _with(spans, *entry)
+        if len(full) < PAGE:
+            return [*[EMPTY] * level, full, *index[level + 1 :]], pages
+        pages[page_path(level + 1, (number + 1) // PAGE ** (level + 1))] = full
+        entry = sum(full.frames), sum(full.segments), pack_json(full)
+    raise AssertionError("the level above all others has one entry")
 
 
 def _with(spans: Spans, frames: int, segments: int, data: bytes) -> Spans:

@@ -15,9 +15,9 @@ from typing import Annotated, Any
 
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.package.constraints import Constraint, as_required
-from airgs_codec.package.index import GroupEntry
+from airgs_codec.package.index import Entry
 from airgs_codec.package.packing import inflate
-from airgs_codec.package.paths import JSON_NAME, group_path, page_path
+from airgs_codec.package.paths import JSON_NAME, group_path
 from airgs_codec.package.references import check_group, check_keeps, check_page, check_region, check_root
 from airgs_codec.package.tables import VERSION, Group, Header, Region, Root, Spans
 
@@ -37,15 +37,17 @@ def parse_root(text: str | bytes) -> Root:
     return root
 
 
-def parse_page(text: bytes, root: Root, number: int) -> Spans:
-    """A page of the index, counted from 0. Raises FormatError as `parse_root` does."""
-    where = page_path(number + 1)
+def parse_page(text: bytes, entry: Entry, where: str) -> Spans:
+    """The page of the index with the path `where`, of which the level above says `entry`.
+
+    Raises FormatError as `parse_root` does.
+    """
     page: Spans = _parse(Spans, _load(text, where), where)
-    check_page(root, page, number)
+    check_page(entry, page, where)
     return page
 
 
-def parse_group(data: bytes, header: Header, entry: GroupEntry, number: int) -> Group:
+def parse_group(data: bytes, header: Header, entry: Entry, number: int) -> Group:
     """The table of a group, counted from 0, of which the index says `entry`.
 
     Raises FormatError as `parse_root` does, and too_large.

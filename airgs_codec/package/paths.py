@@ -24,7 +24,7 @@ _PATTERNS = {  # how a path is built -> what `locate` calls it
     rf"key/T{_ORDINAL}/Q{_ORDINAL}/{_NUMBER}\.m4s": "key",
     rf"state/L{_ORDINAL}/{_NUMBER}\.m4s": "state",
     rf"group/{_NUMBER}\.json\.gz": "group",
-    rf"index/{_NUMBER}\.json": "page",
+    rf"index/([1-9])/{_NUMBER}\.json": "page",
 }
 
 
@@ -81,6 +81,6 @@ def group_path(number: int) -> str:
     return f"group/{number}.json.gz"
 
 
-def page_path(number: int) -> str:
-    """Page of the index."""
-    return f"index/{number}.json"
+def page_path(level: int, number: int) -> str:
+    """Page of the index; the level counts from 1 as well."""
+    return f"index/{level}/{number}.json"

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.index import GroupEntry
+from airgs_codec.package.index import Entry
 from airgs_codec.package.layout import KEY, STATE, Layout
-from airgs_codec.package.paths import JSON_NAME, page_path
+from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.tables import (
     BLOCK,
     DIGEST,
@@ -49,26 +49,19 @@ def check_root(m: Root) -> None:
     if m.timescale * m.frame_rate[1] % m.frame_rate[0]:
         raise _bad(f"{JSON_NAME}.timescale", "a frame is not a whole number of ticks")
     _check_file(f"{JSON_NAME}.init", m.init, True)
-    for name, spans in (("pages", m.index.pages), ("groups", m.index.groups)):
-        _check_columns(f"{JSON_NAME}.index.{name}", spans)
-    if len(m.index.groups) >= PAGE:
-        raise _bad(f"{JSON_NAME}.index.groups", f"expected at most {PAGE - 1} groups after the last page")
-    total = sum(m.index.pages.frames) + sum(m.index.groups.frames)
-    if total != m.frames:
-        raise _bad(f"{JSON_NAME}.index", f"covers {total} of {m.frames} frames")
+    _check_index(f"{JSON_NAME}.index", m)
 
 
-def check_page(m: Root, page: Spans, number: int) -> None:
-    """Raise FormatError (bad_value) unless a page, counted from 0, holds what airgs.json says of it."""
-    where = page_path(number + 1)
+def check_page(entry: Entry, page: Spans, where: str) -> None:
+    """Raise FormatError (bad_value) unless a page holds what the level above says of it."""
     _check_columns(where, page)
     got = len(page), sum(page.frames), sum(page.segments)
-    expected = PAGE, m.index.pages.frames[number], m.index.pages.segments[number]
+    expected = PAGE, entry.stop - entry.start, entry.segments
     if got != expected:
-        raise _bad(where, f"expected {expected} groups, frames and segments, got {got}")
+        raise _bad(where, f"expected {expected} entries, frames and segments, got {got}")
 
 
-def check_group(m: Header, entry: GroupEntry, group: Group, where: str) -> None:
+def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
     """Raise FormatError (bad_value, missing_entry) unless the table of a group fits the package and itself."""
     got, expected = (group.start, group.stop, len(group.segments)), (entry.start, entry.stop, entry.segments)
     if got != expected:
@@ -126,6 +119,23 @@ def _check_columns(where: str, spans: Spans) -> None:
     lengths = [len(spans.frames), len(spans.segments), len(spans.bytes), len(spans.sha256) / DIGEST]
     if len(set(lengths)) > 1:
         raise _bad(where, f"expected columns of one length, got {lengths}")
+
+
+def _check_index(where: str, m: Root) -> None:
+    """What fills no page, level by level, with no empty level at the end; the groups have all frames."""
+    for level, spans in enumerate(m.index):
+        here, fewest = f"{where}[{level}]", PAGE**level
+        _check_columns(here, spans)
+        if len(spans) >= PAGE:
+            raise _bad(here, f"expected at most {PAGE - 1} entries, got {len(spans)}")
+        least = min([*spans.frames, *spans.segments], default=fewest)
+        if least < fewest:
+            raise _bad(here, f"expected {fewest} frames and segments or more in each entry, got {least}")
+    if not len(m.index[-1]):
+        raise _bad(where, "expected an entry in the last level, got none")
+    total = sum(sum(spans.frames) for spans in m.index)
+    if total != m.frames:
+        raise _bad(where, f"covers {total} of {m.frames} frames")
 
 
 def _check_file(where: str, entry: FileEntry, wanted: bool) -> None:

@@ -7,11 +7,11 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.index import GroupEntry
+from airgs_codec.package.index import Entry
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.packing import MAX_ROOT_BYTES
 from airgs_codec.package.parse import parse_group, parse_page, parse_root
-from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path, locate, page_path
+from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path, locate
 from airgs_codec.package.storage import Files, open_storage
 from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest
 
@@ -61,11 +61,10 @@ def open_manifest(root: Root, read: Read) -> Manifest:
     """The tables of a package whose airgs.json is read; `read` gets pages and tables of groups when they are needed."""
     shared = {field.name: getattr(root, field.name) for field in fields(Header)}
 
-    def page(number: int) -> Spans:
-        file = root.index.pages.file(number)
-        return parse_page(read(page_path(number + 1), file), root, number)
+    def page(path: str, entry: Entry) -> Spans:
+        return parse_page(read(path, entry.file), entry, path)
 
-    def group(number: int, entry: GroupEntry) -> Group:
+    def group(number: int, entry: Entry) -> Group:
         return parse_group(read(group_path(number + 1), entry.file), root, entry, number)
 
     return Manifest(**shared, init=root.init, groups=Groups(root.index, page, group))
@@ -74,7 +73,7 @@ def open_manifest(root: Root, read: Read) -> Manifest:
 def root_of(m: Manifest) -> Root:
     """The airgs.json of a package."""
     shared = {field.name: getattr(m, field.name) for field in fields(Header)}
-    return Root(**shared, init=m.init, index=m.groups.table)
+    return Root(**shared, init=m.init, index=m.groups.columns)
 
 
 def manifest_of(root: Root, groups: Sequence[Group]) -> Manifest:

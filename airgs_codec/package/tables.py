@@ -37,7 +37,8 @@ MAX_CENTRE = 1 << 30  # so that a centre, a luma level and the base of an escape
 MAX_PSNR = 1000.0  # dB; nothing measured comes near, and ten to the power of a tenth of it is still a float
 MAX_DELTA_E = 1000.0  # CIEDE2000; the largest of two sRGB colours is about 120
 BLOCK = 16  # samples, either side of the blocks that a plane is made of
-PAGE = 64  # groups on a page of the index
+PAGE = 64  # groups, or pages of the level below, on a page of the index
+MAX_LEVELS = 5  # of the index, groups among them: PAGE ** MAX_LEVELS groups have more than MAX_FRAMES frames
 DIGEST = 32  # characters of a digest
 STATE_ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity", "sh_dc", "sh_rest")
 KEY_ATTRIBUTES = STATE_ATTRIBUTES[1:]  # canonical means travel in the sidecar
@@ -277,7 +278,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Spans:
-    """Parts of a sequence that follow each other, in columns: groups, or pages of groups."""
+    """Parts of a sequence that follow each other, in columns: groups, or pages of one level."""
 
     frames: list[FrameCount]  # of each
     segments: list[FrameCount]  # of each
@@ -290,14 +291,6 @@ class Spans:
     def file(self, place: int) -> FileEntry:
         """The file of a part."""
         return FileEntry(self.bytes[place], self.sha256[DIGEST * place : DIGEST * (place + 1)])
-
-
-@dataclass(frozen=True, slots=True)
-class Index:
-    """Where the groups are: pages of PAGE groups each, and the groups after the last page."""
-
-    pages: Spans
-    groups: Spans
 
 
 @dataclass(frozen=True, slots=True)
@@ -356,7 +349,7 @@ class Root(Header):
     """airgs.json."""
 
     init: FileEntry  # init.mp4, for DASH players alone
-    index: Index
+    index: Annotated[list[Spans], Length(1, MAX_LEVELS)]  # groups, then pages of each level: what fills no page above
 
 
 def _index_of(what: str, choice: str | int, ids: list[str]) -> int:

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock, Streams, write_mpd
 from airgs_codec.package.packing import build_index, extend_index, pack_group, pack_json
-from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path, page_path
+from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path
 from airgs_codec.package.storage import Storage
 from airgs_codec.package.store import open_manifest, read_file, root_of
 from airgs_codec.package.tables import FileEntry, Group
@@ -32,9 +32,8 @@ def write_tables(files: Storage, m: Manifest, clock: LiveClock | None = None) ->
     """
     tables = [write_group(files, number, group) for number, group in enumerate(m.groups, 1)]
     _, pages = build_index(m.groups, tables)
-    for number, page in enumerate(pages, 1):
-        files.write(page_path(number), pack_json(page))
-    return write_root(files, m, clock) + sum(map(len, tables)) + sum(len(pack_json(page)) for page in pages)
+    entries = [files.write(path, pack_json(page)) for path, page in pages.items()]
+    return write_root(files, m, clock) + sum(map(len, tables)) + sum(entry.bytes for entry in entries)
 
 
 def write_root(files: Storage, m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> int:
@@ -64,9 +63,8 @@ class GrowingPackage:
     def expect(self, group: Group) -> Manifest:
         """The tables with one more group, whose files are written, but not its table; until the next call or `add`."""
         table, number = pack_group(group), len(self.manifest.groups)
-        index, page = extend_index(self.manifest.groups.table, group, table)
-        pages = {page_path(len(index.pages)): pack_json(page)} if page else {}
-        self._unwritten = {group_path(number + 1): table} | pages
+        index, pages = extend_index(self.manifest.groups.columns, number, group, table)
+        self._unwritten = {group_path(number + 1): table} | {path: pack_json(page) for path, page in pages.items()}
         root = replace(root_of(self.manifest), frames=group.stop, index=index)
         found = open_manifest(root, self._read)
         found.groups.keep(number, group)

@@ -19,8 +19,7 @@ from urllib.parse import urlsplit
 import aiohttp
 
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.package.paths import JSON_NAME, page_path
-from airgs_codec.package.tables import PAGE
+from airgs_codec.package.paths import JSON_NAME, group_path
 from airgs_codec.play.catalogue import NONE, Batch, Catalogue
 from airgs_codec.play.downloader import CHECK_S, GiveUp, Partial
 from airgs_codec.play.events import Arrival, BatchKind, Request
@@ -49,7 +48,7 @@ class HttpDownloader:
         self._zero: float | None = None  # of the clock
         self._skipped_s = 0.0
         self._rtt_s = math.inf
-        self._root: Arrival | None = None  # until the player asks for it
+        self._opened: dict[tuple[str, ...], Arrival] = {}  # what came before the player asks for it
 
     def __enter__(self) -> Self:
         return self
@@ -69,25 +68,28 @@ class HttpDownloader:
 
         Raises FormatError, TransportError where there is no server.
         """
-        self._root = self._runner.run(self._fetch(_for_tables(JSON_NAME), None))
-        for error in self._root.refused.values():
-            raise FormatError(error.reason, f"{self._url}/{error.where}", error.detail)
+        self._fetch_first(JSON_NAME)
         self._join(self._catalogue)
         return self._catalogue
 
+    def _fetch_first(self, path: str) -> None:
+        arrival = self._runner.run(self._fetch(_for_tables(path), None))
+        for error in arrival.refused.values():
+            raise FormatError(error.reason, f"{self._url}/{error.where}", error.detail)
+        self._opened[path,] = arrival
+
     def _join(self, c: Catalogue) -> None:
         """A session over a growing package begins with its newest group."""
-        places = c.manifest.groups.places
         if not c.live:
             return
-        if len(c.manifest.groups) == PAGE * places.pages:  # a page says where that is; the player fetches it again
-            self._runner.run(self._fetch(_for_tables(page_path(places.pages)), None))
-        c.first = places.entry(len(c.manifest.groups) - 1).first_segment
+        places = c.manifest.groups.places
+        for path in places.pages_to_segment(places.segments - 1):
+            self._fetch_first(path)
+        c.first = places.entry(places.groups - 1).first_segment
 
     def fetch(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
         """See Downloader. Raises TransportError for a server that is away for too long."""
-        if self._root is not None:
-            opened, self._root = self._root, None
+        if opened := self._opened.pop(request.batch.files, None):
             return replace(opened, request=request)
         return self._runner.run(self._fetch(request, give_up))
 
@@ -199,8 +201,13 @@ class HttpDownloader:
 
 def fetch_beside(log: SessionLog, downloader: HttpDownloader) -> None:
     """Fetch what a report or a film of a session shows beside what was played: all tables, and the best rungs."""
-    c = log.catalogue
-    downloader.complete(c.manifest.table_files())
+    c, pages = log.catalogue, set[str]()
+    places = c.manifest.groups.places
+    with contextlib.suppress(FormatError):  # a page cannot be had
+        while missing := places.missing_pages(0, pages):
+            downloader.complete(missing)
+            pages.update(missing)
+        downloader.complete([group_path(number + 1) for number in range(places.groups)])
     for segment in dict.fromkeys(shown.segment for shown in log.shown):
         with contextlib.suppress(FormatError):  # its table cannot be had
             downloader.complete(c.batch(segment, 0, NONE).files)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from airgs_codec.package.paths import FileKind, file_kind, group_path, page_path
-from airgs_codec.package.tables import PAGE
+from airgs_codec.package.paths import FileKind, file_kind, group_path
 from airgs_codec.play.catalogue import NONE, Batch, Catalogue, KeyUnits
 from airgs_codec.play.events import Arrival
 from airgs_codec.play.ladder import Option
@@ -34,29 +34,22 @@ class TableStore:
 
     def missing_pages(self) -> tuple[str, ...]:
         """Pages of the index with segments of the session."""
-        places = self.catalogue.manifest.groups.places
-        first = places.page_of_segment(self.catalogue.first)
-        numbers = range(places.pages if first is None else first, places.pages)
-        return tuple(path for path in (page_path(n + 1) for n in numbers) if path not in self._paths)
+        return tuple(self.catalogue.manifest.groups.places.missing_pages(self.catalogue.first, self._paths))
 
     def _next(self, segment: int) -> str | None:
-        """The first missing of page and table of a segment's group, then of the group whose rows it keeps."""
-        m = self.catalogue.manifest
-        page = m.groups.places.page_of_segment(segment)
-        if page is not None and page_path(page + 1) not in self._paths:
-            return page_path(page + 1)
-        group = m.group_of(segment)
-        if group_path(group + 1) not in self._paths:
-            return group_path(group + 1)
-        keeps = m.groups[group].keeps
-        paths = () if keeps is None else self._way(keeps - 1)
-        return next((path for path in paths if path not in self._paths), None)
+        """The first missing of what leads to a segment, and then to the group whose rows its group keeps."""
+        return next((path for path in self._way(segment) if path not in self._paths), None)
 
-    def _way(self, group: int) -> tuple[str, ...]:
-        """The page that a group is on, if it is on one, and its table."""
-        page = group // PAGE
-        paged = page < self.catalogue.manifest.groups.places.pages
-        return (*([page_path(page + 1)] if paged else []), group_path(group + 1))
+    def _way(self, segment: int) -> Iterator[str]:
+        """Pages and tables; each is read when the next is asked for."""
+        groups = self.catalogue.manifest.groups
+        yield from groups.places.pages_to_segment(segment)
+        group = groups.places.at_segment(segment)
+        yield group_path(group + 1)
+        keeps = groups[group].keeps
+        if keeps is not None:
+            yield from groups.places.pages_to_group(keeps - 1)
+            yield group_path(keeps)
 
 
 @dataclass(slots=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 from airgs_codec.errors import FormatError
+from airgs_codec.package.index import count_groups
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.packing import MAX_ROOT_BYTES
 from airgs_codec.package.parse import parse_root
@@ -70,7 +71,7 @@ class RemoteTables:
             if what == "group":
                 self._check_kept(c.manifest, numbers[0] - 1)
             else:
-                c.manifest.groups.places.entry(PAGE * (numbers[0] - 1))
+                c.manifest.groups.places.check_page(numbers[0], numbers[1] - 1)
         except FormatError:
             del self._files[path]
             raise
@@ -91,9 +92,10 @@ def _check_growth(before: Root, after: Root) -> None:
         for field in dataclasses.fields(Header)
         if field.name not in GROWS
     )
-    pages = len(before.index.pages)
-    kept = before.index.pages.sha256 == after.index.pages.sha256[: len(before.index.pages.sha256)]
-    if pages == len(after.index.pages):
-        kept = kept and after.index.groups.sha256.startswith(before.index.groups.sha256)
+    was, now = count_groups(before.index), count_groups(after.index)
+    kept = now >= was
+    for level, (old, new) in enumerate(zip(before.index, after.index, strict=False)):
+        if was // PAGE ** (level + 1) == now // PAGE ** (level + 1):  # no page of the level above was filled since
+            kept = kept and new.sha256.startswith(old.sha256)
     if not (same and kept and after.frames >= before.frames and before.live >= after.live):
         raise FormatError("bad_value", JSON_NAME, "expected the package of before with more groups, got another")

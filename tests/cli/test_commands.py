@@ -65,7 +65,7 @@ def test_groups_of_a_length_or_of_the_cheapest_and_a_first_look(tmp_path, capsys
     for options, frames in ((["--group", "2"], [2, 2]), (["--group", "auto"], [4])):
         assert encode.main([*base, "--quick", *options]) == 0
         tables = json.loads((tmp_path / "out" / "airgs.json").read_text())
-        assert tables["index"]["groups"]["frames"] == frames
+        assert tables["index"][0]["frames"] == frames
     assert tables["generator"]["settings"]["preset"] == "superfast"
     with pytest.raises(SystemExit) as refused:
         encode.main([*base, "--group", "few"])

@@ -41,10 +41,12 @@ from tests.support.mutations import (
     add_file,
     apply,
     drop_value,
+    edit_tables,
     edit_text,
     honest,
     link_file,
     on_disk,
+    pack_table,
     parse_table,
     reindexed,
     remove_file,
@@ -55,8 +57,9 @@ from tests.support.paths import INVALID, VALID
 from tests.support.rooms import room_frames
 from tests.support.scenes import write_sequence
 
-KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1.json"
+KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1/1.json"
 KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE = "key/T0/2.bin", "group/2.json.gz", "group/3.json.gz"
+NO_SPANS = {"frames": [], "segments": [], "bytes": [], "sha256": ""}
 SETTINGS = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keys=APART)
 
 
@@ -141,8 +144,29 @@ def media_alone(data: bytes) -> bytes:
 def repaged(files: Files) -> Files:
     """Make airgs.json agree with the length and digest of the first page."""
     page = files[PAGE_TABLE]
-    edits = (set_value(("index", "pages", "bytes"), [len(page)]), set_value(("index", "pages", "sha256"), digest(page)))
-    return apply(files, *edits)
+    return apply(files, set_value(("index", 1, "bytes"), [len(page)]), set_value(("index", 1, "sha256"), digest(page)))
+
+
+def unpaged(files: Files) -> Files:
+    """Put the groups of the first page into airgs.json, before those that are there."""
+    page, index = parse_table(files[PAGE_TABLE]), parse_table(files[JSON_NAME])["index"]
+    groups = {name: page[name] + index[0][name] for name in page}
+    return apply(files, set_value(("index",), [groups]), remove_file(PAGE_TABLE))
+
+
+def raised(files: Files) -> Files:
+    """Say of the first page that it is one of the second level."""
+    groups, pages = parse_table(files[JSON_NAME])["index"]
+    page = add_file("index/2/1.json", files[PAGE_TABLE])
+    return apply(files, set_value(("index",), [groups, NO_SPANS, pages]), remove_file(PAGE_TABLE), page)
+
+
+def shortened(files: Files) -> Files:
+    """Make one group of the first two on the first page, whose sums stay as they are."""
+    page = parse_table(files[PAGE_TABLE])
+    sums = {name: [sum(page[name][:2]), *page[name][2:]] for name in ("frames", "segments")}
+    entries = {"bytes": page["bytes"][1:], "sha256": page["sha256"][32:]}
+    return repaged(files | {PAGE_TABLE: pack_table(PAGE_TABLE, sums | entries)})
 
 
 BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks valid/moving, or valid/paged
@@ -157,6 +181,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks 
     "missing_field-group": in_table(drop_value(("grid",), TABLE)),
     "wrong_type": (set_value(("frames",), "4"),),
     "wrong_type-world": (set_value(("world",), None),),
+    "wrong_type-index": (edit_tables(lambda root: root.update(index={"groups": root["index"][0]})),),
     "wrong_type-live": (set_value(("live",), 1),),
     "wrong_type-group": in_table(set_value(("count",), None, TABLE)),
     "bad_value": (set_value(("sh_degree",), 4),),
@@ -166,9 +191,14 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks 
     ),
     "bad_value-background": (set_value(("region", "background"), [1, 1, 1.5]),),
     "bad_value-background-length": (set_value(("region", "background"), [1, 1]),),
-    "bad_value-columns": (set_value(("index", "groups", "frames"), [2, 2]),),
+    "bad_value-columns": (set_value(("index", 0, "frames"), [2, 2]),),
+    "bad_value-index": (set_value(("index",), []),),
+    "bad_value-index-level": (edit_tables(lambda root: root["index"].append(NO_SPANS)),),
     "bad_value-cover": (set_value(("frames",), 5),),
-    "bad_value-page-root": (set_value(("index", "groups"), {"frames": [], "segments": [], "bytes": [], "sha256": ""}),),
+    "bad_value-page-root": (set_value(("index", 0), NO_SPANS),),
+    "bad_value-page-full": (unpaged,),
+    "bad_value-page-level": (raised,),
+    "bad_value-page-short": (shortened,),
     "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
     "bad_value-segments": in_table(set_value(("segments", 0, "stop"), 3, TABLE)),
     "bad_value-page-sum": (set_value(("frames", 0), 2, PAGE_TABLE), repaged),
@@ -186,6 +216,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks 
     "missing_file": (remove_file(KEY_PICTURE),),
     "missing_file-group": (remove_file(TABLE),),
     "missing_file-page": (remove_file(PAGE_TABLE),),
+    "foreign_file-page": (add_file("index/2/1.json", b"nothing leads to it\n"),),
     "foreign_file": (add_file("notes.txt", b"not part of the package\n"),),
     "size_mismatch": (rewrite(KEY_SIDECAR, lambda b: b + b"\0"),),
     "size_mismatch-group": (rewrite(TABLE, lambda b: b + b"\0"),),

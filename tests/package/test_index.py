@@ -1,26 +1,154 @@
-"""The index: a long package starts as quickly as a short one, and every group is found with one page at most."""
+"""The index: a long package starts as quickly as a short one, and every group is found with a page for each level."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
 
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import FormatError
-from airgs_codec.package.index import GroupIndex
+from airgs_codec.package.index import GroupIndex, count_groups
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.mpd import write_mpd
-from airgs_codec.package.packing import build_index, pack_group, pack_json
-from airgs_codec.package.parse import parse_page, parse_root
-from airgs_codec.package.paths import file_kind, group_path, page_path
-from airgs_codec.package.store import open_package, root_of
+from airgs_codec.package.packing import build_index, extend_index, pack_group, pack_json
+from airgs_codec.package.parse import parse_root
+from airgs_codec.package.paths import file_kind, group_path, locate
+from airgs_codec.package.store import open_manifest, open_package, root_of
 from airgs_codec.package.tables import PAGE, digest
-from tests.support.manifests import tiny_manifest
+from tests.support.manifests import no_page, tiny_manifest
 from tests.support.mutations import read_files
 from tests.support.paths import VALID
 from tests.support.regions import arc
 
 GROUPS, FRAMES = 7200, 30  # two hours at 30 frames a second
 START_BYTES = 16_000
+MOST = 5000  # groups whose index is made by chance
+MOST_ROOT_BYTES = 63 * 50 * 3  # of three levels
+
+
+@dataclass(frozen=True)
+class Part:
+    """A group as the index sees it."""
+
+    start: int
+    stop: int
+    segments: range
+
+
+def parts_of(count):
+    """So many groups of one to five frames and one to three segments."""
+    stops = list(accumulate((1 + 7 * n % 5 for n in range(count)), initial=0))
+    return [Part(stops[n], stops[n + 1], range(1 + 3 * n % 4 % 3)) for n in range(count)]
+
+
+ALL = parts_of(MOST)
+
+
+def table_of(number):
+    return b"%d" % number
+
+
+def index_of(count):
+    return build_index(ALL[:count], [table_of(n) for n in range(count)])
+
+
+@given(count=st.integers(1, MOST), seed=st.randoms(use_true_random=False))
+@example(1, None)
+@example(63, None)
+@example(64, None)
+@example(65, None)
+@example(4095, None)
+@example(4096, None)
+@example(4097, None)
+@settings(max_examples=12, deadline=None)
+def test_every_group_frame_and_segment_is_found_with_a_page_for_each_level(count, seed):
+    index, pages = index_of(count)
+    assert [len(spans) for spans in index] == digits(count) and sum(len(pack_json(s)) for s in index) < MOST_ROOT_BYTES
+    assert count_groups(index) == count and sorted(pages) == sorted(GroupIndex(index, no_page).pages())
+    assert len(pages) == sum(count // PAGE**level for level in range(1, 9))
+    firsts = list(accumulate((len(part.segments) for part in ALL[:count]), initial=0))
+    chosen = range(count) if seed is None else sorted({0, count - 1, *seed.choices(range(count), k=300)})
+    read = []
+    places = GroupIndex(index, lambda path, _: read.append(path) or pages[path])
+    for number in chosen:
+        part, entry = ALL[number], places.entry(number)
+        assert (entry.start, entry.stop, entry.segments) == (part.start, part.stop, len(part.segments))
+        assert entry.first_segment == firsts[number] and entry.file.sha256 == digest(table_of(number))
+        assert {places.at_frame(frame) for frame in range(part.start, part.stop)} == {number}
+        assert {places.at_segment(firsts[number] + s) for s in part.segments} == {number}
+    assert len(read) == len(set(read))
+    for number in (0, count // 2, count - 1):
+        way = []
+        GroupIndex(index, lambda path, _, way=way: way.append(path) or pages[path]).at_frame(ALL[number].start)
+        assert len(way) < len(index) and way == list(places.pages_to_group(number))
+        assert way == list(places.pages_to_segment(firsts[number]))
+    assert (places.groups, places.frames, places.segments) == (count, ALL[count - 1].stop, firsts[-1])
+
+
+def digits(count):
+    """The digits of a number in base 64, the last one first."""
+    found = []
+    while count:
+        count, digit = divmod(count, PAGE)
+        found.append(digit)
+    return found
+
+
+def test_extending_one_by_one_gives_the_same_as_building_at_once():
+    index, pages = [], {}
+    for number in range(PAGE * PAGE + 2):
+        before = index
+        index, filled = extend_index(index, number, ALL[number], table_of(number))
+        assert not set(filled) & set(pages)  # what is written is never written again
+        pages |= filled
+        carried = len(filled)
+        assert [len(spans) for spans in index[:carried]] == [0] * carried
+        assert index[carried + 1 :] == before[carried + 1 :]
+        if number + 1 in (1, 63, 64, 65, 700, 4095, 4096, 4097):
+            assert (index, pages) == index_of(number + 1)
+
+
+@pytest.mark.parametrize(("count", "needed"), [(63, 0), (64, 1), (65, 0), (128, 1), (4095, 0), (4096, 2), (4097, 0)])
+def test_the_newest_group_needs_a_page_for_each_level_that_was_just_filled(count, needed):
+    index, pages = index_of(count)
+    assert len(list(GroupIndex(index, lambda path, _: pages[path]).pages_to_group(count - 1))) == needed
+
+
+def test_pages_that_are_not_there_are_asked_for_from_the_root_on():
+    index, pages = index_of(4500)
+    read = []
+    places = GroupIndex(index, lambda path, _: read.append(path) or pages[path])
+    there, rounds = set(), []
+    while missing := places.missing_pages(segment_before(4000), there):
+        rounds.append(missing)
+        there.update(missing)
+    firsts = [f"index/1/{number}.json" for number in range(65, 71)]
+    assert sorted(rounds[0]) == [*firsts, "index/2/1.json"]
+    assert rounds[1:] == [["index/1/63.json", "index/1/64.json"]]
+    assert read == ["index/2/1.json"]  # those of groups are there, but not needed to say so
+
+
+def segment_before(group):
+    return sum(len(part.segments) for part in ALL[:group])
+
+
+def test_a_segment_whose_pages_cannot_be_read_is_guessed():
+    index, pages = index_of(4500)
+
+    def read(path, _):
+        if path == "index/1/3.json":
+            raise FormatError("hash_mismatch", path, "of another package")
+        return pages[path]
+
+    places, last = GroupIndex(index, read), segment_before(192) - 1
+    assert places.guess_span(0) == (0, 1) and ALL[0].segments == range(1)
+    found = [places.guess_span(segment) for segment in range(segment_before(128), last + 1)]
+    assert found[0][0] == ALL[128].start and found[-1][1] == ALL[192].start
+    assert all(a[1] == b[0] for a, b in pairwise(found))
+    with pytest.raises(FormatError):
+        places.at_segment(last)
 
 
 @pytest.fixture(scope="module")
@@ -47,49 +175,54 @@ def long():
     index, pages = build_index(groups, tables)
     region = arc(90, 13, 1.234567)
     m = replace(m, frames=GROUPS * FRAMES, region=region)
-    return replace(m, groups=Groups(index, pages.__getitem__, lambda n, _: groups[n])), pages
+    return replace(m, groups=Groups(index, lambda path, _: pages[path], lambda n, _: groups[n])), pages
 
 
 def test_what_two_hours_fetch_before_their_first_group_is_small(long):
     m, pages = long
     root, mpd = pack_json(root_of(m)), write_mpd(m)
-    assert len(pages) == GROUPS // PAGE and parse_root(root) == root_of(m)
-    assert len(root) + len(mpd) + max(len(pack_json(page)) for page in pages) <= START_BYTES
+    assert parse_root(root) == root_of(m)
+    way = [pages[path] for path in m.groups.places.pages_to_group(0)]
+    assert len(way) == 2 and len(root) + len(mpd) + sum(len(pack_json(page)) for page in way) <= START_BYTES
     assert len(mpd) < 3_000
 
 
-def test_every_place_is_found_with_one_page(long):
-    m, pages = long
-    for group in (0, 1, PAGE - 1, PAGE, 5000, GROUPS - 1):
-        read = []
-        index = GroupIndex(m.groups.table, lambda n, seen=read: seen.append(n) or pages[n])
-        assert index.at_frame(FRAMES * group) == index.at_frame(FRAMES * (group + 1) - 1) == group
-        assert index.at_segment(group) == group and index.entry(group).start == FRAMES * group
-        assert read == ([group // PAGE] if group < PAGE * len(pages) else [])
+def test_places_outside_the_sequence_are_none(long):
+    m, _ = long
     for wrong in (-1, GROUPS * FRAMES):
         with pytest.raises(IndexError):
             m.segment_at(wrong)
+    for wrong in ("index/1/113.json", "index/2/2.json", "index/3/1.json", f"group/{GROUPS + 1}.json.gz"):
+        with pytest.raises(FormatError, match="no table has such a file"):
+            m.entry(wrong)
 
 
-def test_pages_are_checked_against_the_root(long):
+@pytest.mark.parametrize("path", ["index/1/64.json", "index/2/1.json", "index/1/112.json"])
+def test_pages_are_checked_against_the_level_above(long, path):
     m, pages = long
-    root = root_of(m)
-    for page in (pages[0], replace(pages[0], frames=[31, 29, *pages[0].frames[2:]])):
-        assert parse_page(pack_json(page), root, 0) == page
-    for broken in (
-        replace(pages[0], frames=[31, *pages[0].frames[1:]]),
-        replace(pages[0], segments=[2, *pages[0].segments[1:]]),
-        replace(pages[0], sha256=pages[0].sha256[32:]),
-    ):
+    page = pages[path]
+    sums = {name: [2 * getattr(page, name)[0], *getattr(page, name)[2:]] for name in ("frames", "segments")}
+    broken = {
+        "expected (64, ": replace(page, frames=[page.frames[0] + 1, *page.frames[1:]]),
+        "entries, frames and segments": replace(page, segments=[page.segments[0] + 1, *page.segments[1:]]),
+        "columns of one length": replace(page, sha256=page.sha256[32:]),
+        "got (63, ": replace(page, bytes=page.bytes[1:], sha256=page.sha256[32:], **sums),
+    }
+    _, (level, number) = locate(path)
+    for words, table in broken.items():
+        files = pages | {path: table}
+        manifest = open_manifest(root_of(m), lambda name, _, files=files: pack_json(files[name]))
         with pytest.raises(FormatError) as caught:
-            parse_page(pack_json(broken), root, 0)
-        assert caught.value.reason == "bad_value" and caught.value.where.startswith("index/1.json")
+            manifest.groups.places.check_page(level, number - 1)
+        assert caught.value.reason == "bad_value" and caught.value.where == path and words in caught.value.detail
+        whole = open_manifest(root_of(m), lambda name, _: pack_json(pages[name]))
+        whole.groups.places.check_page(level, number - 1)
 
 
 def test_a_frame_is_decoded_from_its_own_tables(tmp_path):
     """Nothing but the root, one page, the table of the group and the files of the group is read."""
     files = read_files(VALID / "paged")
-    kept = {"airgs.json", "manifest.mpd", page_path(1), group_path(7)}
+    kept = {"airgs.json", "manifest.mpd", "index/1/1.json", group_path(7)}
     for name, data in files.items():
         if name in kept or (name.endswith(("/7.bin", "/7.m4s")) and file_kind(name)):
             (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -105,7 +238,7 @@ def test_tables_that_were_used_long_ago_are_read_again(monkeypatch):
     monkeypatch.setattr("airgs_codec.package.manifest.KEPT", 2)
     m = tiny_manifest(groups=(1, 1, 1))
     read = []
-    groups = Groups(m.groups.table, [].__getitem__, lambda n, _: read.append(n) or m.groups[n])
+    groups = Groups(m.groups.columns, no_page, lambda n, _: read.append(n) or m.groups[n])
     for n in (0, 1, 0, 2, 0, 1):
         assert groups[n].start == n
     assert read == [0, 1, 2, 1]

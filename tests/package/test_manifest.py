@@ -79,7 +79,7 @@ def test_the_schema_agrees_with_the_reader():
     for path in VALID:
         validator.validate(json.loads((path / "airgs.json").read_text()))
         of_groups.validate(parse_table((path / "group/1.json.gz").read_bytes()))
-    of_pages.validate(json.loads((CORPUS / "valid" / "paged" / "index/1.json").read_text()))
+    of_pages.validate(json.loads((CORPUS / "valid" / "paged" / "index/1/1.json").read_text()))
     for name in ("unknown_field", "missing_field", "wrong_type", "unknown_version", "bad_value", "wrong_type-live"):
         assert not validator.is_valid(json.loads((CORPUS / "invalid" / name / "airgs.json").read_text())), name
         broken = CORPUS / "invalid" / f"{name}-group" / "group/1.json.gz"
@@ -149,10 +149,11 @@ def test_claims_of_a_group_that_cannot_be_true_are_refused(place, value):
         (("tiers",), 0),
         (("tiers",), 1),
         (("init", "sha256"), ""),
-        (("index", "groups", "frames"), [5]),
-        (("index", "groups", "frames", 0), 0),
-        (("index", "groups", "sha256"), "A" * 33),
-        (("index", "pages", "frames"), [64]),
+        (("index",), []),
+        (("index", 0, "frames"), [5]),
+        (("index", 0, "frames", 0), 0),
+        (("index", 0, "sha256"), "A" * 33),
+        (("index",), [{"frames": [5], "segments": [2], "bytes": [9], "sha256": "A" * 32}] * 6),
     ],
 )
 def test_claims_of_a_package_that_cannot_be_true_are_refused(place, value):

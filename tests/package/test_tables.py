@@ -7,7 +7,7 @@ from airgs_codec.package.paths import FileKind, file_kind, locate
 
 
 def test_kinds_of_files_are_those_of_their_paths():
-    for path in (paths.JSON_NAME, paths.MPD_NAME, paths.group_path(3), paths.page_path(1)):
+    for path in (paths.JSON_NAME, paths.MPD_NAME, paths.group_path(3), paths.page_path(2, 1)):
         assert file_kind(path) is FileKind.MANIFESTS
     assert file_kind(paths.INIT_NAME) is FileKind.INIT
     assert file_kind(paths.key_media_path(0, 1, 3)) is FileKind.KEY
@@ -19,7 +19,7 @@ def test_paths_are_found_again():
     assert locate(paths.key_sidecar_path(0, 30)) == ("sidecar", [0, 30])
     assert locate(paths.key_media_path(1, 12, 3)) == ("key", [1, 12, 3])
     assert locate(paths.state_media_path(2, 3)) == ("state", [2, 3])
-    assert locate(paths.group_path(7200)) == ("group", [7200]) and locate(paths.page_path(1)) == ("page", [1])
+    assert locate(paths.group_path(7200)) == ("group", [7200]) and locate(paths.page_path(2, 1)) == ("page", [2, 1])
 
 
 @pytest.mark.parametrize(

@@ -102,10 +102,10 @@ def test_without_its_pages_a_growing_package_cannot_go_on(tmp_path):
 
     def received(path, data):
         Growing.received(growing, path, data)
-        (growing.folder / "index/1.json").unlink(missing_ok=True)
+        (growing.folder / "index/1/1.json").unlink(missing_ok=True)
 
     growing.received = received
-    with pytest.raises(TransportError, match=r"index/1\.json"):
+    with pytest.raises(TransportError, match=r"index/1/1\.json"):
         play_growing(growing)
 
 

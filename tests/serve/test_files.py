@@ -50,7 +50,7 @@ def test_every_file_of_a_package_is_there_with_its_digest(package):
     [
         ("airgs.json", "application/json"),
         ("manifest.mpd", "application/dash+xml"),
-        ("index/12.json", "application/json"),
+        ("index/1/12.json", "application/json"),
         ("group/7.json.gz", "application/gzip"),
         ("key/T0/1.bin", "application/octet-stream"),
         ("init.mp4", "video/mp4"),

@@ -37,8 +37,8 @@ class Growing:
         self.count = count or self.count
         groups = self.whole.groups[: self.count]
         _, pages = build_index(groups, [pack_group(group) for group in groups])
-        for number, page in enumerate(pages, 1):
-            Folder(self.folder).write(f"index/{number}.json", pack_json(page))
+        for path, page in pages.items():
+            Folder(self.folder).write(path, pack_json(page))
         m = replace(self.whole, live=count > 0, frames=groups[-1].stop, groups=Groups.of(groups))
         now = datetime.now(UTC)
         write_root(Folder(self.folder), m, LiveClock(now, now))

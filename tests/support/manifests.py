@@ -20,11 +20,15 @@ HASH = mf.digest(b"")
 
 
 def in_groups(groups: Sequence[mf.Group], table_bytes: int = 100) -> Groups:
-    """Groups in memory whose tables are said to have so many bytes."""
+    """Groups in memory, at most 63, whose tables are said to have so many bytes."""
     counts = [group.stop - group.start for group in groups], [len(group.segments) for group in groups]
     spans = mf.Spans(*counts, [table_bytes] * len(groups), HASH * len(groups))
-    index = mf.Index(mf.Spans([], [], [], ""), spans)
-    return Groups(index, [].__getitem__, lambda number, _: groups[number])
+    return Groups([spans], no_page, lambda number, _: groups[number])
+
+
+def no_page(path: str, _: object) -> mf.Spans:
+    """The page of an index that has none."""
+    raise AssertionError(f"{path}: nothing leads to it")
 
 
 def with_segments(m: Manifest, segments: Sequence[mf.Segment]) -> Manifest:

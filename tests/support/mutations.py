@@ -198,7 +198,7 @@ def reindexed(files: Files) -> Files:
     """Make the index of a package without pages agree with the tables of its groups, and airgs.json with init.mp4."""
     try:
         root = parse_table(files[JSON_NAME])
-        columns = root["index"]["groups"]
+        columns = root["index"][0]
         tables = [files[group_path(number)] for number in range(1, 1 + len(columns["frames"]))]
         columns["bytes"], columns["sha256"] = [len(data) for data in tables], "".join(map(digest, tables))
         root["init"] = {"bytes": len(files[INIT_NAME]), "sha256": digest(files[INIT_NAME])}

@@ -12,6 +12,7 @@ from typing import Any
 
 from airgs_codec.package import tables as mf
 from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.paths import page_path
 from airgs_codec.play.catalogue import Catalogue
 from tests.support.manifests import HASH, tiny_manifest
 
@@ -100,6 +101,7 @@ def _file(size: int) -> mf.FileEntry:
 
 
 def _groups(tables: Sequence[mf.Group], table_bytes: Sequence[int], page_bytes: int) -> Groups:
+    """Groups of which the index says so; as few as fill no page of the second level."""
     frames = [group.stop - group.start for group in tables]
     segments = [len(group.segments) for group in tables]
     paged = len(tables) // mf.PAGE * mf.PAGE
@@ -110,8 +112,9 @@ def _groups(tables: Sequence[mf.Group], table_bytes: Sequence[int], page_bytes: 
 
     pages = [spans(start, start + mf.PAGE) for start in range(0, paged, mf.PAGE)]
     columns = [sum(page.frames) for page in pages], [sum(page.segments) for page in pages]
-    index = mf.Index(mf.Spans(*columns, [page_bytes] * len(pages), HASH * len(pages)), spans(paged, len(tables)))
-    return Groups(index, pages.__getitem__, lambda number, _: tables[number])
+    index = [spans(paged, len(tables)), mf.Spans(*columns, [page_bytes] * len(pages), HASH * len(pages))]
+    places = {page_path(1, number): page for number, page in enumerate(pages, 1)}
+    return Groups(index[: 1 + bool(pages)], lambda path, _: places[path], lambda number, _: tables[number])
 
 
 def catalogue_of(numbers: Numbers) -> Catalogue:

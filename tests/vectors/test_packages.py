@@ -9,8 +9,10 @@ from airgs_codec.coding.colour import colours
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package import store
+from airgs_codec.package.index import GroupIndex
 from airgs_codec.package.paths import group_path
 from airgs_codec.package.store import open_package
+from tests.support.long_index import long_index
 from tests.support.paths import REPOSITORY, VECTORS
 from tests.support.vectors import cases, data
 
@@ -23,7 +25,7 @@ def package(case):
 
 
 def label(case):
-    names = ("package", "number", "path", "frame", "quality", "level", "tiers")
+    names = ("package", "count", "number", "path", "frame", "quality", "level", "tiers")
     return " ".join(str(case[name]) for name in names if name in case)
 
 
@@ -45,6 +47,16 @@ def test_groups_and_their_files(case):
         found = m.segments[segment]
         assert (found.start, found.stop) == (expected["start"], expected["stop"])
         assert [m.state_files(segment, j) for j in levels] == [[path] if path else [] for path in expected["files"]]
+
+
+@pytest.mark.parametrize("case", cases("packages", "index"), ids=label)
+def test_the_way_to_a_group_of_a_long_package(case):
+    index, pages = long_index(case["count"])
+    places = GroupIndex(index, lambda path, _: pages[path])
+    assert [len(spans) for spans in index] == case["entries"] and places.groups == case["count"]
+    assert places.at_frame(case["frame"]) == places.at_segment(case["frame"]) == case["number"] - 1
+    assert list(places.pages_to_segment(case["frame"])) == case["pages"]
+    assert list(places.pages_to_group(case["number"] - 1)) == case["pages"]
 
 
 @pytest.mark.parametrize("case", cases("packages", "startup"), ids=label)

@@ -17,7 +17,7 @@ from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import unpack_matrix
 from tests.makers.vectors.formulas import Coding, Row, key_row, listed, state_row
-from tests.makers.vectors.tables import Tables
+from tests.makers.vectors.tables import PAGE, Tables, pages_to
 from tests.makers.vectors.text import Table, binary
 from tests.support.paths import GOLDEN, REPOSITORY, VALID
 
@@ -29,6 +29,7 @@ SHOWN: dict[Path, list[tuple[int, int, int, int]]] = {  # frame, key quality, le
     FINE: [(1, 0, 0, 2)],
     ROOM: [(0, 0, 0, 2), (2, 0, 0, 2), (3, 1, 1, 2), (3, 0, 0, 1)],
 }
+INDEX = (65, 4095, 4096, 4097, 86_400)  # groups of packages that are no more than their index
 EVERY = 16  # rows of which one is in the vectors
 STATIC = 255
 
@@ -45,6 +46,7 @@ def tables() -> tuple[Table, bytes]:
     named = [(_name(folder), Tables(folder)) for folder in INDEXED]
     return {
         "groups": [{"package": name, **_group(t, g)} for name, t in named for g in _some(len(t.groups))],
+        "index": [_place(count, group) for count in INDEX for group in sorted({0, count // 2, count - 65, count - 1})],
         "startup": [{"package": name, **start} for name, t in named for start in _startups(t)],
         "units": [_unit(of, p.relative_to(of).as_posix()) for of in (FOX, VALID / "kept") for p in _media(of)],
         "frames": frames,
@@ -75,12 +77,20 @@ def _group(t: Tables, group: int) -> dict[str, Any]:
         "number": group + 1,
         "start": table["start"],
         "stop": table["stop"],
-        "page": t.page_of(group),
+        "pages": t.pages_to(group),
         "table": list(t.group_paths())[group],
         "sidecars": [t.sidecar(group, k) for k in tiers],
         "pictures": [[t.picture(group, k, q) for q in qualities] for k in tiers],
         "segments": segments,
     }
+
+
+def _place(count: int, group: int) -> dict[str, Any]:
+    """Where a group is, counted from 0, in an index of so many, of which each has one frame."""
+    entries = [count // PAGE**level % PAGE for level in range(9)]
+    while not entries[-1]:
+        entries.pop()
+    return {"count": count, "entries": entries, "frame": group, "number": group + 1, "pages": pages_to(group, count)}
 
 
 def _startups(t: Tables) -> list[dict[str, Any]]:

@@ -10,7 +10,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-PAGE = 64  # groups on a page of the index
+PAGE = 64  # groups, or pages of the level below, on a page of the index
+
+
+def pages_to(group: int, count: int) -> list[str]:
+    """The pages that lead to a group, counted from 0, of so many: those of its place that are full."""
+    numbers = [(level, group // PAGE**level) for level in range(9, 0, -1)]
+    return [f"index/{level}/{number + 1}.json" for level, number in numbers if number < count // PAGE**level]
 
 
 @dataclass(frozen=True)
@@ -32,14 +38,16 @@ class Tables:
 
     def group_paths(self) -> Iterator[str]:
         """The paths of their tables."""
-        index = self.root["index"]
-        count = PAGE * len(index["pages"]["bytes"]) + len(index["groups"]["bytes"])
-        yield from (f"group/{number}.json.gz" for number in range(1, count + 1))
+        yield from (f"group/{number}.json.gz" for number in range(1, self.count + 1))
 
-    def page_of(self, group: int) -> str | None:
-        """The page that says where a group, counted from 0, is; None where airgs.json does."""
-        page = group // PAGE
-        return f"index/{page + 1}.json" if page < len(self.root["index"]["pages"]["bytes"]) else None
+    @property
+    def count(self) -> int:
+        """Groups."""
+        return sum(len(columns["bytes"]) * PAGE**level for level, columns in enumerate(self.root["index"]))
+
+    def pages_to(self, group: int) -> list[str]:
+        """The pages that lead to a group, counted from 0, from airgs.json on."""
+        return pages_to(group, self.count)
 
     def segments_before(self, group: int) -> int:
         """Segments of all groups before this one."""
@@ -76,10 +84,10 @@ class Tables:
     def first_files(self, frame: int, quality: int, level: int, tiers: int) -> list[str]:
         """What a viewer fetches, in order, until it shows its first frame with so many key tiers."""
         group = self.group_at(frame)
-        found = ["airgs.json", self.page_of(group), list(self.group_paths())[group]]
+        found: list[str | None] = ["airgs.json", *self.pages_to(group), list(self.group_paths())[group]]
         base = self.base_of(group)
         if base is not None:
-            found += [page for page in [self.page_of(base)] if page not in found]
+            found += [page for page in self.pages_to(base) if page not in found]
             found.append(list(self.group_paths())[base])
         for tier in range(tiers):
             found += [self.sidecar(group, tier), self.picture(group, tier, quality)]

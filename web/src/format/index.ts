@@ -1,40 +1,47 @@
 // The index of a package at work, where a frame, a segment or a group is: FORMAT.md, section 2. All count from 0.
-import { pagePath } from "./paths.ts";
+import { locate, pagePath } from "./paths.ts";
 import type { FileEntry, Page, Root } from "./types.ts";
 
-/** Groups on a page. */
+/** Groups, or pages of the level below, on a page. */
 export const PAGE = 64;
 /** Characters of a digest. */
 const DIGEST = 32;
 
-/** What the index says of a group. */
-export interface GroupEntry {
-  /** Its first frame. */
+/** What the index says of a group, or of the groups on a page. */
+export interface Entry {
+  /** The first frame. */
   start: number;
   stop: number;
   firstSegment: number;
   /** How many. */
   segments: number;
-  /** Its table. */
+  /** The table of the group, or the page. */
   file: FileEntry;
 }
 
 /** A question that only a page of the index can answer which has not been read. */
 export class MissingPageError extends Error {
-  constructor(readonly page: number) {
-    super(`${pagePath(page + 1)} has not been read`);
+  constructor(readonly path: string) {
+    super(`${path} has not been read`);
     this.name = "MissingPageError";
   }
 }
 
-/** Parts that follow each other. */
+/** Parts that follow each other: those of a level in the root, or those on a page. */
 interface Block {
+  /** Of the parts; 0: they are groups, else pages of that level. */
+  level: number;
   spans: Page;
-  /** The first frame of each. */
+  /** The first of each: group, frame, segment. */
+  groups: number[];
   frames: number[];
-  /** The first segment of each. */
   segments: number[];
 }
+
+/** What is counted. */
+export type Count = "groups" | "frames" | "segments";
+/** A block on the way to something, and the place in it. */
+type Step = [Block, number];
 
 const sum = (counts: number[]) => counts.reduce((total, count) => total + count, 0);
 
@@ -46,16 +53,29 @@ function starts(counts: number[], first: number): number[] {
   });
 }
 
-const block = (spans: Page, frame: number, segment: number): Block => ({
-  spans,
-  frames: starts(spans.frames, frame),
-  segments: starts(spans.segments, segment),
-});
+function block(spans: Page, level: number, first: Record<Count, number>): Block {
+  const groups = spans.frames.map((_, place) => first.groups + place * PAGE ** level);
+  const [frames, segments] = [starts(spans.frames, first.frames), starts(spans.segments, first.segments)];
+  return { level, spans, groups, frames, segments };
+}
 
 const file = (spans: Page, place: number): FileEntry => ({
   bytes: spans.bytes[place]!,
   sha256: spans.sha256.slice(DIGEST * place, DIGEST * (place + 1)),
 });
+
+const pathAt = ({ level, groups }: Block, place: number) => pagePath(level, groups[place]! / PAGE ** level + 1);
+
+function entryAt({ spans, frames, segments }: Block, place: number): Entry {
+  const start = frames[place]!;
+  return {
+    start,
+    stop: start + spans.frames[place]!,
+    firstSegment: segments[place]!,
+    segments: spans.segments[place]!,
+    file: file(spans, place),
+  };
+}
 
 /** The place of the last of ascending numbers that is at most `value`. */
 function lastUpTo(ascending: number[], value: number): number {
@@ -69,110 +89,147 @@ function lastUpTo(ascending: number[], value: number): number {
   return low - 1;
 }
 
-/** Finds groups. Throws MissingPageError for what stands on a page not read, RangeError outside the sequence. */
+/** How many pages of a level an index leads to; of level 0, groups. */
+export const countPages = (index: Root["index"], level: number): number =>
+  Math.floor(sum(index.map((spans, k) => spans.frames.length * PAGE ** (k - level))));
+
+/**
+ * Finds groups by descending from the root. Throws MissingPageError for what stands on a page not read, RangeError
+ * outside the sequence.
+ */
 export class GroupIndex {
-  readonly pages: number;
-  readonly groups: number;
-  readonly frames: number;
-  readonly segments: number;
-  #pages: Block;
-  #pagedFrames: number;
-  #pagedSegments: number;
-  #blocks = new Map<number, Block>();
+  readonly groups: number = 0;
+  readonly frames: number = 0;
+  readonly segments: number = 0;
+  /** Those of the root, groups first. */
+  #top: Block[] = [];
+  /** What stands on pages, by their paths. */
+  #pages = new Map<string, Block>();
 
   constructor(index: Root["index"]) {
-    const { pages, groups } = index;
-    this.#pages = block(pages, 0, 0);
-    this.#pagedFrames = sum(pages.frames);
-    this.#pagedSegments = sum(pages.segments);
-    this.pages = pages.frames.length;
-    this.groups = PAGE * this.pages + groups.frames.length;
-    this.frames = this.#pagedFrames + sum(groups.frames);
-    this.segments = this.#pagedSegments + sum(groups.segments);
-    this.#blocks.set(this.pages, block(groups, this.#pagedFrames, this.#pagedSegments));
+    for (const [level, spans] of [...index.entries()].reverse()) {
+      this.#top.unshift(block(spans, level, this));
+      this.groups += PAGE ** level * spans.frames.length;
+      this.frames += sum(spans.frames);
+      this.segments += sum(spans.segments);
+    }
   }
 
   /** The index of the same package grown, with the pages that are read. */
   grown(index: Root["index"]): GroupIndex {
     const grown = new GroupIndex(index);
-    for (const [number, { spans }] of this.#blocks) if (number < this.pages) grown.addPage(number, spans);
+    grown.#pages = this.#pages;
     return grown;
   }
 
   /** Takes in a page, checked by `checkPage`. */
-  addPage(number: number, page: Page): void {
-    this.#blocks.set(number, block(page, this.#pages.frames[number]!, this.#pages.segments[number]!));
+  addPage(path: string, page: Page): void {
+    const [above, place] = this.#stepTo(path);
+    const { start, firstSegment } = entryAt(above, place);
+    const first = { groups: above.groups[place]!, frames: start, segments: firstSegment };
+    this.#pages.set(path, block(page, above.level - 1, first));
   }
 
-  hasPage(number: number): boolean {
-    return number < this.pages && this.#blocks.has(number);
+  hasPage(path: string): boolean {
+    return this.#pages.has(path);
   }
 
-  pageFile(number: number): FileEntry {
-    this.#expect("page", number, this.pages);
-    return file(this.#pages.spans, number);
+  /** What the level above says of a page. */
+  pageEntry(path: string): Entry {
+    return entryAt(...this.#stepTo(path));
   }
 
-  entry(group: number): GroupEntry {
-    this.#expect("group", group, this.groups);
-    const { spans, frames, segments } = this.#block(Math.floor(group / PAGE));
-    const place = group % PAGE;
-    const start = frames[place]!;
-    return {
-      start,
-      stop: start + spans.frames[place]!,
-      firstSegment: segments[place]!,
-      segments: spans.segments[place]!,
-      file: file(spans, place),
-    };
+  entry(group: number): Entry {
+    return entryAt(...this.#leaf("groups", group));
   }
 
   /** The group that shows a frame. */
   atFrame(frame: number): number {
-    this.#expect("frame", frame, this.frames);
-    const number = frame < this.#pagedFrames ? lastUpTo(this.#pages.frames, frame) : this.pages;
-    return PAGE * number + lastUpTo(this.#block(number).frames, frame);
+    const [{ groups }, place] = this.#leaf("frames", frame);
+    return groups[place]!;
   }
 
   /** The group that a segment belongs to. */
   atSegment(segment: number): number {
-    this.#expect("segment", segment, this.segments);
-    const number = this.pageOfSegment(segment) ?? this.pages;
-    return PAGE * number + lastUpTo(this.#block(number).segments, segment);
+    const [{ groups }, place] = this.#leaf("segments", segment);
+    return groups[place]!;
   }
 
-  /** The page that says where a segment is; null where the root says it. */
-  pageOfSegment(segment: number): number | null {
-    return segment < this.#pagedSegments ? lastUpTo(this.#pages.segments, segment) : null;
+  /** The paths of all pages, those that lead to others first. */
+  *pages(): Generator<string> {
+    for (let level = this.#top.length; level > 0; level--) {
+      for (let number = 1; number <= this.groups / PAGE ** level; number++) yield pagePath(level, number);
+    }
   }
 
-  /** The page that a group stands on; null where the root has it. */
-  pageOfGroup(group: number): number | null {
-    return group < PAGE * this.pages ? Math.floor(group / PAGE) : null;
+  /** The pages that lead to a group, frame or segment, from the root on; each must be there when the next is asked for. */
+  *pagesTo(count: Count, number: number): Generator<string> {
+    for (const [above, place] of this.#descend(count, number)) if (above.level) yield pathAt(above, place);
+  }
+
+  /** Whether all pages that lead to a segment are read. */
+  leadsTo(segment: number): boolean {
+    for (const path of this.pagesTo("segments", segment)) if (!this.#pages.has(path)) return false;
+    return true;
+  }
+
+  /** Pages with a segment or later ones that are not there, as far as pages that are there lead to them. */
+  missingPages(segment: number, there: (path: string) => boolean): string[] {
+    const missing: string[] = [];
+    const blocks = this.#top.filter(({ level }) => level > 0);
+    for (let above = blocks.pop(); above; above = blocks.pop()) {
+      for (const [place, first] of above.segments.entries()) {
+        if (first + above.spans.segments[place]! <= segment) continue;
+        const path = pathAt(above, place);
+        if (!there(path)) missing.push(path);
+        else if (above.level > 1) blocks.push(this.#page(path));
+      }
+    }
+    return missing;
   }
 
   /** Frames [start, stop) of a segment as if those of its group, or of its unread page, were of one length. */
   guessSpan(segment: number): { start: number; stop: number } {
-    this.#expect("segment", segment, this.segments);
-    const page = this.pageOfSegment(segment);
-    const unread = page !== null && !this.#blocks.has(page);
-    const { spans, frames, segments } = unread ? this.#pages : this.#block(page ?? this.pages);
-    const place = lastUpTo(segments, segment);
-    const frameCount = spans.frames[place]!;
-    const count = spans.segments[place]!;
-    const before = segment - segments[place]!;
-    const first = frames[place]!;
-    const upTo = (parts: number) => first + Math.floor((frameCount * parts) / count);
-    return { start: upTo(before), stop: upTo(before + 1) };
+    let found: Entry | null = null;
+    for (const [above, place] of this.#descend("segments", segment)) {
+      found = entryAt(above, place);
+      if (above.level && !this.#pages.has(pathAt(above, place))) break;
+    }
+    const { start, stop, firstSegment, segments } = found!;
+    const upTo = (parts: number) => start + Math.floor(((stop - start) * parts) / segments);
+    return { start: upTo(segment - firstSegment), stop: upTo(segment - firstSegment + 1) };
   }
 
-  #expect(what: string, number: number, count: number): void {
-    if (!(number >= 0 && number < count)) throw new RangeError(`${what} ${number}: there are ${count}`);
+  /** The block of groups that has a group, frame or segment, and the place of its group. */
+  #leaf(count: Count, number: number): Step {
+    let found: Step | null = null;
+    for (const step of this.#descend(count, number)) found = step;
+    return found!;
   }
 
-  #block(number: number): Block {
-    const found = this.#blocks.get(number);
-    if (!found) throw new MissingPageError(number);
+  /** The block that lists a page, and its place there. */
+  #stepTo(path: string): Step {
+    const [level, number] = locate(path)!.numbers as [number, number];
+    for (const step of this.#descend("groups", (number - 1) * PAGE ** level)) if (step[0].level === level) return step;
+    throw new RangeError(`${path}: there is no such page`);
+  }
+
+  /** The blocks that lead to a group, frame or segment, and the places in them; the first is of the root. */
+  *#descend(count: Count, number: number): Generator<Step> {
+    const total = this[count];
+    if (!(number >= 0 && number < total)) throw new RangeError(`${count}: expected 0 to ${total - 1}, got ${number}`);
+    let at = this.#top.find((top) => lastUpTo(top[count], number) >= 0)!;
+    for (;;) {
+      const place = lastUpTo(at[count], number);
+      yield [at, place];
+      if (!at.level) return;
+      at = this.#page(pathAt(at, place));
+    }
+  }
+
+  #page(path: string): Block {
+    const found = this.#pages.get(path);
+    if (!found) throw new MissingPageError(path);
     return found;
   }
 }

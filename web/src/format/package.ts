@@ -4,7 +4,7 @@ import { group as groupSchema, page as pageSchema, root as rootSchema } from "..
 import { checkTable } from "./check.ts";
 import { FormatError } from "./errors.ts";
 import { inflate } from "./gzip.ts";
-import { GroupIndex } from "./index.ts";
+import { countPages, GroupIndex, PAGE } from "./index.ts";
 import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, ROOT_PATH, stateMediaPath } from "./paths.ts";
 import { checkGroup, checkKept, checkPage, checkRoot } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
@@ -27,8 +27,8 @@ export class MissingGroupError extends Error {
 /** The root, and the pages and tables of groups that were added to it. The tables last used are kept. */
 export class Tables {
   #groups = new Map<number, Group>();
-  /** What pages must begin with, since it stood in a root before. */
-  #starts = new Map<number, Page>();
+  /** What pages must begin with, since it stood in a root before; by their paths. */
+  #starts = new Map<string, Page>();
 
   private constructor(
     public root: Root,
@@ -52,14 +52,13 @@ export class Tables {
     }
   }
 
-  /** Takes in the bytes of a page, whose digest was checked. Throws FormatError. */
-  addPage(number: number, bytes: Uint8Array): void {
-    const where = pagePath(number + 1);
-    const page = parseTable(bytes, pageSchema, where) as Page;
-    checkPage(this.root, page, number);
-    const start = this.#starts.get(number);
-    if (start) expectStart(page, start, where);
-    this.index.addPage(number, page);
+  /** Takes in the bytes of a page, whose digest was checked. Throws FormatError; MissingPageError. */
+  addPage(path: string, bytes: Uint8Array): void {
+    const page = parseTable(bytes, pageSchema, path) as Page;
+    checkPage(this.index.pageEntry(path), page, path);
+    const start = this.#starts.get(path);
+    if (start) expectStart(page, start, path);
+    this.index.addPage(path, page);
   }
 
   /** Takes in the bytes of a group's table, whose digest was checked. Throws FormatError; MissingPageError. */
@@ -87,7 +86,7 @@ export class Tables {
     const found = locate(path);
     if (found?.what !== "page" && found?.what !== "group") return;
     await Tables.check(path, this.entry(path), bytes);
-    if (found.what === "page") this.addPage(found.numbers[0]! - 1, bytes);
+    if (found.what === "page") this.addPage(path, bytes);
     else await this.addGroup(found.numbers[0]! - 1, bytes);
   }
 
@@ -187,9 +186,9 @@ export class Tables {
     if (!found) return null;
     const { what, numbers } = found;
     const [first, number] = [numbers[0]!, numbers.at(-1)! - 1];
-    const { pages, segments, groups } = this.index;
-    if (number >= (what === "page" ? pages : what === "state" ? segments : groups)) return null;
-    if (what === "page") return this.index.pageFile(number);
+    const { segments, groups } = this.index;
+    if (what === "page") return (number + 1) * PAGE ** first > groups ? null : this.index.pageEntry(path).file;
+    if (number >= (what === "state" ? segments : groups)) return null;
     if (what === "group") return this.index.entry(number).file;
     if (what === "sidecar") return this.group(number).tiers[first]?.sidecar;
     if (what === "key") return this.group(number).tiers[first]?.pictures[numbers[1]!];
@@ -203,8 +202,7 @@ export class Tables {
    */
   grow(rootBytes: Uint8Array): void {
     const root = parseRoot(rootBytes);
-    checkGrowth(this.root, root);
-    if (root.index.pages.frames.length > this.index.pages) this.#starts.set(this.index.pages, this.root.index.groups);
+    for (const [path, start] of checkGrowth(this.root, root)) this.#starts.set(path, start);
     this.root = root;
     this.rootBytes = rootBytes.length;
     this.index = this.index.grown(root.index);
@@ -241,6 +239,7 @@ function parseJson(bytes: Uint8Array, where: string): unknown {
   }
 }
 
+const NO_SPANS: Page = { frames: [], segments: [], bytes: [], sha256: "" };
 const ANOTHER = "expected the package of before with more groups, got another";
 
 /** Throws FormatError(bad_value) unless columns begin as they were before. */
@@ -256,15 +255,22 @@ const inOrder = (value: object) =>
     part && typeof part === "object" && !Array.isArray(part) ? Object.fromEntries(Object.entries(part).sort()) : part,
   );
 
-/** Throws FormatError(bad_value) unless a root can follow another while groups are added. */
-function checkGrowth(before: Root, after: Root): void {
+/**
+ * Throws FormatError(bad_value) unless a root can follow another while groups are added.
+ *
+ * Gives what pages that were filled since, by their paths, must begin with.
+ */
+function checkGrowth(before: Root, after: Root): [string, Page][] {
   const fixed = (root: Root) => inOrder(Object.fromEntries(Object.entries(root).filter(([name]) => !GROWS.has(name))));
   if (fixed(before) !== fixed(after) || after.frames < before.frames || (after.live && !before.live)) {
     throw new FormatError("bad_value", ROOT_PATH, ANOTHER);
   }
-  const [was, is] = [before.index, after.index];
-  expectStart(is.pages, was.pages, ROOT_PATH);
-  if (is.pages.frames.length === was.pages.frames.length) expectStart(is.groups, was.groups, ROOT_PATH);
+  return before.index.flatMap((spans, level) => {
+    const page = countPages(before.index, level + 1);
+    if (page !== countPages(after.index, level + 1)) return [[pagePath(level + 1, page + 1), spans]];
+    expectStart(after.index[level] ?? NO_SPANS, spans, ROOT_PATH);
+    return [];
+  });
 }
 
 /** The first 24 bytes of the SHA-256 of a file as 32 characters of base64url. */

@@ -5,7 +5,7 @@ export const ROOT_PATH = "airgs.json";
 /** What a path names, and the numbers in it, as they stand there. */
 export interface Location {
   what: "sidecar" | "key" | "state" | "group" | "page";
-  /** sidecar: tier, number; key: tier, quality, number; state: level, number; group, page: number. */
+  /** sidecar: tier, number; key: tier, quality, number; state, page: level, number; group: number. */
   numbers: number[];
 }
 
@@ -16,7 +16,7 @@ const PATTERNS: [RegExp, Location["what"]][] = [
   [new RegExp(`^key/T${ORDINAL}/Q${ORDINAL}/${NUMBER}\\.m4s$`), "key"],
   [new RegExp(`^state/L${ORDINAL}/${NUMBER}\\.m4s$`), "state"],
   [new RegExp(`^group/${NUMBER}\\.json\\.gz$`), "group"],
-  [new RegExp(`^index/${NUMBER}\\.json$`), "page"],
+  [new RegExp(`^index/([1-9])/${NUMBER}\\.json$`), "page"],
 ];
 
 /** What a path names; null for a path that is none of these. */
@@ -28,8 +28,8 @@ export function locate(path: string): Location | null {
   return null;
 }
 
-/** Page of the index. */
-export const pagePath = (number: number) => `index/${number}.json`;
+/** Page of the index; the level counts from 1 as well. */
+export const pagePath = (level: number, number: number) => `index/${level}/${number}.json`;
 /** Table of a group. */
 export const groupPath = (number: number) => `group/${number}.json.gz`;
 /** Sidecar of a key tier of a group, the same for all its qualities. */

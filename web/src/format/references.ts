@@ -2,8 +2,8 @@
 // those before it, and all on the schema. Every function throws FormatError (bad_value, missing_entry).
 import { BLOCK, pages, planeHeight } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
-import { type GroupEntry, PAGE } from "./index.ts";
-import { groupPath, pagePath, ROOT_PATH } from "./paths.ts";
+import { type Entry, PAGE } from "./index.ts";
+import { groupPath, ROOT_PATH } from "./paths.ts";
 import { colourChannels, KEY_CHANNELS, STATE_CHANNELS } from "./steps.ts";
 import type { Atlas, FileEntry, Group, Page, Region, Root, Segment } from "./types.ts";
 import { isSimilarity } from "./world.ts";
@@ -63,10 +63,20 @@ export function checkRoot(root: Root): void {
     throw bad(`${ROOT_PATH}.timescale`, "a frame is not a whole number of ticks");
   }
   place.file("init", root.init, true);
-  place.columns(".index.pages", root.index.pages);
-  place.columns(".index.groups", root.index.groups);
-  place.within("index.groups", root.index.groups.frames.length, 0, PAGE - 1);
-  place.exactly("index", sum(root.index.pages.frames) + sum(root.index.groups.frames), root.frames);
+  checkIndex(root, place);
+}
+
+/** What fills no page, level by level, with no empty level at the end; the groups have all frames. */
+function checkIndex({ index, frames }: Root, place: Place): void {
+  index.forEach((spans, level) => {
+    place.columns(`.index[${level}]`, spans);
+    place.within(`index[${level}]`, spans.frames.length, 0, PAGE - 1);
+    for (const count of [...spans.frames, ...spans.segments]) {
+      place.within(`index[${level}] frames and segments`, count, PAGE ** level, frames);
+    }
+  });
+  place.within("entries of the last level of the index", index.at(-1)!.frames.length, 1, PAGE - 1);
+  place.exactly("index", sum(index.map((spans) => sum(spans.frames))), frames);
 }
 
 function checkLadder({ qualities, levels, tiers }: Root, place: Place): void {
@@ -89,17 +99,17 @@ function checkRegion(region: Region, where: string): void {
   }
 }
 
-/** A page, counted from 0, holds what airgs.json says of it. */
-export function checkPage(root: Root, page: Page, number: number): void {
-  const place = new Place(pagePath(number + 1));
+/** A page holds what the level above says of it. */
+export function checkPage(entry: Entry, page: Page, where: string): void {
+  const place = new Place(where);
   place.columns("", page);
-  place.exactly("groups", page.frames.length, PAGE);
-  place.exactly("frames", sum(page.frames), root.index.pages.frames[number]!);
-  place.exactly("segments", sum(page.segments), root.index.pages.segments[number]!);
+  place.exactly("entries", page.frames.length, PAGE);
+  place.exactly("frames", sum(page.frames), entry.stop - entry.start);
+  place.exactly("segments", sum(page.segments), entry.segments);
 }
 
 /** The table of a group, counted from 0, fits the package, the index and itself. */
-export function checkGroup(root: Root, entry: GroupEntry, group: Group, number: number): void {
+export function checkGroup(root: Root, entry: Entry, group: Group, number: number): void {
   const where = groupPath(number + 1);
   const place = new Place(where);
   if (group.keeps) place.within("keeps", group.keeps, 1, number);

@@ -103,8 +103,7 @@ export class Catalogue {
   }
 
   private hasTable(segment: number): boolean {
-    const page = this.tables.index.pageOfSegment(segment);
-    return (page === null || this.tables.index.hasPage(page)) && this.tables.has(this.tables.groupOf(segment));
+    return this.tables.index.leadsTo(segment) && this.tables.has(this.tables.groupOf(segment));
   }
 
   /** Frames of a segment; where its table cannot be had, as if its neighbours were of one length. */

@@ -1,6 +1,6 @@
 // Batches over a real connection, by the clock of the page: the other Downloader is a simulated link of the tests.
 import { FormatError } from "../format/errors.ts";
-import { pagePath, ROOT_PATH } from "../format/paths.ts";
+import { ROOT_PATH } from "../format/paths.ts";
 import type { Fetched, Media } from "../media/client.ts";
 import { type Catalogue, filesOf } from "./catalogue.ts";
 import { CHECK_S, type Downloader, type GiveUp } from "./downloader.ts";
@@ -133,14 +133,14 @@ class Watch {
   }
 }
 
-/** Let a session over a growing package begin with its newest group, whose place a page may have to tell. */
+/** Let a session over a growing package begin with its newest group, whose place pages may have to tell. */
 export async function joinNewest(catalogue: Catalogue, source: Source): Promise<void> {
   if (!catalogue.live) return;
-  const { tables } = catalogue;
-  const page = tables.index.pageOfSegment(tables.index.segments - 1);
-  if (page !== null && !tables.index.hasPage(page)) {
-    const { refused } = await source.fetch([pagePath(page + 1)]);
+  const { index } = catalogue.tables;
+  for (const path of index.pagesTo("segments", index.segments - 1)) {
+    if (index.hasPage(path)) continue;
+    const { refused } = await source.fetch([path]);
     for (const error of refused.values()) throw error;
   }
-  catalogue.first = tables.index.entry(tables.index.groups - 1).firstSegment;
+  catalogue.first = index.entry(index.groups - 1).firstSegment;
 }

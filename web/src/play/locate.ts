@@ -1,7 +1,7 @@
 // Where a frame is, in a package whose tables are read as they are needed.
 import { MissingPageError } from "../format/index.ts";
 import { MissingGroupError } from "../format/package.ts";
-import { groupPath, pagePath } from "../format/paths.ts";
+import { groupPath } from "../format/paths.ts";
 import type { Media } from "../media/client.ts";
 
 /** The segment that shows a frame; fetches the pages and tables of its group, and of its base. Throws FormatError, TransportError. */
@@ -21,7 +21,7 @@ function missing({ tables }: Media, frame: number): string | null {
     tables.baseTable(tables.index.atFrame(frame));
     return null;
   } catch (error) {
-    if (error instanceof MissingPageError) return pagePath(error.page + 1);
+    if (error instanceof MissingPageError) return error.path;
     if (error instanceof MissingGroupError) return groupPath(error.group + 1);
     throw error;
   }

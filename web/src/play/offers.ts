@@ -1,4 +1,5 @@
 // What a player asks the tables of a package.
+import type { Count } from "../format/index.ts";
 import type { Root, Segment } from "../format/types.ts";
 
 /** The tables of a package, as far as a player looks at them: `Tables` of the format, or numbers alone.
@@ -15,11 +16,11 @@ export interface Offers {
   readonly index: {
     readonly groups: number;
     readonly segments: number;
-    readonly pages: number;
     entry(group: number): { start: number; stop: number; firstSegment: number; segments: number };
-    pageOfSegment(segment: number): number | null;
-    pageOfGroup(group: number): number | null;
-    hasPage(page: number): boolean;
+    pagesTo(count: Count, number: number): Iterable<string>;
+    missingPages(segment: number, there: (path: string) => boolean): string[];
+    leadsTo(segment: number): boolean;
+    hasPage(path: string): boolean;
     guessSpan(segment: number): { start: number; stop: number };
   };
   has(group: number): boolean;

@@ -1,6 +1,6 @@
 // What a player has of a package beside states: which tables it has read, which key units it has decoded, what it knows
 // of the link. It outlives a session: after a seek another one goes on with it.
-import { groupPath, pagePath } from "../format/paths.ts";
+import { groupPath } from "../format/paths.ts";
 import { type Batch, type Catalogue, type KeyUnits, NONE } from "./catalogue.ts";
 import { type Arrival, keptFiles } from "./events.ts";
 import type { Option } from "./ladder.ts";
@@ -34,26 +34,24 @@ export class TableStore {
 
   /** Pages of the index with segments of the session. */
   missingPages(): string[] {
-    const { index } = this.catalogue.tables;
-    const first = index.pageOfSegment(this.catalogue.first) ?? index.pages;
-    const paths = Array.from({ length: index.pages - first }, (_, i) => pagePath(first + i + 1));
-    return paths.filter((path) => !this.paths.has(path));
+    return this.catalogue.tables.index.missingPages(this.catalogue.first, (path) => this.paths.has(path));
   }
 
-  /** The first that is missing of page and table of a segment's group, then of the group whose rows it keeps. */
+  /** The first that is missing of what leads to a segment, and then to the group whose rows its group keeps. */
   private next(segment: number): string | null {
     const { tables } = this.catalogue;
-    const page = this.nextPage(tables.index.pageOfSegment(segment));
+    const page = this.nextPage(tables.index.pagesTo("segments", segment));
     if (page !== null) return page;
     const group = tables.groupOf(segment);
     const path = this.nextTable(group);
     if (path !== null) return path;
     const base = tables.base(group);
-    return base === null ? null : (this.nextPage(tables.index.pageOfGroup(base)) ?? this.nextTable(base));
+    return base === null ? null : (this.nextPage(tables.index.pagesTo("groups", base)) ?? this.nextTable(base));
   }
 
-  private nextPage(page: number | null): string | null {
-    return page === null || this.paths.has(pagePath(page + 1)) ? null : pagePath(page + 1);
+  private nextPage(way: Iterable<string>): string | null {
+    for (const path of way) if (!this.paths.has(path)) return path;
+    return null;
   }
 
   private nextTable(group: number): string | null {

@@ -3,7 +3,7 @@
 import { applyBases, atlasSamples } from "../../src/format/atlas.ts";
 import { FormatError } from "../../src/format/errors.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
-import { groupPath, pagePath } from "../../src/format/paths.ts";
+import { groupPath } from "../../src/format/paths.ts";
 import type { Atlas, Gaussians, StateFrame } from "../../src/format/types.ts";
 import { FrameReader } from "../../src/frames.ts";
 import { type Fetched, Media } from "../../src/media/client.ts";
@@ -25,8 +25,7 @@ function demand(fetched: Fetched): Fetched {
 }
 
 async function openGroup(media: Media, group: number): Promise<void> {
-  const page = media.tables.index.pageOfGroup(group);
-  if (page !== null) demand(await media.fetch([pagePath(page + 1)], { attempts: 1 }));
+  for (const path of media.tables.index.pagesTo("groups", group)) demand(await media.fetch([path], { attempts: 1 }));
   demand(await media.fetch([groupPath(group + 1)], { attempts: 1 }));
   const { keeps } = media.tables.group(group);
   if (keeps && !media.tables.has(keeps - 1)) await openGroup(media, keeps - 1);

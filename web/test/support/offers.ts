@@ -1,6 +1,6 @@
 // What a package offers a player, from numbers alone: `Offers` without files or tables. All count from 0.
 import { GroupIndex, PAGE } from "../../src/format/index.ts";
-import { keyMediaPath, keySidecarPath, locate, stateMediaPath } from "../../src/format/paths.ts";
+import { keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath } from "../../src/format/paths.ts";
 import type { Offers } from "../../src/play/offers.ts";
 
 export interface SegmentNumbers {
@@ -71,12 +71,10 @@ export class NumberOffers implements Offers {
     const paged = count - (count % PAGE);
     const pages = Array.from({ length: paged / PAGE }, (_, page) => columns(PAGE * page, PAGE * (page + 1)));
     const sums = { frames: pages.map((p) => sum(p.frames)), segments: pages.map((p) => sum(p.segments)) };
-    this.index = new GroupIndex({
-      pages: { ...sums, bytes: pages.map(() => page_bytes), sha256: "" },
-      groups: columns(paged, count),
-    });
+    const above = { ...sums, bytes: pages.map(() => page_bytes), sha256: "" };
+    this.index = new GroupIndex([columns(paged, count), ...(pages.length ? [above] : [])]);
     pages.forEach((page, number) => {
-      this.index.addPage(number, page);
+      this.index.addPage(pagePath(1, number + 1), page);
     });
     this.root = {
       frame_rate,

@@ -124,7 +124,7 @@ test("the table of the other group may stand on a page that nobody has read", ()
     asked.push(path);
     read(path);
   }
-  assert.deepEqual(asked, ["group/66.json.gz", "index/1.json", "group/3.json.gz"]);
+  assert.deepEqual(asked, ["group/66.json.gz", "index/1/1.json", "group/3.json.gz"]);
 });
 
 test("a tier that keeps none needs nothing of the other group", async () => {

@@ -150,7 +150,7 @@ test("a growing package is joined at its newest group", async () => {
   offers.grow(64, true); // the newest stands on a page
   const { index } = offers;
   index.hasPage = () => false;
-  source.answer = { ...nothing(), whole: ["index/1.json"] };
+  source.answer = { ...nothing(), whole: ["index/1/1.json"] };
   await joinNewest(catalogue, source);
-  assert.deepEqual([catalogue.first, source.fetched], [63, [["index/1.json"]]]);
+  assert.deepEqual([catalogue.first, source.fetched], [63, [["index/1/1.json"]]]);
 });

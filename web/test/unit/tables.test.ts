@@ -68,7 +68,7 @@ function verdict(value: unknown, schema: Json): string | null {
 
 test("tables are refused where a validator of JSON Schema refuses them", async () => {
   const table = (await readTables("manifests/valid/moving")).group(0);
-  const paged = readJson("manifests/valid/paged/index/1.json");
+  const paged = readJson("manifests/valid/paged/index/1/1.json");
   const all: [Json, unknown][] = [
     [root, readJson("manifests/valid/moving/airgs.json")],
     [group, table],
@@ -104,7 +104,7 @@ test("names of an object's own past are fields like others", () => {
 
 test("paths", () => {
   const paths: [string, string, number[]][] = [
-    [pagePath(7), "page", [7]],
+    [pagePath(2, 7), "page", [2, 7]],
     [groupPath(1), "group", [1]],
     [keySidecarPath(0, 12), "sidecar", [0, 12]],
     [keyMediaPath(63, 1, 9_999_999), "key", [63, 1, 9_999_999]],
@@ -112,7 +112,10 @@ test("paths", () => {
   ];
   for (const [path, what, numbers] of paths) assert.deepEqual(locate(path), { what, numbers });
   const strange = [
-    "index/0.json",
+    "index/1/0.json",
+    "index/0/1.json",
+    "index/10/1.json",
+    "index/1.json",
     "group/01.json.gz",
     "key/T00/1.bin",
     "key/T0/1.bin\n",
@@ -128,8 +131,7 @@ for (const one of readVectors("packages").groups) {
     const number = one.number - 1;
     const { start, stop } = tables.index.entry(number);
     assert.deepEqual([start, stop], [one.start, one.stop]);
-    const on = tables.index.pageOfGroup(number);
-    assert.equal(on === null ? null : pagePath(on + 1), one.page);
+    assert.deepEqual([...tables.index.pagesTo("groups", number)], one.pages);
     assert.equal(groupPath(one.number), one.table);
     const { tiers, qualities, levels } = tables.root;
     for (let tier = 0; tier < tiers; tier++) {
@@ -168,7 +170,7 @@ for (const one of readVectors("packages").startup) {
       tables.index.atFrame(one.frame);
     } catch (error) {
       assert.ok(error instanceof MissingPageError);
-      await add(pagePath(error.page + 1));
+      await add(error.path);
     }
     const number = tables.index.atFrame(one.frame);
     assert.throws(() => tables.group(number), MissingGroupError);
@@ -191,7 +193,7 @@ test("files that no table has are asked for in vain", async () => {
     "state/L0/9.m4s",
     "group/2.json.gz",
   ];
-  for (const path of [...strange, "index/1.json", "airgs.json", "manifest.mpd", "x"]) {
+  for (const path of [...strange, "index/1/1.json", "index/9/1.json", "airgs.json", "manifest.mpd", "x"]) {
     assert.throws(() => tables.entry(path), { reason: "missing_entry" }, path);
   }
   assert.equal(tables.entry("init.mp4").bytes, 637);
@@ -201,7 +203,10 @@ test("the segments of an unread page are guessed, and found once it is read", as
   const folder = "manifests/valid/paged";
   const { index } = Tables.parse(readBytes(`${folder}/airgs.json`));
   const whole = (await readTables(folder)).index;
-  assert.ok(index.pages > 0 && index.pageOfSegment(0) === 0 && !index.hasPage(0) && whole.hasPage(0));
+  const page = pagePath(1, 1);
+  assert.deepEqual([[...index.pages()], [...whole.pagesTo("segments", 0)]], [[page], [page]]);
+  assert.deepEqual([index.hasPage(page), whole.hasPage(page)], [false, true]);
+  assert.deepEqual([index.leadsTo(0), whole.leadsTo(0), index.leadsTo(64)], [false, true, true]);
   assert.throws(() => index.entry(0), MissingPageError);
   let stop = 0;
   for (let segment = 0; segment < index.segments; segment++) {
@@ -234,7 +239,7 @@ test("what stands behind a member of gzip is refused, and what is cut off", asyn
 /** The root of `paged` as it was when it had this many groups after no page. */
 function younger(groups: number): Json {
   const root = readJson("manifests/valid/paged/airgs.json");
-  const spans = readJson("manifests/valid/paged/index/1.json");
+  const spans = readJson("manifests/valid/paged/index/1/1.json");
   const first = (list: number[]) => list.slice(0, groups);
   const { frames, segments, bytes, sha256 } = spans;
   const kept = {
@@ -243,9 +248,8 @@ function younger(groups: number): Json {
     bytes: first(bytes),
     sha256: sha256.slice(0, 32 * groups),
   };
-  const none = { frames: [], segments: [], bytes: [], sha256: "" };
   const count = kept.frames.reduce((sum: number, one: number) => sum + one, 0);
-  return { ...root, live: true, frames: count, index: { pages: none, groups: kept } };
+  return { ...root, live: true, frames: count, index: [kept] };
 }
 
 test("a package grows, and its groups move to a page", async () => {
@@ -258,7 +262,7 @@ test("a package grows, and its groups move to a page", async () => {
   tables.grow(encode({ ...readJson(`${folder}/airgs.json`), decisions: [] }));
   assert.equal(tables.root.live, false);
   assert.throws(() => tables.groupOf(0), MissingPageError);
-  await tables.add(pagePath(1), readBytes(`${folder}/${pagePath(1)}`));
+  await tables.add(pagePath(1, 1), readBytes(`${folder}/${pagePath(1, 1)}`));
   assert.equal(tables.groupOf(0), 0);
   assert.ok(tables.has(0));
   tables.grow(encode({ ...readJson(`${folder}/airgs.json`) }));
@@ -275,16 +279,16 @@ test("another package is no growth", async () => {
   refuse(younger(2));
   refuse({ ...younger(5), attribution: "of somebody else" });
   refuse({ ...younger(5), init: { bytes: 1, sha256: "A".repeat(32) } });
-  const other = younger(5) as { index: { groups: { sha256: string } } };
-  other.index.groups.sha256 = `_${other.index.groups.sha256.slice(1)}`;
+  const other = younger(5) as { index: { sha256: string }[] };
+  other.index[0]!.sha256 = `_${other.index[0]!.sha256.slice(1)}`;
   refuse(other);
   const ended = Tables.parse(encode({ ...younger(3), live: false }));
   assert.throws(() => ended.grow(encode(younger(3))), { reason: "bad_value" });
-  const before = younger(3) as { index: { groups: { sha256: string } } };
-  before.index.groups.sha256 = `_${before.index.groups.sha256.slice(1)}`;
+  const before = younger(3) as { index: { sha256: string }[] };
+  before.index[0]!.sha256 = `_${before.index[0]!.sha256.slice(1)}`;
   const tables = Tables.parse(encode(before));
   tables.grow(readBytes(`${folder}/airgs.json`));
-  await assert.rejects(tables.add(pagePath(1), readBytes(`${folder}/${pagePath(1)}`)), { reason: "bad_value" });
+  await assert.rejects(tables.add(pagePath(1, 1), readBytes(`${folder}/${pagePath(1, 1)}`)), { reason: "bad_value" });
 });
 
 test("the tables of groups that were used last are kept", async () => {

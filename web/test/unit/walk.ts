@@ -2,7 +2,7 @@
 import { existsSync } from "node:fs";
 import { FormatError } from "../../src/format/errors.ts";
 import { Tables } from "../../src/format/package.ts";
-import { groupPath, pagePath, ROOT_PATH } from "../../src/format/paths.ts";
+import { groupPath, ROOT_PATH } from "../../src/format/paths.ts";
 import { checkCount, readKeyUnit, readStateUnit } from "../../src/format/units.ts";
 import { pathOf, readBytes } from "./files.ts";
 
@@ -20,9 +20,7 @@ async function fetched(tables: Tables, folder: string, path: string): Promise<Ui
 /** The tables of a package, all of them read. */
 export async function readTables(folder: string): Promise<Tables> {
   const tables = Tables.parse(read(folder, ROOT_PATH));
-  for (let page = 0; page < tables.index.pages; page++) {
-    await tables.add(pagePath(page + 1), read(folder, pagePath(page + 1)));
-  }
+  for (const path of tables.index.pages()) await tables.add(path, read(folder, path));
   for (let group = 0; group < tables.index.groups; group++) {
     await tables.add(groupPath(group + 1), read(folder, groupPath(group + 1)));
   }

@@ -1,0 +1,81 @@
+"""Tables that come over a connection: what they lead to is read, and only the same package may grow."""
+
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from airgs_codec.errors import FormatError
+from airgs_codec.package.packing import pack_json
+from airgs_codec.package.paths import JSON_NAME
+from airgs_codec.package.store import open_package, root_of
+from airgs_codec.play.remote import RemoteTables
+from tests.support.long_index import long_index
+from tests.support.paths import VALID
+
+ROOT = root_of(open_package(VALID / "paged").manifest)
+
+
+@cache
+def root(count, **fields):
+    """An airgs.json of so many groups of a frame each, while more are to come."""
+    index, _ = long_index(count)
+    return pack_json(replace(ROOT, live=True, frames=count, index=index, **fields))
+
+
+def spoilt(count, level):
+    """The same after another entry was the first of a level."""
+    index = list(long_index(count)[0])
+    index[level] = replace(index[level], sha256="_" + index[level].sha256[1:])
+    return pack_json(replace(ROOT, live=True, frames=count, index=index))
+
+
+def grown(*roots):
+    tables = RemoteTables()
+    for data in roots:
+        tables.accept(JSON_NAME, data)
+    return tables
+
+
+def test_pages_of_every_level_lead_to_groups_as_a_package_grows():
+    tables, (_, pages) = grown(root(4095)), long_index(4097)
+    places = tables.catalogue.manifest.groups.places
+    tables.accept("index/1/2.json", pack_json(pages["index/1/2.json"]))
+    assert places.at_frame(64) == 64
+    tables.accept(JSON_NAME, root(4097))
+    places = tables.catalogue.manifest.groups.places
+    assert places.at_frame(4096) == 4096
+    with pytest.raises(FormatError, match="has not been fetched"):
+        places.at_frame(64)
+    with pytest.raises(FormatError, match="has not been fetched"):
+        tables.accept("index/1/64.json", pack_json(pages["index/1/64.json"]))
+    for path in ("index/2/1.json", "index/1/64.json"):
+        tables.accept(path, pack_json(pages[path]))
+    assert [places.at_frame(frame) for frame in (64, 4095)] == [64, 4095]  # the page of before is as good as ever
+
+
+def test_a_page_that_is_not_what_the_level_above_says_is_refused():
+    tables, (_, pages) = grown(root(4097)), long_index(4097)
+    page = pages["index/2/1.json"]
+    for data in (pack_json(page)[:-1], pack_json(replace(page, sha256="_" + page.sha256[1:]))):
+        with pytest.raises(FormatError) as refused:
+            tables.accept("index/2/1.json", data)
+        assert refused.value.reason in ("size_mismatch", "hash_mismatch")
+    with pytest.raises(FormatError, match="no table has such a file"):
+        tables.accept("index/2/2.json", pack_json(page))
+
+
+@pytest.mark.parametrize(
+    "after",
+    [root(4161), root(70), spoilt(4163, 0), spoilt(4300, 2), spoilt(4227, 1), root(4163, attribution="other")],
+    ids=["fewer", "far fewer", "groups", "pages of pages", "pages", "author"],
+)
+def test_another_package_is_no_growth(after):
+    with pytest.raises(FormatError, match="expected the package of before with more groups"):
+        grown(root(4162), after)
+
+
+def test_growth_may_be_long_in_coming():
+    for count in (4162, 4163, 4227, 9000):
+        tables = grown(root(4162), root(count))
+        assert tables.catalogue.manifest.groups.places.groups == count
