@@ -38,12 +38,12 @@ def video_alone(package: Package, groups: list[int], segments: list[int], stop: 
     """Decode the pictures of the top rung and nothing else; `stop` pictures of a segment."""
     m = package.manifest
     for g in groups:
-        for t, tier in enumerate(m.groups[g].tiers):
-            if tier.count:
+        for t, unit in enumerate(m.groups[g].units):
+            if unit.count:
                 plain_decode(package.read(INIT_NAME) + package.read(m.key_files(g, t, 0)[1]), None)
     for s in segments:
-        if m.state_files(s, 0):  # where nothing moves there are none
-            plain_decode(package.read(INIT_NAME) + package.read(m.state_files(s, 0)[0]), stop)
+        for media in m.state_files(s, 0):  # where nothing moves there are none
+            plain_decode(package.read(INIT_NAME) + package.read(media), stop)
 
 
 def median_ms(work: Callable[[], object], repeat: int) -> float:

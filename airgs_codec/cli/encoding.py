@@ -98,6 +98,7 @@ def _add_ladder(parser: argparse.ArgumentParser) -> None:
 def _add_coding(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("coding")
     _add_setting(group, "--segment", "segment_s", metavar="S")
+    _add_setting(group, "--tiles", "tiles", metavar="N")
     words = about(EncodeSettings, "group_frames")
     group.add_argument("--group", dest="group_frames", type=_group, default=None, metavar="auto|FRAMES", help=words)
     _add_setting(group, "--rows", "rows", choices=ROWS)

@@ -89,11 +89,11 @@ def _as_words(published: PublishedGroup) -> str:
 
 def _kept(published: PublishedGroup) -> int:
     """Gaussians that are those of an earlier group."""
-    return sum(tier.kept for tier in published.group.tiers)
+    return sum(unit.kept for unit in published.group.units)
 
 
 def _bytes(published: PublishedGroup) -> int:
     """Of the files of the top rung."""
     group = published.group
-    keys = sum(tier.sidecar.bytes + tier.pictures[0].bytes for tier in group.tiers)
-    return keys + sum(segment.levels[0].file.bytes for segment in group.segments)
+    keys = sum(unit.sidecar.bytes + unit.pictures[0].bytes for unit in group.units)
+    return keys + sum(segment.levels[0].bytes for segment in group.segments)

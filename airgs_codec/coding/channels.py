@@ -48,8 +48,8 @@ class Canonical:
         """Its first `count` rows: the canonical space that fewer key tiers make."""
         return self.part(slice(count))
 
-    def part(self, rows: slice) -> Canonical:
-        """Some of its rows, of which nothing is copied."""
+    def part(self, rows: slice | NDArray[np.intp]) -> Canonical:
+        """Some of its rows; of a slice nothing is copied."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "transform"})
 
     def kept(self, rows: NDArray[np.intp], depths: NDArray[np.uint8]) -> Canonical:

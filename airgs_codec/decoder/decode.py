@@ -1,13 +1,13 @@
 """Package -> Gaussians, from the whole to its parts: frames, canonical spaces and segments, codes of pictures.
 
-N rows of a group, n rows of a key tier or a level, P planes of an atlas, C colour channels.
+N rows of a group, n rows of a key unit or of a tile in a level, P planes of an atlas, C colour channels.
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.layout import COLOUR, KEY, STATE
 from airgs_codec.package.store import Package
-from airgs_codec.package.tables import STATIC, Atlas, unpack_matrix
+from airgs_codec.package.tables import STATIC, Atlas, Group, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -36,11 +36,22 @@ class Frame:
     gaussians: Gaussians
 
 
+@dataclass(frozen=True, slots=True)
+class Part:
+    """What a viewer has of a package."""
+
+    tiers: int | None = None  # key tiers of a tile, from the first on; None: those that viewers of the level fetch
+    tiles: Sequence[int] | None = None  # from 0; None: all
+
+
+WHOLE = Part()
+
+
 def decode(package: Package, frame: int, *, level: str | int = "L0", key_quality: str | int = "Q0") -> Gaussians:
     """One frame as a viewer of that level and key quality sees it, each given by its id or its index.
 
     Decodes nothing but the key units of the frame's group, those of the group whose rows it keeps, and its segment up
-    to the frame. The result has as many rows as the key tiers that viewers of the level fetch. Raises ConfigError for
+    to the frame. The result has as many rows as the key units that viewers of the level fetch. Raises ConfigError for
     a frame, level or key quality that the package does not have, FormatError for a broken package.
     """
     if not 0 <= frame < package.manifest.frames:
@@ -55,14 +66,14 @@ def decode_frames(
     *,
     level: str | int = "L0",
     key_quality: str | int = "Q0",
-    tiers: int | None = None,
+    part: Part = WHOLE,
 ) -> Iterator[Frame]:
     """Frames [start, stop) one after another; `decode` says how level and key quality are given and what is raised.
 
-    `tiers`: how many key tiers the viewer has, from the first on; by default those that viewers of the level fetch.
-    Each key unit and each segment is decoded once.
+    `part`: what the viewer has. Each key unit and each segment is decoded once.
     """
-    m = package.manifest
+    m, tiers = package.manifest, part.tiers
+    there = _tiles(package, part.tiles)
     j, q = m.level_index(level), m.quality_index(key_quality)
     if not 0 <= start <= stop <= m.frames:
         raise ConfigError(f"frames: expected a range inside 0:{m.frames}, got {start}:{stop}")
@@ -72,40 +83,48 @@ def decode_frames(
         segment = m.segments[index]
         if base is None or m.group_of(index) != group:
             group = m.group_of(index)
-            base = decode_canonical(package, group, q, m.levels[j].tiers if tiers is None else tiers)
+            base = decode_canonical(package, group, q, m.levels[j].tiers if tiers is None else tiers, there)
         first, last = max(start, segment.start), min(stop, segment.stop)
-        shown = decode_segment(package, index, base, j, range(first - segment.start, last - segment.start))
+        shown = decode_segment(package, index, base, j, range(first - segment.start, last - segment.start), there)
         for number, gaussians in zip(range(first, last), shown, strict=True):
             yield Frame(number, gaussians)
 
 
-def decode_canonical(package: Package, group: int, quality: int, tiers: int | None = None) -> Canonical:
-    """The canonical space of a group from its first `tiers` key tiers (default: all), with the rows that it keeps.
+def _tiles(package: Package, tiles: Iterable[int] | None) -> list[int]:
+    """Tiles that were asked for, ascending. Raises ConfigError for one that the package does not have."""
+    count = package.manifest.tiles
+    found = sorted(set(range(count) if tiles is None else tiles))
+    if not found or not 0 <= found[0] <= found[-1] < count:
+        raise ConfigError(f"tiles: expected some of 0..{count - 1}, got {found}")
+    return found
 
-    Raises ConfigError when none of them has rows, FormatError for a broken package.
+
+def decode_canonical(
+    package: Package, group: int, quality: int, tiers: int | None = None, tiles: Iterable[int] | None = None
+) -> Canonical:
+    """The canonical space of a group, with the rows that it keeps, in file order.
+
+    It is that of the first `tiers` key tiers of some `tiles` (default: all of all). Raises ConfigError when none of
+    them has rows, FormatError for a broken package.
     """
     m = package.manifest
     g = m.groups[group]
-    parts = [
-        part
-        for t, tier in enumerate(g.tiers[:tiers])
-        if tier.count
-        for part in _decode_tier(package, group, t, quality)
-    ]
+    units = [tile * m.tiers + t for tile in _tiles(package, tiles) for t in range(m.tiers)[:tiers]]
+    parts = [part for k in units if g.units[k].count for part in _decode_unit(package, group, k, quality)]
     if not parts:
         raise ConfigError(f"group {group}: expected at least one key tier with rows, got tiers={tiers}")
     return join_canonical(parts, unpack_matrix(g.colour_transform, m.colour_channels))
 
 
-def _decode_tier(package: Package, group: int, tier: int, quality: int) -> Iterator[Canonical]:
-    """The rows of a tier, which has some: those that it keeps, then the others."""
+def _decode_unit(package: Package, group: int, unit: int, quality: int) -> Iterator[Canonical]:
+    """The rows of a key unit, which has some: those that it keeps, then the others."""
     m = package.manifest
     g = m.groups[group]
-    read, sidecar = _read_key(package, group, tier, quality)
+    read, sidecar = _read_key(package, group, unit, quality)
     base, kept = m.base_of(group), sidecar.kept
     if base is not None and len(kept.rows):
         transform = unpack_matrix(m.groups[base].colour_transform, m.colour_channels)
-        yield join_canonical(list(_decode_tier(package, base, tier, quality)), transform).kept(kept.rows, kept.depths)
+        yield join_canonical(list(_decode_unit(package, base, unit, quality)), transform).kept(kept.rows, kept.depths)
     if len(sidecar.codes):
         steps = KEY.steps(g.key_steps, m.colour_channels) * m.qualities[quality].factor
         transform = unpack_matrix(g.colour_transform, m.colour_channels)
@@ -116,17 +135,17 @@ def _decode_tier(package: Package, group: int, tier: int, quality: int) -> Itera
         yield dequantise_parts(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser)
 
 
-def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
+def decode_key(package: Package, group: int, unit: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
     """(KEY.width(C), n) codes of the rows of a key unit that are not kept, and its sidecar in that quality.
 
     Raises FormatError.
     """
-    read, sidecar = _read_key(package, group, tier, quality)
+    read, sidecar = _read_key(package, group, unit, quality)
     return read(slice(None)), sidecar
 
 
 def _read_key(
-    package: Package, group: int, tier: int, quality: int
+    package: Package, group: int, unit: int, quality: int
 ) -> tuple[Callable[[slice], NDArray[np.int32]], KeySidecar]:
     """What gives the codes of some rows of a key unit, and its sidecar, as in `decode_key`.
 
@@ -134,17 +153,17 @@ def _read_key(
     """
     m = package.manifest
     g = m.groups[group]
-    unit, base = g.tiers[tier], m.base_of(group)
-    sidecar_path, *pictures = m.key_files(group, tier, quality)
+    entry, base = g.units[unit], m.base_of(group)
+    sidecar_path, *pictures = m.key_files(group, unit, quality)
     grid, coarser, coarsest = g.grid, m.qualities[quality].coarser, m.qualities[-1].coarser
-    kept = unit.kept, 0 if base is None else m.groups[base].tiers[tier].count
-    count, data = unit.count - unit.kept, package.read(sidecar_path)
+    kept = entry.kept, 0 if base is None else m.groups[base].units[unit].count
+    count, data = entry.count - entry.kept, package.read(sidecar_path)
     if not pictures:
         none = np.empty((KEY.width(m.colour_channels), 0), np.int32)
         return lambda rows: none, unpack_key_sidecar(data, count, grid, coarsest, sidecar_path, kept)
     (media,) = pictures
     segment = open_segment(package.read(media), media)
-    atlas = unit.qualities[quality]
+    atlas = entry.qualities[quality]
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(next, decode_pictures(segment.samples, media, atlas.pages), None)
         shared = unpack_key_sidecar(data, count, grid, coarsest, sidecar_path, kept)
@@ -159,24 +178,29 @@ def _read_key(
     return functools.partial(read_codes, picture, atlas, next(jumps.running())), sidecar
 
 
-def decode_state(package: Package, index: int, level: int, first: int, last: int) -> Iterator[NDArray[np.int32]]:
-    """(STATE.width(C), n) codes of each frame [first, last) of a segment that has files, counted from its start.
+def decode_state(
+    package: Package, index: int, level: int, first: int, last: int, tile: int = 0
+) -> Iterator[NDArray[np.int32]]:
+    """(STATE.width(C), n) codes of frames [first, last) of a segment, counted from its start, of a tile with a file.
 
     Raises FormatError.
     """
-    atlas = package.manifest.groups[package.manifest.group_of(index)].levels[level]
-    for picture, bases in _decode_pictures(package, index, level, first, last):
+    atlas = package.manifest.groups[package.manifest.group_of(index)].tiles[tile].levels[level]
+    for picture, bases in _decode_pictures(package, index, level, range(first, last), tile):
         yield read_codes(picture, atlas, bases)
 
 
-def _decode_pictures(
-    package: Package, index: int, level: int, first: int, last: int
-) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.int32] | None]]:
-    """(pages * H, W) luma of each frame, as in `decode_state`, and the bases in force, until the next one."""
+_Shown = tuple[
+    NDArray[np.uint8], NDArray[np.int32] | None
+]  # (pages * H, W) luma, and the bases in force, until the next
+
+
+def _decode_pictures(package: Package, index: int, level: int, frames: range, tile: int) -> Iterator[_Shown]:
+    """The picture of each frame, as in `decode_state`."""
     m = package.manifest
-    segment = m.segments[index]
-    (media,) = m.state_files(index, level)
-    atlas = m.groups[m.group_of(index)].levels[level]
+    segment, first, last = m.segments[index], frames.start, frames.stop
+    (media,) = m.state_files(index, level, [tile])
+    atlas = m.groups[m.group_of(index)].tiles[tile].levels[level]
     shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
     file = open_segment(package.read(media), media)
     bases = escapes.unpack(file.columns, shape, media).running()
@@ -200,39 +224,107 @@ def _ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]
             yield picture
 
 
+def decode_level(package: Package, index: int, level: int, base: Canonical) -> Iterator[NDArray[np.int32]]:
+    """(STATE.width(C), n) codes of each frame of a segment: of all rows of a level, in the order of `base`.
+
+    `base` is the canonical space of all tiles and tiers. Those of a tile without a file are 0. Raises FormatError.
+    """
+    m = package.manifest
+    tiles = m.groups[m.group_of(index)].tiles
+    count = m.segments[index].stop - m.segments[index].start
+    files = [bool(m.state_files(index, level, [tile])) for tile in range(m.tiles)]
+    zeros = [np.zeros((STATE.width(m.colour_channels), tile.levels[level].rows), np.int32) for tile in tiles]
+    parts = [
+        decode_state(package, index, level, 0, count, tile) if there else itertools.repeat(zeros[tile], count)
+        for tile, there in enumerate(files)
+    ]
+    for codes in zip(*parts, strict=True):
+        yield codes[0] if len(codes) == 1 else np.concatenate(codes, axis=1)
+
+
+def fewer_tiers(group: Group, base: Canonical, tiers: int) -> Canonical:
+    """The canonical space that the first `tiers` key tiers of all tiles make, of the one that all tiers make."""
+    counts = [tier.count for tier in group.units]
+    if len(group.tiles) == 1:
+        return base.first(sum(counts[:tiers]))
+    there = [unit % len(group.tiles[0].tiers) < tiers for unit in range(len(counts))]
+    return base.part(np.flatnonzero(np.repeat(there, counts)))
+
+
 def decode_segment(
-    package: Package, index: int, base: Canonical, level: int, places: Sequence[int]
+    package: Package,
+    index: int,
+    base: Canonical,
+    level: int,
+    places: Sequence[int],
+    tiles: Iterable[int] | None = None,
 ) -> Iterator[Gaussians]:
     """Frames of a segment over a decoded canonical space; `places` ascend and count from the start of the segment.
 
-    H.264 is decoded up to the last of them. Where `base` has fewer tiers than viewers of the level fetch, its rows are
-    the first of the level, since rows are ordered by tier. Raises FormatError.
+    `base` is that of some `tiles`, by default all, and of the first key tiers of them, as many as viewers of the level
+    fetch or others: its rows tell. H.264 is decoded up to the last frame. Raises FormatError.
     """
     m = package.manifest
-    files = m.state_files(index, level)
-    if not (files and places):
+    there = _tiles(package, tiles)
+    if not (places and m.state_files(index, level, there)):
         frame = base.to_gaussians()
         yield from (frame for _ in places)
         return
+    parts = _tile_states(package, index, base, level, there)
     group = m.groups[m.group_of(index)]
-    atlas = group.levels[level]
-    rows = np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
-    complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
-    if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
-        detail = f"the sidecars give {len(rows)} rows, the table {atlas.rows}"
-        raise FormatError("count_mismatch", files[0], detail)
     steps = STATE.steps(group.state_steps, m.colour_channels) * m.levels[level].factor
-    varies = [_varies(atlas, STATE.slice(name)) for name in ("quaternions", COLOUR)]
-    applier = StateApplier.of(base, rows, group.state_steps, *varies)
-    first, last = places[0], places[-1] + 1
-    pictures = _decode_pictures(package, index, level, first, last)
+    varies = [any(_varies(part.atlas, STATE.slice(name)) for part in parts) for name in ("quaternions", COLOUR)]
+    applier = StateApplier.of(base, np.concatenate([part.rows for part in parts]), group.state_steps, *varies)
+    frames = range(places[0], places[-1] + 1)
+    pictures = [_decode_pictures(package, index, level, frames, part.tile) for part in parts]
 
-    def read(picture: NDArray[np.uint8], bases: NDArray[np.int32] | None, some: slice) -> NDArray[np.float32]:
-        return from_codes(read_codes(picture, atlas, bases, some), steps, m.state_gain)
+    def read(shown: Sequence[_Shown], some: slice) -> NDArray[np.float32]:
+        codes, first = [], 0
+        for part, (picture, bases) in zip(parts, shown, strict=True):
+            start, stop = max(0, some.start - first), min(len(part.rows), some.stop - first)
+            if start < stop:
+                codes.append(read_codes(picture, part.atlas, bases, slice(start, stop)))
+            first += len(part.rows)
+        return from_codes(codes[0] if len(codes) == 1 else np.concatenate(codes, axis=1), steps, m.state_gain)
 
-    for place, shown in enumerate(pictures, first):
+    for place, shown in zip(frames, zip(*pictures, strict=True), strict=True):
         if place in places:
-            yield applier.apply_parts(functools.partial(read, *shown))
+            yield applier.apply_parts(functools.partial(read, shown))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _TileStates:
+    """The states of a tile in a segment that has a file."""
+
+    tile: int
+    atlas: Atlas
+    rows: NDArray[np.intp]  # (n,) of the canonical space that the level carries
+
+
+def _tile_states(package: Package, index: int, base: Canonical, level: int, tiles: Sequence[int]) -> list[_TileStates]:
+    """Those of all tiles of a canonical space that have a file. Raises FormatError where sidecars give other rows."""
+    m = package.manifest
+    group = m.groups[m.group_of(index)]
+    tiers, spans = _tile_rows(group, tiles, len(base.means))
+    found = []
+    for tile, (start, stop) in zip(tiles, itertools.pairwise(spans), strict=True):
+        depths, atlas = base.depths[start:stop], group.tiles[tile].levels[level]
+        rows = start + np.flatnonzero((depths >= level) & (depths != STATIC))
+        for media in m.state_files(index, level, [tile]):
+            if len(rows) > atlas.rows or (tiers >= m.levels[level].tiers and len(rows) != atlas.rows):
+                detail = f"the sidecars give {len(rows)} rows, the table {atlas.rows}"
+                raise FormatError("count_mismatch", media, detail)
+            found.append(_TileStates(tile, atlas, rows))
+    return found
+
+
+def _tile_rows(group: Group, tiles: Sequence[int], rows: int) -> tuple[int, list[int]]:
+    """How many key tiers a canonical space of some tiles has that has so many rows, and where those of each begin."""
+    for tiers in range(len(group.tiles[0].tiers), 0, -1):
+        counts = [sum(tier.count for tier in group.tiles[tile].tiers[:tiers]) for tile in tiles]
+        if sum(counts) == rows:
+            return tiers, [0, *itertools.accumulate(counts)]
+    raise AssertionError(f"{rows} rows are those of no number of key tiers of tiles {tiles}")
 
 
 def _varies(atlas: Atlas, channels: slice) -> bool:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from airgs_codec.analysis.usage import measure_usage
 from airgs_codec.coding.channels import Canonical, StateApplier
 from airgs_codec.coding.quantize import from_codes
-from airgs_codec.decoder.decode import decode_canonical, decode_state
+from airgs_codec.decoder.decode import decode_canonical, decode_level
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import STATIC
@@ -54,8 +54,9 @@ def load_states(package: Package, group: int) -> GroupStates:
     values = np.zeros((g.stop - g.start, len(steps), len(rows)), np.float32)
     for index, segment in zip(m.segments_of(group), g.segments, strict=True):
         if m.state_files(index, 0):
-            for t, codes in enumerate(decode_state(package, index, 0, 0, segment.stop - segment.start)):
-                values[segment.start - g.start + t] = from_codes(codes, steps * m.levels[0].factor, m.state_gain)
+            first = segment.start - g.start
+            for t, codes in enumerate(decode_level(package, index, 0, base)):
+                values[first + t] = from_codes(codes, steps * m.levels[0].factor, m.state_gain)
     level = StateApplier.of(base, rows, g.state_steps, True, True)
     return GroupStates(base, rows, steps, values, level, g.start)
 

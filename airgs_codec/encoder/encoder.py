@@ -155,12 +155,13 @@ def _note_kept(groups: Sequence[Group]) -> list[str]:
     keeping = [group for group in groups if group.keeps is not None]
     if not keeping:
         return []
-    kept = sum(tier.kept for group in keeping for tier in group.tiers)
+    kept = sum(unit.kept for group in keeping for unit in group.units)
     share = kept / sum(group.count for group in keeping)
     return [f"{len(keeping)} of {len(groups)} groups keep {share:.0%} of their Gaussians from an earlier one"]
 
 
 def largest_picture(groups: Sequence[Group]) -> tuple[int, int]:
     """Width and height that no picture of the groups exceeds."""
-    atlases = [atlas for g in groups for row in (*(tier.qualities for tier in g.tiers), g.levels) for atlas in row]
+    tiles = [tile for group in groups for tile in group.tiles]
+    atlases = [a for tile in tiles for row in (*(tier.qualities for tier in tile.tiers), tile.levels) for a in row]
     return max(atlas.width for atlas in atlases), max(atlas.height for atlas in atlases)

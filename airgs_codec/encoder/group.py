@@ -22,6 +22,7 @@ from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.tables import CodedGroup, finish_group
+from airgs_codec.encoder.tiles import find_box
 from airgs_codec.package.tables import Group
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -32,7 +33,7 @@ class CodedKey:
 
     layout: GroupLayout
     keys: CodedKeys
-    pictures: Sequence[Sequence[Representation]]  # tier x key quality
+    pictures: Sequence[Sequence[Representation]]  # unit x key quality
     decoded: Sequence[DecodedKeys]  # for each key quality
     bytes: int  # of all its key units and sidecars
 
@@ -109,6 +110,7 @@ def code_group(
         states = code_states(layout, [part.space for part in key.decoded], frames, settings, Path(scratch))
         pictures = encode_states(layout, states, Clock.of(sequence.fps), settings)
         base = None if of is None else of.base
-        coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, first_segment, base)
+        boxes = [find_box(frames, layout.rows[layout.tile_rows(tile)]) for tile in range(layout.tiles)]
+        coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, boxes, first_segment, base)
         table, files = finish_group(coded)
     return GroupFiles(table, files, layout.rows, states.depths)

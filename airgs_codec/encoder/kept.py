@@ -55,17 +55,17 @@ class BaseGroup:
 def keep_known(layout: GroupLayout, base: BaseGroup, settings: EncodeSettings) -> GroupLayout | None:
     """The layout with every row of the base kept that may be; None where so few may that it is not worth it.
 
-    Kept rows have the tier and the motion class that they have in the base. Viewers of the last level must have a row.
+    Kept rows have the unit and the motion class that they have in the base. Viewers of the last level must have a row.
     """
     there = find_kept(layout, base)
     kept = there != CODED_HERE
-    tiers = np.where(kept, base.layout.tiers[there], layout.tiers)
-    if kept.mean() < WORTH or not (tiers < settings.tiers_of(settings.levels[-1])).any():
+    units = np.where(kept, base.layout.units[there], layout.units)
+    if kept.mean() < WORTH or not (units % layout.tiers < settings.tiers_of(settings.levels[-1])).any():
         return None
     classes = np.where(kept, base.layout.classes[there], layout.classes)
     codes = grid_codes(layout.key.means, classes, layout.grid)
-    moved = replace(layout, tiers=tiers, classes=classes, codes=codes, base_rows=there)
-    return moved.take(np.lexsort((np.where(kept, there.astype(np.uint64), codes), ~kept, tiers)))
+    moved = replace(layout, units=units, classes=classes, codes=codes, base_rows=there)
+    return moved.take(np.lexsort((np.where(kept, there.astype(np.uint64), codes), ~kept, units)))
 
 
 def find_kept(layout: GroupLayout, base: BaseGroup) -> NDArray[np.intp]:
@@ -109,8 +109,8 @@ def _differences(
     return np.abs(decoded) / promised, np.abs(before) / units
 
 
-def kept_errors(layout: GroupLayout, base: BaseGroup, tier: int, quality: int) -> NDArray[np.float64]:
-    """(7 + C,) the most that kept rows of a tier are off in a key quality, in the units of the channels."""
-    rows = layout.kept_rows(tier)
+def kept_errors(layout: GroupLayout, base: BaseGroup, unit: int, quality: int) -> NDArray[np.float64]:
+    """(7 + C,) the most that kept rows of a unit are off in a key quality, in the units of the channels."""
+    rows = layout.kept_rows(unit)
     errors = np.abs(base.values(layout, layout.base_rows[rows], quality) - layout.key_values()[:, rows])
     return np.asarray(errors.max(axis=1, initial=0.0) + ROUNDING * np.abs(layout.key_values()[:, rows]).max(axis=1))

@@ -1,6 +1,6 @@
 """Canonical frames -> key pictures with their detail, and back to the canonical space that viewers have.
 
-N rows of a group, n rows of a tier, P planes, C colour channels.
+N rows of a group, n rows of a unit, P planes, C colour channels.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from airgs_codec.package.tables import STATIC, Atlas, LeftOut
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedAtlas:
-    """A key tier of one group at one key quality: all that its files but the shared sidecar are made of."""
+    """A key unit of one group at one key quality: all that its files but the shared sidecar are made of."""
 
     atlas: Atlas  # without its largest errors; 0 rows: nothing is sent
     samples: NDArray[np.uint8]  # (P, n) luma
@@ -50,13 +50,13 @@ class CodedAtlas:
 class CodedKeys:
     """The keys of one group."""
 
-    tiers: tuple[tuple[CodedAtlas, ...], ...]  # tier x key quality
+    units: tuple[tuple[CodedAtlas, ...], ...]  # unit x key quality
     coarser: tuple[int, ...]  # of each key quality: its cells of canonical means are 2^coarser times the finest
     left_out: tuple[LeftOut, ...]
 
 
 def code_keys(layout: GroupLayout, settings: EncodeSettings) -> CodedKeys:
-    """Quantise the key of a group for every tier and key quality, without the rows that are kept."""
+    """Quantise the key of a group for every unit and key quality, without the rows that are kept."""
     values = layout.key_values()
     steps = KEY.steps(layout.key_steps, layout.colours)
     omissions = KeyOmissions.of(layout, values)
@@ -66,11 +66,11 @@ def code_keys(layout: GroupLayout, settings: EncodeSettings) -> CodedKeys:
     def code(rows: slice, quality: int) -> CodedAtlas:
         sidecar = layout.sidecar(rows, _static(layout))
         detail = detail_columns(sidecar, layout.grid, coarser[quality], coarser[-1])
-        return _code_tier(values[None, :, rows], steps * settings.key_factors[quality], omitted, detail)
+        return _code_unit(values[None, :, rows], steps * settings.key_factors[quality], omitted, detail)
 
     qualities = range(len(settings.key_factors))
-    tiers = [layout.coded_rows(tier) for tier in range(len(settings.tiers))]
-    coded = tuple(tuple(code(rows, quality) for quality in qualities) for rows in tiers)
+    units = [layout.coded_rows(unit) for unit in range(layout.tiles * layout.tiers)]
+    coded = tuple(tuple(code(rows, quality) for quality in qualities) for rows in units)
     return CodedKeys(coded, coarser, tuple(note for note in (omissions.gaussians(), planes) if note))
 
 
@@ -79,7 +79,7 @@ def _static(layout: GroupLayout) -> NDArray[np.uint8]:
     return np.full(len(layout.codes), STATIC, np.uint8)
 
 
-def _code_tier(
+def _code_unit(
     values: NDArray[np.float64], steps: NDArray[np.float64], omitted: NDArray[np.bool_], detail: list[Column]
 ) -> CodedAtlas:
     """From (1, 7 + C, n) values, (7 + C,) steps, (7 + C,) channels that are left out, and the detail of positions."""
@@ -103,7 +103,7 @@ def _with_picture(atlas: Atlas) -> Atlas:
 def encode_keys(
     layout: GroupLayout, keys: CodedKeys, clock: Clock, settings: EncodeSettings
 ) -> list[list[Representation]]:
-    """The picture of every tier in every key quality, tier x quality."""
+    """The picture of every unit in every key quality, unit x quality."""
     codec, ticks = key_codec(settings.preset), clock.frame_ticks
 
     def encode(part: CodedAtlas) -> Representation:
@@ -113,9 +113,9 @@ def encode_keys(
         gop = ClosedGop(pictures, layout.span.start * ticks, layout.span.frames * ticks)
         return encode_checked([gop], pictures.size, clock, codec)
 
-    tasks = [functools.partial(encode, part) for tier in keys.tiers for part in tier]
+    tasks = [functools.partial(encode, part) for unit in keys.units for part in unit]
     coded = iter(encode_parallel(tasks, settings.threads))
-    return [[next(coded) for _ in tier] for tier in keys.tiers]
+    return [[next(coded) for _ in unit] for unit in keys.units]
 
 
 def key_bytes(
@@ -126,24 +126,24 @@ def key_bytes(
 ) -> int:
     """Bytes of all key units and sidecars of a group, before there are states; `base` is that whose rows are kept."""
     total = 0
-    for tier, of_tier in enumerate(pictures):
-        rows = layout.tier_rows(tier)
+    for unit, of_unit in enumerate(pictures):
+        rows = layout.unit_rows(unit)
         if rows.stop > rows.start:
-            sidecar = key_sidecar(layout, tier, _static(layout), base)
+            sidecar = key_sidecar(layout, unit, _static(layout), base)
             total += len(pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1]))
-        total += sum(len(gop.media) for part in of_tier for gop in part.gops)
-        total += sum(len(coded.detail) for coded in keys.tiers[tier])
+        total += sum(len(gop.media) for part in of_unit for gop in part.gops)
+        total += sum(len(coded.detail) for coded in keys.units[unit])
     return total
 
 
 def key_sidecar(
-    layout: GroupLayout, tier: int, depths: NDArray[np.uint8], base: GroupLayout | None = None
+    layout: GroupLayout, unit: int, depths: NDArray[np.uint8], base: GroupLayout | None = None
 ) -> KeySidecar:
-    """What the sidecar of a tier holds; `depths` (N,) are those of all rows, `base` is whose rows are kept."""
-    coded, kept = layout.sidecar(layout.coded_rows(tier), depths), layout.kept_rows(tier)
+    """What the sidecar of a unit holds; `depths` (N,) are those of all rows, `base` is whose rows are kept."""
+    coded, kept = layout.sidecar(layout.coded_rows(unit), depths), layout.kept_rows(unit)
     if base is None:
         return coded
-    return replace(coded, kept=Kept(layout.base_rows[kept] - base.tier_rows(tier).start, depths[kept]))
+    return replace(coded, kept=Kept(layout.base_rows[kept] - base.unit_rows(unit).start, depths[kept]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,17 +169,17 @@ def decode_base(
     """
     steps = KEY.steps(layout.key_steps, layout.colours) * settings.key_factors[quality]
     channels, parts = [np.empty((len(steps), 0), np.float32)], []
-    for tier, of_quality in enumerate(pictures):
-        gops, coded = of_quality[quality].gops, keys.tiers[tier][quality]
-        kept = layout.kept_rows(tier)
+    for unit, of_quality in enumerate(pictures):
+        gops, coded = of_quality[quality].gops, keys.units[unit][quality]
+        kept = layout.kept_rows(unit)
         if base is not None and kept.stop > kept.start:
             parts.append(base.kept(layout.base_rows[kept], _static(layout)[kept]))
         if not gops:
             continue
-        where = f"key tier {tier} of frames {layout.span.start}-{layout.span.stop - 1}"
+        where = f"key unit {unit} of frames {layout.span.start}-{layout.span.stop - 1}"
         picture = next(decode_pictures(open_segment(gops[0].media, where).samples, where, gops[0].pages))
         reader = ColumnReader(coded.detail or None, where)
-        sidecar = _read_positions(reader, layout, tier, keys.coarser[quality], keys.coarser[-1])
+        sidecar = _read_positions(reader, layout, unit, keys.coarser[quality], keys.coarser[-1])
         jumps = escapes.read_columns(reader, (1, len(coded.atlas.planes), coded.atlas.rows))
         codes = read_codes(picture, coded.atlas, jumps.bases(0))
         values = from_codes(codes, steps, qp_step(KEY_QP))
@@ -189,8 +189,8 @@ def decode_base(
     return DecodedKeys(np.concatenate(channels, axis=1), join_canonical(parts, layout.transform))
 
 
-def _read_positions(reader: ColumnReader, layout: GroupLayout, tier: int, coarser: int, coarsest: int) -> KeySidecar:
-    """The coded rows of a tier as a key quality has them, every one static, from the bytes that are sent."""
-    shared = layout.sidecar(layout.coded_rows(tier), _static(layout))
+def _read_positions(reader: ColumnReader, layout: GroupLayout, unit: int, coarser: int, coarsest: int) -> KeySidecar:
+    """The coded rows of a unit as a key quality has them, every one static, from the bytes that are sent."""
+    shared = layout.sidecar(layout.coded_rows(unit), _static(layout))
     codes = coarse_codes(shared.codes, shared.classes, layout.grid, coarsest)
     return read_detail(reader, replace(shared, codes=codes), layout.grid, coarser, coarsest)

@@ -1,6 +1,7 @@
-"""How a group is coded, before anything of it is: rows, tiers, order, steps, grid, colour transform, segments.
+"""How a group is coded, before anything of it is: rows, tiles, tiers, order, steps, grid, colour transform, segments.
 
-N rows of a group that are written, n rows of a tier, C colour channels.
+N rows of a group that are written, n rows of a unit, C colour channels. A unit is a key tier of a tile: number
+tile * tiers + tier.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from airgs_codec.encoder.levels import assign_tiers
 from airgs_codec.encoder.rank import RowUsage
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, ShownPictures, Survey
+from airgs_codec.encoder.tiles import assign_tiles
 from airgs_codec.encoder.views import Pictures
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, Grid, KeySteps, StateSteps, unpack_matrix
@@ -47,8 +49,10 @@ class GroupLayout:
     removal_error: float  # mean squared error of pictures without the rows left out
     rows: NDArray[np.intp]  # (N,) input rows
     key: Gaussians  # N rows: the canonical frame, the mean of all frames, which the key codes
-    tiers: NDArray[np.uint8]  # (N,) ascending
-    codes: NDArray[np.uint64]  # (N,) Morton codes of the finest cells, ascending within a tier
+    tiles: int
+    tiers: int  # of a tile
+    units: NDArray[np.uint16]  # (N,) ascending
+    codes: NDArray[np.uint64]  # (N,) Morton codes of the finest cells, ascending within a unit
     classes: NDArray[np.int16]  # (N,) motion classes
     usage: RowUsage
     sensitivity: Sensitivity
@@ -64,23 +68,35 @@ class GroupLayout:
         """Number of colour channels, C."""
         return len(self.transform)
 
-    def tier_rows(self, tier: int) -> slice:
-        """Rows of a tier."""
-        low, high = np.searchsorted(self.tiers, [tier, tier + 1])
+    @property
+    def tier_of_rows(self) -> NDArray[np.uint8]:
+        """(N,) tier of each row."""
+        return (self.units % self.tiers).astype(np.uint8)
+
+    def tile_rows(self, tile: int) -> slice:
+        """Rows of a tile."""
+        return self._rows(tile * self.tiers, (tile + 1) * self.tiers)
+
+    def unit_rows(self, unit: int) -> slice:
+        """Rows of a unit."""
+        return self._rows(unit, unit + 1)
+
+    def _rows(self, first: int, stop: int) -> slice:
+        low, high = np.searchsorted(self.units, [first, stop])
         return slice(int(low), int(high))
 
-    def kept_rows(self, tier: int) -> slice:
-        """Rows of a tier that are kept: the first ones."""
-        rows = self.tier_rows(tier)
+    def kept_rows(self, unit: int) -> slice:
+        """Rows of a unit that are kept: the first ones."""
+        rows = self.unit_rows(unit)
         return slice(rows.start, rows.start + int((self.base_rows[rows] != CODED_HERE).sum()))
 
-    def coded_rows(self, tier: int) -> slice:
-        """Rows of a tier that are coded here."""
-        return slice(self.kept_rows(tier).stop, self.tier_rows(tier).stop)
+    def coded_rows(self, unit: int) -> slice:
+        """Rows of a unit that are coded here."""
+        return slice(self.kept_rows(unit).stop, self.unit_rows(unit).stop)
 
     def take(self, order: NDArray[np.intp]) -> GroupLayout:
         """The same rows in another order."""
-        names = ("rows", "tiers", "codes", "classes", "base_rows")
+        names = ("rows", "units", "codes", "classes", "base_rows")
         arrays = {name: getattr(self, name)[order] for name in names}
         parts = {name: getattr(self, name).take(order) for name in ("key", "usage", "sensitivity")}
         return replace(self, **arrays, **parts)
@@ -109,7 +125,7 @@ class GroupLayout:
 
 
 def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSettings, fps: Fraction) -> GroupLayout:
-    """Order, tiers, steps and transforms of a group: `loaded` are its frames, of which `kept` rows are written."""
+    """Order, units, steps and transforms of a group: `loaded` are its frames, of which `kept` rows are written."""
     steps = settings.steps.scaled(settings.quality)
     canonical = mean_frame(loaded.frames).take(kept.rows)
     classes = classify_motion(survey.sensitivity.take(kept.rows), canonical)
@@ -117,8 +133,9 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
     codes = grid_codes(canonical.means, classes, grid)
     score = survey.score(settings.usage)
     moved = survey.usage.moved if settings.usage == "max" else None  # it is a product of that measure alone
-    tiers = assign_tiers(score[kept.rows], settings.tiers)
-    order = np.lexsort((codes, tiers))
+    tiles = assign_tiles(canonical.means, settings.tiles).astype(np.uint16)
+    units = tiles * len(settings.tiers) + assign_tiers(score[kept.rows], settings.tiers)
+    order = np.lexsort((codes, units))
     rows = kept.rows[order]
     transform = colour_transform(canonical.take(order), steps.key)
     return GroupLayout(
@@ -130,7 +147,9 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
         removal_error=kept.error,
         rows=rows,
         key=canonical.take(order),
-        tiers=tiers[order],
+        tiles=settings.tiles,
+        tiers=len(settings.tiers),
+        units=units[order],
         codes=codes[order],
         classes=classes[order],
         usage=RowUsage(score[rows], survey.usage.measure("hits")[rows], None if moved is None else moved[rows]),

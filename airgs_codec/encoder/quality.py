@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.channels import Canonical
-from airgs_codec.decoder.decode import decode_canonical, decode_segment
+from airgs_codec.decoder.decode import decode_canonical, decode_segment, fewer_tiers
 from airgs_codec.encoder.views import Pictures, ViewPlan
 from airgs_codec.media.color import delta_e
 from airgs_codec.media.metrics import Reference, psnr
@@ -184,12 +184,12 @@ def _measure(
     sums: QualitySums,
     renderer: Renderer,
 ) -> None:
-    """Add pictures of `rung`, a segment's level, over the canonical space that all tiers make in a key quality."""
+    """Add pictures of `rung`, a segment's level, over the canonical space that all units make in a key quality."""
     m, (index, level) = package.manifest, rung
     segment = m.segments[index]
-    rows = sum(tier.count for tier in m.groups[m.group_of(index)].tiers[: m.levels[level].tiers])
+    fewer = fewer_tiers(m.groups[m.group_of(index)], base, m.levels[level].tiers)
     places = sorted({number - segment.start for number, _, _ in compared})
-    shown = dict(zip(places, decode_segment(package, index, base.first(rows), level, places), strict=True))
+    shown = dict(zip(places, decode_segment(package, index, fewer, level, places), strict=True))
     for number, camera, reference in compared:
         sums.add(renderer.render(shown[number - segment.start], camera).rgb, reference)
 

@@ -69,13 +69,17 @@ class StateValues:
 
     def channel(self, channel: int, rows: NDArray[np.intp] | slice) -> NDArray[np.float64]:
         """(T, n) values of some rows in one channel."""
-        plane = np.empty(self.rows)
-        out = np.empty((self.frames, len(plane[rows])))
+        places = np.arange(self.rows)[rows]
+        if not len(places):
+            return np.empty((self.frames, 0))
+        first, stop = int(places.min()), int(places.max()) + 1
+        plane = np.empty(stop - first)
+        out = np.empty((self.frames, len(places)))
         with self.path.open("rb") as file:
-            file.seek(self._offset(channel, 0))
             for t in range(self.frames):
+                file.seek(self._offset(channel, t) + _BYTES * first)
                 file.readinto(plane.data)
-                out[t] = plane[rows]
+                out[t] = plane[places - first]
         return out
 
     def part(self, rows: slice, frames: slice = slice(None)) -> NDArray[np.float64]:

@@ -1,7 +1,7 @@
-"""All frames -> the states of every level: which rows it carries, its samples and escapes, its stream.
+"""All frames -> the states of every level: which rows it carries, its samples and escapes, its streams.
 
-T frames and N rows of a group, n rows of a level, P planes, S segments. Neither the differences of all frames to the
-canonical space nor the samples of all levels may fit into memory: both wait in a scratch folder.
+T frames and N rows of a group, n rows of a tile in a level, P planes, S segments. Neither the differences of all
+frames to the canonical space nor the samples of all levels may fit into memory: both wait in a scratch folder.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class StoredSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedLevel:
-    """A level of one group: all that its pictures and escapes are made of."""
+    """A tile of one group in a level: all that its pictures and escapes are made of."""
 
     atlas: Atlas  # without its largest errors
     error: ErrorModel | None  # None: it carries no rows
@@ -81,7 +81,7 @@ class CodedStates:
     """The states of one group."""
 
     depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
-    levels: tuple[CodedLevel, ...]
+    levels: tuple[tuple[CodedLevel, ...], ...]  # level x tile
     left_out: tuple[LeftOut, ...]
 
 
@@ -111,11 +111,15 @@ def code_states(
         if level.quality != quality:
             quality = level.quality
             values = StateValues.write(file, frames, layout.rows, bases[quality], layout.state_steps)
-        rows = np.flatnonzero((depths != STATIC) & (depths >= number))
-        fetched = _fetched_frames(layout, ranked.largest[:, rows], level.factor / 2, still)
         steps = STATE.steps(layout.state_steps, layout.colours) * level.factor
-        coder = _LevelCoder(values, rows, steps, fetched, scratch / str(number))
-        levels.append(coder.code(omitted))
+        tiles = []
+        for tile in range(layout.tiles):
+            part = layout.tile_rows(tile)
+            rows = part.start + np.flatnonzero((depths[part] != STATIC) & (depths[part] >= number))
+            fetched = _fetched_frames(layout, ranked.largest[:, rows], level.factor / 2, still)
+            coder = _LevelCoder(values, rows, steps, fetched, scratch / f"{number} {tile}")
+            tiles.append(coder.code(omitted))
+        levels.append(tuple(tiles))
     return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes, no_segments) if n))
 
 
@@ -131,7 +135,7 @@ class RankedStates:
         """(N,) deepest level that carries a row; STATIC: none."""
         tiers = [settings.tiers_of(level) for level in settings.levels]
         pruned = [level.pruned for level in settings.levels]
-        return assign_depths(self.score, self.moving, pruned, layout.tiers, tiers)
+        return assign_depths(self.score, self.moving, pruned, layout.tier_of_rows, tiers)
 
 
 def rank_states(layout: GroupLayout, values: StateValues, base: Canonical, settings: EncodeSettings) -> RankedStates:
@@ -157,7 +161,7 @@ def _fetched_frames(
 ) -> list[slice | None]:
     """For each segment its frames in the group, None where nothing is to be fetched.
 
-    That is where none of the (S, n) largest changes of the rows of a level exceeds `least`, and where `still` (S,) says
+    That is where none of the (S, n) largest changes of its rows exceeds `least`, and where `still` (S,) says
     that rendering shows nothing.
     """
     parts: list[slice | None] = []
@@ -169,7 +173,7 @@ def _fetched_frames(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LevelCoder:
-    """Codes the n rows of a level, one channel after the other."""
+    """Codes the n rows of a tile in a level, one channel after the other."""
 
     values: StateValues
     rows: NDArray[np.intp]  # (n,) among the N
@@ -178,7 +182,7 @@ class _LevelCoder:
     file: Path  # for samples
 
     def code(self, omitted: NDArray[np.bool_]) -> CodedLevel:
-        """The level without the planes of (10 + C,) channels that are left out."""
+        """The rows without the planes of (10 + C,) channels that are left out."""
         nothing = tuple(None for _ in self.fetched)
         count, gain = len(self.steps), qp_step(STATE_QP)
         if not len(self.rows):
@@ -221,8 +225,8 @@ class _LevelCoder:
 
 def encode_states(
     layout: GroupLayout, states: CodedStates, clock: Clock, settings: EncodeSettings
-) -> list[Representation]:
-    """The pictures of every level, a closed GOP for each segment that is fetched."""
+) -> list[list[Representation]]:
+    """The pictures of every level, level x tile, a closed GOP for each segment that is fetched."""
     codec = state_codec(settings.preset)
 
     def encode(level: CodedLevel) -> Representation:
@@ -231,11 +235,13 @@ def encode_states(
         size = AtlasPictures.of(level.samples, level.atlas).size
         return encode_checked(_level_gops(layout, level, level.samples, clock.frame_ticks), size, clock, codec)
 
-    return encode_parallel([functools.partial(encode, level) for level in states.levels], settings.threads)
+    tasks = [functools.partial(encode, tile) for level in states.levels for tile in level]
+    coded = iter(encode_parallel(tasks, settings.threads))
+    return [[next(coded) for _ in level] for level in states.levels]
 
 
 def _level_gops(layout: GroupLayout, level: CodedLevel, samples: StoredSamples, ticks: int) -> Iterator[ClosedGop]:
-    """The segments of a level that are fetched; `samples` of all frames of the group, `ticks` a frame."""
+    """The segments of a tile in a level that are fetched; `samples` of all frames of the group, `ticks` a frame."""
     for (start, stop), escaped in zip(layout.segments, level.escapes, strict=True):
         if escaped is not None:
             shown = samples.part(start - layout.span.start, stop - layout.span.start)

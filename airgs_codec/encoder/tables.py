@@ -1,4 +1,4 @@
-"""What was coded -> files of the package and their tables. T key tiers, L levels."""
+"""What was coded -> files of the package and their tables. K key units (tiers of tiles), L levels, P tiles."""
 
 from __future__ import annotations
 
@@ -20,7 +20,17 @@ from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
 from airgs_codec.package import paths, tables
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.package.tables import NO_FILE, STATIC, FileEntry, Group, GroupTier, Segment, SegmentLevel, file_entry
+from airgs_codec.package.tables import (
+    NO_FILE,
+    STATIC,
+    FileEntry,
+    Group,
+    GroupTier,
+    GroupTile,
+    Segment,
+    SegmentLevel,
+    file_entry,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,8 +40,9 @@ class CodedGroup:
     layout: GroupLayout
     keys: CodedKeys
     states: CodedStates
-    key_pictures: Sequence[Sequence[Representation]]  # T x qualities
-    state_pictures: Sequence[Representation]  # L
+    key_pictures: Sequence[Sequence[Representation]]  # K x qualities
+    state_pictures: Sequence[Sequence[Representation]]  # L x P
+    boxes: Sequence[tuple[list[float], list[float]]]  # of each tile two corners
     first_segment: int  # how many segments the groups before it have
     base: BaseGroup | None  # whose rows it keeps, if it keeps any
 
@@ -45,6 +56,15 @@ class CodedGroup:
         """The group in paths: it counts from 1."""
         return self.layout.span.index + 1
 
+    def place(self, unit: int) -> tuple[str, int]:
+        """The folder of the tile and the tier of a unit."""
+        tile, tier = divmod(unit, self.layout.tiers)
+        return self.folder(tile), tier
+
+    def folder(self, tile: int) -> str:
+        """The folder of a tile."""
+        return paths.tile_folder(tile, self.layout.tiles)
+
 
 Files = Mapping[str, FileEntry]  # by path
 
@@ -56,28 +76,30 @@ def finish_group(group: CodedGroup) -> tuple[Group, dict[str, bytes]]:
 
 
 def _key_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
-    """Path and bytes of the files of every tier that has rows."""
+    """Path and bytes of the files of every unit that has rows."""
     layout, keys = group.layout, group.keys
-    for t, pictures in enumerate(group.key_pictures):
-        rows = layout.tier_rows(t)
+    for unit, pictures in enumerate(group.key_pictures):
+        rows, place = layout.unit_rows(unit), group.place(unit)
         if rows.start == rows.stop:
             continue
-        sidecar = key_sidecar(layout, t, group.states.depths, group.keeps)
-        yield paths.key_sidecar_path(t, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
-        for q, (atlas, representation) in enumerate(zip(keys.tiers[t], pictures, strict=True)):
+        sidecar = key_sidecar(layout, unit, group.states.depths, group.keeps)
+        yield paths.key_sidecar_path(*place, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
+        for q, (atlas, representation) in enumerate(zip(keys.units[unit], pictures, strict=True)):
             if not atlas.atlas.rows:
                 continue
             media = with_columns(representation.gops[0].media, atlas.detail)
-            yield paths.key_media_path(t, q, group.number), media
+            yield paths.key_media_path(*place, q, group.number), media
 
 
 def _state_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
-    """Path and bytes of every segment that is fetched."""
-    for j, (level, representation) in enumerate(zip(group.states.levels, group.state_pictures, strict=True)):
-        gops = iter(representation.gops)
-        for place, escapes in enumerate(level.escapes, group.first_segment):
-            if escapes is not None:
-                yield paths.state_media_path(j, place + 1), with_columns(next(gops).media, escapes)
+    """Path and bytes of every segment of a tile that is fetched."""
+    for j, (levels, pictures) in enumerate(zip(group.states.levels, group.state_pictures, strict=True)):
+        for p, (level, representation) in enumerate(zip(levels, pictures, strict=True)):
+            gops = iter(representation.gops)
+            for place, escapes in enumerate(level.escapes, group.first_segment):
+                if escapes is not None:
+                    path = paths.state_media_path(group.folder(p), j, place + 1)
+                    yield path, with_columns(next(gops).media, escapes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +143,7 @@ def build_manifest(about: Provenance, clock: Clock, init: FileEntry, groups: Gro
             for j, level in enumerate(settings.levels)
         ],
         tiers=len(settings.tiers),
+        tiles=settings.tiles,
         init=init,
         groups=groups,
     )
@@ -138,11 +161,7 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
         key_steps=layout.key_steps,
         state_steps=layout.state_steps,
         colour_transform=tables.pack_matrix(layout.transform),
-        tiers=[_tier_table(group, files, tier) for tier in range(len(group.key_pictures))],
-        levels=[
-            _bounded(part.atlas, part.error, representation, STATE)
-            for part, representation in zip(states.levels, group.state_pictures, strict=True)
-        ],
+        tiles=[_tile_table(group, files, tile) for tile in range(layout.tiles)],
         segments=_segment_tables(group, files),
         left_out=[*group.keys.left_out, *states.left_out],
         repairs=list(layout.notes),
@@ -150,15 +169,26 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
     )
 
 
-def _tier_table(group: CodedGroup, files: Files, tier: int) -> GroupTier:
-    parts, pictures, layout = group.keys.tiers[tier], group.key_pictures[tier], group.layout
+def _tile_table(group: CodedGroup, files: Files, tile: int) -> GroupTile:
+    tiers = group.layout.tiers
+    levels = [
+        _bounded(parts[tile].atlas, parts[tile].error, representations[tile], STATE)
+        for parts, representations in zip(group.states.levels, group.state_pictures, strict=True)
+    ]
+    units = range(tile * tiers, (tile + 1) * tiers)
+    return GroupTile(*group.boxes[tile], [_unit_table(group, files, unit) for unit in units], levels)
+
+
+def _unit_table(group: CodedGroup, files: Files, unit: int) -> GroupTier:
+    parts, pictures, layout = group.keys.units[unit], group.key_pictures[unit], group.layout
+    place = group.place(unit)
     atlases = [_bounded(part.atlas, part.error, shown, KEY) for part, shown in zip(parts, pictures, strict=True)]
-    rows, kept = (span.stop - span.start for span in (layout.tier_rows(tier), layout.kept_rows(tier)))
+    rows, kept = (span.stop - span.start for span in (layout.unit_rows(unit), layout.kept_rows(unit)))
     if kept and group.base:
-        errors = (kept_errors(layout, group.base, tier, quality) for quality in range(len(atlases)))
+        errors = (kept_errors(layout, group.base, unit, quality) for quality in range(len(atlases)))
         atlases = [widen(atlas, error, KEY) for atlas, error in zip(atlases, errors, strict=True)]
-    media = [files.get(paths.key_media_path(tier, q, group.number), NO_FILE) for q in range(len(parts))]
-    sidecar = files.get(paths.key_sidecar_path(tier, group.number), NO_FILE)
+    media = [files.get(paths.key_media_path(*place, q, group.number), NO_FILE) for q in range(len(parts))]
+    sidecar = files.get(paths.key_sidecar_path(*place, group.number), NO_FILE)
     return GroupTier(rows, kept, sidecar, atlases, media)
 
 
@@ -171,15 +201,17 @@ def _bounded(
 
 
 def _segment_tables(group: CodedGroup, files: Files) -> list[Segment]:
-    gops = [iter(representation.gops) for representation in group.state_pictures]
+    gops = [[iter(representation.gops) for representation in of_level] for of_level in group.state_pictures]
+
+    def level(j: int, number: int) -> SegmentLevel:
+        found = [
+            files.get(paths.state_media_path(group.folder(tile), j, number), NO_FILE)
+            for tile in range(group.layout.tiles)
+        ]
+        sizes = [next(gops[j][tile]).picture_bytes if file.bytes else [] for tile, file in enumerate(found)]
+        return SegmentLevel(found, sizes, [], [], [], [])
+
     return [
-        Segment(
-            *span,
-            [
-                SegmentLevel(file, next(gops[j]).picture_bytes if file.bytes else [], [], [], [], [])
-                for j in range(len(gops))
-                for file in [files.get(paths.state_media_path(j, index + 1), NO_FILE)]
-            ],
-        )
+        Segment(*span, [level(j, index + 1) for j in range(len(gops))])
         for index, span in enumerate(group.layout.segments, group.first_segment)
     ]

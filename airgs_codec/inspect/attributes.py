@@ -37,22 +37,22 @@ def format_attributes(package: Package) -> str:
 def _of_keys(package: Package) -> Iterator[tuple[str, float]]:
     m = package.manifest
     for g, group in enumerate(m.groups):
-        for t, tier in enumerate(group.tiers):
-            yield "means", tier.sidecar.bytes
-            for media in m.key_files(g, t, 0)[1:]:
-                fine = min(3 * m.qualities[-1].coarser * (tier.count - tier.kept) / 8, tier.pictures[0].bytes)
+        for k, unit in enumerate(group.units):
+            yield "means", unit.sidecar.bytes
+            for media in m.key_files(g, k, 0)[1:]:
+                fine = min(3 * m.qualities[-1].coarser * (unit.count - unit.kept) / 8, unit.pictures[0].bytes)
                 yield "means", fine
-                samples = _samples(package, media, tier.qualities[0])
-                yield from _shares(tier.pictures[0].bytes - fine, tier.qualities[0], samples, KEY)
+                samples = _samples(package, media, unit.qualities[0])
+                yield from _shares(unit.pictures[0].bytes - fine, unit.qualities[0], samples, KEY)
 
 
 def _of_states(package: Package) -> Iterator[tuple[str, float]]:
     m = package.manifest
     for s, segment in enumerate(m.segments):
-        if files := m.state_files(s, 0):
-            atlas = m.groups[m.group_of(s)].levels[0]
-            samples = _samples(package, files[0], atlas)
-            yield from _shares(sum(segment.levels[0].frame_bytes), atlas, samples, STATE)
+        for number, tile in enumerate(m.groups[m.group_of(s)].tiles):
+            for media in m.state_files(s, 0, [number]):
+                samples = _samples(package, media, tile.levels[0])
+                yield from _shares(sum(segment.levels[0].frame_bytes[number]), tile.levels[0], samples, STATE)
 
 
 def _samples(package: Package, media: str, atlas: Atlas) -> Iterator[NDArray[np.int16]]:

@@ -19,6 +19,7 @@ from airgs_codec.coding.quantize import from_codes
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.paths import tile_folder
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import STATIC, Group, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
@@ -96,27 +97,28 @@ def _keys(
     m = package.manifest
     values = key_channels(original, base.transform, group.key_steps)
     first = 0
-    for t, tier in enumerate(group.tiers):
-        part = slice(first, first + tier.count)
-        first += tier.count
+    for k, unit in enumerate(group.units):
+        part = slice(first, first + unit.count)
+        first += unit.count
+        tile, tier = divmod(k, m.tiers)
         for q, quality in enumerate(m.qualities):
-            if tier.count:
-                errors = np.abs(values[:, part] - _decode_tier(package, index, t, q))
-                where = f"group {index} key T{t} {quality.id}"
-                yield from _measured(where, KEY, tier.qualities[q].max_error, errors[None], sure[part])
+            if unit.count:
+                errors = np.abs(values[:, part] - _decode_unit(package, index, k, q))
+                where = f"group {index} key {tile_folder(tile, m.tiles)}T{tier} {quality.id}"
+                yield from _measured(where, KEY, unit.qualities[q].max_error, errors[None], sure[part])
 
 
-def _decode_tier(package: Package, index: int, tier: int, quality: int) -> NDArray[np.floating]:
-    """(7 + C, n) key channels of all rows of a tier, those of kept rows as the channels of this group."""
+def _decode_unit(package: Package, index: int, unit: int, quality: int) -> NDArray[np.floating]:
+    """(7 + C, n) key channels of all rows of a unit, those of kept rows as the channels of this group."""
     m = package.manifest
     group, base = m.groups[index], m.base_of(index)
-    codes, sidecar = decode_key(package, index, tier, quality)
+    codes, sidecar = decode_key(package, index, unit, quality)
     steps = KEY.steps(group.key_steps, m.colour_channels) * m.qualities[quality].factor
     coded = from_codes(codes, steps, m.key_gain)
     if base is None or not len(sidecar.kept.rows):
         return coded
     other, mine = ((unpack_matrix(g.colour_transform, m.colour_channels), g.key_steps) for g in (m.groups[base], group))
-    kept = recolour(_decode_tier(package, base, tier, quality)[:, sidecar.kept.rows], other, mine)
+    kept = recolour(_decode_unit(package, base, unit, quality)[:, sidecar.kept.rows], other, mine)
     return np.concatenate([kept, coded], axis=1)
 
 
@@ -133,19 +135,21 @@ def _states(
             corrected = decode_canonical(package, index, quality)
             values = state_channels(originals, corrected, group.state_steps)
         rows = np.flatnonzero((base.depths >= j) & (base.depths != STATIC))
-        worst = np.zeros((1, len(steps), len(rows)))
-        sent = False
-        for s, segment in zip(m.segments_of(index), group.segments, strict=True):
-            if not m.state_files(s, j):
-                continue
-            sent = True
-            for t, codes in enumerate(decode_state(package, s, j, 0, segment.stop - segment.start)):
-                wanted = values[segment.start - group.start + t][:, rows]
-                decoded = from_codes(codes, steps * level.factor, m.state_gain)
-                worst[0] = np.maximum(worst[0], np.abs(wanted - decoded))
-        if sent:
-            where = f"group {index} state {level.id}"
-            yield from _measured(where, STATE, group.levels[j].max_error, worst, sure[rows])
+        first = 0
+        for number, tile in enumerate(group.tiles):
+            own = rows[first : first + tile.levels[j].rows]
+            first += len(own)
+            worst = np.zeros((1, len(steps), len(own)))
+            sent = [s for s in m.segments_of(index) if m.state_files(s, j, [number])]
+            for s in sent:
+                segment = m.segments[s]
+                for t, codes in enumerate(decode_state(package, s, j, 0, segment.stop - segment.start, number)):
+                    wanted = values[segment.start - group.start + t][:, own]
+                    decoded = from_codes(codes, steps * level.factor, m.state_gain)
+                    worst[0] = np.maximum(worst[0], np.abs(wanted - decoded))
+            if sent:
+                where = f"group {index} state {tile_folder(number, m.tiles)}{level.id}"
+                yield from _measured(where, STATE, tile.levels[j].max_error, worst, sure[own])
 
 
 def _measured(

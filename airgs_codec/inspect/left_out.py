@@ -10,6 +10,7 @@ import numpy as np
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.paths import tile_folder
 from airgs_codec.package.tables import Atlas, LeftOut
 
 FEW = 4  # groups that are listed one by one
@@ -19,7 +20,7 @@ _NAMES = {"gaussians": "Gaussians", "updates": "rows are never updated"}
 def describe_left_out(m: Manifest) -> list[str]:
     """One line each; what concerns more than FEW groups alike is one line."""
     lines = [*_decisions(m), *_constant(m)]
-    quiet = sum(not s.levels[0].file.bytes for s in m.segments)
+    quiet = sum(not s.levels[0].bytes for s in m.segments)
     if quiet:
         lines.append(f"{quiet} state segments: nothing moves in them by more than half a step")
     if m.sh_degree == 0:
@@ -53,11 +54,14 @@ def _constant(m: Manifest) -> Iterator[str]:
     """Tiers without rows, and channels without a plane in the top rung."""
     groups: dict[str, list[int]] = {}
     for i, group in enumerate(m.groups):
-        keys = [(f"key T{t} Q0", tier.qualities[0], KEY) for t, tier in enumerate(group.tiers)]
-        for t, tier in enumerate(group.tiers):
+        tiles = [(tile_folder(number, m.tiles), tile) for number, tile in enumerate(group.tiles)]
+        tiers = [(f"{folder}T{t}", tier) for folder, tile in tiles for t, tier in enumerate(tile.tiers)]
+        for name, tier in tiers:
             if not tier.count:
-                groups.setdefault(f"key tier T{t}: it has no rows", []).append(i)
-        for name, atlas, layout in (*keys, ("state L0", group.levels[0], STATE)):
+                groups.setdefault(f"key tier {name}: it has no rows", []).append(i)
+        keys = [(f"key {name} Q0", tier.qualities[0], KEY) for name, tier in tiers]
+        states = [(f"state {folder}L0", tile.levels[0], STATE) for folder, tile in tiles]
+        for name, atlas, layout in (*keys, *states):
             if text := _without_plane(atlas, layout):
                 groups.setdefault(f"planes of {name}: {text} (constant within half a step)", []).append(i)
     for text, where in groups.items():

@@ -34,8 +34,17 @@ class GroupSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class TileSummary:
+    """One tile, over all groups."""
+
+    id: str
+    gaussians: tuple[int, int]  # fewest and most rows of a group
+    bytes_per_frame: float  # of the top rung
+
+
+@dataclass(frozen=True, slots=True)
 class KeySummary:
-    """One key tier in one key quality, over all groups."""
+    """One key tier of all tiles in one key quality, over all groups."""
 
     tier: str
     quality: str
@@ -91,6 +100,7 @@ class Summary:
     background: tuple[float, ...]  # r, g, b of [0, 1]; empty: black
     views: Views
     groups: tuple[GroupSummary, ...]
+    tiles: tuple[TileSummary, ...]
     keys: tuple[KeySummary, ...]
     levels: tuple[LevelSummary, ...]
     rungs: tuple[RungSummary, ...]  # key quality by key quality
@@ -119,6 +129,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
         background=tuple(m.region.background or ()),
         views=m.views,
         groups=tuple(_group(m, g) for g in range(len(m.groups))),
+        tiles=tuple(_tile(m, tile) for tile in range(m.tiles)),
         keys=tuple(_key(m, t, q) for t in range(m.tiers) for q in qualities),
         levels=tuple(_level(m, j) for j in levels),
         rungs=ladder([_rung(m, q, j, manifest_bytes) for q in qualities for j in levels]),
@@ -132,22 +143,30 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
 
 def _group(m: Manifest, index: int) -> GroupSummary:
     g = m.groups[index]
-    kept = sum(tier.kept for tier in g.tiers)
+    kept = sum(unit.kept for unit in g.units)
     return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.grid.bits, kept)
 
 
+def _tile(m: Manifest, tile: int) -> TileSummary:
+    counts = [sum(tier.count for tier in group.tiles[tile].tiers) for group in m.groups]
+    keys = [path for g in range(len(m.groups)) for k in m.units_of(0, [tile]) for path in m.key_files(g, k, 0)]
+    states = [path for s in range(len(m.segments)) for path in m.state_files(s, 0, [tile])]
+    return TileSummary(f"P{tile + 1}", (min(counts), max(counts)), m.bytes_of(keys + states) / m.frames)
+
+
 def _key(m: Manifest, tier: int, quality: int) -> KeySummary:
-    counts = [group.tiers[tier].count for group in m.groups]
-    total = sum(m.bytes_of(m.key_files(g, tier, quality)) for g in range(len(m.groups)))
+    counts = [sum(tile.tiers[tier].count for tile in group.tiles) for group in m.groups]
+    units = range(tier, m.units, m.tiers)
+    total = sum(m.bytes_of(m.key_files(g, unit, quality)) for g in range(len(m.groups)) for unit in units)
     entry = m.qualities[quality]
     return KeySummary(f"T{tier}", entry.id, entry.factor, (min(counts), max(counts)), total / m.frames)
 
 
 def _level(m: Manifest, index: int) -> LevelSummary:
     level = m.levels[index]
-    rows = [group.levels[index].rows for group in m.groups]
+    rows = [sum(tile.levels[index].rows for tile in group.tiles) for group in m.groups]
     total = sum(m.bytes_of(m.state_files(i, index)) for i in range(len(m.segments)))
-    errors = np.array([group.levels[index].max_error for group in m.groups]).max(axis=0).tolist()
+    errors = np.array([tile.levels[index].max_error for group in m.groups for tile in group.tiles]).max(axis=0).tolist()
     return LevelSummary(
         id=level.id,
         pruned=level.pruned,
@@ -217,13 +236,13 @@ def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) ->
 
     State pictures are H.264 alone; key pictures count with the detail of positions, their escapes and boxes.
     """
-    tiers = [tier for group in m.groups for tier in group.tiers[: m.levels[level].tiers]]
+    tiers = [group.units[unit] for group in m.groups for unit in m.units_of(level)]
     states = [segment.levels[level] for segment in m.segments]
-    pictures = sum(sum(state.frame_bytes) for state in states)
+    pictures = sum(sum(state.picture_bytes) for state in states)
     return {
         "key pictures": sum(tier.pictures[quality].bytes for tier in tiers),
         "key sidecars": sum(tier.sidecar.bytes for tier in tiers),
         "state pictures": pictures,
-        "escapes and boxes": sum(state.file.bytes for state in states) - pictures,
+        "escapes and boxes": sum(state.bytes for state in states) - pictures,
         "manifests": manifest_bytes,
     }

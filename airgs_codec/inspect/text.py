@@ -27,6 +27,7 @@ def format_summary(s: Summary) -> str:
         "",
         *_groups(s),
         "",
+        *([*_tiles(s), ""] if len(s.tiles) > 1 else []),
         *_keys(s),
         "",
         "levels, without keys; PSNR, that of the worst picture, SSIM and ΔE (mean CIEDE2000) with every key in Q0:",
@@ -70,6 +71,11 @@ def _groups(s: Summary) -> list[str]:
     if len(rows) > MOST_GROUPS:
         rows = [*rows[: MOST_GROUPS - 2], ["…"] * 6, rows[-1]]
     return table(["group", "frames", "Gaussians", "kept", "static", "segments"], rows)
+
+
+def _tiles(s: Summary) -> list[str]:
+    rows = [[tile.id, span(*tile.gaussians), _kilobytes(tile.bytes_per_frame)] for tile in s.tiles]
+    return table(["tile", "Gaussians", "kB/frame of the top rung"], rows)
 
 
 def _keys(s: Summary) -> list[str]:

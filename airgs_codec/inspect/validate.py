@@ -122,9 +122,10 @@ def _check_measures(package: Package) -> Iterator[Finding]:
     """The H.264 bytes of the frames of a segment are no more than the file that holds them."""
     for s, segment in enumerate(package.manifest.segments):
         for j, level in enumerate(segment.levels):
-            if sum(level.frame_bytes) > level.file.bytes:
-                detail = f"frame_bytes add up to {sum(level.frame_bytes)}, the file has {level.file.bytes}"
-                yield Finding("size_mismatch", f"segment {s} L{j}", detail)
+            for p, (file, sizes) in enumerate(zip(level.files, level.frame_bytes, strict=True)):
+                if sum(sizes) > file.bytes:
+                    detail = f"frame_bytes add up to {sum(sizes)}, the file has {file.bytes}"
+                    yield Finding("size_mismatch", f"segment {s} L{j} tile {p + 1}", detail)
 
 
 def _check_decoding(package: Package) -> Iterator[Finding]:
@@ -146,9 +147,9 @@ def _decode_key(package: Package, group: int, quality: int) -> None:
     with np.errstate(all="ignore"):  # _expect_finite says it better
         base = decode_canonical(package, group, quality)
         _expect_finite(base.to_gaussians(), f"group {group} Q{quality}")
-    for t, tier in enumerate(package.manifest.groups[group].tiers):
-        for media in package.manifest.key_files(group, t, quality)[1:]:
-            _expect_pictures(package, media, tier.qualities[quality], 1)
+    for k, unit in enumerate(package.manifest.groups[group].units):
+        for media in package.manifest.key_files(group, k, quality)[1:]:
+            _expect_pictures(package, media, unit.qualities[quality], 1)
 
 
 def _decode_state(package: Package, index: int, level: int, base: Canonical) -> None:
@@ -156,11 +157,13 @@ def _decode_state(package: Package, index: int, level: int, base: Canonical) -> 
     files = package.manifest.state_files(index, level)
     length = segment.stop - segment.start
     if files:
+        group = package.manifest.groups[package.manifest.group_of(index)]
         with np.errstate(all="ignore"):
             for frame in decode_segment(package, index, base, level, range(length)):
                 _expect_finite(frame, files[0])
-        atlas = package.manifest.groups[package.manifest.group_of(index)].levels[level]
-        _expect_pictures(package, files[0], atlas, length)
+        for number, tile in enumerate(group.tiles):
+            for media in package.manifest.state_files(index, level, [number]):
+                _expect_pictures(package, media, tile.levels[level], length)
 
 
 def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int) -> None:

@@ -1,13 +1,13 @@
 """A package's tables as one value: the root and its groups, whose tables are read when they are asked for.
 
-T tiers, Q key qualities, L levels. Groups, segments, tiers, qualities and levels are counted from 0; numbers in paths
-from 1.
+P tiles, T key tiers of each, Q key qualities, L levels. A unit is a key tier of a tile, number tile * T + tier. Groups,
+segments, tiles, units, qualities and levels are counted from 0; groups, segments and tiles in paths from 1.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import overload
 
@@ -22,6 +22,7 @@ from airgs_codec.package.paths import (
     key_sidecar_path,
     locate,
     state_media_path,
+    tile_folder,
 )
 from airgs_codec.package.references import check_kept
 from airgs_codec.package.tables import MAX_PSNR, FileEntry, Group, Header, Segment, Spans
@@ -119,11 +120,17 @@ class Manifest(Header):
         stops = [segment.stop for segment in self.groups[group].segments]
         return self.segments_of(group)[next(i for i, stop in enumerate(stops) if frame < stop)]
 
-    def key_files(self, group: int, tier: int, quality: int) -> list[str]:
+    def units_of(self, level: int, tiles: Iterable[int] | None = None) -> list[int]:
+        """The key units that viewers of a level fetch of some tiles, by default of all."""
+        tiers = range(self.levels[level].tiers)
+        return [tile * self.tiers + tier for tile in (range(self.tiles) if tiles is None else tiles) for tier in tiers]
+
+    def key_files(self, group: int, unit: int, quality: int) -> list[str]:
         """Sidecar and picture of one key unit; no picture when all its rows are kept, nothing when it has none."""
-        unit = self.groups[group].tiers[tier]
-        sidecar = [key_sidecar_path(tier, group + 1)] if unit.count else []
-        return sidecar + [key_media_path(tier, quality, group + 1)] * (unit.count > unit.kept)
+        tile, tier = divmod(unit, self.tiers)
+        entry, folder = self.groups[group].tiles[tile].tiers[tier], tile_folder(tile, self.tiles)
+        sidecar = [key_sidecar_path(folder, tier, group + 1)] if entry.count else []
+        return sidecar + [key_media_path(folder, tier, quality, group + 1)] * (entry.count > entry.kept)
 
     def base_of(self, group: int) -> int | None:
         """The group whose rows a group keeps, counted from 0 as well; None where it keeps none.
@@ -137,14 +144,19 @@ class Manifest(Header):
         check_kept(table, self.groups[table.keeps - 1], group_path(group + 1))
         return table.keeps - 1
 
-    def state_files(self, segment: int, level: int) -> list[str]:
-        """The file of one state segment; empty when there is nothing to fetch."""
-        return [state_media_path(level, segment + 1)] if self.segments[segment].levels[level].file.bytes else []
+    def state_files(self, segment: int, level: int, tiles: Iterable[int] | None = None) -> list[str]:
+        """The files of one state segment of some tiles, by default of all; none of a tile with nothing to fetch."""
+        files = self.segments[segment].levels[level].files
+        return [
+            state_media_path(tile_folder(tile, self.tiles), level, segment + 1)
+            for tile in (range(self.tiles) if tiles is None else tiles)
+            if files[tile].bytes
+        ]
 
     def group_files(self, group: int) -> list[str]:
         """Every file that the table of a group lists."""
-        tiers, qualities, levels = range(self.tiers), range(len(self.qualities)), range(len(self.levels))
-        keys = [path for t in tiers for q in qualities for path in self.key_files(group, t, q)]
+        units, qualities, levels = range(self.units), range(len(self.qualities)), range(len(self.levels))
+        keys = [path for k in units for q in qualities for path in self.key_files(group, k, q)]
         states = [path for s in self.segments_of(group) for j in levels for path in self.state_files(s, j)]
         return sorted({*keys, *states})
 
@@ -170,13 +182,19 @@ class Manifest(Header):
         return found
 
     def _entry(self, path: str) -> FileEntry | None:
-        match locate(path):
+        what, numbers = locate(path)
+        if what in ("sidecar", "key", "state"):
+            tile, *numbers = numbers
+            if (tile > 0) != (self.tiles > 1):
+                return None
+            tile = max(0, tile - 1)
+        match what, numbers:
             case "sidecar", [tier, number]:
-                return self.groups[number - 1].tiers[tier].sidecar
+                return self.groups[number - 1].tiles[tile].tiers[tier].sidecar
             case "key", [tier, quality, number]:
-                return self.groups[number - 1].tiers[tier].pictures[quality]
+                return self.groups[number - 1].tiles[tile].tiers[tier].pictures[quality]
             case "state", [level, number]:
-                return self.segments[number - 1].levels[level].file
+                return self.segments[number - 1].levels[level].files[tile]
             case "group", [number]:
                 return self.groups.places.entry(number - 1).file
             case "page", [level, number]:
@@ -193,8 +211,8 @@ class Manifest(Header):
 
     def rung_files(self, quality: int, level: int) -> list[str]:
         """Every file a viewer of one rung fetches from start to end, without tables."""
-        tiers = range(self.levels[level].tiers)
-        keys = [path for g in range(len(self.groups)) for t in tiers for path in self.key_files(g, t, quality)]
+        units = self.units_of(level)
+        keys = [path for g in range(len(self.groups)) for k in units for path in self.key_files(g, k, quality)]
         return keys + [path for s in range(len(self.segments)) for path in self.state_files(s, level)]
 
 

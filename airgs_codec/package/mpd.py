@@ -1,6 +1,7 @@
 """manifest.mpd: a valid DASH MPD over the package's files, one Period. Advisory; airgs.json is normative.
 
-One AdaptationSet for the state (its Representations are the levels) and one for each key tier (the key qualities).
+One AdaptationSet for the state of each tile (its Representations are the levels) and one for each of its key tiers
+(the key qualities).
 The shape was chosen by what ffmpeg and dash.js read: SegmentTemplate with $Number$ and an explicit SegmentTimeline,
 SupplementalProperty only, relative addresses, one init segment for all. The SegmentTemplate stands in the
 AdaptationSet where the timelines of its Representations are equal; otherwise each has its own, and the set has none
@@ -15,12 +16,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 
-import numpy as np
-
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.fragments import CODECS
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.paths import INIT_NAME, JSON_NAME, key_media_path, state_media_path
+from airgs_codec.package.paths import INIT_NAME, JSON_NAME, key_media_path, state_media_path, tile_folder
 from airgs_codec.package.tables import Group, Header, Segment
 
 DASH = "urn:mpeg:dash:schema:mpd:2011"
@@ -119,15 +118,32 @@ class _Stream:
         return Representation(self.id, self.media, tuple(self.timeline), int(self.rate) + 1)
 
 
+@dataclass(frozen=True, slots=True)
+class _Tile:
+    """The streams of a tile."""
+
+    states: list[_Stream]  # of each level
+    keys: list[list[_Stream]]  # tier x quality
+
+    @staticmethod
+    def of(m: Header, tile: int) -> _Tile:
+        """Those of a tile, which have no files yet."""
+        folder = tile_folder(tile, m.tiles)
+        states = [_Stream(f"{folder}L{j}", state_media_path(folder, j, NUMBER)) for j in range(len(m.levels))]
+        keys = [
+            [_Stream(f"{folder}T{t}/Q{q}", key_media_path(folder, t, q, NUMBER)) for q in range(len(m.qualities))]
+            for t in range(m.tiers)
+        ]
+        return _Tile(states, keys)
+
+
 class Streams:
     """What the MPD says of all groups, whose tables are looked at once, in their order; regular ones take no room."""
 
     def __init__(self, m: Header) -> None:
         """`m`: the package, whose groups are added one by one."""
-        keys = np.ndindex(m.tiers, len(m.qualities))
         self._header = m
-        self._keys = {(t, q): _Stream(f"T{t}/Q{q}", key_media_path(t, q, NUMBER)) for t, q in keys}
-        self._states = [_Stream(f"L{j}", state_media_path(j, NUMBER)) for j in range(len(m.levels))]
+        self._tiles = [_Tile.of(m, tile) for tile in range(m.tiles)]
         self._groups = self._segments = 0  # so far
         self.longest = 0  # frames of a group
 
@@ -143,19 +159,24 @@ class Streams:
         """The next group."""
         m = self._header
         self._groups += 1
-        for (t, q), stream in self._keys.items():
-            stream.add(m, self._groups, group, group.tiers[t].pictures[q].bytes)
+        for streams, tile in zip(self._tiles, group.tiles, strict=True):
+            for row, tier in zip(streams.keys, tile.tiers, strict=True):
+                for stream, picture in zip(row, tier.pictures, strict=True):
+                    stream.add(m, self._groups, group, picture.bytes)
         for segment in group.segments:
             self._segments += 1
-            for stream, level in zip(self._states, segment.levels, strict=True):
-                stream.add(m, self._segments, segment, level.file.bytes)
+            for p, streams in enumerate(self._tiles):
+                for stream, level in zip(streams.states, segment.levels, strict=True):
+                    stream.add(m, self._segments, segment, level.files[p].bytes)
         self.longest = max(self.longest, group.stop - group.start)
 
     def sets(self) -> list[AdaptationSet]:
-        """The state, then each key tier; streams without files and empty sets are left out."""
-        tiers, qualities = range(self._header.tiers), range(len(self._header.qualities))
-        keys = [[self._keys[t, q] for q in qualities] for t in tiers]
-        sets = [("state", 10, self._states), *((f"key;tier={t}", 1, row) for t, row in enumerate(keys))]
+        """Of each tile the state, then each key tier; streams without files and empty sets are left out."""
+        sets: list[tuple[str, int, list[_Stream]]] = []
+        for tile, streams in enumerate(self._tiles, 1):
+            where = f";tile={tile}" if len(self._tiles) > 1 else ""
+            sets.append((f"state{where}", 10, streams.states))
+            sets += [(f"key;tier={t}{where}", 1, row) for t, row in enumerate(streams.keys)]
         listed = [(role, priority, tuple(r.listed() for r in row if r.timeline)) for role, priority, row in sets]
         return [AdaptationSet(role, priority, row) for role, priority, row in listed if row]
 

@@ -1,11 +1,11 @@
 """Checks of tables that no single field can tell: counts, spans, and fields that refer to each other.
 
-Each check relies on those before it. T tiers, Q key qualities, L levels.
+Each check relies on those before it. P tiles, T tiers of each, Q key qualities, L levels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from airgs_codec.package.tables import (
     FileEntry,
     Group,
     GroupTier,
+    GroupTile,
     Header,
     Region,
     Root,
@@ -68,8 +69,8 @@ def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
         raise _bad(where, f"expected the start, stop and number of segments {expected}, got {got}")
     _check_shapes(m, group, where)
     _check_bounds(where, _group_bounds(m, group))
-    for t, tier in enumerate(group.tiers):
-        _check_tier(f"{where}.tiers[{t}]", tier)
+    for name, tier in _units(group):
+        _check_tier(f"{where}.{name}", tier)
     stop = group.start
     for s, segment in enumerate(group.segments):
         if segment.start != stop or not stop < segment.stop <= group.stop:
@@ -83,7 +84,7 @@ def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
 def check_keeps(group: Group, number: int, where: str) -> None:
     """Raise FormatError (bad_value) unless a group, counted from 0, keeps rows of one before it, or none."""
     if group.keeps is None:
-        _check_bounds(where, ((f"tiers[{t}].kept", tier.kept, 0, 0) for t, tier in enumerate(group.tiers)))
+        _check_bounds(where, ((f"{name}.kept", tier.kept, 0, 0) for name, tier in _units(group)))
     elif group.keeps > number:
         raise _bad(f"{where}.keeps", f"expected a group before {number + 1}, got {group.keeps}")
 
@@ -92,8 +93,15 @@ def check_kept(group: Group, base: Group, where: str) -> None:
     """Raise FormatError (bad_value) unless `base`, the group that a group keeps rows of, has them and keeps none."""
     if base.keeps is not None:
         raise _bad(f"{where}.keeps", f"expected a group that keeps none, got {group.keeps}, which keeps {base.keeps}")
-    pairs = enumerate(zip(group.tiers, base.tiers, strict=True))
-    _check_bounds(where, ((f"tiers[{t}].kept", tier.kept, 0, other.count) for t, (tier, other) in pairs))
+    pairs = zip(_units(group), base.units, strict=True)
+    _check_bounds(where, ((f"{name}.kept", tier.kept, 0, other.count) for (name, tier), other in pairs))
+
+
+def _units(group: Group) -> Iterator[tuple[str, GroupTier]]:
+    """Where each key unit stands in a table, and what is there."""
+    for p, tile in enumerate(group.tiles):
+        for t, tier in enumerate(tile.tiers):
+            yield f"tiles[{p}].tiers[{t}]", tier
 
 
 def check_region(region: Region, where: str) -> None:
@@ -160,11 +168,14 @@ def _root_bounds(m: Header) -> Iterator[Bound]:
 
 def _check_shapes(m: Header, group: Group, where: str) -> None:
     """Lists that must be of the same length."""
-    tiers, qualities, levels = m.tiers, len(m.qualities), len(m.levels)
-    shapes = [("tiers", len(group.tiers), tiers), ("levels", len(group.levels), levels)]
-    for t, tier in enumerate(group.tiers):
-        shapes.append((f"tiers[{t}].qualities", len(tier.qualities), qualities))
-        shapes.append((f"tiers[{t}].pictures", len(tier.pictures), qualities))
+    qualities, levels = len(m.qualities), len(m.levels)
+    shapes = [("tiles", len(group.tiles), m.tiles)]
+    for p, tile in enumerate(group.tiles):
+        shapes.append((f"tiles[{p}].tiers", len(tile.tiers), m.tiers))
+        shapes.append((f"tiles[{p}].levels", len(tile.levels), levels))
+    for name, tier in _units(group):
+        shapes.append((f"{name}.qualities", len(tier.qualities), qualities))
+        shapes.append((f"{name}.pictures", len(tier.pictures), qualities))
     shapes += [(f"segments[{s}].levels", len(segment.levels), levels) for s, segment in enumerate(group.segments)]
     for name, got, expected in shapes:
         if got != expected:
@@ -172,21 +183,31 @@ def _check_shapes(m: Header, group: Group, where: str) -> None:
 
 
 def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
-    counts = [tier.count for tier in group.tiers]
     fewest = m.levels[-1].tiers
     yield "static", group.static, 0, group.count
-    yield "sum of tier counts", sum(counts), group.count, group.count
-    yield f"rows of the first {fewest} tiers", sum(counts[:fewest]), 1, group.count
-    for t, tier in enumerate(group.tiers):
-        yield f"tiers[{t}].kept", tier.kept, 0, tier.count
+    yield "sum of tier counts", sum(tier.count for tier in group.units), group.count, group.count
+    first = sum(tier.count for tile in group.tiles for tier in tile.tiers[:fewest])
+    yield f"rows of the first {fewest} tiers", first, 1, group.count
+    for name, tier in _units(group):
+        yield f"{name}.kept", tier.kept, 0, tier.count
         for q, atlas in enumerate(tier.qualities):
-            where, coded = f"tiers[{t}].qualities[{q}]", tier.count - tier.kept
+            where, coded = f"{name}.qualities[{q}]", tier.count - tier.kept
             yield f"{where}.rows", atlas.rows, coded, coded
             yield f"len({where}.planes)", len(atlas.planes), min(1, coded), KEY.width(m.colour_channels)
             yield from _atlas_bounds(where, atlas, KEY, m.colour_channels)
-    for j, atlas in enumerate(group.levels):
-        yield f"levels[{j}].rows", atlas.rows, 0, group.count - group.static
-        yield from _atlas_bounds(f"levels[{j}]", atlas, STATE, m.colour_channels)
+    for p, tile in enumerate(group.tiles):
+        yield from _tile_bounds(m, tile, f"tiles[{p}]")
+    for j in range(len(m.levels)):
+        yield f"rows of levels[{j}]", sum(tile.levels[j].rows for tile in group.tiles), 0, group.count - group.static
+
+
+def _tile_bounds(m: Header, tile: GroupTile, where: str) -> Iterator[Bound]:
+    for axis, (low, high) in enumerate(zip(tile.low, tile.high, strict=True)):
+        yield f"{where}.high[{axis}]", high, low, 1e30
+    rows = sum(tier.count for tier in tile.tiers)
+    for j, atlas in enumerate(tile.levels):
+        yield f"{where}.levels[{j}].rows", atlas.rows, 0, rows
+        yield from _atlas_bounds(f"{where}.levels[{j}]", atlas, STATE, m.colour_channels)
 
 
 def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Iterator[Bound]:
@@ -218,15 +239,18 @@ def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> Non
     measured = len(m.qualities) if m.measured else 0
     for j, level in enumerate(segment.levels):
         here = f"{where}.levels[{j}]"
-        fetched = level.file.bytes > 0
-        _check_file(f"{here}.file", level.file, fetched and bool(group.levels[j].planes))
-        counts: Sequence[tuple[str, int, int]] = (
-            ("frame_bytes", len(level.frame_bytes), segment.stop - segment.start if fetched else 0),
+        counts: list[tuple[str, int, int]] = [
+            ("files", len(level.files), m.tiles),
+            ("frame_bytes", len(level.frame_bytes), m.tiles),
             ("psnr", len(level.psnr), measured),
             ("worst", len(level.worst), measured),
             ("ssim", len(level.ssim), measured),
             ("delta_e", len(level.delta_e), measured),
-        )
+        ]
+        for p, (tile, file, sizes) in enumerate(zip(group.tiles, level.files, level.frame_bytes, strict=False)):
+            fetched = file.bytes > 0
+            _check_file(f"{here}.files[{p}]", file, fetched and bool(tile.levels[j].planes))
+            counts.append((f"frame_bytes[{p}]", len(sizes), segment.stop - segment.start if fetched else 0))
         for name, got, expected in counts:
             if got != expected:
                 raise _bad(f"{here}.{name}", f"expected {expected} values, got {got}")

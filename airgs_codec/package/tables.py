@@ -1,8 +1,8 @@
 """The tables of a package as frozen values: airgs.json (the root), the pages of its index, and a table a group.
 
-T tiers, Q key qualities, L levels, C colour channels. FORMAT.md says what each field means. What a field may hold
-beside its type stands in its annotation (`constraints`); `schema` makes the JSON Schema of it, `parse` reads the JSON
-back and refuses everything else. `manifest` is a package's tables as one value.
+P tiles, T key tiers of each, Q key qualities, L levels, C colour channels. FORMAT.md says what each field means. What
+a field may hold beside its type stands in its annotation (`constraints`); `schema` makes the JSON Schema of it, `parse`
+reads the JSON back and refuses everything else. `manifest` is a package's tables as one value.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ MAX_MACROBLOCKS = 36_864  # of 16x16 samples, in a picture: H.264 level 5.1
 MAX_PAGES = 128
 MAX_FILE_BYTES = 1 << 31
 MAX_CHOICES = 64  # tiers, qualities, levels
+MAX_TILES = 64
 MAX_PLACES = 64
 MAX_BITS = 21  # of a grid index
 MAX_CENTRE = 1 << 30  # so that a centre, a luma level and the base of an escape add up within int32
@@ -141,7 +142,7 @@ class Level:
     id: str
     pruned: Share  # of the moving rows
     factor: Factor
-    tiers: int  # key tiers that its viewers fetch; rows of later tiers have no state in it
+    tiers: int  # key tiers of a tile that its viewers fetch; rows of later tiers have no state in it
     quality: Annotated[int, Range(0, MAX_CHOICES - 1)]  # key quality that its states correct: its rung of the ladder
 
 
@@ -215,25 +216,45 @@ def plane_height(rows: int, plane_width: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class GroupTier:
-    """One key tier of one group."""
+    """A unit: one key tier of one tile of one group."""
 
     count: Count  # rows; a tier without rows has no files
-    kept: Count  # rows of `count`, the first ones, that are rows of the same tier of the group `keeps`
+    kept: Count  # rows of `count`, the first ones, that are rows of the same unit of the group `keeps`
     sidecar: FileEntry  # shared by all its qualities
     qualities: list[Atlas]  # of the rows that are not kept
     pictures: list[FileEntry]  # the picture in each quality; none where all rows are kept
 
 
 @dataclass(frozen=True, slots=True)
+class GroupTile:
+    """The rows of one group in one part of space, which are fetched and decoded apart from all others."""
+
+    low: Point  # corner of a box of nearly all their means in all frames, world units
+    high: Point  # the opposite one
+    tiers: list[GroupTier]
+    levels: list[Atlas]  # of the states
+
+
+@dataclass(frozen=True, slots=True)
 class SegmentLevel:
     """One level of one segment."""
 
-    file: FileEntry  # none: nothing to fetch, the canonical space is shown
-    frame_bytes: list[PictureBytes]  # H.264 bytes of each frame, in display order
+    files: list[FileEntry]  # of each tile; none: nothing to fetch, the canonical space is shown
+    frame_bytes: list[list[PictureBytes]]  # of each tile: H.264 bytes of each frame, in display order
     psnr: list[Decibels]  # for each key quality; empty: not measured
     worst: list[Decibels]  # PSNR of the worst picture, for each key quality
     ssim: list[Annotated[float, Range(-1, 1)]]  # for each key quality
     delta_e: list[Annotated[float, Range(0, MAX_DELTA_E)]]  # CIEDE2000 for each key quality
+
+    @property
+    def bytes(self) -> int:
+        """Length of the files of all tiles."""
+        return sum(file.bytes for file in self.files)
+
+    @property
+    def picture_bytes(self) -> list[int]:
+        """H.264 bytes of each frame, of all tiles together; empty where no tile has a file."""
+        return [sum(sizes) for sizes in zip(*filter(None, self.frame_bytes), strict=True)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,19 +282,23 @@ class Group:
 
     start: FrameNumber
     stop: FrameNumber
-    count: Annotated[int, Range(1, MAX_COUNT)]  # rows written, over all tiers
+    count: Annotated[int, Range(1, MAX_COUNT)]  # rows written, over all units
     static: Count  # rows of `count` that no level carries
     unused: Count  # Gaussians no view uses: not written
     grid: Grid
     key_steps: KeySteps
     state_steps: StateSteps
     colour_transform: str  # base64 of C x C little-endian int16, in 1/32767; row k makes channel k
-    tiers: list[GroupTier]
-    levels: list[Atlas]
+    tiles: list[GroupTile]
     segments: Annotated[list[Segment], Length(1, MAX_FRAMES)]
     left_out: list[LeftOut]
     repairs: list[str]  # what was repaired in the input before coding
     keeps: Annotated[int, Range(1, MAX_FRAMES)] | None = None  # an earlier group, from 1, whose rows this one keeps
+
+    @property
+    def units(self) -> list[GroupTier]:
+        """The key tiers of the first tile, then those of the next."""
+        return [tier for tile in self.tiles for tier in tile.tiers]
 
 
 @dataclass(frozen=True, slots=True)
@@ -313,7 +338,8 @@ class Header:
     views: Views
     qualities: Annotated[list[KeyQuality], Choices]
     levels: Annotated[list[Level], Choices]
-    tiers: Annotated[int, Range(1, MAX_CHOICES)]  # key tiers
+    tiers: Annotated[int, Range(1, MAX_CHOICES)]  # key tiers of a tile
+    tiles: Annotated[int, Range(1, MAX_TILES)]  # parts of space
 
     @property
     def fps(self) -> Fraction:
@@ -329,6 +355,11 @@ class Header:
     def colour_channels(self) -> int:
         """Colour channels C of an atlas: three DC, then SH rest."""
         return 3 * (1 + SH_REST[self.sh_degree])
+
+    @property
+    def units(self) -> int:
+        """Key tiers of all tiles together."""
+        return self.tiles * self.tiers
 
     @property
     def measured(self) -> bool:

@@ -11,7 +11,7 @@ releases ascend together, and then the order of deadlines is as good as any.
 Where a group keeps rows of another one, the base, the key units of the base are fetched for it as well, but for those
 that an earlier slot of the same loop over the sequence had.
 
-K slots, R rungs, Q key qualities, T key tiers. Sizes are kB inside the programme, or larger units where segments are
+S slots, R rungs, Q key qualities, K key units. Sizes are kB inside the programme, or larger units where segments are
 gigabytes, so that its numbers are of one order.
 """
 
@@ -31,7 +31,7 @@ from airgs_codec.play.catalogue import NONE, Catalogue, KeyUnits
 
 ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must not make a session impossible
 LARGEST = 1e6  # units that a state segment may have: past 1e11 HiGHS finds no solution where there is one
-_Unit = tuple[int, int, int]  # 0 of the slot's group, 1 of its base; key quality; key tier
+_Unit = tuple[int, int, int]  # 0 of the slot's group, 1 of its base; key quality; key unit
 Terms = list[tuple[int, float]]  # (column of a variable, its coefficient)
 
 
@@ -94,16 +94,16 @@ def solve_horizon(horizon: Horizon, integer: bool = False) -> Schedule | None:
 
 
 class _Programme:
-    """Variables and constraints. Slot k has R shares of rungs, Q T shares of keys that are decoded, and F_k in units.
+    """Variables and constraints. Slot k has R shares of rungs, Q K shares of keys that are decoded, and F_k in units.
 
-    Where any group keeps rows, Q T shares of keys of the base that are decoded come before F_k.
+    Where any group keeps rows, Q K shares of keys of the base that are decoded come before F_k.
     """
 
     def __init__(self, horizon: Horizon) -> None:
         self._horizon = horizon
         self._catalogue = horizon.catalogue
         self._qualities = len(self._catalogue.manifest.qualities)
-        self._tiers = self._catalogue.manifest.tiers
+        self._units = self._catalogue.manifest.units
         self.rungs = len(self._catalogue.rungs)
         m, slots = self._catalogue.manifest, horizon.slots
         self._groups = [(group, m.base_of(group)) for group in (m.group_of(slot.segment) for slot in slots)]
@@ -111,7 +111,7 @@ class _Programme:
         kinds = 1 if all(base is None for _, base in self._groups) else 2
         largest = max(float(np.max(self._catalogue.state_bytes[slot.segment])) for slot in slots)
         self.unit = max(1e3, largest / LARGEST)  # bytes
-        self._width = self.rungs + kinds * self._qualities * self._tiers + 1
+        self._width = self.rungs + kinds * self._qualities * self._units + 1
         self.columns = self._width * len(horizon.slots)
 
     def _share(self, k: int, rung: int) -> int:
@@ -119,8 +119,8 @@ class _Programme:
 
     def _key(self, k: int, unit: _Unit) -> int:
         """The share of a key unit that is decoded."""
-        of, quality, tier = unit
-        return k * self._width + self.rungs + (of * self._qualities + quality) * self._tiers + tier
+        of, quality, number = unit
+        return k * self._width + self.rungs + (of * self._qualities + quality) * self._units + number
 
     def _carried(self, k: int) -> int:
         return (k + 1) * self._width - 1
@@ -128,11 +128,11 @@ class _Programme:
     def _keys(self, k: int) -> Iterator[_Unit]:
         """All key units that a slot may need."""
         kinds = range(1 if self._groups[k][1] is None else 2)
-        return ((of, q, t) for of in kinds for q in range(self._qualities) for t in range(self._tiers))
+        return ((of, q, n) for of in kinds for q in range(self._qualities) for n in range(self._units))
 
     def _before(self, k: int, unit: _Unit) -> int | None:
         """The share of the same key unit in the last slot before that may need it; None: it is not decoded before."""
-        of, quality, tier = unit
+        of, quality, number = unit
         if of == 0:
             return self._key(k - 1, unit) if k and not self._horizon.slots[k].starts_group else None
         group = self._groups[k][of]
@@ -140,7 +140,7 @@ class _Programme:
             if self._loops[i] != self._loops[k]:
                 break
             if group in self._groups[i]:
-                return self._key(i, (self._groups[i].index(group), quality, tier))
+                return self._key(i, (self._groups[i].index(group), quality, number))
         return None
 
     def objective(self) -> NDArray[np.float64]:
@@ -168,11 +168,11 @@ class _Programme:
         """One rung is shown, with its keys; its bytes pass after its release and after the slot before it."""
         slot = self._horizon.slots[k]
         constraints.add([(self._share(k, rung), 1.0) for rung in range(self.rungs)], 1.0, 1.0)
-        tiers = self._catalogue.manifest.groups[self._groups[k][0]].tiers
-        for of, quality, tier in self._keys(k):
-            key, before = self._key(k, (of, quality, tier)), self._before(k, (of, quality, tier))
-            if of == 0 or tiers[tier].kept:
-                constraints.add([(key, 1.0), *self._users(k, quality, tier)], 0.0, np.inf)
+        units = self._catalogue.manifest.groups[self._groups[k][0]].units
+        for of, quality, number in self._keys(k):
+            key, before = self._key(k, (of, quality, number)), self._before(k, (of, quality, number))
+            if of == 0 or units[number].kept:
+                constraints.add([(key, 1.0), *self._users(k, quality, number)], 0.0, np.inf)
             if before is not None:
                 constraints.add([(key, 1.0), (before, -1.0)], 0.0, np.inf)
         done = [(self._carried(k), 1.0), *((column, -size) for column, size in self.fetched(k))]
@@ -180,24 +180,24 @@ class _Programme:
         if k:
             constraints.add([*done, (self._carried(k - 1), -1.0)], self._horizon.idle_bytes / self.unit, np.inf)
 
-    def _users(self, k: int, quality: int, tier: int) -> Terms:
+    def _users(self, k: int, quality: int, number: int) -> Terms:
         """Minus the share of every rung that needs a key."""
-        levels = self._catalogue.manifest.levels
-        rungs = enumerate(self._catalogue.rungs)
-        return [(self._share(k, rung), -1.0) for rung, (q, j) in rungs if q == quality and levels[j].tiers > tier]
+        m = self._catalogue.manifest
+        rungs = [rung for rung, (q, j) in enumerate(self._catalogue.rungs) if q == quality and number in m.units_of(j)]
+        return [(self._share(k, rung), -1.0) for rung in rungs]
 
     def fetched(self, k: int) -> Terms:
         """Units of bytes that are fetched for slot k, for each share of a variable."""
         slot, c = self._horizon.slots[k], self._catalogue
         state_bytes = c.state_bytes[slot.segment]
         fetched = [(self._share(k, rung), float(state_bytes[j]) / self.unit) for rung, (_, j) in enumerate(c.rungs)]
-        for of, quality, tier in self._keys(k):
-            group, before = self._groups[k][of], self._before(k, (of, quality, tier))
+        for of, quality, number in self._keys(k):
+            group, before = self._groups[k][of], self._before(k, (of, quality, number))
             assert group is not None
-            if not self._loops[k] and (quality, tier) in self._horizon.decoded.get(group, NONE):
+            if not self._loops[k] and (quality, number) in self._horizon.decoded.get(group, NONE):
                 continue
-            size = float(c.key_bytes[group, quality, tier]) / self.unit
-            fetched.append((self._key(k, (of, quality, tier)), size))
+            size = float(c.key_bytes[group, quality, number]) / self.unit
+            fetched.append((self._key(k, (of, quality, number)), size))
             if before is not None:
                 fetched.append((before, -size))
         return fetched

@@ -1,6 +1,6 @@
 """What a package offers a viewer, as numbers: wire bytes and qualities of every choice, for players and bounds.
 
-S segments, G groups, T key tiers, Q key qualities, L levels. A rung is a key quality with a level; rungs are numbered
+S segments, G groups, K key units, Q key qualities, L levels. A rung is a key quality with a level; rungs are numbered
 quality by quality. A position is a segment of a session, which may play the sequence several times.
 """
 
@@ -23,7 +23,7 @@ from airgs_codec.play.ladder import Option, saved_shares
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
 OVER_BUDGET = 1 << 50  # bytes of a rung that shows too many Gaussians: more than any link carries
-KeyUnits = frozenset[tuple[int, int]]  # (key quality, tier) of those units of a group that are decoded
+KeyUnits = frozenset[tuple[int, int]]  # (key quality, unit) of those units of a group that are decoded
 NONE: KeyUnits = frozenset()
 
 
@@ -170,10 +170,8 @@ class Catalogue:
     @cached_property
     def rows(self) -> Rows:
         """(S, Q L) Gaussians that a rung shows: the rows of its key tiers."""
-        last = [self.manifest.levels[j].tiers - 1 for _, j in self.rungs]
-        return Rows(
-            lambda s: np.cumsum([tier.count for tier in self.manifest.groups[self.manifest.group_of(s)].tiers])[last]
-        )
+        m, shown = self.manifest, [self.manifest.units_of(j) for _, j in self.rungs]
+        return Rows(lambda s: np.array([sum(m.groups[m.group_of(s)].units[k].count for k in units) for units in shown]))
 
     def allowed(self, segment: int) -> NDArray[np.bool_]:
         """(Q L,) whether the budget has the Gaussians of a rung."""
@@ -190,10 +188,10 @@ class Catalogue:
 
     @cached_property
     def key_bytes(self) -> Rows:
-        """(G, Q, T) wire bytes of a key unit; 0 for a tier without rows."""
-        shape = (len(self.manifest.qualities), self.manifest.tiers)
+        """(G, Q, K) wire bytes of a key unit; 0 for one without rows."""
+        shape = (len(self.manifest.qualities), self.manifest.units)
         return Rows(
-            lambda g: np.array([self._wire(self.manifest.key_files(g, t, q)) for q, t in np.ndindex(*shape)]).reshape(
+            lambda g: np.array([self._wire(self.manifest.key_files(g, k, q)) for q, k in np.ndindex(*shape)]).reshape(
                 shape
             )
         )
@@ -206,7 +204,7 @@ class Catalogue:
     @cached_property
     def _after(self) -> list[KeyUnits]:
         """What is decoded of a group after each rung, at least."""
-        return [frozenset((q, tier) for tier in range(self.manifest.levels[j].tiers)) for q, j in self.rungs]
+        return [frozenset((q, unit) for unit in self.manifest.units_of(j)) for q, j in self.rungs]
 
     def bytes_at_start(self, segment: int, known: Mapping[int, KeyUnits]) -> NDArray[np.int64]:
         """(1 or Q L, Q L) wire bytes of every rung in the first segment of a group, by the rung in the one before.
@@ -227,7 +225,7 @@ class Catalogue:
             return self._after
         if base != m.base_of(before):
             return [NONE]
-        kept = {tier for tier, entry in enumerate(m.groups[before].tiers) if entry.kept}
+        kept = {unit for unit, entry in enumerate(m.groups[before].units) if entry.kept}
         return [frozenset(unit for unit in units if unit[1] in kept) for units in self._after]
 
     @cached_property
@@ -236,11 +234,11 @@ class Catalogue:
         return Rows(lambda s: np.array(self.sizes(s, NONE)))
 
     def base_bytes(self, group: int) -> NDArray[np.int64]:
-        """(Q, T) wire bytes of key units of the group whose rows a group keeps; 0 for a tier that keeps none."""
+        """(Q, K) wire bytes of key units of the group whose rows a group keeps; 0 for a unit that keeps none."""
         base = self.manifest.base_of(group)
         if base is None:
-            return np.zeros((len(self.manifest.qualities), self.manifest.tiers), np.int64)
-        keeps = [tier.kept > 0 for tier in self.manifest.groups[group].tiers]
+            return np.zeros((len(self.manifest.qualities), self.manifest.units), np.int64)
+        keeps = [unit.kept > 0 for unit in self.manifest.groups[group].units]
         return np.asarray(self.key_bytes[base] * np.array(keeps))
 
     def sizes(self, segment: int, decoded: KeyUnits, of_base: KeyUnits = NONE) -> list[int]:
@@ -253,7 +251,7 @@ class Catalogue:
         group = m.group_of(segment)
         own, base, states = self.key_bytes[group], self.base_bytes(group), self.state_bytes[segment]
         missing = np.where(_absent(decoded, own.shape), own, 0) + np.where(_absent(of_base, own.shape), base, 0)
-        sizes = [int(missing[q, : m.levels[j].tiers].sum() + states[j]) for q, j in self.rungs]
+        sizes = [int(missing[q, m.units_of(j)].sum() + states[j]) for q, j in self.rungs]
         return [size if ok else OVER_BUDGET for size, ok in zip(sizes, self.allowed(segment), strict=True)]
 
     def options(self, segment: int, decoded: KeyUnits, of_base: KeyUnits = NONE) -> tuple[Option, ...]:
@@ -272,17 +270,17 @@ class Catalogue:
     def batch(self, segment: int, rung: int, decoded: KeyUnits, of_base: KeyUnits = NONE) -> Batch:
         """The files that a rung of a segment needs beside the decoded units of its group and of the base.
 
-        They are in tier order, of every tier those of the group first, then those of the group whose rows it keeps.
+        They are in the order of units, of each those of the group first, then those of the group whose rows it keeps.
         """
         m, (q, j) = self.manifest, self.rungs[rung]
         group = m.group_of(segment)
         base = m.base_of(group)
         units = []
-        for t, tier in enumerate(m.groups[group].tiers[: m.levels[j].tiers]):
-            if (q, t) not in decoded:
-                units.append(m.key_files(group, t, q))
-            if base is not None and tier.kept and (q, t) not in of_base:
-                units.append(m.key_files(base, t, q))
+        for k in m.units_of(j):
+            if (q, k) not in decoded:
+                units.append(m.key_files(group, k, q))
+            if base is not None and m.groups[group].units[k].kept and (q, k) not in of_base:
+                units.append(m.key_files(base, k, q))
         return Batch(tuple(path for unit in units for path in unit), tuple(m.state_files(segment, j)))
 
     def index(self, position: int) -> int:
@@ -343,7 +341,7 @@ class Catalogue:
 
 
 def _absent(units: KeyUnits, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """(Q, T) units that are not decoded."""
+    """(Q, K) units that are not decoded."""
     absent = np.ones(shape, np.bool_)
     for unit in units:
         absent[unit] = False

@@ -70,11 +70,16 @@ class KeyStore:
         return units.get(group, NONE), NONE if base is None else units.get(base, NONE)
 
     def shown_tiers(self, position: int, quality: int) -> int:
-        """How many tiers of a key quality, from the first on, can be shown in the group of a position."""
+        """How many tiers of a key quality, from the first on, can be shown of all tiles in the group of a position."""
         own, of_base = self._of(position)
-        tiers = self.catalogue.manifest.groups[self.catalogue.group(position)[1]].tiers
-        there = ((quality, t) in own and (not tier.kept or (quality, t) in of_base) for t, tier in enumerate(tiers))
-        return sum(1 for _ in itertools.takewhile(bool, there))
+        m = self.catalogue.manifest
+        units = m.groups[self.catalogue.group(position)[1]].units
+
+        def there(tier: int) -> bool:
+            places = range(tier, m.units, m.tiers)
+            return all((quality, k) in own and (not units[k].kept or (quality, k) in of_base) for k in places)
+
+        return sum(1 for _ in itertools.takewhile(there, range(m.tiers)))
 
     def missing(self, position: int, rung: int) -> Batch:
         """The files that a rung of the segment at a position still needs."""
@@ -94,6 +99,6 @@ class KeyStore:
         base, arrived = c.manifest.base_of(group), set(arrival.kept)
         units = self._units.setdefault(loop, {})
         for of in (group,) if base is None else (group, base):
-            tiers = range(c.manifest.levels[level].tiers)
-            new = {(quality, t) for t in tiers if arrived.issuperset(c.manifest.key_files(of, t, quality))}
+            wanted = c.manifest.units_of(level)
+            new = {(quality, k) for k in wanted if arrived.issuperset(c.manifest.key_files(of, k, quality))}
             units[of] = units.get(of, NONE) | new

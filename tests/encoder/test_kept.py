@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames
+from airgs_codec.decoder.decode import Part, decode, decode_canonical, decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import APART, EncodeSettings, LevelSettings
 from airgs_codec.errors import FormatError
@@ -17,6 +17,7 @@ from airgs_codec.package.region import MEASURING, draw_views
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.render import render
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.manifests import with_tiers
 from tests.support.regions import region
 from tests.support.rooms import MOVER, room_behind_a_door, room_frames
 from tests.support.scenes import random_gaussians, write_sequence
@@ -54,8 +55,8 @@ def test_the_second_key_of_a_room_costs_only_its_mover(room):
     m = room[0].manifest
     first, second = m.groups
     assert (first.keeps, second.keeps) == (None, 1)
-    assert [t.kept for t in first.tiers] == [0, 0]
-    assert sum(t.kept for t in second.tiers) >= ROWS  # all that stands still, bit by bit
+    assert [t.kept for t in first.units] == [0, 0]
+    assert sum(t.kept for t in second.units) >= ROWS  # all that stands still, bit by bit
     assert second.count == ROWS + round(MOVER * ROWS)
     assert key_bytes(m, 1) <= 0.15 * key_bytes(m, 0)
 
@@ -72,7 +73,7 @@ def test_kept_rows_are_those_of_the_base(room, quality):
     package, _ = room
     first, second = (decode_canonical(package, g, quality) for g in (0, 1))
     m, at, there = package.manifest, 0, 0
-    for tier, base in zip(m.groups[1].tiers, m.groups[0].tiers, strict=True):
+    for tier, base in zip(m.groups[1].units, m.groups[0].units, strict=True):
         rows = {row.tobytes() for row in np.hstack([first.means, first.colours])[there : there + base.count]}
         kept = np.hstack([second.means, second.colours])[at : at + tier.kept]
         assert {row.tobytes() for row in kept} <= rows and len(kept)
@@ -81,9 +82,9 @@ def test_kept_rows_are_those_of_the_base(room, quality):
 
 def test_a_viewer_with_fewer_tiers_has_the_first_rows(room):
     package, _ = room
-    few = next(decode_frames(package, GROUP, GROUP + 1, tiers=1)).gaussians
+    few = next(decode_frames(package, GROUP, GROUP + 1, part=Part(1))).gaussians
     all_ = decode(package, GROUP)
-    np.testing.assert_array_equal(few.means, all_.means[: package.manifest.groups[1].tiers[0].count])
+    np.testing.assert_array_equal(few.means, all_.means[: package.manifest.groups[1].units[0].count])
 
 
 def test_a_base_that_cannot_be_one_is_refused(room):
@@ -93,7 +94,7 @@ def test_a_base_that_cannot_be_one_is_refused(room):
     def opened(*groups):
         return Package(package.files, replace(package.manifest, groups=Groups.of(groups)), 0)
 
-    for base in (replace(first, keeps=1), replace(first, tiers=[replace(t, count=1) for t in first.tiers])):
+    for base in (replace(first, keeps=1), with_tiers(first, [replace(t, count=1) for t in first.units])):
         with pytest.raises(FormatError, match="group/2") as caught:
             decode_canonical(opened(base, second), 1, 0)
         assert caught.value.reason == "bad_value"
@@ -113,7 +114,7 @@ def test_what_changed_is_coded_anew_and_is_the_next_base(tmp_path):
     package, sequence = encoded(tmp_path, frames)
     m = package.manifest
     assert [g.keeps for g in m.groups] == [None, None, 2, 2]
-    assert [sum(t.kept for t in g.tiers) for g in m.groups] == [0, 0, 300, 300]
+    assert [sum(t.kept for t in g.units) for g in m.groups] == [0, 0, 300, 300]
     assert "2 of 4 groups keep 75% of their Gaussians from an earlier one" in m.decisions
     assert exceeded(measure_errors(package, sequence)) == []
 
@@ -125,7 +126,7 @@ def test_what_changed_by_less_than_the_codec_errs_is_kept_and_what_changed_by_mo
     change[:200, 0], change[200:300, 0] = 0.05 * step, 3 * step
     other = replace(one, sh_dc=one.sh_dc + change)
     package, sequence = encoded(tmp_path, [one] * GROUP + [other] * GROUP)
-    kept = sum(t.kept for t in package.manifest.groups[1].tiers)
+    kept = sum(t.kept for t in package.manifest.groups[1].units)
     assert 0.95 * 300 <= kept <= 300
     assert exceeded(measure_errors(package, sequence)) == []
 
@@ -145,6 +146,6 @@ def test_what_a_door_hid_in_the_base_is_coded_anew_where_it_is_seen(tmp_path):
     shut, open_ = (room_behind_a_door(1500, is_open) for is_open in (False, True))
     package, _ = encoded(tmp_path, [shut] * GROUP + [open_] * GROUP)
     second, shown = package.manifest.groups[1], decode(package, GROUP)
-    assert second.keeps == 1 and 0 < sum(t.kept for t in second.tiers) < 1500
+    assert second.keeps == 1 and 0 < sum(t.kept for t in second.units) < 1500
     views = draw_views(package.manifest.region, 6, MEASURING)
     assert psnr(np.mean([mse(render(shown, view).rgb, render(open_, view).rgb) for view in views])) > 44

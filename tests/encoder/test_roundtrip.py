@@ -8,7 +8,7 @@ import pytest
 from airgs_codec.coding.channels import state_channels
 from airgs_codec.coding.grid import cell_bits
 from airgs_codec.coding.steps import StepSettings
-from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key, decode_state
+from airgs_codec.decoder.decode import Part, decode, decode_canonical, decode_frames, decode_key, decode_state
 from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
@@ -100,8 +100,8 @@ def test_any_frame_alone_equals_the_frame_in_sequence(fox):
 
 def test_the_first_tier_alone_gives_the_first_rows(fox):
     whole = [f.gaussians for f in decode_frames(fox, 5, 8)]
-    core = [f.gaussians for f in decode_frames(fox, 5, 8, tiers=1)]
-    count = fox.manifest.groups[1].tiers[0].count
+    core = [f.gaussians for f in decode_frames(fox, 5, 8, part=Part(1))]
+    count = fox.manifest.groups[1].units[0].count
     for a, b in zip(whole, core, strict=True):
         assert len(b) == count < len(a)
         same(a.take(np.arange(count)), b)
@@ -170,7 +170,7 @@ def test_a_coarser_key_quality_has_fewer_bytes_of_positions(fox):
     m = fox.manifest
     assert [quality.coarser for quality in m.qualities] == [0, 1]
     for g, group in enumerate(m.groups):
-        for t, tier in enumerate(group.tiers):
+        for t, tier in enumerate(group.units):
             files = [open_segment(fox.read(m.key_files(g, t, q)[1]), "x").columns or b"" for q in (0, 1)]
             fine, coarse = map(len, files)
             assert fine - coarse > 3 * tier.count / 8  # a bit for each axis, and escapes
@@ -201,7 +201,7 @@ def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(tmp_path):
 
 def test_a_still_scene_has_no_state_at_all(tmp_path):
     package = encoded(tmp_path, moving_frames(50, 1) * 5)
-    assert [level.file.bytes for level in package.manifest.segments[0].levels] == [0, 0, 0, 0]
+    assert [level.bytes for level in package.manifest.segments[0].levels] == [0, 0, 0, 0]
     assert not any(path.startswith("state/") for path in package.manifest.files())
     frames = [f.gaussians for f in decode_frames(package, 0, 5)]
     same(frames[0], frames[4])
@@ -224,7 +224,7 @@ def test_constant_channels_have_no_plane(tmp_path):
         )
     )
     package = encoded(tmp_path, [flat])
-    planes = package.manifest.groups[0].tiers[0].qualities[0].planes
+    planes = package.manifest.groups[0].units[0].qualities[0].planes
     assert not {6, 7, 8, 9} & set(planes)
     shown = decode(package, 0)
     step = package.manifest.groups[0].key_steps

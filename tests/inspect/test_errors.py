@@ -38,15 +38,15 @@ def test_every_atlas_keeps_its_bound_and_the_bound_is_tight(demo_package):
 
 def test_coarser_levels_promise_less(demo_package):
     for group in open_package(demo_package).manifest.groups:
-        errors = np.array([atlas.max_error for atlas in group.levels])
+        errors = np.array([atlas.max_error for atlas in group.tiles[0].levels])
         assert (errors[-1] >= errors[0]).all() and (errors[-1] > errors[0]).any()
 
 
 def test_a_lie_is_found(demo_copy, capsys):
     assert main(["validate", str(demo_copy), "--against", str(FOX)]) == 0
     assert "measured / max_error" in capsys.readouterr().out
-    place = ("levels", 0, "max_error", 0)
-    promised = open_package(demo_copy).manifest.groups[0].levels[0].max_error[0]
+    place = ("tiles", 0, "levels", 0, "max_error", 0)
+    promised = open_package(demo_copy).manifest.groups[0].tiles[0].levels[0].max_error[0]
     on_disk(demo_copy, set_value(place, 0.5 * promised, TABLE), reindexed)
     assert main(["validate", str(demo_copy), "--against", str(FOX)]) == 1
     assert "means: max_error" in capsys.readouterr().out

@@ -98,9 +98,9 @@ def _key_codes(package: Package) -> Iterator[NDArray[np.generic]]:
     for group, row in enumerate(m.groups):
         for quality in range(len(m.qualities)):
             decode_canonical(package, group, quality)
-            for tier in range(m.tiers):
-                if row.tiers[tier].count:
-                    yield decode_key(package, group, tier, quality)[0]
+            for unit in range(m.units):
+                if row.units[unit].count:
+                    yield decode_key(package, group, unit, quality)[0]
 
 
 def _state_codes(package: Package) -> Iterator[NDArray[np.generic]]:
@@ -109,8 +109,9 @@ def _state_codes(package: Package) -> Iterator[NDArray[np.generic]]:
     for index, segment in enumerate(m.segments):
         base, frames = decode_canonical(package, m.group_of(index), 0), segment.stop - segment.start
         for level in range(len(m.levels)):
-            if m.state_files(index, level):
-                yield from decode_state(package, index, level, 0, frames)
+            for tile in range(m.tiles):
+                if m.state_files(index, level, [tile]):
+                    yield from decode_state(package, index, level, 0, frames, tile)
             for _ in decode_segment(package, index, base, level, range(frames)):
                 pass
 

@@ -2,9 +2,9 @@
 
     python -m tests.makers.conformance
 
-Every package under invalid/ is valid/moving (valid/paged for what concerns a page, valid/kept for kept rows) with one
-thing broken, and must be refused for the reason that its name begins with. Encoder bytes may change from one x264 to
-the next; what the packages decode to is pinned in tests/golden.
+Every package under invalid/ is valid/moving (valid/paged for what concerns a page, valid/kept for kept rows,
+valid/tiled for tiles) with one thing broken, and must be refused for the reason that its name begins with. Encoder
+bytes may change from one x264 to the next; what the packages decode to is pinned in tests/golden.
 """
 
 from __future__ import annotations
@@ -58,6 +58,7 @@ from tests.support.rooms import room_frames
 from tests.support.scenes import write_sequence
 
 KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1/1.json"
+TILE_PICTURE = "key/P2/T0/Q0/1.m4s"
 KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE = "key/T0/2.bin", "group/2.json.gz", "group/3.json.gz"
 NO_SPANS = {"frames": [], "segments": [], "bytes": [], "sha256": ""}
 SETTINGS = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keys=APART)
@@ -90,6 +91,10 @@ PACKAGES = {
     ),
     "placed": (frames(2, 0, 1), replace(SETTINGS, key_factors=(1.0,), world=world_from((0, 0, 1), 0.01))),
     "white": (frames(2, 0, 1), replace(SETTINGS, key_factors=(1.0,), region=replace(BALL, background=[1.0, 1.0, 1.0]))),
+    "tiled": (
+        room_frames(24, 4),
+        replace(SETTINGS, keys=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2, tiles=3),
+    ),
     "two-groups-sh1": (frames(40, 1, 5), replace(SETTINGS, group_frames=3, segment_s=0.07)),
 }
 
@@ -99,7 +104,9 @@ def without_moving_rows(files: Files) -> Files:
     root = parse_root(files[JSON_NAME])
     group, coarsest = parse_table(files[TABLE]), root.qualities[-1].coarser
     grid = Grid(**group["grid"])
-    sidecar = unpack_key_sidecar(files[KEY_SIDECAR], group["tiers"][0]["count"], grid, coarsest, KEY_SIDECAR)
+    sidecar = unpack_key_sidecar(
+        files[KEY_SIDECAR], group["tiles"][0]["tiers"][0]["count"], grid, coarsest, KEY_SIDECAR
+    )
     still = replace(sidecar, depths=np.full_like(sidecar.depths, 255))
     return files | {KEY_SIDECAR: pack_key_sidecar(still, grid, coarsest)}
 
@@ -108,7 +115,7 @@ def kept_sidecar(index: int, depth: int) -> Mutation:
     """A sidecar of the second group whose first kept row has this index, and all of them this depth."""
 
     def mutate(files: Files) -> Files:
-        tier = parse_table(files[KEPT_TABLE])["tiers"][0]
+        tier = parse_table(files[KEPT_TABLE])["tiles"][0]["tiers"][0]
         others, kept = tier["count"] - tier["kept"], tier["kept"]
         reader = ColumnReader(files[KEPT_SIDECAR], KEPT_SIDECAR)
         gaps, _ = (reader.column(kept, 1) for _ in range(2))
@@ -200,18 +207,24 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks 
     "bad_value-page-level": (raised,),
     "bad_value-page-short": (shortened,),
     "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
+    "bad_value-tiles": (set_value(("tiles",), 2),),
+    "bad_value-tile-levels": in_table(set_value(("tiles", 1, "levels"), [], TABLE)),
+    "bad_value-tile-box": in_table(set_value(("tiles", 1, "low"), [0, 1e9, 0], TABLE)),
+    "bad_value-tile-files": in_table(set_value(("segments", 0, "levels", 0, "files"), [], TABLE)),
+    "missing_file-tile": (remove_file(TILE_PICTURE),),
+    "foreign_file-tile": (add_file(KEY_PICTURE, b"a tile has a folder\n"),),
     "bad_value-segments": in_table(set_value(("segments", 0, "stop"), 3, TABLE)),
     "bad_value-page-sum": (set_value(("frames", 0), 2, PAGE_TABLE), repaged),
     "bad_value-keeps": in_table(set_value(("keeps",), 2, KEPT_TABLE)),
     "bad_value-keeps-chain": in_table(set_value(("keeps",), 2, LAST_TABLE)),
     "bad_value-keeps-none": in_table(drop_value(("keeps",), KEPT_TABLE)),
-    "bad_value-kept": in_table(set_value(("tiers", 0, "kept"), 1 << 24, KEPT_TABLE)),
-    "missing_field-kept": in_table(drop_value(("tiers", 0, "kept"), KEPT_TABLE)),
+    "bad_value-kept": in_table(set_value(("tiles", 0, "tiers", 0, "kept"), 1 << 24, KEPT_TABLE)),
+    "missing_field-kept": in_table(drop_value(("tiles", 0, "tiers", 0, "kept"), KEPT_TABLE)),
     "bad_sidecar-kept": (kept_sidecar(1 << 20, 0), honest),
     "bad_sidecar-kept-depth": (kept_sidecar(0, 255), honest),
     "unsafe_path": (link_file(KEY_SIDECAR, "Q0/1.m4s"),),
     "missing_entry": in_table(
-        set_value(("tiers", 0, "pictures", 0), {"bytes": 0, "sha256": ""}, TABLE), remove_file(KEY_PICTURE)
+        set_value(("tiles", 0, "tiers", 0, "pictures", 0), {"bytes": 0, "sha256": ""}, TABLE), remove_file(KEY_PICTURE)
     ),
     "missing_file": (remove_file(KEY_PICTURE),),
     "missing_file-group": (remove_file(TABLE),),
@@ -228,7 +241,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks 
     "count_mismatch": (without_moving_rows, honest),
     "bad_picture": (rewrite(KEY_PICTURE, lambda b: b[:-40] + bytes(20)), honest),
     "bad_picture-uuid": (rewrite(KEY_PICTURE, lambda b: box(b"uuid", bytes(20)) + media_alone(b)), honest),
-    "bad_picture-size": in_table(set_value(("tiers", 0, "qualities", 0, "width"), 4096, TABLE)),
+    "bad_picture-size": in_table(set_value(("tiles", 0, "tiers", 0, "qualities", 0, "width"), 4096, TABLE)),
     "doctype": (edit_text(MPD_NAME, "<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD'),),
     "bad_mpd": (edit_text(MPD_NAME, "</MPD>", ""),),
     "foreign_url": (edit_text(MPD_NAME, 'media="state/', 'media="http://example.com/state/'),),
@@ -239,7 +252,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and where -> what breaks 
 
 def source_of(name: str) -> str:
     """The valid package that a broken one is made of."""
-    return "paged" if "-page" in name else "kept" if "-ke" in name else "moving"
+    return "tiled" if "-tile" in name else "paged" if "-page" in name else "kept" if "-ke" in name else "moving"
 
 
 def main() -> None:

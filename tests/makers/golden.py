@@ -20,6 +20,7 @@ from airgs_codec.coding.steps import StepSettings
 from airgs_codec.decoder.decode import decode_key, decode_state
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
+from airgs_codec.package.paths import tile_folder
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX, GOLDEN
@@ -39,22 +40,22 @@ def digests(package: Package) -> dict[str, str]:
     m = package.manifest
     out = {}
     for g, group in enumerate(m.groups):
-        for t, tier in enumerate(group.tiers):
-            for q in range(len(m.qualities) if tier.count else 0):
-                codes, sidecar = decode_key(package, g, t, q)
-                out[f"group {g} T{t} Q{q}"] = digest(codes)
-                out[f"group {g} T{t} Q{q} means"] = sha256(sidecar.codes.astype("<u8").tobytes()).hexdigest()
-                out[f"group {g} T{t} depths"] = sha256(sidecar.depths.tobytes()).hexdigest()
-                if tier.kept:
+        for k, unit in enumerate(group.units):
+            name = f"group {g} {tile_folder(k // m.tiers, m.tiles)}T{k % m.tiers}"
+            for q in range(len(m.qualities) if unit.count else 0):
+                codes, sidecar = decode_key(package, g, k, q)
+                out[f"{name} Q{q}"] = digest(codes)
+                out[f"{name} Q{q} means"] = sha256(sidecar.codes.astype("<u8").tobytes()).hexdigest()
+                out[f"{name} depths"] = sha256(sidecar.depths.tobytes()).hexdigest()
+                if unit.kept:
                     kept = sidecar.kept
-                    out[f"group {g} T{t} kept"] = sha256(kept.rows.astype("<u4").tobytes()).hexdigest()
-                    out[f"group {g} T{t} kept depths"] = sha256(kept.depths.tobytes()).hexdigest()
+                    out[f"{name} kept"] = sha256(kept.rows.astype("<u4").tobytes()).hexdigest()
+                    out[f"{name} kept depths"] = sha256(kept.depths.tobytes()).hexdigest()
     for s, segment in enumerate(m.segments):
-        for j, level in enumerate(segment.levels):
-            for f, codes in enumerate(
-                decode_state(package, s, j, 0, segment.stop - segment.start) if level.file.bytes else []
-            ):
-                out[f"segment {s} L{j} frame {f}"] = digest(codes)
+        for j, p in np.ndindex(len(m.levels), m.tiles):
+            if m.state_files(s, j, [p]):
+                for f, codes in enumerate(decode_state(package, s, j, 0, segment.stop - segment.start, p)):
+                    out[f"segment {s} {tile_folder(p, m.tiles)}L{j} frame {f}"] = digest(codes)
     return out
 
 
@@ -76,6 +77,7 @@ def main() -> None:
             replace(coarse, levels=(LevelSettings(0.0),), key_factors=(1.0,), quality=0.1, steps=fine),
         ),
         "room": (room_frames(ROWS, 4, degree=1), replace(coarse, keys=KEPT, keep_all=True)),
+        "tiles": (room_frames(ROWS // 2, 4, degree=1), replace(coarse, keys=KEPT, keep_all=True, tiles=3)),
     }
     for name, (cut, settings) in cases.items():
         with tempfile.TemporaryDirectory() as folder:

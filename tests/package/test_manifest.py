@@ -117,20 +117,20 @@ def test_a_mutated_table_is_read_or_refused_never_a_crash(where, value):
         (("segments", 0, "levels", 0, "ssim"), []),
         (("segments", 0, "levels", 0, "delta_e"), []),
         (("segments", 0, "levels", 0, "delta_e"), [-0.1, 0.1]),
-        (("segments", 0, "levels", 0, "file", "sha256"), ""),
-        (("segments", 0, "levels", 0, "file"), {"bytes": 0, "sha256": "A" * 32}),
-        (("segments", 0, "levels", 0, "frame_bytes"), [-1, 5]),
+        (("segments", 0, "levels", 0, "files", 0, "sha256"), ""),
+        (("segments", 0, "levels", 0, "files", 0), {"bytes": 0, "sha256": "A" * 32}),
+        (("segments", 0, "levels", 0, "frame_bytes", 0), [-1, 5]),
         (("segments", 0, "stop"), 0),
         (("segments",), []),
         (("stop",), 4),
-        (("levels", 0, "width"), 8),
-        (("levels", 0, "height"), 0),
-        (("levels", 0, "height"), 72),
-        (("levels", 0, "plane_width"), 4096),
-        (("tiers", 0, "qualities", 0, "width"), 4096 + 16),
-        (("tiers", 0, "pictures"), []),
-        (("tiers", 0, "qualities", 0, "planes"), []),
-        (("tiers", 0, "qualities", 0, "centres", 0), 2**31 - 1),
+        (("tiles", 0, "levels", 0, "width"), 8),
+        (("tiles", 0, "levels", 0, "height"), 0),
+        (("tiles", 0, "levels", 0, "height"), 72),
+        (("tiles", 0, "levels", 0, "plane_width"), 4096),
+        (("tiles", 0, "tiers", 0, "qualities", 0, "width"), 4096 + 16),
+        (("tiles", 0, "tiers", 0, "pictures"), []),
+        (("tiles", 0, "tiers", 0, "qualities", 0, "planes"), []),
+        (("tiles", 0, "tiers", 0, "qualities", 0, "centres", 0), 2**31 - 1),
     ],
 )
 def test_claims_of_a_group_that_cannot_be_true_are_refused(place, value):
@@ -188,9 +188,10 @@ def test_claims_of_a_package_that_cannot_be_true_are_refused(place, value):
         ),
         (
             TABLE,
-            ("tiers", 0, "sidecar", "sha256"),
+            ("tiles", 0, "tiers", 0, "sidecar", "sha256"),
             "12",
-            "group/1.json.gz.tiers[0].sidecar.sha256: expected a digest of 32 characters of base64url, got '12'",
+            "group/1.json.gz.tiles[0].tiers[0].sidecar.sha256: expected a digest of 32 characters of base64url, "
+            "got '12'",
         ),
     ],
 )
@@ -253,5 +254,5 @@ def test_ffmpeg_reads_the_mpd_and_decodes_every_state_frame(name):
         command += ["-map", f"0:v:{level}", "-f", "framemd5", "-"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
         pictures = [line for line in done.stdout.splitlines() if not line.startswith("#")]
-        expected = sum(s.stop - s.start for s in m.segments if s.levels[level].file.bytes)
+        expected = sum(s.stop - s.start for s in m.segments if s.levels[level].bytes)
         assert len(pictures) == expected

@@ -25,7 +25,7 @@ def with_a_gap(levels: Sequence[int] = (0, 1, 2)) -> Manifest:
     m = tiny_manifest(groups=(10, 5, 10))
     segments = list(m.segments)
     still = [
-        dataclasses.replace(v, file=NO_FILE, frame_bytes=[]) if j in levels else v
+        dataclasses.replace(v, files=[NO_FILE], frame_bytes=[[]]) if j in levels else v
         for j, v in enumerate(segments[1].levels)
     ]
     return with_segments(m, [segments[0], dataclasses.replace(segments[1], levels=still), segments[2]])

@@ -24,7 +24,7 @@ from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace
-from tests.support.manifests import in_groups, missing, tiny_manifest, units
+from tests.support.manifests import in_groups, missing, tiny_manifest, units, with_tiers
 from tests.support.session_packages import catalogue_of
 
 RULES = SessionSettings(
@@ -43,9 +43,9 @@ def keeping(m, number=2, of=1, kept=(8, 10)):
             qualities=[replace(a, rows=10 - count, planes=a.planes if count < 10 else []) for a in tier.qualities],
             pictures=tier.pictures if count < 10 else [NO_FILE] * len(tier.pictures),
         )
-        for tier, count in zip(group.tiers, kept, strict=True)
+        for tier, count in zip(group.units, kept, strict=True)
     ]
-    groups[number - 1] = replace(group, tiers=tiers, keeps=of)
+    groups[number - 1] = replace(with_tiers(group, tiers), keeps=of)
     return replace(m, groups=in_groups(groups))
 
 
@@ -167,7 +167,7 @@ def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
         for shown in log.shown:
             (quality, level), group = log.catalogue.rungs[shown.rung], m.group_of(shown.segment)
             for tier in range(m.levels[level].tiers):
-                kept = m.groups[group].tiers[tier].kept
+                kept = m.groups[group].units[tier].kept
                 needed = m.key_files(group, tier, quality) + (
                     m.key_files(m.base_of(group), tier, quality) if kept else []
                 )

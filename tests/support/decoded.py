@@ -19,7 +19,7 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, plane_starts, row_places
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
-from airgs_codec.decoder.decode import decode_canonical, decode_frames
+from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.store import Package
 from airgs_codec.package.tables import Atlas
@@ -68,7 +68,12 @@ def write_decoded(
         json.loads(gzip.decompress((folder / f"group/{g + 1}.json.gz").read_bytes())) for g in range(len(m.groups))
     ]
     for group in groups:
-        for atlas in [*group["levels"], *(quality for tier in group["tiers"] for quality in tier["qualities"])]:
+        for atlas in [
+            a
+            for tile in group["tiles"]
+            for row in (tile["levels"], *(t["qualities"] for t in tile["tiers"]))
+            for a in row
+        ]:
             atlas["height"] = _page_height(Atlas(**atlas), pages)
     table = {
         "root": json.loads((folder / "airgs.json").read_bytes()),
@@ -98,8 +103,9 @@ class _Writer:
     def table(self, cameras: Sequence[Camera]) -> Json:
         """Groups -> segments -> frames."""
         m = self.package.manifest
-        at = {"level": self.rung.level, "key_quality": self.rung.quality, "tiers": self.tiers}
-        shown = [self._shown(frame.gaussians, cameras) for frame in decode_frames(self.package, 0, m.frames, **at)]
+        level, quality = self.rung.level, self.rung.quality
+        frames = decode_frames(self.package, 0, m.frames, level=level, key_quality=quality, part=Part(self.tiers))
+        shown = [self._shown(frame.gaussians, cameras) for frame in frames]
         groups = []
         for g in range(len(m.groups)):
             segments = []
@@ -116,13 +122,13 @@ class _Writer:
 
     def _canonical(self, group: int) -> Json:
         base = decode_canonical(self.package, group, self.rung.quality, self.tiers)
-        tiers = self.package.manifest.groups[group].tiers[: self.tiers]
+        units = self.package.manifest.groups[group].units[: self.tiers]  # packages of one tile
         return {
             "means": self.blob.add(base.means.astype(np.float32)),
             "units": self.blob.add(base.motion_units),
             "depths": self.blob.add(base.depths),
             "parts": [
-                part | {"tier": t} for t, tier in enumerate(tiers) if tier.count for part in self._tier(group, t)
+                part | {"tier": t} for t, unit in enumerate(units) if unit.count for part in self._tier(group, t)
             ],
         }
 
@@ -130,8 +136,8 @@ class _Writer:
         """Pictures of a tier that has rows: those of the rows that it keeps, then its own."""
         m = self.package.manifest
         sidecar, *pictures = m.key_files(group, tier, self.rung.quality)
-        base, unit, grid = m.base_of(group), m.groups[group].tiers[tier], m.groups[group].grid
-        kept = unit.kept, 0 if base is None else m.groups[base].tiers[tier].count
+        base, unit, grid = m.base_of(group), m.groups[group].units[tier], m.groups[group].grid
+        kept = unit.kept, 0 if base is None else m.groups[base].units[tier].count
         rows, coarsest = unit.count - unit.kept, m.qualities[-1].coarser
         shared = unpack_key_sidecar(self.package.read(sidecar), rows, grid, coarsest, sidecar, kept)
         if base is not None and unit.kept:
@@ -142,7 +148,7 @@ class _Writer:
 
     def _key(self, group: int, tier: int, media: str, shared: KeySidecar) -> Json:
         m = self.package.manifest
-        unit, grid, quality = m.groups[group].tiers[tier], m.groups[group].grid, self.rung.quality
+        unit, grid, quality = m.groups[group].units[tier], m.groups[group].grid, self.rung.quality
         coarsest = m.qualities[-1].coarser
         file, atlas = open_segment(self.package.read(media), media), unit.qualities[quality]
         reader = ColumnReader(file.columns, media)
@@ -156,7 +162,7 @@ class _Writer:
         m, level = self.package.manifest, self.rung.level
         out = []
         for media in m.state_files(index, level):
-            span, atlas = m.segments[index], m.groups[m.group_of(index)].levels[level]
+            span, atlas = m.segments[index], m.groups[m.group_of(index)].tiles[0].levels[level]
             file = open_segment(self.package.read(media), media)
             jumps = escapes.unpack(file.columns, (span.stop - span.start, len(atlas.planes), atlas.rows), media)
             for t, picture in enumerate(decode_pictures(file.samples, media, atlas.pages)):

@@ -66,14 +66,18 @@ def tiny_manifest(
     def level(j: int, frames: int) -> mf.SegmentLevel:
         size = state_bytes[j]
         return mf.SegmentLevel(
-            mf.FileEntry(size + sidecar_bytes, HASH) if size else mf.NO_FILE,
-            [size // frames] * frames if size else [],
+            [mf.FileEntry(size + sidecar_bytes, HASH) if size else mf.NO_FILE],
+            [[size // frames] * frames if size else []],
             list(psnr[j]) if psnr else [],
             [value - 2 for value in psnr[j]] if psnr else [],
             [0.9] * qualities if psnr else [],
             [0.5 + j] * qualities if psnr else [],
         )
 
+    units = [
+        mf.GroupTier(10, 0, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row])
+        for row in key_bytes
+    ]
     tables = [
         mf.Group(
             start=start,
@@ -85,13 +89,7 @@ def tiny_manifest(
             key_steps=mf.KeySteps(0.1, 0.1, 0.1, 0.1, 0.1),
             state_steps=mf.StateSteps(0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
             colour_transform="",
-            tiers=[
-                mf.GroupTier(
-                    10, 0, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row]
-                )
-                for row in key_bytes
-            ],
-            levels=[atlas] * levels,
+            tiles=[mf.GroupTile([0.0] * 3, [1.0] * 3, units, [atlas] * levels)],
             segments=[mf.Segment(start, stop, [level(j, stop - start) for j in range(levels)])],
             left_out=[],
             repairs=[],
@@ -116,6 +114,12 @@ def tiny_manifest(
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
         tiers=tiers,
+        tiles=1,
         init=mf.FileEntry(50, HASH),
         groups=in_groups(tables, table_bytes),
     )
+
+
+def with_tiers(group: mf.Group, tiers: Sequence[mf.GroupTier]) -> mf.Group:
+    """A group of one tile with other key tiers."""
+    return replace(group, tiles=[replace(group.tiles[0], tiers=list(tiers))])

@@ -27,6 +27,7 @@ from airgs_codec.package.paths import (
     key_media_path,
     key_sidecar_path,
     state_media_path,
+    tile_folder,
 )
 from airgs_codec.package.tables import digest
 
@@ -185,13 +186,16 @@ UNREADABLE = (ValueError, KeyError, TypeError, IndexError, RecursionError, OSErr
 
 def _entries(table: Any, number: int, segment: int) -> Iterator[tuple[str, Any]]:
     """Path and entry of every file of a group, whose first segment has the number `segment`."""
-    for t, tier in enumerate(table["tiers"]):
-        yield key_sidecar_path(t, number), tier["sidecar"]
-        for q, entry in enumerate(tier["pictures"]):
-            yield key_media_path(t, q, number), entry
+    count = len(table["tiles"])
+    for p, tile in enumerate(table["tiles"]):
+        for t, tier in enumerate(tile["tiers"]):
+            yield key_sidecar_path(tile_folder(p, count), t, number), tier["sidecar"]
+            for q, entry in enumerate(tier["pictures"]):
+                yield key_media_path(tile_folder(p, count), t, q, number), entry
     for s, part in enumerate(table["segments"], segment):
         for j, level in enumerate(part["levels"]):
-            yield state_media_path(j, s), level["file"]
+            for p, entry in enumerate(level["files"]):
+                yield state_media_path(tile_folder(p, count), j, s), entry
 
 
 def reindexed(files: Files) -> Files:

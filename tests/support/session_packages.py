@@ -35,15 +35,15 @@ def numbers_of(m: Manifest, name: str, root_bytes: int) -> dict[str, Any]:
 
 
 def _group_numbers(group: mf.Group, table_bytes: int) -> dict[str, Any]:
-    keeps = {"keeps": group.keeps, "kept": [tier.kept for tier in group.tiers]} if group.keeps else {}
+    keeps = {"keeps": group.keeps, "kept": [tier.kept for tier in group.units]} if group.keeps else {}
     return keeps | {
         "table": table_bytes,
-        "sidecars": [tier.sidecar.bytes for tier in group.tiers],
-        "pictures": [[file.bytes for file in tier.pictures] for tier in group.tiers],
+        "sidecars": [tier.sidecar.bytes for tier in group.units],
+        "pictures": [[file.bytes for file in tier.pictures] for tier in group.units],
         "segments": [
             {
                 "frames": segment.stop - segment.start,
-                "bytes": [level.file.bytes for level in segment.levels],
+                "bytes": [level.bytes for level in segment.levels],
                 "psnr": [list(level.psnr) for level in segment.levels],
             }
             for segment in group.segments
@@ -77,7 +77,7 @@ def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
     start = span[0]
     for numbers in part["segments"]:
         levels = [
-            replace(some.segments[0].levels[0], file=_file(size), psnr=psnr)
+            replace(some.segments[0].levels[0], files=[_file(size)], psnr=psnr)
             for size, psnr in zip(numbers["bytes"], numbers["psnr"], strict=True)
         ]
         segments.append(mf.Segment(start, start + numbers["frames"], levels))
@@ -85,7 +85,7 @@ def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
     kept = part.get("kept", [0] * len(part["sidecars"]))
     tiers = [
         replace(
-            some.tiers[0],
+            some.units[0],
             count=count + ROWS * (pictures[0] > 0),
             kept=count,
             sidecar=_file(sidecar),
@@ -93,7 +93,8 @@ def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
         )
         for sidecar, pictures, count in zip(part["sidecars"], part["pictures"], kept, strict=True)
     ]
-    return replace(some, start=span[0], stop=span[1], tiers=tiers, segments=segments, keeps=part.get("keeps"))
+    tiles = [replace(some.tiles[0], tiers=tiers)]
+    return replace(some, start=span[0], stop=span[1], tiles=tiles, segments=segments, keeps=part.get("keeps"))
 
 
 def _file(size: int) -> mf.FileEntry:

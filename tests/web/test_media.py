@@ -122,7 +122,7 @@ PAGED = {"key_quality": 0, "level": 0, "tiers": 1}
 
 def test_atlases_in_pages_are_put_together(frames, encoded):
     m = open_package(encoded / "pages").manifest
-    assert all(atlas.pages > 1 for atlas in (m.groups[0].tiers[0].qualities[0], m.groups[0].levels[0]))
+    assert all(atlas.pages > 1 for atlas in (m.groups[0].units[0].qualities[0], m.groups[0].tiles[0].levels[0]))
     assert frames["pages"]["frames"] == m.frames
     assert all(error <= 1e-6 for error in frames["pages"]["worst"].values()), frames["pages"]
 
@@ -130,7 +130,7 @@ def test_atlases_in_pages_are_put_together(frames, encoded):
 def test_a_group_may_have_no_key_pictures(frames, encoded):
     """All rows of the second group are kept."""
     first, second = open_package(encoded / "still").manifest.groups
-    assert second.keeps == 1 and [tier.kept for tier in second.tiers] == [tier.count for tier in first.tiers]
+    assert second.keeps == 1 and [tier.kept for tier in second.units] == [tier.count for tier in first.units]
     assert frames["still"].get("frames") == 4, frames["still"]
     assert all(error <= 1e-6 for error in frames["still"]["worst"].values()), frames["still"]
 
@@ -315,7 +315,7 @@ def test_decoding_waits_for_the_screen(faults, encoded):
 def test_files_that_are_not_at_hand_are_fetched_where_a_table_leads_to_them(faults):
     unread, nothing, early, waiting, closed = faults["mistakes"]
     assert [error["reason"] for error in (unread, nothing)] == ["missing_entry"] * 2
-    assert early == FOX.manifest.groups[0].tiers[0].count
+    assert early == FOX.manifest.groups[0].units[0].count
     assert [error["name"] for error in (waiting, closed)] == ["AbortError"] * 2
 
 

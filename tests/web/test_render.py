@@ -166,7 +166,7 @@ def test_a_canvas_of_any_size_and_a_background(levels):
 
 def test_what_cannot_be_drawn_is_said(levels):
     said = look(levels, "refusals")["messages"]
-    atlas = json.loads((levels / "scene.json").read_text())["groups"][0]["levels"][0]
+    atlas = json.loads((levels / "scene.json").read_text())["groups"][0]["tiles"][0]["levels"][0]
     samples = atlas["width"] * atlas["height"]
     assert [line.removeprefix("RenderError: ") for line in said] == [
         "a state: expected a level before it, got none",
@@ -203,8 +203,8 @@ def test_bases_jump_in_frames_that_are_shown_and_in_dropped_ones(far, every):
 
 
 def test_an_atlas_of_several_pages_shows_the_same(far):
-    atlas = json.loads((far / "paged.json").read_text())["groups"][0]["levels"][0]
-    whole = json.loads((far / "scene.json").read_text())["groups"][0]["levels"][0]
+    atlas = json.loads((far / "paged.json").read_text())["groups"][0]["tiles"][0]["levels"][0]
+    whole = json.loads((far / "scene.json").read_text())["groups"][0]["tiles"][0]["levels"][0]
     assert atlas["height"] < whole["height"] / 2
     assert_near(look(far, "pictures", data="/data/paged"), 1, range(8), "paged")
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar
 
@@ -58,13 +58,14 @@ class KnownManifest(Manifest):
         """See Manifest."""
         return self._once(("segments", group), lambda: Manifest.segments_of(self, group))
 
-    def key_files(self, group: int, tier: int, quality: int) -> list[str]:
+    def key_files(self, group: int, unit: int, quality: int) -> list[str]:
         """See Manifest."""
-        return self._once((group, tier, quality), lambda: Manifest.key_files(self, group, tier, quality))
+        return self._once((group, unit, quality), lambda: Manifest.key_files(self, group, unit, quality))
 
-    def state_files(self, segment: int, level: int) -> list[str]:
+    def state_files(self, segment: int, level: int, tiles: Iterable[int] | None = None) -> list[str]:
         """See Manifest."""
-        return self._once((segment, level), lambda: Manifest.state_files(self, segment, level))
+        chosen = None if tiles is None else tuple(tiles)
+        return self._once((segment, level, chosen), lambda: Manifest.state_files(self, segment, level, chosen))
 
     def entry(self, path: str) -> FileEntry:
         """See Manifest."""

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_segment, decode_state
+from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames, decode_segment, decode_state
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.region import draw_views
@@ -56,7 +56,7 @@ def ways(scene: Scene, package: Package) -> Iterator[tuple[Place, Callable[[], l
 
 
 def _frames(package: Package, level: int, quality: int, tiers: int | None) -> list[Gaussians]:
-    frames = decode_frames(package, 0, package.manifest.frames, level=level, key_quality=quality, tiers=tiers)
+    frames = decode_frames(package, 0, package.manifest.frames, level=level, key_quality=quality, part=Part(tiers))
     return [frame.gaussians for frame in frames]
 
 
@@ -125,5 +125,5 @@ def _pictures(package: Package, index: int) -> int:
     """Decode the H.264 of a segment's states; gives the number of pictures."""
     m = package.manifest
     (media,) = m.state_files(index, 0)
-    atlas = m.groups[m.group_of(index)].levels[0]
+    atlas = m.groups[m.group_of(index)].tiles[0].levels[0]
     return sum(1 for _ in decode_pictures(open_segment(package.read(media), media).samples, media, atlas.pages))

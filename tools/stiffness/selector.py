@@ -49,11 +49,12 @@ class Offer:
         return Horizon(cast(Catalogue, self._catalogue()), slots, {})
 
     def _catalogue(self) -> SimpleNamespace:
-        group = SimpleNamespace(tiers=[SimpleNamespace(kept=0)])
-        levels = [SimpleNamespace(tiers=1)] * self.sizes.shape[1]
+        group = SimpleNamespace(units=[SimpleNamespace(kept=0)])
+        levels = range(self.sizes.shape[1])
         manifest = SimpleNamespace(
             qualities=[None],
-            tiers=1,
+            units=1,
+            units_of=lambda level: [0],
             levels=levels,
             groups=[group] * len(self.sizes),
             group_of=lambda s: s,

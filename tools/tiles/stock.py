@@ -42,5 +42,5 @@ class Stock:
         self._states.add((turn, segment, level))
         held = self._keys.get(place, NONE)
         self.bytes += c.sizes(segment, held)[c.rungs.index(rung)]
-        tiers = range(c.manifest.levels[level].tiers)
+        tiers = c.manifest.units_of(level)
         self._keys[place] = held | {(quality, tier) for tier in tiers}

@@ -34,7 +34,9 @@ def name_of(frames: str, views: ViewPlan, settings: EncodeSettings) -> str:
     That is every frame of the group, since the repair of one frame changes the rows of all, and the usage that the
     trainer left, all of which `frames` names; the views that decide, the settings and the versions of the code.
     """
-    choices = replace(settings, quality=1.0, calibrate="none", measure_pictures=0, threads=1, device="auto", world=None)
+    choices = replace(
+        settings, quality=1.0, calibrate="none", tiles=1, measure_pictures=0, threads=1, device="auto", world=None
+    )
     return digest(
         __version__, REVISION, library_versions(), choices, frames, views.deciding, views.trusted, views.renderer
     )

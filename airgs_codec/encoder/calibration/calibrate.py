@@ -48,7 +48,7 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
 
     Which updates the top level withholds decides what states cost, so that it is guessed before steps are solved for.
     """
-    subject = Subject.of(sequence, survey, replace(settings, quality=1.0))
+    subject = Subject.of(sequence, survey, replace(settings, quality=1.0, tiles=1))
     sample, withholding = subject.sample(float(sequence.fps)), Withholding.of(subject)
     top = sample
     if settings.calibrate == "ladder":

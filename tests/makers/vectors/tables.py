@@ -64,11 +64,11 @@ class Tables:
 
     def sidecar(self, group: int, tier: int) -> str | None:
         """The sidecar of a key tier; None where it has no rows."""
-        return f"key/T{tier}/{group + 1}.bin" if self.groups[group]["tiers"][tier]["count"] else None
+        return f"key/T{tier}/{group + 1}.bin" if self.groups[group]["tiles"][0]["tiers"][tier]["count"] else None
 
     def picture(self, group: int, tier: int, quality: int) -> str | None:
         """The picture of a key tier; None where all of its rows are kept or it has none."""
-        unit = self.groups[group]["tiers"][tier]
+        unit = self.groups[group]["tiles"][0]["tiers"][tier]
         return f"key/T{tier}/Q{quality}/{group + 1}.m4s" if unit["count"] > unit["kept"] else None
 
     def base_of(self, group: int) -> int | None:
@@ -78,7 +78,7 @@ class Tables:
 
     def state(self, group: int, segment: int, level: int) -> str | None:
         """The pictures of a segment of the group; None where there is nothing to fetch."""
-        found = self.groups[group]["segments"][segment]["levels"][level]["file"]["bytes"]
+        found = self.groups[group]["segments"][segment]["levels"][level]["files"][0]["bytes"]
         return f"state/L{level}/{self.segments_before(group) + segment + 1}.m4s" if found else None
 
     def first_files(self, frame: int, quality: int, level: int, tiers: int) -> list[str]:
@@ -91,7 +91,7 @@ class Tables:
             found.append(list(self.group_paths())[base])
         for tier in range(tiers):
             found += [self.sidecar(group, tier), self.picture(group, tier, quality)]
-            if base is not None and self.groups[group]["tiers"][tier]["kept"]:
+            if base is not None and self.groups[group]["tiles"][0]["tiers"][tier]["kept"]:
                 found += [self.sidecar(base, tier), self.picture(base, tier, quality)]
         found.append(self.state(group, self.segment_at(frame), level))
         return [path for path in found if path]
