@@ -28,11 +28,12 @@ from airgs_codec.train.data.pictures import View, pictures_for
 from airgs_codec.train.data.plates import find_plates
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit.parameters import Parameters
+from airgs_codec.train.frames import Capture
 from airgs_codec.train.quality import mean_psnr
 from airgs_codec.train.record import Model, read_model
-from airgs_codec.train.run import Run, frame_before
+from airgs_codec.train.run import frame_before
 from airgs_codec.train.settings import settings_from_table
-from airgs_codec.train.stages import FrameBefore, FrameViews, Trainer, make_trainer
+from airgs_codec.train.stages import FrameBefore, FrameViews, Trainer
 
 WARM = (25, 50, 100, 200, 400, 800, 1500)  # iterations
 SCRATCH = (200, 300, 400, 500, 600, 800, 1200, 2500)
@@ -87,15 +88,12 @@ def open_case(scene_folder: Path, model_folder: Path, frame: int | None, max_siz
     if max_size is not None:
         settings = replace(settings, max_size=max_size)
     scene = with_held_out(open_scene(scene_folder), None)
-    pictures = pictures_for(scene, settings)
-    if model.record.exposure:
-        pictures = pictures.with_exposure(model.record.exposure)
-    trainer = make_trainer(settings, pictures.train(0), scene.points, "cpu")
-    before = frame_before(model, frame)
-    steps = trainer.steps(before.gaussians, pictures.train(frame - 1))
-    plates = find_plates(scene, pictures_for(scene, settings)) if settings.knows_rest else {}
-    target = Run(scene, pictures, model, trainer, plates).target(frame)
-    return Case(trainer, target, before, steps, pictures.held_out(frame))
+    capture = Capture.of(scene, pictures_for(scene, settings), settings, "cpu")
+    plates = find_plates(scene, capture.pictures) if settings.knows_rest else {}
+    capture = replace(capture.with_exposure(model.record.exposure), plates=plates)
+    before, pictures = frame_before(model, frame), capture.pictures
+    steps = capture.trainer.steps(before.gaussians, pictures.train(frame - 1))
+    return Case(capture.trainer, capture.target(frame, frame - 1), before, steps, pictures.held_out(frame))
 
 
 def chosen_frame(model: Model, frame: int | None) -> int:

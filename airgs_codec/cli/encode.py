@@ -84,7 +84,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--idle", type=float, default=30.0, metavar="SECONDS", help="see --follow (default: 30)")
     parser.add_argument("--json", action="store_true", help="print a JSON report instead of a table")
     add_encoding(parser)
-    add_work(parser)
+    add_work(parser, "nothing is published: airgs-manifest merge does that")
+    parser.add_argument("--report", type=Path, metavar="FILE.html", help="write a page on who did which job, and when")
     return parser
 
 

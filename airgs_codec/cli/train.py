@@ -11,9 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
-from airgs_codec.cli.common import add_device, expect_rate, fraction, parse_frames, run_command
-from airgs_codec.cli.training import default_model, default_settings, pose_rig, require_torch, run_training
+from airgs_codec.cli.common import Bar, add_device, expect_rate, fraction, parse_frames, run_command
+from airgs_codec.cli.training import (
+    default_model,
+    default_settings,
+    follow_training,
+    pose_rig,
+    require_torch,
+    run_training,
+)
+from airgs_codec.cli.work import add_work, shared_by, told_work
 from airgs_codec.errors import ConfigError
+from airgs_codec.jobs.job import Record
+from airgs_codec.jobs.report import NAME as JOBS_NAME
+from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.train.data.readers import open_scene
@@ -21,6 +32,7 @@ from airgs_codec.train.settings import DELTAS, FIRST_A_VIEW, PRESETS, STATIC, Te
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.train.record import Model
+    from airgs_codec.train.run import Run
 
 DEFAULTS = TrainSettings()
 
@@ -42,6 +54,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--report", type=Path, metavar="DIR", help="write curves, pictures, error maps and a page")
     parser.add_argument("--json", action="store_true", help="print the record as JSON instead of a line a frame")
     add_device(parser, "where it runs")
+    add_work(parser, "no model is written: the same command without --part does that")
     _add_pictures(parser.add_argument_group("pictures"))
     _add_rig(parser.add_argument_group("videos without poses"))
     _add_method(parser.add_argument_group("method"))
@@ -110,6 +123,7 @@ def _add_method(group: argparse._ArgumentGroup) -> None:
         f"(default: {','.join(map(str, counts))}; of a first frame at least {FIRST_A_VIEW} for each view)",
     )
     _add_setting(group, "--iteration-views", "iteration_views", int, "N", "1; 4 on CUDA")
+    _add_setting(group, "--group-frames", "group_frames", int, "N", "one chunk")
     _add_setting(group, "--seed", "seed", int, "N")
 
 
@@ -141,17 +155,59 @@ def _run(args: argparse.Namespace) -> int:
         require_matplotlib("--report")
         if args.report.exists() and not args.report.is_dir():
             raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
-    renderer = open_renderer(args.device)
-    settings = _settings(args, renderer.device)
+    elsewhere = args.executor and args.device == "cuda"  # the workers have it
+    renderer = open_renderer("auto" if elsewhere else args.device)
+    device = "cuda" if elsewhere else renderer.device
+    settings = _settings(args, device)
+    if settings.group_frames is None and (option := shared_by(args)):
+        raise ConfigError(f"{option}: expected --group-frames, without which no frame is fitted before the last one")
     scene = _scene(args)
     if settings.background is None and scene.background != BLACK and not args.json:
         print(f"{args.scene}: its pictures are before a background of {','.join(f'{c:g}' for c in scene.background)}")
     folder = args.output or default_model(args.scene)
-    run = open_run(scene, folder, settings, resume=args.resume, device=renderer.device)
-    model = run_training(run, quiet=args.json)
+    if args.part:
+        return _train_part(args, scene, settings, device)
+    run = open_run(scene, folder, settings, resume=args.resume, device=device)
+    jobs: Sequence[Record] = ()
+    if shared_by(args):
+        jobs = _train_in_jobs(args, run)
+    else:
+        run_training(run, quiet=args.json)
+    model = run.model
     if args.report:
-        write_report(model, run.pictures.with_exposure(model.record.exposure), args.report, renderer)
+        write_report(model, run.pictures.with_exposure(model.record.exposure), args.report, renderer, jobs)
     print(json.dumps(summary(model)) if args.json else as_words(model, args.report))
+    return 0
+
+
+def _train_in_jobs(args: argparse.Namespace, run: Run) -> list[Record]:
+    """Train by jobs; gives who did which."""
+    from airgs_codec.train.chunk_jobs import train_in_jobs
+
+    bar = Bar(args.json)
+    try:
+        with told_work(args, bar) as work:
+            follow_training(run, train_in_jobs(run, work), bar, quiet=args.json)
+            return work.records()
+    finally:
+        bar.close()
+
+
+def _train_part(args: argparse.Namespace, scene: MultiviewScene, settings: TrainSettings, device: str) -> int:
+    """Do the jobs, and write no model."""
+    from airgs_codec.train.chunk_jobs import train_part
+
+    bar = Bar(args.json)
+    try:
+        with told_work(args, bar) as work:
+            train_part(scene, settings, device, work)
+            records = work.records()
+    finally:
+        bar.close()
+    if args.report:
+        args.report.mkdir(parents=True, exist_ok=True)
+        write_jobs(args.report / JOBS_NAME, records)
+    print(f"{args.work}: all jobs are done; the same command without --part writes the model")
     return 0
 
 

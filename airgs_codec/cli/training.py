@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import sys
+from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -60,12 +61,18 @@ def pose_rig(scene: Path, *, frame: int = 0, shared_lens: bool = False, quiet: b
 
 
 def run_training(run: Run, *, quiet: bool) -> Model:
-    """Train with a progress bar and a line for each frame, and the warnings of the run once each."""
+    """Train frame after frame with a progress bar; `follow_training` says what is done."""
     from airgs_codec.train.run import train_frames
 
-    bar, said = Bar(quiet), set[str]()
+    bar = Bar(quiet)
+    return follow_training(run, train_frames(run, bar), bar, quiet=quiet)
+
+
+def follow_training(run: Run, records: Iterable[FrameRecord], bar: Bar, *, quiet: bool) -> Model:
+    """A line for each frame as it is kept, and the warnings of the run once each."""
+    said = set[str]()
     try:
-        for record in train_frames(run, bar):
+        for record in records:
             bar.close()
             if not quiet:
                 print(frame_line(record), flush=True)

@@ -20,8 +20,8 @@ from airgs_codec.progress import Progress
 DASK = re.compile(r"dask(?::(.+))?")
 
 
-def add_work(parser: argparse.ArgumentParser) -> None:
-    """The options --jobs, --executor, --work, --part and --report."""
+def add_work(parser: argparse.ArgumentParser, merged: str) -> None:
+    """The options --jobs, --executor, --work and --part; `merged`: what makes a whole of the work of all parts."""
     group = parser.add_argument_group("work (docs/farm.md)")
     group.add_argument("--jobs", type=int, default=1, metavar="N", help="processes that share the work (default: 1)")
     group.add_argument(
@@ -40,10 +40,14 @@ def add_work(parser: argparse.ArgumentParser) -> None:
         "--part",
         type=_part,
         metavar="I/N",
-        help="one of N runs that share --work, counted from 1, which do the jobs together; nothing is published: "
-        "airgs-manifest merge does that",
+        help=f"one of N runs that share --work, counted from 1, which do the jobs together; {merged}",
     )
-    group.add_argument("--report", type=Path, metavar="FILE.html", help="write a page on who did which job, and when")
+
+
+def shared_by(args: argparse.Namespace) -> str | None:
+    """The first of these options that is given; None where one process does everything by itself."""
+    given = {"--jobs": args.jobs != 1, "--executor": args.executor, "--work": args.work, "--part": args.part}
+    return next((name for name, value in given.items() if value), None)
 
 
 def _part(text: str) -> Part:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import dask
@@ -14,12 +15,13 @@ from distributed.scheduler import KilledWorker
 
 from airgs_codec._settings import available_cores
 from airgs_codec.errors import AirgsError, WorkError
-from airgs_codec.jobs.engines import DEATHS
+from airgs_codec.jobs.engines import DEATHS, NOTHING, Calls, Needs
 from airgs_codec.render.cpu import use_threads
 
 RETRIES = 2  # of a call that fails because its machine does: its disk, its network
 WAITING = 4  # calls for each thread of the cluster that are sent ahead
 CONNECT_S = 20
+WORKER_S = 60  # for a worker that has what jobs need, to come
 GONE = "the Dask scheduler does not answer any more; begin again to go on"
 
 
@@ -48,11 +50,15 @@ class DaskEngine:
             cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None)
         return DaskEngine(Client(cluster), cluster, max(1, available_cores() // count))
 
-    def map(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
+    def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
         """What `function` gives for each tuple of arguments, as they are finished.
 
-        Raises what a call raises first, WorkError where workers die of a call, or the scheduler is gone.
+        `needs`: what workers of a cluster that others run must have been started with. Raises what a call raises first,
+        WorkError where workers die of a call, none has what is needed, or the scheduler is gone.
         """
+        resources = {} if self._cluster else dict(needs)
+        if resources and calls:
+            self._expect(resources)
         todo = iter(calls)
         waiting = as_completed(raise_errors=True)
         most = WAITING * max(1, sum(self._client.nthreads().values()))
@@ -61,7 +67,11 @@ class DaskEngine:
             call = next(todo, None)
             if call is None:
                 return False
-            waiting.add(self._client.submit(_call, self._threads, function, *call, pure=False, retries=RETRIES))
+            waiting.add(
+                self._client.submit(
+                    _call, self._threads, function, *call, pure=False, retries=RETRIES, resources=resources
+                )
+            )
             return True
 
         try:
@@ -82,6 +92,20 @@ class DaskEngine:
             raise WorkError(GONE) from error
         finally:
             waiting.clear()
+
+    def _expect(self, resources: dict[str, float]) -> None:
+        """Wait a while for a worker that has them: it may be starting still. Raises WorkError where none comes."""
+        until = time.monotonic() + WORKER_S
+        while True:
+            workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+            if any(all(w["resources"].get(name, 0) >= n for name, n in resources.items()) for w in workers):
+                return
+            if time.monotonic() > until:
+                break
+            time.sleep(0.2)
+        wanted = " ".join(f"{name}={n:g}" for name, n in resources.items())
+        got = f"got {len(workers)} without" if workers else "got no worker at all"
+        raise WorkError(f"--executor dask: expected a worker started with --resources {wanted!r}, {got}")
 
     def close(self) -> None:
         """Leave the cluster; one that was made here ends."""

@@ -8,7 +8,7 @@ import json
 from collections.abc import Mapping
 from fractions import Fraction
 from functools import cache
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -55,12 +55,22 @@ def _add(h: hashlib._Hash, value: Any) -> None:
 
 
 @cache
-def code_digest() -> str:
+def code_digest(*libraries: str) -> str:
     """SHA-256 of this package's own code and of the versions of what it computes with.
 
-    Results of other versions are not taken.
+    `libraries`: further packages whose versions count, where they are installed. Results of other versions are not
+    taken.
     """
-    h = hashlib.sha256(json.dumps([library_versions(), np.__version__, version("numba")], sort_keys=True).encode())
+    more = {name: _version(name) for name in libraries}
+    versions = [library_versions(), np.__version__, version("numba"), more]
+    h = hashlib.sha256(json.dumps(versions, sort_keys=True).encode())
     for path in sorted(PACKAGE.rglob("*.py")):
         h.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
     return h.hexdigest()
+
+
+def _version(name: str) -> str | None:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None

@@ -8,7 +8,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -20,14 +20,19 @@ from airgs_codec.errors import WorkError
 DEATHS = 3  # of workers that a job may cause before it is given up
 LEAVE_S = 5.0  # for a process to remove what it has begun
 
+Calls = Sequence[tuple[Any, ...]]  # the arguments of each
+Needs = Mapping[str, float]  # how much of which resource a call takes of its worker, as {"GPU": 1}
+NOTHING: Needs = {}
+
 
 class Engine(Protocol):
     """Calls functions somewhere."""
 
-    def map(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
+    def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
         """What `function` gives for each tuple of arguments, as they are finished.
 
-        Raises what a call raises first; others are given up then. WorkError where its workers die.
+        `needs`: resources that the worker of each call must have, where workers are told apart. Raises what a call
+        raises first; others are given up then. WorkError where its workers die, or none has what is needed.
         """
 
     def close(self) -> None:
@@ -38,7 +43,7 @@ class Engine(Protocol):
 class InProcess:
     """One call after the other, here."""
 
-    def map(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
+    def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
         """What `function` gives for each tuple of arguments, in their order. Raises what a call raises."""
         for call in calls:
             yield function(*call)
@@ -56,7 +61,7 @@ class Processes:
         self._threads = threads or max(1, available_cores() // count)
         self._pool: ProcessPoolExecutor | None = None
 
-    def map(self, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> Iterator[Any]:
+    def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
         """What `function` gives for each tuple of arguments, as they are finished.
 
         Raises what a call raises first, WorkError where DEATHS processes have died one after another.

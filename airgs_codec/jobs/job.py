@@ -6,8 +6,8 @@ import os
 import pickle
 import platform
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from airgs_codec.errors import WorkError
@@ -32,6 +32,8 @@ class Job:
     function: Callable[..., Any]  # of a module, so that other processes find it
     arguments: tuple[Any, ...] = ()  # each may be `Stored`
     code: str = ""  # that makes the result (`digest.code_digest`); empty: any
+    libraries: tuple[str, ...] = ()  # that `code` counts in
+    needs: Mapping[str, float] = field(default_factory=dict)  # resources of a worker, as {"GPU": 1}
 
     @property
     def result(self) -> Stored:
@@ -65,8 +67,9 @@ def perform(store: Store, job: Job) -> Record:
     Raises what the function raises, LostResultError where something that it reads is not in the store, and WorkError on
     a worker with another version of this package or its libraries.
     """
-    if job.code not in ("", code_digest()):
-        version = "expected the version of airgs-codec, numpy, numba and FFmpeg that the command has, got another one"
+    if job.code not in ("", code_digest(*job.libraries)):
+        names = ", ".join(["airgs-codec", "numpy", "numba", *job.libraries])
+        version = f"expected the version of {names} and FFmpeg that the command has, got another one"
         raise WorkError(f"worker {platform.node()}: {version}")
     known = read_record(store, job.entry)
     if known is not None and store.has(job.entry):

@@ -11,6 +11,7 @@ from airgs_codec._files import write_bytes
 from airgs_codec._report import new_figure, page
 from airgs_codec.jobs.job import Record
 
+NAME = "jobs.html"  # of the page where it lies beside others
 WIDTH, ROW_HEIGHT = 11.0, 0.35  # inches
 STYLE = "td,th{padding:.1rem 1.2rem .1rem 0;text-align:right}td:first-child,th:first-child{text-align:left}"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -10,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.errors import WorkError
+from airgs_codec.jobs.digest import code_digest, digest
 from airgs_codec.jobs.engines import Engine, InProcess
-from airgs_codec.jobs.job import Job, LostResultError, Record, load, perform, read_record
+from airgs_codec.jobs.job import Job, LostResultError, Record, Stored, load, perform, read_record
 from airgs_codec.jobs.store import Store, WorkFolder
 from airgs_codec.progress import Progress, silent
 
@@ -43,7 +45,7 @@ class Work:
     asked: dict[str, Job] = field(default_factory=dict)  # all jobs so far by their entries, in order
 
     def run(self, jobs: Sequence[Job]) -> None:
-        """Do all jobs whose results are not there; they are of one kind, and none reads what another gives.
+        """Do all jobs whose results are not there; they are of one kind and need the same, none what another gives.
 
         Raises what a job raises, WorkError where workers die of it, OSError (TransportError) where the store fails.
         """
@@ -61,7 +63,10 @@ class Work:
     def _run_missing(self, unique: Sequence[Job]) -> None:
         missing = [job for job in self.part.order(unique) if not self.store.has(job.entry)]
         done = len(unique) - len(missing)
-        for _ in self.engine.map(perform, [(self.store, job) for job in missing]):
+        if not missing:
+            return
+        self.progress(missing[0].kind, done, len(unique))
+        for _ in self.engine.map(perform, [(self.store, job) for job in missing], missing[0].needs):
             done += 1
             self.progress(unique[0].kind, done, len(unique))
 
@@ -75,6 +80,13 @@ class Work:
         if found is None:
             raise WorkError(f"{self.store.name}: expected the result that was just written, {job.entry[:12]}, got none")
         return found[0]
+
+    def put(self, value: Any) -> Stored:
+        """A value as an argument of jobs, stored once by the name of its content. Raises TypeError as `digest` does."""
+        entry = digest(code_digest(), value)
+        if not self.store.has(entry):
+            self.store.write(entry, pickle.dumps(value, protocol=5))
+        return Stored(entry)
 
     def map(self, stage: str, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> list[Any]:
         """What a function gives for each tuple of arguments, in their order; nothing is stored."""

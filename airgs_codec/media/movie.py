@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
@@ -43,6 +44,7 @@ class VideoReader:
     def __init__(self, path: Path) -> None:
         """Opens the first video stream. Raises SceneError."""
         self._path = path
+        self._reading = threading.Lock()
         self._last: NDArray[np.uint8] | None = None  # the frame before `_next`, where it was asked for
         self._open()
         stream = self._container.streams.video[0]
@@ -51,7 +53,14 @@ class VideoReader:
         self.frames = stream.frames or self._count()
 
     def read(self, number: int) -> NDArray[np.uint8]:
-        """(H, W, 3) frame `number`. Raises SceneError when the video ends before it or cannot be decoded."""
+        """(H, W, 3) frame `number`; threads wait for each other.
+
+        Raises SceneError when the video ends before it or cannot be decoded.
+        """
+        with self._reading:
+            return self._read(number)
+
+    def _read(self, number: int) -> NDArray[np.uint8]:
         if number == self._next - 1 and self._last is not None:
             return self._last
         if number < self._next:

@@ -51,6 +51,16 @@ class FrameRecord:
     seconds: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainedFrame:
+    """A finished frame, and what is known with it."""
+
+    gaussians: Gaussians
+    record: FrameRecord
+    networks: Mapping[str, np.ndarray] | None = None  # their weights after the frame; None: frames move without
+    exposure: Exposure = field(default_factory=dict)  # that was found at the first frame
+
+
 @dataclass(frozen=True, slots=True)
 class Record:
     """A run so far."""
@@ -108,33 +118,36 @@ class Model:
         """A finished frame. Raises SceneError when it cannot be read."""
         return read_ply(self._path(frame))
 
-    def commit(
-        self,
-        g: Gaussians,
-        frame: FrameRecord,
-        networks: Mapping[str, np.ndarray] | None = None,
-        exposure: Exposure | None = None,
-    ) -> None:
-        """Keep a finished frame; from here on the run goes on behind it.
-
-        `networks`: their weights after the frame. `exposure`: what was found at the first frame.
-        """
+    def commit(self, trained: TrainedFrame) -> FrameRecord:
+        """Keep a finished frame, which is the next one; from here on the run goes on behind it. Gives its record."""
+        frame = trained.record
         with atomic_path(self._path(frame.frame)) as temporary:
-            write_ply(temporary, g)
-        if networks is not None:
+            write_ply(temporary, trained.gaussians)
+        if trained.networks is not None:
             with atomic_path(self._networks(frame.frame)) as temporary:
-                _save(temporary, networks)
-        found = dict(exposure or self.record.exposure)
+                _save(temporary, trained.networks)
+        found = dict(trained.exposure or self.record.exposure)
         self.record = replace(self.record, frames=(*self.record.frames, frame), exposure=found)
-        red, green, blue = self.record.scene.get("background", BLACK)
-        write_settings(self.folder, Fraction(self.record.fps), self.record.keyframes(), (red, green, blue))
+        self._write_settings()
         self.write_record()
         if frame.frame:
             self._networks(frame.frame - 1).unlink(missing_ok=True)
+        return frame
+
+    def keep_first(self, count: int) -> None:
+        """Forget all frames behind the first `count`."""
+        self.record = replace(self.record, frames=self.record.frames[:count])
+        self._write_settings()
+        self.write_record()
+        self.remove_leftovers()
 
     def write_record(self) -> None:
         """Write the record; the folder is this run's from then on."""
         write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(self.record)})
+
+    def _write_settings(self) -> None:
+        red, green, blue = self.record.scene.get("background", BLACK)
+        write_settings(self.folder, Fraction(self.record.fps), self.record.keyframes(), (red, green, blue))
 
     def write_cameras(self, transforms: dict[str, Any]) -> None:
         """Write the cameras of the run as transforms.json."""

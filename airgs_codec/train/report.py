@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from airgs_codec._report import new_figure, page, save_figure
 from airgs_codec.errors import ConfigError
+from airgs_codec.jobs.job import Record as Job
+from airgs_codec.jobs.report import NAME as JOBS_NAME
+from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.media.image import label, to_bytes, write_png
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.train.data.pictures import Pictures
@@ -25,10 +28,13 @@ _BLUE, _ORANGE, _GREEN, _RED = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b"
 ERROR_GAIN = 5  # of the error maps
 
 
-def write_report(model: Model, pictures: Pictures, directory: Path, renderer: Renderer = CPU) -> Path:
+def write_report(
+    model: Model, pictures: Pictures, directory: Path, renderer: Renderer = CPU, jobs: Sequence[Job] = ()
+) -> Path:
     """Write training.png, frame-*.png and index.html into a directory, and give the path of the page.
 
-    Raises ConfigError when they cannot be written, or without matplotlib.
+    `jobs`: that the run was trained by, of which jobs.html tells; none: it was not trained by jobs. Raises ConfigError
+    when they cannot be written, or without matplotlib.
     """
     records = model.record.frames
     try:
@@ -38,7 +44,9 @@ def write_report(model: Model, pictures: Pictures, directory: Path, renderer: Re
         for frame, name in shown.items():
             write_png(directory / name, compare(model, pictures, frame, renderer))
         path = directory / "index.html"
-        path.write_text(_page(model, shown), encoding="utf-8")
+        if jobs:
+            write_jobs(directory / JOBS_NAME, jobs)
+        path.write_text(_page(model, shown, JOBS_NAME if jobs else None), encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{directory}: cannot write the report: {error}") from error
     return path
@@ -118,7 +126,7 @@ def frames_to_show(records: Sequence[FrameRecord]) -> list[int]:
     return sorted({records[0].frame, *keys, worst.frame, records[-1].frame})
 
 
-def _page(model: Model, shown: dict[int, str]) -> str:
+def _page(model: Model, shown: dict[int, str], jobs: str | None) -> str:
     records = model.record.frames
     held_out = [r.held_out_psnr for r in records if r.held_out_psnr is not None]
     facts = {
@@ -135,5 +143,6 @@ def _page(model: Model, shown: dict[int, str]) -> str:
     pictures = "".join(f'<h2>Frame {frame}</h2><img src="{name}" alt="frame {frame}">' for frame, name in shown.items())
     curves = '<img src="training.png" alt="PSNR, Gaussians, static updates and seconds a frame">'
     warnings = "".join(f"<p>Warning: {html.escape(warning)}</p>" for warning in model.record.warnings())
-    body = f"<table>{rows}</table>{warnings}{curves}{pictures}<h2>Settings</h2><p><code>{settings}</code></p>"
+    link = f'<p><a href="{jobs}">Who did which job, and when</a></p>' if jobs else ""
+    body = f"<table>{rows}</table>{link}{warnings}{curves}{pictures}<h2>Settings</h2><p><code>{settings}</code></p>"
     return page(f"Training of {model.folder.name}", body, style="code{overflow-wrap:anywhere}")

@@ -57,6 +57,11 @@ class TrainSettings:
     regularised: bool = setting(
         True, "weigh opacity and scale in the loss of a first frame, so that empty space stays so"
     )
+    group_frames: int | None = setting(
+        None,
+        "frames of a chunk, which begins with a keyframe that starts from the first frame of the run, so that chunks "
+        "can be trained apart; None: every frame follows the one before",
+    )
     temporal: Temporal = computed_setting(Temporal, "weight, unit and end of the temporal loss")
     velocity: bool = setting(True, "start a frame where its Gaussians would be if they moved on as before")
     min_psnr_db: float = setting(30.0, "mean PSNR over training views below which a frame becomes a keyframe")
@@ -115,6 +120,10 @@ class TrainSettings:
             (self.capacity >= self.budget, f"expected a capacity of at least the budget, got {self.capacity}"),
             (0 <= self.sh_degree < len(SH_REST), f"expected an SH degree of 0 to 3, got {self.sh_degree}"),
             (iterations >= 1, f"expected at least one iteration of each kind of frame, got {iterations}"),
+            (
+                self.group_frames is None or self.group_frames >= 1,
+                f"expected chunks of at least one frame, got {self.group_frames}",
+            ),
             (self.iteration_views >= 1, f"expected at least one picture an iteration, got {self.iteration_views}"),
             (0 <= self.coarse <= 1, f"expected a coarse share of 0 to 1, got {self.coarse}"),
             (0 <= self.ssim_weight <= 1, f"expected an SSIM weight of 0 to 1, got {self.ssim_weight}"),

@@ -5,6 +5,8 @@ N Gaussians of a group.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,24 +16,27 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.fit.parameters import ATTRIBUTES, Parameters
-from airgs_codec.train.record import Model
 from airgs_codec.train.stages import Trainer
 
 
 def group_usage(
-    model: Model, pictures: Pictures, trainer: Trainer, span: tuple[int, int], progress: Progress = silent
+    read: Callable[[int], Gaussians],
+    pictures: Pictures,
+    trainer: Trainer,
+    span: tuple[int, int],
+    progress: Progress = silent,
 ) -> Usage:
-    """Usage over all frames [start, stop) of a group and all its training views.
+    """Usage over all frames [start, stop) of a group, which `read` gives, and all its training views.
 
     Motion is measured against the middle frame, which the codec's differences start from, in codec steps there.
     """
     middle = middle_frame(*span)
-    base = model.read(middle)
+    base = read(middle)
     steps = trainer.steps(base, pictures.train(middle))
     n = len(base)
     total, peak, hits, moved = np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n)
     for done, frame in enumerate(range(*span), 1):
-        g = model.read(frame)
+        g = read(frame)
         loaded, seen = trainer.renderer.load(g), np.zeros(n)
         for view in pictures.train(frame):
             c = loaded.contribution(view.camera)

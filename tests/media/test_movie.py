@@ -1,5 +1,6 @@
 """Ordinary films: what is written can be read again, frame by frame."""
 
+from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 
 import numpy as np
@@ -41,4 +42,13 @@ def test_videos_are_read_by_number_in_any_order(tmp_path):
     assert (reader.frames, reader.size, reader.fps) == (8, (32, 24), 25)
     with pytest.raises(SceneError, match="the video ends after 8"):
         reader.read(8)
+    reader.close()
+
+
+def test_threads_read_one_video_together(tmp_path):
+    write_video(tmp_path / "v.mp4", [plain(20 * t) for t in range(8)])
+    reader, wanted = VideoReader(tmp_path / "v.mp4"), [0, 7, 3, 1, 6, 2, 5, 4] * 4
+    with ThreadPoolExecutor(4) as pool:
+        levels = list(pool.map(lambda t: reader.read(t).mean() / 20, wanted))
+    assert np.rint(levels).tolist() == wanted
     reader.close()

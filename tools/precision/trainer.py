@@ -19,8 +19,10 @@ from airgs_codec.train.data.pictures import pictures_for
 from airgs_codec.train.data.plates import find_plates
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit.parameters import Parameters
+from airgs_codec.train.frames import Capture
 from airgs_codec.train.quality import mean_psnr
-from airgs_codec.train.run import Run, frame_before, open_run, train
+from airgs_codec.train.record import Model
+from airgs_codec.train.run import frame_before, train
 from airgs_codec.train.settings import TrainSettings
 from airgs_codec.train.stages import FrameBefore, FrameViews, Trainer
 from tools.precision.bench import FOX_VIEWS, Bench
@@ -52,34 +54,39 @@ class Case:
         return with_held_out(open_scene(FOX_VIEWS), None)
 
     @cached_property
-    def run(self) -> Run:
-        """The trained frames before the keyframe, and what all fits share."""
-        folder = self.bench.folder / "model"
+    def model(self) -> Model:
+        """The trained frames before the keyframe."""
         before = replace(self.scene, frames=self.scene.frames[:KEYFRAME])
-        train(before, folder, BASE, resume=folder.exists())
-        run = open_run(before, folder, BASE, resume=True)
-        pictures = pictures_for(self.scene, BASE)
-        return replace(run, scene=self.scene, pictures=pictures, plates=find_plates(self.scene, pictures))
+        folder = self.bench.folder / "model"
+        return train(before, folder, BASE, resume=folder.exists())
+
+    @cached_property
+    def capture(self) -> Capture:
+        """What all fits share."""
+        capture = Capture.of(self.scene, pictures_for(self.scene, BASE), BASE, "cpu")
+        return replace(capture, plates=find_plates(self.scene, capture.pictures))
 
     @cached_property
     def before(self) -> FrameBefore:
         """The frame before the keyframe."""
-        return frame_before(self.run.model, KEYFRAME)
+        return frame_before(self.model, KEYFRAME)
 
     @cached_property
     def steps(self) -> Parameters:
         """Codec steps of that frame."""
-        return self.run.trainer.steps(self.before.gaussians, self.run.pictures.train(KEYFRAME - 1))
+        return self.capture.trainer.steps(self.before.gaussians, self.capture.pictures.train(KEYFRAME - 1))
 
     def target(self, frame: int) -> FrameViews:
         """A frame as it is fitted, its pictures in memory."""
         if frame not in self._targets:
-            self._targets[frame] = self.run.target(frame) if frame else FrameViews(0, self.run.views(0))
+            capture = self.capture
+            views = FrameViews(0, capture.views(0))
+            self._targets[frame] = capture.target(frame, frame - 1) if frame else views
         return self._targets[frame]
 
     def trainer(self, **changes: Any) -> Trainer:
         """The trainer with other settings."""
-        return replace(self.run.trainer, settings=replace(self.run.trainer.settings, **changes))
+        return replace(self.capture.trainer, settings=replace(self.capture.trainer.settings, **changes))
 
 
 def measure(bench: Bench) -> Iterator[Row]:
@@ -120,7 +127,7 @@ def _rows(case: Case, at: tuple[Place, int], fit: Fit, seeds: int) -> Iterator[R
         fit(1, 0)  # compiles and reads pictures
         case.warm.add((place.panel, place.curve))
     runs = [seconds_of(lambda s=s: fit(int(place.setting), s)) for s in range(seeds)]  # type: ignore[misc]
-    held_out = case.run.pictures.held_out(frame)
+    held_out = case.capture.pictures.held_out(frame)
     yield Row.of(place, [t for t, _ in runs], [mean_psnr(g, held_out) for _, g in runs], UNIT)
 
 
@@ -136,5 +143,7 @@ def _warm(case: Case, count: int, seed: int) -> Gaussians:
 
 def _frame(case: Case, deltas: str, count: int, seed: int) -> Gaussians:
     trainer = case.trainer(frame_iterations=count, deltas=deltas, seed=seed)
-    first = case.run.model.read(0)
-    return trainer.fit_frame(case.target(1), FrameBefore(first, None), trainer.start_group(first, case.run.views(0)))
+    first = case.model.read(0)
+    return trainer.fit_frame(
+        case.target(1), FrameBefore(first, None), trainer.start_group(first, case.capture.views(0))
+    )

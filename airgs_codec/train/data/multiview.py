@@ -32,6 +32,9 @@ class Source(Protocol):
     def where(self) -> str:
         """The place in words, for messages."""
 
+    def file(self) -> tuple[Path, int]:
+        """The file that the picture is in, and its number there."""
+
 
 @dataclass(frozen=True, slots=True)
 class PictureFile:
@@ -46,6 +49,10 @@ class PictureFile:
     def where(self) -> str:
         """The path."""
         return str(self.path)
+
+    def file(self) -> tuple[Path, int]:
+        """The file; there is nothing else in it."""
+        return self.path, 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

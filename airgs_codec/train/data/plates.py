@@ -94,18 +94,38 @@ def find_plates(scene: MultiviewScene, pictures: Pictures, progress: Progress = 
     Camera after camera, so that no more than SAMPLES pictures are held; the plates of large rigs are kept on disk.
     Raises SceneError for a picture that cannot be read.
     """
-    if len(scene) < FEWEST or not stands_still(scene):
+    frames, cameras = plate_frames(scene), plate_cameras(scene)
+    if not frames:
         return {}
-    frames = np.unique(np.linspace(0, len(scene) - 1, SAMPLES).round().astype(int)).tolist()
-    cameras = [i for i, camera in enumerate(scene.cameras) if not camera.held_out]
     plates = {}
     for done, index in enumerate(cameras, 1):
-        seen = [to_bytes(pictures.view(frame, index).target.rgb) for frame in frames]
-        plate = plate_of(seen)
-        large = plate.rgb.nbytes * len(cameras) > PICTURE_BYTES
-        plates[scene.cameras[index].name] = replace(plate, rgb=_on_disk(plate.rgb)) if large else plate
+        plate = find_plate(pictures, index, frames)
+        plates[scene.cameras[index].name] = keep_plate(plate, len(cameras))
         progress("what rests", done, len(cameras))
     return plates
+
+
+def plate_frames(scene: MultiviewScene) -> list[int]:
+    """The frames that plates are taken from; none where a camera moves or there are too few frames."""
+    if len(scene) < FEWEST or not stands_still(scene):
+        return []
+    frames: list[int] = np.unique(np.linspace(0, len(scene) - 1, SAMPLES).round().astype(int)).tolist()
+    return frames
+
+
+def plate_cameras(scene: MultiviewScene) -> list[int]:
+    """Which cameras have plates, those that are trained on, counted as the scene does."""
+    return [i for i, camera in enumerate(scene.cameras) if not camera.held_out]
+
+
+def find_plate(pictures: Pictures, camera: int, frames: Sequence[int]) -> Plate:
+    """The plate of one camera, from its pictures as it exposed them. Raises SceneError for one that cannot be read."""
+    return plate_of([to_bytes(pictures.view(frame, camera).target.rgb) for frame in frames])
+
+
+def keep_plate(plate: Plate, count: int) -> Plate:
+    """The plate, on disk where `count` of its size would take too much memory."""
+    return replace(plate, rgb=_on_disk(plate.rgb)) if plate.rgb.nbytes * count > PICTURE_BYTES else plate
 
 
 def plate_of(pictures: Sequence[NDArray[np.uint8]]) -> Plate:

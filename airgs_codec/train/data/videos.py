@@ -37,6 +37,10 @@ class VideoFrame:
         """The path and the number of the frame."""
         return f"{self.path} frame {self.number}"
 
+    def file(self) -> tuple[Path, int]:
+        """The video, and the number of the frame."""
+        return self.path, self.number
+
 
 @dataclass(frozen=True, slots=True)
 class CameraFilm:

@@ -81,8 +81,8 @@ class Networks(torch.nn.Module):
         return torch.cat([x, *waves, *rest], dim=1)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """All numbers by name, for a file."""
-        return {name: value.cpu().numpy() for name, value in self.state_dict().items()}
+        """Copies of all numbers by name, for a file."""
+        return {name: value.cpu().numpy().copy() for name, value in self.state_dict().items()}
 
     def load(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Take the numbers that `arrays` of networks of the same sizes gave."""

@@ -1,0 +1,192 @@
+"""Fits of frames one after another (AirGS, "Training" 1).
+
+A frame is in the group of the one before unless its quality falls, or a chunk of the run begins there.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+
+from airgs_codec.errors import SceneError
+from airgs_codec.progress import Progress, silent
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.train.data.multiview import MultiviewScene
+from airgs_codec.train.data.pictures import Pictures, View
+from airgs_codec.train.data.plates import Masks, Plates, find_moving, settle
+from airgs_codec.train.fit.exposure import ExposureModel
+from airgs_codec.train.fit.temporal import static_shares
+from airgs_codec.train.loss.target import Exposure
+from airgs_codec.train.quality import mean_psnr, mean_ssim
+from airgs_codec.train.record import FrameRecord, TrainedFrame
+from airgs_codec.train.settings import TrainSettings
+from airgs_codec.train.stages import FrameBefore, FrameViews, Group, Trainer, make_trainer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capture:
+    """What every frame of a scene is fitted with."""
+
+    scene: MultiviewScene
+    pictures: Pictures
+    trainer: Trainer
+    plates: Plates = field(default_factory=dict)  # of every training camera; none: nothing is known to rest
+    _moving: dict[int, Masks] = field(init=False, default_factory=dict)  # of the last frame that was a target
+
+    @staticmethod
+    def of(scene: MultiviewScene, pictures: Pictures, settings: TrainSettings, device: str) -> Capture:
+        """A scene whose plates and exposure are not known. `device`: cpu or cuda."""
+        if device == "cpu":
+            torch.set_num_threads(1)  # the kernels have their own threads, and two pools fight over the cores
+        return Capture(scene, pictures, make_trainer(settings, pictures.train(0), scene.points, device))
+
+    def with_exposure(self, exposure: Exposure) -> Capture:
+        """The same, its pictures as the average camera would have exposed them."""
+        return replace(self, pictures=self.pictures.with_exposure(exposure)) if exposure else self
+
+    def views(self, frame: int) -> list[View]:
+        """The training views of a frame. Raises SceneError when there are none, or a picture cannot be read."""
+        views = self.pictures.train(frame)
+        if not views:
+            raise SceneError(f"{self.scene.path}: expected training views of frame {frame}, got none")
+        return settle(views, self.plates, self.pictures.exposure).views if self.plates else views
+
+    def target(self, frame: int, start: int) -> FrameViews:
+        """A frame as it is fitted from the Gaussians of the frame `start`. Raises what `views` does."""
+        if not self.plates:
+            return FrameViews(frame, self.views(frame))
+        exposure = self.pictures.exposure
+        before = self._moving.pop(start, None)  # pictures of a frame that is past may be out of memory
+        if before is None:
+            before = find_moving(self.pictures.train(start), self.plates, exposure)
+        now = settle(self.pictures.train(frame), self.plates, exposure)
+        self._moving[frame] = now.moving
+        return FrameViews(frame, now.views, Masks(a | b for a, b in zip(before, now.moving, strict=True)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Position:
+    """What the next frame is fitted from."""
+
+    before: FrameBefore
+    group: Group
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitted:
+    """A frame that was fitted, and the group that it is in."""
+
+    gaussians: Gaussians
+    kind: str  # first | frame | key
+    psnr: float  # dB, mean over training views
+    group: Group
+    added: int = 0
+    rejected_psnr: float | None = None  # as in `FrameRecord`
+    static: dict[str, float] = field(default_factory=dict)  # as in `FrameRecord`
+
+
+def chunks(frames: int, group_frames: int | None) -> list[tuple[int, int]]:
+    """Frames [start, stop) of each chunk of a run of so many frames: all, unless `group_frames` cuts it."""
+    size = group_frames or frames
+    return [(start, min(start + size, frames)) for start in range(0, frames, size)]
+
+
+def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
+    """The first frame of a run, with the exposure of its cameras where it is wanted. Raises what `train` does."""
+    begun, trainer, named = time.perf_counter(), capture.trainer, _named(progress, 0, len(capture.scene))
+    views = capture.views(0)
+    model = _exposures(views, trainer) if trainer.settings.match_exposure else None
+    g = trainer.fit_first(FrameViews(0, views), capture.scene.points, model, named)
+    exposure = model.table([view.camera.name for view in views]) if model else {}
+    exposed = capture.with_exposure(exposure)
+    group = trainer.start_group(g, exposed.views(0))
+    fitted = _Fitted(g, "first", group.first_psnr, group)
+    return replace(_trained(exposed, 0, fitted, begun), exposure=exposure)
+
+
+def train_chunk(
+    capture: Capture, frames: range, first: Gaussians, at: Position | None, progress: Progress = silent
+) -> Iterator[TrainedFrame]:
+    """Frames one after another.
+
+    `at`: what the first of them is fitted from, in the group of the frame before unless its quality falls. None: it is
+    a keyframe that starts from the Gaussians of the run's `first` frame, so that nothing between them need be known.
+    Raises what `train` does.
+    """
+    for frame in frames:
+        begun, named = time.perf_counter(), _named(progress, frame, len(capture.scene))
+        if at is None:
+            before, target = FrameBefore(first, None), capture.target(frame, 0)
+            steps = capture.trainer.steps(first, capture.views(0))
+            fitted = _keyframe(capture, target, before, capture.trainer.fit_keyframe(target, before, steps, named))
+        else:
+            before = at.before
+            fitted = _fit_next(capture, capture.target(frame, frame - 1), at, named)
+        g = fitted.gaussians
+        velocity = g.means - before.gaussians.means if fitted.kind == "frame" else None
+        at = Position(FrameBefore(g, velocity), fitted.group)
+        yield _trained(capture, frame, fitted, begun)
+
+
+def after_first(capture: Capture, first: Gaussians) -> Position:
+    """What the second frame of a run is fitted from."""
+    return Position(FrameBefore(first, None), capture.trainer.start_group(first, capture.views(0)))
+
+
+def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Progress) -> _Fitted:
+    """A frame in the group of the one before, or a keyframe in its place where its quality falls.
+
+    Where that is no better, and the settings keep only better ones, the frame as it moved.
+    """
+    trainer, s = capture.trainer, capture.trainer.settings
+    before, group = at.before, at.group
+    moved = trainer.fit_frame(target, before, group, progress)
+    psnr = mean_psnr(moved, target.views, trainer.renderer)
+    static = static_shares(before.gaussians, moved, group.steps)
+    fitted = _Fitted(moved, "frame", psnr, group, static=static)
+    if psnr >= s.min_psnr_db and psnr >= group.first_psnr - s.max_drop_db:
+        return fitted
+    g = trainer.fit_keyframe(target, before, group.steps, progress)
+    key_psnr = mean_psnr(g, target.views, trainer.renderer)
+    if s.keep_better and key_psnr <= psnr:
+        return replace(fitted, rejected_psnr=key_psnr)
+    return replace(_keyframe(capture, target, before, g), rejected_psnr=psnr)
+
+
+def _keyframe(capture: Capture, target: FrameViews, before: FrameBefore, g: Gaussians) -> _Fitted:
+    """The Gaussians `g` as the first frame of a new group."""
+    group = capture.trainer.start_group(g, target.views)
+    return _Fitted(g, "key", group.first_psnr, group, added=len(g) - len(before.gaussians))
+
+
+def _exposures(views: Sequence[View], trainer: Trainer) -> ExposureModel:
+    names, reference = [view.camera.name for view in views], trainer.settings.reference
+    return ExposureModel(len(views), trainer.device, None if reference is None else names.index(reference))
+
+
+def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> TrainedFrame:
+    """The frame with its record; `begun`: when its fit was, by `time.perf_counter`."""
+    seconds = time.perf_counter() - begun
+    held_out, renderer = capture.pictures.held_out(frame), capture.trainer.renderer
+    rejected, networks = fitted.rejected_psnr, fitted.group.networks
+    record = FrameRecord(
+        frame=frame,
+        kind=fitted.kind,
+        gaussians=len(fitted.gaussians),
+        added=fitted.added,
+        psnr=round(fitted.psnr, 3),
+        held_out_psnr=round(mean_psnr(fitted.gaussians, held_out, renderer), 3) if held_out else None,
+        held_out_ssim=round(mean_ssim(fitted.gaussians, held_out, renderer), 5) if held_out else None,
+        rejected_psnr=None if rejected is None else round(rejected, 3),
+        static={name: round(share, 4) for name, share in fitted.static.items()},
+        seconds=round(seconds, 2),
+    )
+    return TrainedFrame(fitted.gaussians, record, networks.arrays() if networks else None)
+
+
+def _named(progress: Progress, frame: int, frames: int) -> Progress:
+    """Progress whose stages say of which frame they are."""
+    return lambda stage, done, total: progress(f"frame {frame} of {frames} ({stage})", done, total)
