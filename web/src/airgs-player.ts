@@ -13,6 +13,7 @@
 //     controls       show the controls; looking around works without them
 //     policy         how "auto" chooses: robust-mpc, throughput, bola, paper or paper-literal (both also with -no-cliff)
 //     budget         most Gaussians that are fetched and shown at once, for small devices; any number without it
+//     all-tiles      fetch all of a scene that is cut into tiles, not only those expected in sight
 //     quality        auto (the default), or the name of a rung
 //     view-region    bounded (the default): viewers stay where quality is promised; free: they may leave
 //                    (the property is viewRegion)

@@ -1,19 +1,27 @@
-// Frames as Gaussians, for programs that draw with an engine of their own. N rows, C colours each.
+// Frames as Gaussians, for programs that draw with an engine of their own: those of all tiles. N rows, C colours each.
 import { canonicalGaussians, shownGaussians } from "./format/gaussians.ts";
 import { levelled } from "./format/region.ts";
 import type { Canonical, Gaussians, Region, Root, StateFrame, World } from "./format/types.ts";
-import { Media } from "./media/client.ts";
+import { type CanonicalName, Media } from "./media/client.ts";
 import { locate } from "./play/locate.ts";
 
-/** A segment that is decoded. */
+/** A tile of a segment that is decoded. */
+interface DecodedTile {
+  canonical: Canonical;
+  base: Gaussians;
+  frames: (StateFrame | null)[];
+}
+
+/** A segment that is decoded, with all tiles. */
 interface Decoded {
   name: string;
   start: number;
   group: number;
+  quality: number;
   level: number;
-  canonical: Canonical;
-  base: Gaussians;
-  frames: (StateFrame | null)[];
+  /** How many tiers of each tile. */
+  tiers: number;
+  tiles: DecodedTile[];
 }
 
 /** Reads frames of a package, in any order; one after the other is fastest, since a segment is decoded as a whole. */
@@ -64,16 +72,15 @@ export class FrameReader {
    * Throws RangeError for a frame or rung that there is not, FormatError and TransportError where a file cannot be had.
    */
   async gaussians(frame: number, rung = this.rungs[0]): Promise<Gaussians> {
-    const { start, group, level, canonical, base, frames } = await this.#segment(frame, rung);
+    const { start, group, level, tiles } = await this.#segment(frame, rung);
     const { tables } = this.media;
-    const state = frames[frame - start];
-    const bases = state && basesAt(frames, frame - start);
-    return shownGaussians(
-      tables.root,
-      tables.group(group),
-      base,
-      canonical,
-      state && { level, luma: state.luma, bases },
+    const table = tables.group(group);
+    return joined(
+      tiles.map(({ canonical, base, frames }) => {
+        const state = frames[frame - start];
+        const bases = state && basesAt(frames, frame - start);
+        return shownGaussians(tables.root, table, base, canonical, state && { level, luma: state.luma, bases });
+      }),
     );
   }
 
@@ -104,27 +111,58 @@ export class FrameReader {
     const { levels } = tables.root;
     const [quality, level] = [Math.floor(rung / levels.length), rung % levels.length];
     const group = tables.groupOf(segment);
-    const { tiers } = levels[level];
     const last = await before?.catch(() => null);
-    const kept = last?.group === group && last.canonical.quality === quality && last.canonical.tiers >= tiers;
-    const keys = kept ? [] : tables.keysOf(group, quality, tiers);
+    const wanted = levels[level].tiers;
+    const kept = last?.group === group && last.quality === quality && last.tiers >= wanted ? last : null;
+    const keys = kept ? [] : tables.keysOf(group, quality, tables.unitsOf(level));
     await this.#fetch([...keys, ...tables.stateFiles(segment, level)]);
-    const canonical = kept ? last.canonical : await this.media.canonical(group, quality, tiers);
-    const table = tables.group(group);
-    const base = kept ? last.base : canonicalGaussians(tables.root, table, canonical, tables.baseTable(group));
+    const tiers = kept?.tiers ?? wanted;
+    const tiles = tables.tiles.map((tile) => {
+      return this.#tile(segment, level, { group, tile, quality, tiers }, kept?.tiles[tile]);
+    });
+    const { start } = tables.segment(segment);
+    return { name, start, group, quality, level, tiers, tiles: await Promise.all(tiles) };
+  }
+
+  /** A tile of a segment; `last` is that tile in a segment of the same canonical space. */
+  async #tile(segment: number, level: number, of: CanonicalName, last: DecodedTile | undefined): Promise<DecodedTile> {
+    const { tables } = this.media;
+    const canonical = last?.canonical ?? (await this.media.canonical(of));
+    const [table, kept] = [tables.group(of.group), tables.baseTable(of.group)];
+    const base = last?.base ?? canonicalGaussians(tables.root, table, canonical, kept);
     const frames: (StateFrame | null)[] = [];
-    const of = { group, quality, tiers: canonical.tiers };
     await this.media.segment(segment, level, of, (t, frame) => {
       frames[t] = frame;
       this.media.taken(frame);
     });
-    return { name, start: tables.segment(segment).start, group, level, canonical, base, frames };
+    return { canonical, base, frames };
   }
 
   async #fetch(paths: string[]): Promise<void> {
     const { refused } = await this.media.fetch(paths);
     for (const refusal of refused.values()) throw refusal;
   }
+}
+
+/** The rows of tiles, one tile after the other. */
+function joined(tiles: Gaussians[]): Gaussians {
+  if (tiles.length === 1) return tiles[0];
+  const all = (name: keyof Gaussians) => {
+    const array = new Float32Array(tiles.reduce((sum, tile) => sum + tile[name].length, 0));
+    let at = 0;
+    for (const tile of tiles) {
+      array.set(tile[name], at);
+      at += tile[name].length;
+    }
+    return array;
+  };
+  return {
+    means: all("means"),
+    quaternions: all("quaternions"),
+    logScales: all("logScales"),
+    alpha: all("alpha"),
+    colours: all("colours"),
+  };
 }
 
 /** Bases of all samples of the picture of frame `t` of a segment; null: they are 0. */

@@ -1,5 +1,5 @@
 // Codes to Gaussians on the CPU: FORMAT.md, section 5. It is what shaders are tested against, and what adapters to
-// other renderers feed. N rows of a group, n rows of a key tier or a level, C colour channels.
+// other renderers feed. N rows of a tile of a group, n rows of a key tier or a level, C colour channels.
 import { applyBases, atlasSamples, readCodes } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
 import {
@@ -53,7 +53,7 @@ function basesOf(size: number, changes: BaseChanges | null): Int32Array | null {
 }
 
 /**
- * The canonical space of a group; α is not limited yet. `base` is the table of the group whose rows it keeps, if any.
+ * The canonical space of a tile; α is not limited yet. `base` is the table of the group whose rows it keeps, if any.
  *
  * Throws FormatError(bad_value) for numbers not finite.
  */
@@ -116,7 +116,7 @@ export interface State {
 }
 
 /**
- * The Gaussians of a frame: `base` is what `canonicalGaussians` gave. `state` null: no state is added. Where
+ * The Gaussians of a tile in a frame: `base` is what `canonicalGaussians` gave. `state` null: no state is added. Where
  * `canonical` has fewer tiers than the level asks for, its rows are the first of the level.
  *
  * Throws FormatError(bad_value) for numbers not finite.
@@ -137,7 +137,7 @@ export function shownGaussians(
   };
   if (state) {
     const rows = levelRows(canonical.depths, state.level);
-    const codes = readCodes(group.levels[state.level]!, state.luma, state.bases);
+    const codes = readCodes(group.tiles[canonical.tile]!.levels[state.level]!, state.luma, state.bases);
     addState(shown, rows, canonical.units, codes, stateCoding(root, group, state.level));
   }
   expectFinite(shown, "frame");

@@ -1,16 +1,24 @@
-// The tables of a package as one value, which grows as they are read: FORMAT.md, section 2. Groups, segments, tiers,
-// qualities, levels and pages count from 0; numbers in paths from 1.
-import { group as groupSchema, page as pageSchema, root as rootSchema } from "../generated/schema.ts";
-import { checkTable } from "./check.ts";
+// The tables of a package as one value, which grows as they are read: FORMAT.md, section 2. Groups, segments, tiles,
+// tiers, qualities, levels and pages count from 0; groups, segments, tiles and pages in paths from 1. A unit is a key tier
+// of a tile: number tile · T + tier, T being the tiers of a tile.
+import { group as groupSchema, page as pageSchema } from "../generated/schema.ts";
 import { FormatError } from "./errors.ts";
 import { inflate } from "./gzip.ts";
 import { countPages, GroupIndex, PAGE } from "./index.ts";
-import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, ROOT_PATH, stateMediaPath } from "./paths.ts";
-import { checkGroup, checkKept, checkPage, checkRoot } from "./references.ts";
-import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
+import { parseRoot, parseTable } from "./parse.ts";
+import {
+  groupPath,
+  keyMediaPath,
+  keySidecarPath,
+  locate,
+  pagePath,
+  ROOT_PATH,
+  stateMediaPath,
+  tileFolder,
+} from "./paths.ts";
+import { checkGroup, checkKept, checkPage } from "./references.ts";
+import type { FileEntry, Group, Page, Root, Segment, Tier, Tile } from "./types.ts";
 
-const VERSION = 2;
-const MAX_ROOT_BYTES = 2 ** 24;
 const KEPT = 1024; // tables of groups
 const INIT_PATH = "init.mp4";
 /** What of the root may differ while a package grows. */
@@ -90,6 +98,11 @@ export class Tables {
     else await this.addGroup(found.numbers[0]! - 1, bytes);
   }
 
+  /** All tiles. */
+  get tiles(): readonly number[] {
+    return Array.from({ length: this.root.tiles }, (_, tile) => tile);
+  }
+
   /** Whether the table of a group is here. */
   has(number: number): boolean {
     return this.#groups.has(number);
@@ -112,9 +125,20 @@ export class Tables {
     return this.index.atSegment(segment);
   }
 
-  /** Gaussians of a group in each key tier. Throws what `group` does. */
+  /** Gaussians of a group in each key unit. Throws what `group` does. */
   rows(group: number): number[] {
-    return this.group(group).tiers.map((tier) => tier.count);
+    return this.group(group).tiles.flatMap(({ tiers }) => tiers.map((tier) => tier.count));
+  }
+
+  /** The boxes of the tiles of a group. Throws what `group` does. */
+  boxes(group: number): readonly Pick<Tile, "low" | "high">[] {
+    return this.group(group).tiles;
+  }
+
+  /** The key units that viewers of a level fetch of some tiles, by default of all. */
+  unitsOf(level: number, tiles: readonly number[] = this.tiles): number[] {
+    const count = this.root.levels[level]!.tiers;
+    return tiles.flatMap((tile) => Array.from({ length: count }, (_, tier) => tile * this.root.tiers + tier));
   }
 
   segment(segment: number): Segment {
@@ -141,10 +165,12 @@ export class Tables {
     return keeps ? keeps - 1 : null;
   }
 
-  /** Sidecar and picture of a key unit: none of a tier without rows, no picture where all of them are kept. */
-  keyFiles(group: number, tier: number, quality: number): string[] {
-    const { count, kept } = this.group(group).tiers[tier]!;
-    const files = [keySidecarPath(tier, group + 1), keyMediaPath(tier, quality, group + 1)];
+  /** Sidecar and picture of a key unit: none of one without rows, no picture where all of them are kept. */
+  keyFiles(group: number, unit: number, quality: number): string[] {
+    const { count, kept } = this.#unit(group, unit);
+    const tier = unit % this.root.tiers;
+    const folder = tileFolder((unit - tier) / this.root.tiers, this.root.tiles);
+    const files = [keySidecarPath(folder, tier, group + 1), keyMediaPath(folder, tier, quality, group + 1)];
     return files.slice(0, Number(count > 0) + Number(count > kept));
   }
 
@@ -155,23 +181,21 @@ export class Tables {
   }
 
   /** The files of the base's key unit whose rows a key unit keeps; empty when it keeps none. */
-  keptFiles(group: number, tier: number, quality: number): string[] {
-    const base = this.group(group).tiers[tier]!.kept ? this.base(group) : null;
-    return base === null ? [] : this.keyFiles(base, tier, quality);
+  keptFiles(group: number, unit: number, quality: number): string[] {
+    const base = this.#unit(group, unit).kept ? this.base(group) : null;
+    return base === null ? [] : this.keyFiles(base, unit, quality);
   }
 
-  /** All files of the first key tiers of a group, with those of its base. */
-  keysOf(group: number, quality: number, tiers: number): string[] {
-    const units = Array.from({ length: tiers }, (_, tier) => [
-      ...this.keyFiles(group, tier, quality),
-      ...this.keptFiles(group, tier, quality),
-    ]);
-    return units.flat();
+  /** All files of key units of a group, with those of its base. */
+  keysOf(group: number, quality: number, units: readonly number[]): string[] {
+    return units.flatMap((unit) => [...this.keyFiles(group, unit, quality), ...this.keptFiles(group, unit, quality)]);
   }
 
-  /** The file of a segment; empty when there is nothing to fetch. */
-  stateFiles(segment: number, level: number): string[] {
-    return this.segment(segment).levels[level]!.file.bytes ? [stateMediaPath(level, segment + 1)] : [];
+  /** The files of a segment of some tiles, by default of all; none of a tile with nothing to fetch. */
+  stateFiles(segment: number, level: number, tiles: readonly number[] = this.tiles): string[] {
+    const { files } = this.segment(segment).levels[level]!;
+    const there = tiles.filter((tile) => files[tile]!.bytes);
+    return there.map((tile) => stateMediaPath(tileFolder(tile, this.root.tiles), level, segment + 1));
   }
 
   /** Length and digest of a file. Throws FormatError(missing_entry); MissingPageError, MissingGroupError. */
@@ -181,18 +205,26 @@ export class Tables {
     return found;
   }
 
+  #unit(group: number, unit: number): Tier {
+    const tier = unit % this.root.tiers;
+    return this.group(group).tiles[(unit - tier) / this.root.tiers]!.tiers[tier]!;
+  }
+
   #find(path: string): FileEntry | null | undefined {
     const found = locate(path);
     if (!found) return null;
     const { what, numbers } = found;
-    const [first, number] = [numbers[0]!, numbers.at(-1)! - 1];
+    const [named = 0, first = 0, second = 0] = numbers;
+    const number = numbers.at(-1)! - 1;
     const { segments, groups } = this.index;
-    if (what === "page") return (number + 1) * PAGE ** first > groups ? null : this.index.pageEntry(path).file;
+    if (what === "page") return (number + 1) * PAGE ** named > groups ? null : this.index.pageEntry(path).file;
     if (number >= (what === "state" ? segments : groups)) return null;
     if (what === "group") return this.index.entry(number).file;
-    if (what === "sidecar") return this.group(number).tiers[first]?.sidecar;
-    if (what === "key") return this.group(number).tiers[first]?.pictures[numbers[1]!];
-    return this.segment(number).levels[first]?.file;
+    if (named > 0 !== this.root.tiles > 1) return null;
+    const tile = Math.max(0, named - 1);
+    if (what === "state") return this.segment(number).levels[first]?.files[tile];
+    const tier = this.group(number).tiles[tile]?.tiers[first];
+    return what === "sidecar" ? tier?.sidecar : tier?.pictures[second];
   }
 
   /**
@@ -206,36 +238,6 @@ export class Tables {
     this.root = root;
     this.rootBytes = rootBytes.length;
     this.index = this.index.grown(root.index);
-  }
-}
-
-function parseRoot(bytes: Uint8Array): Root {
-  if (bytes.length > MAX_ROOT_BYTES) {
-    throw new FormatError("too_large", ROOT_PATH, `expected at most ${MAX_ROOT_BYTES} bytes`);
-  }
-  const data = parseJson(bytes, ROOT_PATH);
-  checkTable(data, { type: "object" }, ROOT_PATH);
-  const { version } = data as { version?: unknown };
-  if (version !== VERSION) {
-    throw new FormatError("unknown_version", ROOT_PATH, `expected version ${VERSION}, got ${JSON.stringify(version)}`);
-  }
-  checkTable(data, rootSchema, ROOT_PATH);
-  const root = data as Root;
-  checkRoot(root);
-  return root;
-}
-
-function parseTable(bytes: Uint8Array, schema: Record<string, unknown>, where: string): unknown {
-  const data = parseJson(bytes, where);
-  checkTable(data, schema, where);
-  return data;
-}
-
-function parseJson(bytes: Uint8Array, where: string): unknown {
-  try {
-    return JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(bytes));
-  } catch (error) {
-    throw new FormatError("not_json", where, `expected JSON: ${error}`);
   }
 }
 

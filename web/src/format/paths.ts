@@ -5,16 +5,20 @@ export const ROOT_PATH = "airgs.json";
 /** What a path names, and the numbers in it, as they stand there. */
 export interface Location {
   what: "sidecar" | "key" | "state" | "group" | "page";
-  /** sidecar: tier, number; key: tier, quality, number; state, page: level, number; group: number. */
+  /**
+   * sidecar: tile, tier, number; key: tile, tier, quality, number; state: tile, level, number; page: level, number; group:
+   * number. The tile is 0 in a package that has one.
+   */
   numbers: number[];
 }
 
 const ORDINAL = "(0|[1-9][0-9]?)";
 const NUMBER = "([1-9][0-9]{0,6})";
+const TILE = "(?:P([1-9][0-9]?)/)?";
 const PATTERNS: [RegExp, Location["what"]][] = [
-  [new RegExp(`^key/T${ORDINAL}/${NUMBER}\\.bin$`), "sidecar"],
-  [new RegExp(`^key/T${ORDINAL}/Q${ORDINAL}/${NUMBER}\\.m4s$`), "key"],
-  [new RegExp(`^state/L${ORDINAL}/${NUMBER}\\.m4s$`), "state"],
+  [new RegExp(`^key/${TILE}T${ORDINAL}/${NUMBER}\\.bin$`), "sidecar"],
+  [new RegExp(`^key/${TILE}T${ORDINAL}/Q${ORDINAL}/${NUMBER}\\.m4s$`), "key"],
+  [new RegExp(`^state/${TILE}L${ORDINAL}/${NUMBER}\\.m4s$`), "state"],
   [new RegExp(`^group/${NUMBER}\\.json\\.gz$`), "group"],
   [new RegExp(`^index/([1-9])/${NUMBER}\\.json$`), "page"],
 ];
@@ -23,7 +27,7 @@ const PATTERNS: [RegExp, Location["what"]][] = [
 export function locate(path: string): Location | null {
   for (const [pattern, what] of PATTERNS) {
     const match = pattern.exec(path);
-    if (match) return { what, numbers: match.slice(1).map(Number) };
+    if (match) return { what, numbers: match.slice(1).map((number = "0") => Number(number)) };
   }
   return null;
 }
@@ -32,9 +36,13 @@ export function locate(path: string): Location | null {
 export const pagePath = (level: number, number: number) => `index/${level}/${number}.json`;
 /** Table of a group. */
 export const groupPath = (number: number) => `group/${number}.json.gz`;
-/** Sidecar of a key tier of a group, the same for all its qualities. */
-export const keySidecarPath = (tier: number, number: number) => `key/T${tier}/${number}.bin`;
-/** Picture of a key tier of a group in a quality. */
-export const keyMediaPath = (tier: number, quality: number, number: number) => `key/T${tier}/Q${quality}/${number}.m4s`;
-/** Pictures of a segment in a level. */
-export const stateMediaPath = (level: number, number: number) => `state/L${level}/${number}.m4s`;
+/** The part of paths that a tile, counted from 0, has in a package of so many; the only one has none. */
+export const tileFolder = (tile: number, tiles: number) => (tiles > 1 ? `P${tile + 1}/` : "");
+/** Sidecar of a key unit, the same for all its qualities; `folder` is that of its tile. */
+export const keySidecarPath = (folder: string, tier: number, number: number) => `key/${folder}T${tier}/${number}.bin`;
+/** Picture of a key unit in a quality. */
+export const keyMediaPath = (folder: string, tier: number, quality: number, number: number) =>
+  `key/${folder}T${tier}/Q${quality}/${number}.m4s`;
+/** Pictures of a segment of a tile in a level. */
+export const stateMediaPath = (folder: string, level: number, number: number) =>
+  `state/${folder}L${level}/${number}.m4s`;

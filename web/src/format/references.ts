@@ -5,7 +5,7 @@ import { FormatError } from "./errors.ts";
 import { type Entry, PAGE } from "./index.ts";
 import { groupPath, ROOT_PATH } from "./paths.ts";
 import { colourChannels, KEY_CHANNELS, STATE_CHANNELS } from "./steps.ts";
-import type { Atlas, FileEntry, Group, Page, Region, Root, Segment } from "./types.ts";
+import type { Atlas, FileEntry, Group, Page, Region, Root, Segment, Tier, Tile } from "./types.ts";
 import { isSimilarity } from "./world.ts";
 
 const MAX_BITS = 21;
@@ -119,11 +119,11 @@ export function checkGroup(root: Root, entry: Entry, group: Group, number: numbe
   checkShapes(root, group, place);
   checkCounts(root, group, place);
   checkAtlases(root, group, place);
-  group.tiers.forEach((tier, t) => {
-    place.file(`tiers[${t}].sidecar`, tier.sidecar, tier.count > 0);
+  for (const { name, tier } of unitsOf(group)) {
+    place.file(`${name}.sidecar`, tier.sidecar, tier.count > 0);
     for (const [q, picture] of tier.pictures.entries())
-      place.file(`tiers[${t}].pictures[${q}]`, picture, tier.count > tier.kept);
-  });
+      place.file(`${name}.pictures[${q}]`, picture, tier.count > tier.kept);
+  }
   let stop = group.start;
   group.segments.forEach((segment, s) => {
     const here = new Place(`${where}.segments[${s}]`);
@@ -139,49 +139,69 @@ export function checkGroup(root: Root, entry: Entry, group: Group, number: numbe
 export function checkKept(group: Group, base: Group, where: string): void {
   const place = new Place(where);
   if (base.keeps) throw bad(`${where}.keeps`, `expected a group that keeps none, got ${group.keeps}`);
-  group.tiers.forEach(({ kept }, t) => {
-    place.within(`tiers[${t}].kept`, kept, 0, base.tiers[t]!.count);
+  const others = unitsOf(base);
+  unitsOf(group).forEach(({ name, tier }, k) => {
+    place.within(`${name}.kept`, tier.kept, 0, others[k]!.tier.count);
   });
 }
 
+/** The key units of a group, and where each stands in its table. */
+const unitsOf = ({ tiles }: Group): { name: string; tier: Tier }[] =>
+  tiles.flatMap(({ tiers }, p) => tiers.map((tier, t) => ({ name: `tiles[${p}].tiers[${t}]`, tier })));
+
 function checkShapes(root: Root, group: Group, place: Place): void {
-  place.exactly("tiers", group.tiers.length, root.tiers);
-  place.exactly("levels", group.levels.length, root.levels.length);
-  group.tiers.forEach((tier, t) => {
-    place.exactly(`tiers[${t}].qualities`, tier.qualities.length, root.qualities.length);
-    place.exactly(`tiers[${t}].pictures`, tier.pictures.length, root.qualities.length);
+  place.exactly("tiles", group.tiles.length, root.tiles);
+  group.tiles.forEach((tile, p) => {
+    place.exactly(`tiles[${p}].tiers`, tile.tiers.length, root.tiers);
+    place.exactly(`tiles[${p}].levels`, tile.levels.length, root.levels.length);
   });
+  for (const { name, tier } of unitsOf(group)) {
+    place.exactly(`${name}.qualities`, tier.qualities.length, root.qualities.length);
+    place.exactly(`${name}.pictures`, tier.pictures.length, root.qualities.length);
+  }
   group.segments.forEach((segment, s) => {
     place.exactly(`segments[${s}].levels`, segment.levels.length, root.levels.length);
   });
 }
 
 function checkCounts(root: Root, group: Group, place: Place): void {
-  const counts = group.tiers.map((tier) => tier.count);
+  const count = (tiers: Tier[]) => sum(tiers.map((tier) => tier.count));
   const fewest = root.levels.at(-1)!.tiers;
   place.within("static", group.static, 0, group.count);
-  place.exactly("sum of tier counts", sum(counts), group.count);
-  place.within(`rows of the first ${fewest} tiers`, sum(counts.slice(0, fewest)), 1, group.count);
+  place.exactly("sum of tier counts", sum(group.tiles.map(({ tiers }) => count(tiers))), group.count);
+  const first = sum(group.tiles.map(({ tiers }) => count(tiers.slice(0, fewest))));
+  place.within(`rows of the first ${fewest} tiers`, first, 1, group.count);
 }
 
 function checkAtlases(root: Root, group: Group, place: Place): void {
   const colours = colourChannels(root.sh_degree);
-  group.tiers.forEach((tier, t) => {
-    place.within(`tiers[${t}].kept`, tier.kept, 0, group.keeps ? tier.count : 0);
+  for (const { name, tier } of unitsOf(group)) {
+    place.within(`${name}.kept`, tier.kept, 0, group.keeps ? tier.count : 0);
     const rows = tier.count - tier.kept;
     for (const [q, atlas] of tier.qualities.entries()) {
-      place.exactly(`tiers[${t}].qualities[${q}].rows`, atlas.rows, rows);
-      if (rows) place.within(`planes of tiers[${t}].qualities[${q}]`, atlas.planes.length, 1, atlas.centres.length);
-      checkAtlas(
-        new Place(`${place.where}.tiers[${t}].qualities[${q}]`),
-        atlas,
-        KEY_CHANNELS.colours + colours,
-        KEY_ATTRIBUTES,
-      );
+      const at = `${name}.qualities[${q}]`;
+      place.exactly(`${at}.rows`, atlas.rows, rows);
+      if (rows) place.within(`planes of ${at}`, atlas.planes.length, 1, atlas.centres.length);
+      checkAtlas(new Place(`${place.where}.${at}`), atlas, KEY_CHANNELS.colours + colours, KEY_ATTRIBUTES);
     }
+  }
+  group.tiles.forEach((tile, p) => {
+    checkTile(tile, colours, new Place(`${place.where}.tiles[${p}]`));
   });
-  group.levels.forEach((atlas, j) => {
-    place.within(`levels[${j}].rows`, atlas.rows, 0, group.count - group.static);
+  root.levels.forEach((_, j) => {
+    const rows = sum(group.tiles.map(({ levels }) => levels[j]!.rows));
+    place.within(`rows of levels[${j}]`, rows, 0, group.count - group.static);
+  });
+}
+
+/** The box of a tile, and its states. */
+function checkTile({ low, high, tiers, levels }: Tile, colours: number, place: Place): void {
+  high.forEach((end, axis) => {
+    place.within(`high[${axis}]`, end, low[axis]!, Number.MAX_VALUE);
+  });
+  const rows = sum(tiers.map((tier) => tier.count));
+  levels.forEach((atlas, j) => {
+    place.within(`levels[${j}].rows`, atlas.rows, 0, rows);
     checkAtlas(new Place(`${place.where}.levels[${j}]`), atlas, STATE_CHANNELS.colours + colours, STATE_ATTRIBUTES);
   });
 }
@@ -210,16 +230,20 @@ function checkAtlas(place: Place, atlas: Atlas, channels: number, attributes: nu
 function checkSegment(root: Root, group: Group, segment: Segment, place: Place): void {
   const measured = root.views.reference === "none" ? 0 : root.qualities.length;
   segment.levels.forEach((level, j) => {
-    const fetched = level.file.bytes > 0;
-    place.file(`levels[${j}].file`, level.file, fetched && group.levels[j]!.planes.length > 0);
-    const frames = fetched ? segment.stop - segment.start : 0;
-    place.exactly(`levels[${j}].frame_bytes`, level.frame_bytes.length, frames);
+    place.exactly(`levels[${j}].files`, level.files.length, root.tiles);
+    place.exactly(`levels[${j}].frame_bytes`, level.frame_bytes.length, root.tiles);
     for (const name of ["psnr", "worst", "ssim", "delta_e"] as const) {
       place.exactly(`levels[${j}].${name}`, level[name].length, measured);
     }
-    if (sum(level.frame_bytes) > level.file.bytes) {
-      const detail = `frame_bytes add up to ${sum(level.frame_bytes)}, the file has ${level.file.bytes}`;
+    level.files.forEach((file, p) => {
+      const fetched = file.bytes > 0;
+      place.file(`levels[${j}].files[${p}]`, file, fetched && group.tiles[p]!.levels[j]!.planes.length > 0);
+      const frames = fetched ? segment.stop - segment.start : 0;
+      const sizes = level.frame_bytes[p]!;
+      place.exactly(`levels[${j}].frame_bytes[${p}]`, sizes.length, frames);
+      if (sum(sizes) <= file.bytes) return;
+      const detail = `frame_bytes[${p}] add up to ${sum(sizes)}, the file has ${file.bytes}`;
       throw new FormatError("size_mismatch", `${place.where}.levels[${j}]`, detail);
-    }
+    });
   });
 }

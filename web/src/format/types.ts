@@ -1,9 +1,10 @@
-// What decoded things look like on their way from files to pictures. N rows of a group, C colour channels.
+// What decoded things look like on their way from files to pictures. N rows of a tile of a group, C colour channels.
 import type { Group, Root } from "../generated/tables.ts";
 
 export type { Group, Page, Root } from "../generated/tables.ts";
-export type Atlas = Group["levels"][number];
-export type Tier = Group["tiers"][number];
+export type Tile = Group["tiles"][number];
+export type Tier = Tile["tiers"][number];
+export type Atlas = Tile["levels"][number];
 export type Segment = Group["segments"][number];
 export type Region = Root["region"];
 export type World = NonNullable<Root["world"]>;
@@ -29,12 +30,14 @@ export interface KeyPart {
   bases: BaseChanges | null;
 }
 
-/** The canonical space of a group in a key quality, as far as tiers were fetched. */
+/** The canonical space of a tile of a group in a key quality, as far as tiers were fetched. */
 export interface Canonical {
   /** Group, counted from 0. */
   group: number;
+  /** Counted from 0. */
+  tile: number;
   quality: number;
-  /** How many tiers it is made of. */
+  /** How many tiers of the tile it is made of; one without rows has no file. */
   tiers: number;
   /** (3N) canonical means, world units. */
   means: Float32Array;
@@ -52,7 +55,7 @@ export interface StateFrame {
   luma: Uint8Array;
   /** What changes from the frame before in the segment, or from bases of 0; null: nothing. */
   bases: BaseChanges | null;
-  /** (3N) means of all rows in this frame, world units: what the depth order is made of. */
+  /** (3N) means of all rows of the tile in this frame, world units: what the depth order is made of. */
   means: Float32Array;
 }
 

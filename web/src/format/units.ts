@@ -3,7 +3,7 @@ import { pageSamples } from "./avc.ts";
 import { FormatError } from "./errors.ts";
 import { Bases, readEscapes } from "./escapes.ts";
 import { readMedia, type Sample } from "./mp4.ts";
-import { keyMediaPath, keySidecarPath, stateMediaPath } from "./paths.ts";
+import { keyMediaPath, keySidecarPath, stateMediaPath, tileFolder } from "./paths.ts";
 import { ColumnReader } from "./rangecoder.ts";
 import { canonicalMeans, motionUnits, readDetail, readSidecar, STATIC } from "./sidecar.ts";
 import type { Atlas, BaseChanges, Group, Root } from "./types.ts";
@@ -11,7 +11,7 @@ import type { Atlas, BaseChanges, Group, Root } from "./types.ts";
 /** A key unit but for its picture. K rows of the tier are kept, M are its own. */
 export interface KeyUnit {
   atlas: Atlas;
-  /** (K) rows of the same tier of the base. */
+  /** (K) rows of the same unit of the base. */
   kept: Uint32Array;
   /** (3M) canonical means, world units. */
   means: Float32Array;
@@ -25,9 +25,10 @@ export interface KeyUnit {
   bases: BaseChanges | null;
 }
 
-/** Which key unit: the group counts from 0. */
+/** Which key unit: group and tile count from 0. */
 export interface KeyPlace {
   group: number;
+  tile: number;
   tier: number;
   quality: number;
 }
@@ -42,17 +43,18 @@ export function readKeyUnit(
   root: Root,
   table: Group,
   base: Group | null,
-  { group, tier, quality }: KeyPlace,
+  { group, tile, tier, quality }: KeyPlace,
   sidecar: Uint8Array,
   media: Uint8Array | null,
 ): KeyUnit {
-  const where = keyMediaPath(tier, quality, group + 1);
-  const { count, kept, qualities } = table.tiers[tier]!;
+  const folder = tileFolder(tile, root.tiles);
+  const where = keyMediaPath(folder, tier, quality, group + 1);
+  const { count, kept, qualities } = table.tiles[tile]!.tiers[tier]!;
   const atlas = qualities[quality]!;
   const coarser = root.qualities[quality]!.coarser;
   const coarsest = root.qualities.at(-1)!.coarser;
-  const counts = { count, kept, base: base?.tiers[tier]?.count ?? 0 };
-  const shared = readSidecar(sidecar, counts, table.grid, coarsest, keySidecarPath(tier, group + 1));
+  const counts = { count, kept, base: base?.tiles[tile]?.tiers[tier]?.count ?? 0 };
+  const shared = readSidecar(sidecar, counts, table.grid, coarsest, keySidecarPath(folder, tier, group + 1));
   const { columns, samples } = media ? readMedia(media, where) : { columns: null, samples: [] };
   const reader = new ColumnReader(columns, where);
   const rows = readDetail(reader, shared, table.grid, coarser, coarsest);
@@ -71,7 +73,7 @@ export function readKeyUnit(
   };
 }
 
-/** A segment in a level but for its pictures. */
+/** A segment of a tile in a level but for its pictures. */
 export interface StateUnit {
   atlas: Atlas;
   frames: number;
@@ -81,16 +83,16 @@ export interface StateUnit {
 }
 
 /**
- * Segment `place` of the table of a group in a level, from the bytes of its file; `segment` is its number in the
- * package, from 0. Throws FormatError (bad_sidecar, bad_picture).
+ * Segment `place` of the table of a group in a level, from the bytes of its file of a tile; `segment` is its number in
+ * the package, from 0. Throws FormatError (bad_sidecar, bad_picture).
  */
 export function readStateUnit(
   table: Group,
-  { segment, place, level }: { segment: number; place: number; level: number },
+  { segment, place, tile, level }: { segment: number; place: number; tile: number; level: number },
   media: Uint8Array,
 ): StateUnit {
-  const where = stateMediaPath(level, segment + 1);
-  const atlas = table.levels[level]!;
+  const where = stateMediaPath(tileFolder(tile, table.tiles.length), level, segment + 1);
+  const atlas = table.tiles[tile]!.levels[level]!;
   const { start, stop } = table.segments[place]!;
   const { columns, samples } = readMedia(media, where);
   const reader = new ColumnReader(columns, where);
@@ -100,7 +102,7 @@ export function readStateUnit(
   return { atlas, frames: stop - start, pages, bases: new Bases(escapes, atlas) };
 }
 
-/** Rows that a level carries, ascending. `depths` (N) are those of all rows, or of the first tiers. */
+/** Rows of a tile that a level carries, ascending. `depths` (N) are those of all its rows, or of the first tiers. */
 export function levelRows(depths: Uint8Array, level: number): Uint32Array {
   const rows = new Uint32Array(depths.length);
   let count = 0;
@@ -111,15 +113,21 @@ export function levelRows(depths: Uint8Array, level: number): Uint32Array {
 }
 
 /**
- * Throws FormatError(count_mismatch) unless the sidecars of the first `tiers` tiers give the rows that a level's atlas
- * has; with fewer tiers than the level asks for, no more than those.
+ * Throws FormatError(count_mismatch) unless the sidecars of the first tiers of a tile, `of`, give the rows that a level's
+ * atlas has; with fewer tiers than the level asks for, no more than those.
  */
-export function checkCount(root: Root, table: Group, level: number, tiers: number, depths: Uint8Array): void {
+export function checkCount(
+  root: Root,
+  table: Group,
+  level: number,
+  of: { tile: number; tiers: number },
+  depths: Uint8Array,
+): void {
   const count = levelRows(depths, level).length;
-  const expected = table.levels[level]!.rows;
-  const complete = tiers >= root.levels[level]!.tiers;
+  const expected = table.tiles[of.tile]!.levels[level]!.rows;
+  const complete = of.tiers >= root.levels[level]!.tiers;
   if (count > expected || (complete && count !== expected)) {
     const detail = `the sidecars give ${count} rows, the table ${expected}`;
-    throw new FormatError("count_mismatch", `levels[${level}]`, detail);
+    throw new FormatError("count_mismatch", `tiles[${of.tile}].levels[${level}]`, detail);
   }
 }

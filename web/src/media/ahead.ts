@@ -1,9 +1,15 @@
 // How far decoding may be ahead of the screen.
 import { Bell } from "./bell.ts";
 
-/** Counts what is decoded and not taken; ids stand for segments under way. */
+/** What is decoded and not taken of a call: the segment, and the bytes of its frames. */
+interface Open {
+  segment: number;
+  frames: Map<number, number>;
+}
+
+/** Counts what is decoded and not taken; ids stand for calls under way, each of a segment of a tile. */
 export class Ahead {
-  readonly #open = new Map<number, Map<number, number>>();
+  readonly #open = new Map<number, Open>();
   readonly #bell = new Bell();
   #bytes = 0;
 
@@ -13,35 +19,41 @@ export class Ahead {
     readonly segments: number,
   ) {}
 
-  /** Resolves when another segment may begin. */
-  async place(signal: AbortSignal): Promise<void> {
-    await this.#until(() => this.#open.size < this.segments, signal);
+  /** Resolves when a segment may begin: another one, or another tile of one that has begun. */
+  async place(segment: number, signal: AbortSignal): Promise<void> {
+    await this.#until(() => {
+      const begun = new Set([...this.#open.values()].map((one) => one.segment));
+      return begun.has(segment) || begun.size < this.segments;
+    }, signal);
   }
 
-  /** Resolves when another picture may be decoded. */
-  async room(signal: AbortSignal): Promise<void> {
-    await this.#until(() => this.#bytes < this.bytes, signal);
+  /**
+   * Resolves when another picture of a call may be decoded. One that has none ahead is never kept waiting: the others are
+   * shown together with it.
+   */
+  async room(id: number, signal: AbortSignal): Promise<void> {
+    await this.#until(() => this.#bytes < this.bytes || !this.#open.has(id), signal);
   }
 
   /** Frame `t` of a segment was given out. */
-  give(id: number, t: number, bytes: number): void {
-    const frames = this.#open.get(id) ?? new Map<number, number>();
-    this.#open.set(id, frames.set(t, bytes));
+  give(id: number, segment: number, t: number, bytes: number): void {
+    const { frames } = this.#open.get(id) ?? { frames: new Map<number, number>() };
+    this.#open.set(id, { segment, frames: frames.set(t, bytes) });
     this.#bytes += bytes;
   }
 
   /** The frame was shown, or is not wanted. */
   taken(id: number, t: number): void {
-    const frames = this.#open.get(id);
+    const { frames } = this.#open.get(id) ?? {};
     this.#bytes -= frames?.get(t) ?? 0;
     frames?.delete(t);
     if (frames?.size === 0) this.#open.delete(id);
     this.#bell.ring();
   }
 
-  /** No frame of the segment is wanted any more. */
+  /** No frame of the call is wanted any more. */
   drop(id: number): void {
-    for (const t of this.#open.get(id)?.keys() ?? []) this.taken(id, t);
+    for (const t of this.#open.get(id)?.frames.keys() ?? []) this.taken(id, t);
     this.#bell.ring();
   }
 

@@ -97,22 +97,26 @@ export class Media {
     return fetched(batch);
   }
 
-  /** Decodes a canonical space; files that are not at hand are fetched. Throws FormatError, TransportError. */
-  canonical(group: number, quality: number, tiers: number, signal?: AbortSignal): Promise<Canonical> {
-    return this.#caller.call("canonical", { group, quality, tiers }, { signal });
+  /**
+   * Decodes the canonical space of a tile, which may have no rows; files that are not at hand are fetched.
+   *
+   * Throws FormatError, TransportError.
+   */
+  canonical({ group, tile, quality, tiers }: CanonicalName, signal?: AbortSignal): Promise<Canonical> {
+    return this.#caller.call("canonical", { group, tile, quality, tiers }, { signal });
   }
 
   /**
-   * Decodes a segment over a canonical space; files that are not at hand are fetched. null stands for the canonical space
-   * itself. Segments are decoded one after the other. Resolves to the number of frames.
+   * Decodes a segment of the tile of a canonical space; files that are not at hand are fetched. null stands for the
+   * canonical space itself. What is asked for at once is decoded side by side. Resolves to the number of frames.
    *
-   * Frames are decoded no further ahead of those that were `taken` than 48 MB or two segments; an aborted signal takes all
-   * frames that are left, also after the last one came. Throws FormatError, AbortError.
+   * Frames are decoded no further ahead of those that were `taken` than 48 MB or two segments, but for one of each call; an
+   * aborted signal takes all frames that are left, also after the last one came. Throws FormatError, AbortError.
    */
   segment(
     index: number,
     level: number,
-    of: CanonicalName,
+    { group, tile, quality, tiers }: CanonicalName,
     onFrame: (t: number, frame: StateFrame | null) => void,
     signal?: AbortSignal,
   ): Promise<number> {
@@ -121,6 +125,7 @@ export class Media {
       if (frame) this.#frames.set(frame, { id, t });
       onFrame(t, frame);
     };
+    const of = { group, tile, quality, tiers };
     return this.#caller.call("segment", { index, level, of }, { signal, onEvent });
   }
 

@@ -20,7 +20,7 @@ const MAX_ROOT_BYTES = 2 ** 24;
 const ATTEMPTS = 4; // to fetch a file again
 const STORED_BYTES = 64 * 2 ** 20;
 const MOST_SEGMENTS = 2; // of which something is decoded and not shown
-const KEPT_SPACES = 4; // whose positions are kept for the segments over them
+const KEPT_SPACES = 4; // of each tile, whose positions are kept for the segments over them
 
 /** What goes with a call. */
 export interface Context<Event> {
@@ -35,18 +35,18 @@ export class Engine {
   readonly #spaces = new Map<string, Positions>();
   readonly #ahead: Ahead;
   readonly #keys: PictureDecoder;
-  readonly #states: PictureDecoder;
-  #segments: Promise<unknown> = Promise.resolve();
+  /** Of states: as many as were needed side by side, and those of them that nobody uses now. */
+  readonly #states: PictureDecoder[] = [];
+  readonly #idle: PictureDecoder[] = [];
 
   private constructor(
     private readonly client: FileClient,
-    probe: Probe,
+    private readonly probe: Probe,
     readonly tables: Tables,
     aheadBytes: number,
   ) {
     this.#ahead = new Ahead(aheadBytes, MOST_SEGMENTS);
     this.#keys = new PictureDecoder(probe);
-    this.#states = new PictureDecoder(probe);
   }
 
   /** Fetches airgs.json, and sees what the browser can do. Throws FormatError, TransportError, UnsupportedError. */
@@ -104,41 +104,50 @@ export class Engine {
     return { ...found, means: means.slice(), units: units.slice(), depths: depths.slice() };
   }
 
-  /** Segments are decoded one after the other, in the order in which they are asked for. */
-  segment(args: Calls["segment"]["args"], context: Context<Calls["segment"]["event"]>): Promise<number> {
-    const mine = this.#segments.then(() => this.#segment(args, context));
-    this.#segments = mine.catch(() => {});
-    return mine;
-  }
-
-  async #segment({ index, level, of }: Calls["segment"]["args"], context: Context<Calls["segment"]["event"]>) {
+  /** A segment of a tile; those that are asked for at once are decoded side by side. */
+  async segment(
+    { index, level, of }: Calls["segment"]["args"],
+    context: Context<Calls["segment"]["event"]>,
+  ): Promise<number> {
     const { id, signal, emit } = context;
-    await this.#ahead.place(signal);
+    await this.#ahead.place(index, signal);
     if (signal.aborted) throw aborted();
     const { start, stop } = this.tables.segment(index);
-    const [where] = this.tables.stateFiles(index, level);
+    const [where] = this.tables.stateFiles(index, level, [of.tile]);
     if (!where) {
       for (let t = 0; t < stop - start; t++) emit({ t, frame: null });
       return stop - start;
     }
-    const { group, tiers } = of;
+    const { group, tile, tiers } = of;
     await this.#gather(this.#spaces.has(nameOf(of)) ? [where] : [where, ...this.#keysOf(of)], signal);
     const file = {
       segment: index,
       group,
       level,
+      tile,
       tiers,
       positions: this.#positions(of),
       bytes: this.#read(where),
       where,
     };
     const give = (t: number, frame: StateFrame) => {
-      this.#ahead.give(id, t, frame.luma.length + frame.means.byteLength);
+      this.#ahead.give(id, index, t, frame.luma.length + frame.means.byteLength);
       emit({ t, frame });
     };
-    const options = { signal, room: () => this.#ahead.room(signal) };
-    await decodeStates(this.tables, file, this.#states, give, options);
+    const options = { signal, room: () => this.#ahead.room(id, signal) };
+    const decoder = this.#idle.pop() ?? this.#another();
+    try {
+      await decodeStates(this.tables, file, decoder, give, options);
+    } finally {
+      this.#idle.push(decoder);
+    }
     return stop - start;
+  }
+
+  #another(): PictureDecoder {
+    const decoder = new PictureDecoder(this.probe);
+    this.#states.push(decoder);
+    return decoder;
   }
 
   /** The page has shown a frame. */
@@ -152,8 +161,7 @@ export class Engine {
   }
 
   close(): void {
-    this.#keys.close();
-    this.#states.close();
+    for (const decoder of [this.#keys, ...this.#states]) decoder.close();
   }
 
   /** Throws FormatError, MissingGroupError, MissingPageError for a file that no table leads to. */
@@ -169,8 +177,10 @@ export class Engine {
     return { path, limit: entry.bytes, attempts, patient: true, changing: false, accept };
   }
 
-  #keysOf({ group, quality, tiers }: CanonicalName): string[] {
-    return this.tables.keysOf(group, quality, tiers);
+  #keysOf({ group, tile, quality, tiers }: CanonicalName): string[] {
+    const first = tile * this.tables.root.tiers;
+    const units = Array.from({ length: Math.min(tiers, this.tables.root.tiers) }, (_, tier) => first + tier);
+    return this.tables.keysOf(group, quality, units);
   }
 
   /** Fetches files again that were fetched so long ago that others took their place. Throws FormatError. */
@@ -197,11 +207,12 @@ export class Engine {
   #keep(name: CanonicalName, positions: Positions): void {
     this.#spaces.delete(nameOf(name)); // the order of a Map is that of adding: the last used is the last
     this.#spaces.set(nameOf(name), positions);
-    for (const oldest of [...this.#spaces.keys()].slice(0, -KEPT_SPACES)) this.#spaces.delete(oldest);
+    const kept = KEPT_SPACES * this.tables.root.tiles;
+    for (const oldest of [...this.#spaces.keys()].slice(0, -kept)) this.#spaces.delete(oldest);
   }
 }
 
-const nameOf = ({ group, quality, tiers }: CanonicalName) => `${group} ${quality} ${tiers}`;
+const nameOf = ({ group, tile, quality, tiers }: CanonicalName) => `${group} ${tile} ${quality} ${tiers}`;
 
 function askRoot(attempts: number, patient: boolean, take: (bytes: Uint8Array) => void): FileAsk {
   const accept = async (bytes: Uint8Array, headers: Headers) => {

@@ -3,12 +3,14 @@ import type { Canonical, StateFrame } from "../format/types.ts";
 import type { Batch } from "./batch.ts";
 import type { WireError } from "./errors.ts";
 
-/** A canonical space by what it is made of. */
+/** The canonical space of a tile by what it is made of. */
 export interface CanonicalName {
   /** Counted from 0. */
   group: number;
+  /** Counted from 0. */
+  tile: number;
   quality: number;
-  /** How many tiers, from the first on. */
+  /** How many tiers of the tile, from the first on. */
   tiers: number;
 }
 

@@ -1,5 +1,4 @@
-// Canonical spaces: sidecars and key files, those of a base too -> positions, luma and bases. N rows.
-import { FormatError } from "../format/errors.ts";
+// Canonical spaces of tiles: sidecars and key files, those of a base too -> positions, luma and bases. N rows.
 import type { Tables } from "../format/package.ts";
 import type { Canonical, KeyPart } from "../format/types.ts";
 import { type KeyPlace, type KeyUnit, readKeyUnit } from "../format/units.ts";
@@ -60,21 +59,20 @@ function runsOf({ own, base }: Tier): Run[] {
   return own.where ? [...runs, { unit: own, kept: null }] : runs;
 }
 
-function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: CanonicalName): Tier[] {
+function readTiers(tables: Tables, read: ReadFile, { group, tile, quality, tiers }: CanonicalName): Tier[] {
   const base = tables.base(group);
   const found: Tier[] = [];
   for (let tier = 0; tier < Math.min(tiers, tables.root.tiers); tier++) {
-    const own = readUnit(tables, read, { group, tier, quality });
+    const own = readUnit(tables, read, { group, tile, tier, quality });
     const keeps = base !== null && own?.kept.length;
-    if (own) found.push({ own, base: keeps ? readUnit(tables, read, { group: base, tier, quality }) : null });
+    if (own) found.push({ own, base: keeps ? readUnit(tables, read, { group: base, tile, tier, quality }) : null });
   }
-  if (!found.length) throw new FormatError("missing_entry", `group ${group}`, `${tiers} key tiers have no rows`);
   return found;
 }
 
 function readUnit(tables: Tables, read: ReadFile, place: KeyPlace): Unit | null {
-  const { group, tier, quality } = place;
-  const [sidecar, where = ""] = tables.keyFiles(group, tier, quality);
+  const { group, tile, tier, quality } = place;
+  const [sidecar, where = ""] = tables.keyFiles(group, tile * tables.root.tiers + tier, quality);
   if (!sidecar) return null;
   const [table, base] = [tables.group(group), tables.baseTable(group)];
   return { ...readKeyUnit(tables.root, table, base, place, read(sidecar), where ? read(where) : null), where };

@@ -1,4 +1,4 @@
-// Segments: a state file over a canonical space -> luma, bases and means of each frame. N rows of a group, n of a level.
+// Segments: a state file over a canonical space -> luma, bases and means of each frame. N rows of a tile, n of a level.
 import { BLOCK, planeCorner, planeHeight, rowOffsets } from "../format/atlas.ts";
 import type { Tables } from "../format/package.ts";
 import { stateSteps } from "../format/steps.ts";
@@ -18,7 +18,8 @@ export interface StateFile {
   segment: number;
   group: number;
   level: number;
-  /** How many key tiers `positions` has. */
+  tile: number;
+  /** How many key tiers of the tile `positions` has. */
   tiers: number;
   positions: Positions;
   bytes: Uint8Array;
@@ -33,11 +34,11 @@ export async function decodeStates(
   take: (t: number, frame: StateFrame) => void,
   options: DecodeOptions,
 ): Promise<void> {
-  const { segment, group, level, where } = file;
+  const { segment, group, tile, level, where } = file;
   const table = tables.group(group);
-  checkCount(tables.root, table, level, file.tiers, file.positions.depths);
+  checkCount(tables.root, table, level, file, file.positions.depths);
   const place = segment - tables.segmentsOf(group).start;
-  const { atlas, frames, pages, bases } = readStateUnit(table, { segment, place, level }, file.bytes);
+  const { atlas, frames, pages, bases } = readStateUnit(table, { segment, place, tile, level }, file.bytes);
   const means = new Means(file, atlas, stateSteps(tables.root, table, level));
   const show = (t: number, luma: Uint8Array) => {
     const changes = bases.next(t);

@@ -1,7 +1,8 @@
 // What a package offers a viewer, as numbers: wire bytes and qualities of every choice.
 //
-// S segments, G groups, T key tiers, Q key qualities, L levels. A rung is a key quality with a level; rungs are
-// numbered quality by quality. A position is a segment of a session, which may play the sequence several times.
+// S segments, G groups, P tiles, U key units, Q key qualities, L levels. A unit is a key tier of a tile. A rung is a key
+// quality with a level; rungs are numbered quality by quality. A position is a segment of a session, which may play the
+// sequence several times.
 import { ROOT_PATH } from "../format/paths.ts";
 import { Kept } from "./kept.ts";
 import { type Option, savedShares } from "./ladder.ts";
@@ -15,8 +16,10 @@ export const HEADER_BYTES = 350;
 /** Segments whose numbers are kept: more than a buffer holds and a policy looks at. */
 const KEPT_SEGMENTS = 512;
 const KEPT_OPTIONS = 4096;
+/** Choices of tiles whose numbers are kept. */
+const KEPT_PARTS = 16;
 
-/** Those key units of a group that are decoded: tier t of key quality q is number q T + t. */
+/** Those key units of a group that are decoded: unit k in key quality q is number q U + k. */
 export type KeyUnits = ReadonlySet<number>;
 export const NONE: KeyUnits = new Set();
 /** Bytes of a rung that shows too many Gaussians: more than any link carries. */
@@ -29,13 +32,14 @@ export interface Batch {
   tables: readonly string[];
 }
 
-/** All paths: key units tier by tier, then the state segment, then tables for what comes next. */
+/** All paths: key units one by one, then the state segment, then tables for what comes next. */
 export const filesOf = (batch: Batch): string[] => [...batch.keys, ...batch.state, ...batch.tables];
 
 /** What a package offers. Wire bytes are those of files with `headerBytes` for each.
  *
  * A session over a growing package begins with its newest group (`first`), and its tables grow under it. No rung is
- * offered that shows more Gaussians than the budget has.
+ * offered that shows more Gaussians than the budget has. Sizes are those of `tiles` alone (`ofTiles`); qualities and
+ * numbers of Gaussians are those of all.
  */
 export class Catalogue {
   /** (key quality, level) of every rung. */
@@ -54,19 +58,38 @@ export class Catalogue {
     scratch: new Kept<Float64Array>(KEPT_SEGMENTS),
     options: new Kept<readonly Option[], string>(KEPT_OPTIONS),
   };
+  /** (L) the key units of every level. */
+  private readonly units: readonly (readonly number[])[];
   /** What is decoded of a group after each rung, at least. */
   private readonly held: readonly KeyUnits[];
+  private readonly parts = new Kept<Catalogue, string>(KEPT_PARTS);
 
   constructor(
     readonly tables: Offers,
     readonly headerBytes = HEADER_BYTES,
     readonly budget = Number.POSITIVE_INFINITY,
+    /** Ascending. */
+    readonly tiles: readonly number[] = Array.from({ length: tables.root.tiles }, (_, tile) => tile),
   ) {
-    const { qualities, levels, tiers, frame_rate } = tables.root;
+    const { qualities, levels, frame_rate } = tables.root;
     this.rungs = qualities.flatMap((_, q) => levels.map((_, j) => [q, j] as const));
     this.names = this.rungs.map(([q, j]) => `${qualities[q].id}+${levels[j].id}`);
-    this.held = this.rungs.map(([q, j]) => new Set(Array.from({ length: levels[j].tiers }, (_, t) => q * tiers + t)));
+    this.units = levels.map((_, j) => tables.unitsOf(j, tiles));
+    this.held = this.rungs.map(([q, j]) => new Set(this.units[j].map((unit) => this.unit(q, unit))));
     this.fps = frame_rate[0] / frame_rate[1];
+  }
+
+  /** What some tiles cost, which ascend: the same with their sizes. */
+  ofTiles(tiles: readonly number[]): Catalogue {
+    if (tiles.length === this.tiles.length) return this;
+    const part = this.parts.get(tiles.join(), () => new Catalogue(this.tables, this.headerBytes, this.budget, tiles));
+    part.first = this.first;
+    return part;
+  }
+
+  /** The number of a key unit in a quality. */
+  unit(quality: number, unit: number): number {
+    return quality * this.tables.root.tiles * this.tables.root.tiers + unit;
   }
 
   /** How many segments there are, S. */
@@ -125,11 +148,17 @@ export class Catalogue {
     });
   }
 
-  /** (Q L) Gaussians that a rung of a segment shows: the rows of its key tiers. */
+  /** (Q L) Gaussians that a rung of a segment shows: the rows of its key units in all tiles. */
   rows(segment: number): number[] {
-    const { root } = this.tables;
     const rows = this.tables.rows(this.tables.groupOf(segment));
-    return this.rungs.map(([, j]) => rows.slice(0, root.levels[j].tiers).reduce((sum, count) => sum + count));
+    return this.rungs.map(([, j]) => this.tables.unitsOf(j).reduce((sum, unit) => sum + rows[unit], 0));
+  }
+
+  /** Tiles of a segment that have rows. */
+  tilesWithRows(segment: number): number[] {
+    const rows = this.tables.rows(this.tables.groupOf(segment));
+    const { tiers } = this.tables.root;
+    return this.tiles.filter((tile) => rows.slice(tile * tiers, (tile + 1) * tiers).some((count) => count > 0));
   }
 
   /** Throws ConfigError where every rung at a position shows more Gaussians than the budget has. */
@@ -143,24 +172,25 @@ export class Catalogue {
   stateBytes(segment: number): Float64Array {
     const levels = this.tables.root.levels;
     return this.kept.state.get(segment, () =>
-      Float64Array.from(levels, (_, j) => this.wire(this.tables.stateFiles(segment, j))),
+      Float64Array.from(levels, (_, j) => this.wire(this.tables.stateFiles(segment, j, this.tiles))),
     );
   }
 
-  /** (Q T) wire bytes of the key units of a group; 0 for a tier without rows. */
+  /** (Q U) wire bytes of the key units of a group; 0 for one without rows. */
   keyBytes(group: number): Float64Array {
-    return this.kept.key.get(group, () => this.units((tier, q) => this.tables.keyFiles(group, tier, q)));
+    return this.kept.key.get(group, () => this.ofUnits((unit, q) => this.tables.keyFiles(group, unit, q)));
   }
 
-  /** (Q T) wire bytes of key units of the group whose rows a group keeps; 0 for a tier that keeps none. */
+  /** (Q U) wire bytes of key units of the group whose rows a group keeps; 0 for one that keeps none. */
   baseBytes(group: number): Float64Array {
-    return this.kept.base.get(group, () => this.units((tier, q) => this.tables.keptFiles(group, tier, q)));
+    return this.kept.base.get(group, () => this.ofUnits((unit, q) => this.tables.keptFiles(group, unit, q)));
   }
 
-  private units(filesOf: (tier: number, quality: number) => string[]): Float64Array {
-    const { tiers, qualities } = this.tables.root;
-    return Float64Array.from({ length: qualities.length * tiers }, (_, i) =>
-      this.wire(filesOf(i % tiers, Math.floor(i / tiers))),
+  private ofUnits(filesOf: (unit: number, quality: number) => string[]): Float64Array {
+    const { qualities } = this.tables.root;
+    const units = this.unit(1, 0);
+    return Float64Array.from({ length: qualities.length * units }, (_, i) =>
+      this.wire(filesOf(i % units, Math.floor(i / units))),
     );
   }
 
@@ -189,7 +219,7 @@ export class Catalogue {
     const before = tables.groupOf(segment) - 1;
     if (base === before) return this.held;
     if (base !== tables.base(before)) return [NONE];
-    const kept = (unit: number) => tables.keptFiles(before, unit % tables.root.tiers, 0).length > 0;
+    const kept = (unit: number) => tables.keptFiles(before, unit % this.unit(1, 0), 0).length > 0;
     return this.held.map((units) => new Set([...units].filter(kept)));
   }
 
@@ -212,14 +242,13 @@ export class Catalogue {
 
   /** (Q L) wire bytes of the keys that are missing, of the group and of the one whose rows it keeps, and the state. */
   sizes(segment: number, decoded: KeyUnits, base: KeyUnits = NONE): Float64Array {
-    const { tiers, levels } = this.tables.root;
     const group = this.tables.groupOf(segment);
     const states = this.stateBytes(segment);
     const keys = [[this.keyBytes(group), decoded] as const, [this.baseBytes(group), base] as const];
     return Float64Array.from(this.rungs, ([q, j]) => {
       let size = states[j];
-      for (const [bytes, held] of keys) {
-        for (let unit = q * tiers; unit < q * tiers + levels[j].tiers; unit++) if (!held.has(unit)) size += bytes[unit];
+      for (const unit of this.units[j].map((k) => this.unit(q, k))) {
+        for (const [bytes, held] of keys) if (!held.has(unit)) size += bytes[unit];
       }
       return size;
     });
@@ -252,12 +281,11 @@ export class Catalogue {
     const [q, j] = this.rungs[rung];
     const group = tables.groupOf(segment);
     const keys: string[] = [];
-    for (let tier = 0; tier < tables.root.levels[j].tiers; tier++) {
-      const unit = q * tables.root.tiers + tier;
-      if (!decoded.has(unit)) keys.push(...tables.keyFiles(group, tier, q));
-      if (!base.has(unit)) keys.push(...tables.keptFiles(group, tier, q));
+    for (const unit of this.units[j]) {
+      if (!decoded.has(this.unit(q, unit))) keys.push(...tables.keyFiles(group, unit, q));
+      if (!base.has(this.unit(q, unit))) keys.push(...tables.keptFiles(group, unit, q));
     }
-    return { keys, state: tables.stateFiles(segment, j), tables: [] };
+    return { keys, state: tables.stateFiles(segment, j, this.tiles), tables: [] };
   }
 
   /** The segment of the package that a session plays at a position. */

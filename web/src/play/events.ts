@@ -6,8 +6,9 @@ import { type Batch, filesOf } from "./catalogue.ts";
 import type { Decision } from "./ladder.ts";
 
 /** What a batch was requested for: tables (airgs.json, pages of the index, tables of groups); the next segment with
- * keys of its group; the next segment, whose keys are decoded; a better rung of a buffered segment. */
-export type BatchKind = "tables" | "group" | "state" | "replacement";
+ * keys of its group; the next segment, whose keys are decoded; a better rung of a buffered segment; a tile that a buffered
+ * segment, or the one on the screen, lacks. */
+export type BatchKind = "tables" | "group" | "state" | "replacement" | "repair";
 
 /** A batch of files to be fetched together. */
 export interface Request {

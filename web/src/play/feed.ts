@@ -7,9 +7,11 @@ import type { SessionEvent } from "./events.ts";
 import { HttpDownloader } from "./http-downloader.ts";
 import type { Playout } from "./playout.ts";
 import { makePolicy } from "./policies/named.ts";
+import { Repairs } from "./repairs.ts";
 import { Session } from "./session.ts";
 import type { SessionSettings } from "./settings.ts";
 import type { Stores } from "./stores.ts";
+import type { TileChoice } from "./tile-choice.ts";
 
 /** A session that lost its server is begun again so much later, seconds, if the browser does not say that it is back. */
 const RETRY_S = 5;
@@ -20,6 +22,8 @@ export interface FeedParts {
   settings: SessionSettings;
   playout: Playout;
   stores: Stores;
+  /** Which tiles are fetched when; without it all are, with their segments. */
+  choice: TileChoice | undefined;
   /** The name of the policy of the next session. */
   policy: () => string;
   onEvent: (event: SessionEvent) => void;
@@ -57,7 +61,7 @@ export class Feed {
   /** Fetch from a position on; `signal` is that of `next`, or the first one. */
   run(from: number, signal: AbortSignal = this.#stop.signal): void {
     this.#from = from;
-    this.#running = this.#fetch(from, signal);
+    this.#running = Promise.all([this.#fetch(from, signal), this.#repair(signal)]).then(() => {});
   }
 
   close(): void {
@@ -76,6 +80,12 @@ export class Feed {
       onProblem(error, !away);
       if (away) this.#retry(signal);
     }
+  }
+
+  /** Fetch what turns out to be lacking, also when the session is over. */
+  async #repair(signal: AbortSignal): Promise<void> {
+    const { choice, ...parts } = this.#parts;
+    if (choice) await new Repairs({ ...parts, choice, downloader: this.#downloader }, signal).run();
   }
 
   async #retry(signal: AbortSignal): Promise<void> {

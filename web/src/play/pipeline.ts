@@ -1,15 +1,17 @@
-// Decoding ahead of the screen: the segments of the schedule, one after another, a second of play at most.
+// Decoding ahead of the screen: the segments of the schedule, one after another, a second of play at most. The tiles of a
+// segment are decoded side by side; one that comes late is decoded at once, beside what is decoded then.
+import { FormatError } from "../format/errors.ts";
 import type { Canonical, StateFrame } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
 import type { Catalogue } from "./catalogue.ts";
-import type { Clip } from "./clip.ts";
+import type { Clip, Layer } from "./clip.ts";
 import type { Playout } from "./playout.ts";
 import type { Slot } from "./slot.ts";
 import type { KeyStore } from "./stores.ts";
 
 const LEAD_S = 1; // of play that is decoded ahead: what is decoded can no longer be replaced by a better rung
 const NOTHING = { luma: new Uint8Array(0), means: new Float32Array(0) };
-const KEPT_SPACES = 2; // canonical spaces: of the group on the screen and of the next one
+const KEPT_SPACES = 2; // canonical spaces of each tile: of the group on the screen and of the next one
 
 export interface PipelineParts {
   media: Media;
@@ -21,9 +23,14 @@ export interface PipelineParts {
   onProblem: (error: unknown) => void;
 }
 
+/** A clip, and which tiles it has or is about to have. */
+interface Work extends Clip {
+  readonly tiles: Set<number>;
+}
+
 /** Decodes what is scheduled. Clips stay until `drop` or `clear`. */
 export class Pipeline {
-  readonly #clips = new Map<number, Clip>();
+  readonly #clips = new Map<number, Work>();
   readonly #spaces = new Map<string, Canonical>();
   #stop = new AbortController();
   #working = false;
@@ -41,11 +48,11 @@ export class Pipeline {
 
   /** Go on decoding if there is something to decode. */
   async wake(): Promise<void> {
+    this.#addLate();
     if (this.#working) return;
     this.#working = true;
+    const { signal } = this.#stop;
     for (let slot = this.#next(); slot; slot = this.#next()) {
-      this.#stop = new AbortController();
-      const { signal } = this.#stop;
       await this.#decode(slot, signal);
       if (signal.aborted) return;
     }
@@ -59,8 +66,9 @@ export class Pipeline {
   }
 
   /** A frame is on the screen, and those before it in its clip have passed. */
-  shown({ frames }: Clip, frame: number): void {
-    for (let t = 0; t <= frame; t++) this.#letGo(frames, t);
+  shown(clip: Clip, frame: number): void {
+    clip.shown = frame;
+    for (const layer of clip.layers) this.#pass(layer, frame);
     this.wake();
   }
 
@@ -68,16 +76,22 @@ export class Pipeline {
   clear(): void {
     for (const clip of this.#clips.values()) this.#drop(clip);
     this.#stop.abort();
+    this.#stop = new AbortController();
     this.#working = false;
   }
 
-  #drop({ position, frames }: Clip): void {
-    for (let t = 0; t < frames.length; t++) this.#letGo(frames, t);
+  #drop({ position, layers }: Clip): void {
+    for (const { frames } of layers) for (let t = 0; t < frames.length; t++) this.#letGo(frames, t);
     this.#clips.delete(position);
   }
 
+  /** What has passed of a layer when a frame is on the screen; that frame is still of use to one that lags behind. */
+  #pass({ frames, shown }: Layer, frame: number): void {
+    for (let t = 0; t < frame + Number(shown === frame); t++) this.#letGo(frames, t);
+  }
+
   /** Of a frame that has passed, the bases are still of use: later ones follow from them. */
-  #letGo(frames: Clip["frames"], t: number): void {
+  #letGo(frames: Layer["frames"], t: number): void {
     const frame = frames[t];
     if (!frame || frame.luma === NOTHING.luma) return;
     this.parts.media.taken(frame);
@@ -98,20 +112,18 @@ export class Pipeline {
   }
 
   async #decode(slot: Slot, signal: AbortSignal): Promise<void> {
-    const { media, catalogue, playout, onProblem } = this.parts;
+    const { playout, onProblem } = this.parts;
     const { position, rung } = slot;
     if (rung === null) return;
     playout.commit(position);
-    const [quality, level] = catalogue.rungs[rung];
+    const tiles = new Map(slot.tiles);
     try {
-      const canonical = await this.#space(position, quality, signal);
-      const segment = catalogue.index(position);
-      const { start, stop } = media.tables.segment(segment);
-      const atlas = media.tables.group(canonical.group).levels[level];
-      const frames = new Array(stop - start).fill(undefined);
-      const clip: Clip = { position, rung, quality, level, canonical, atlas, frames };
+      const made = await Promise.all([...tiles].map(([tile, of]) => this.#layer(position, tile, of, false, signal)));
+      const layers = made.filter((layer) => layer !== null);
+      const clip: Work = { position, rung, layers, shown: -1, tiles: new Set(tiles.keys()) };
       this.#clips.set(position, clip);
-      await this.#fill(clip, segment, signal);
+      this.#addLate();
+      await Promise.all([...layers].map((layer) => this.#fill(clip, layer, signal)));
     } catch (error) {
       if (signal.aborted) return;
       onProblem(error);
@@ -119,29 +131,64 @@ export class Pipeline {
     }
   }
 
-  async #fill(clip: Clip, segment: number, signal: AbortSignal): Promise<void> {
-    const { media, onProgress } = this.parts;
-    const { position, canonical, quality, level } = clip;
-    const of = { group: canonical.group, quality, tiers: canonical.tiers };
-    const take = (t: number, frame: StateFrame | null) => {
-      if (this.#clips.get(position) !== clip) return media.taken(frame); // its time has passed
-      clip.frames[t] = frame;
-      onProgress();
-    };
-    await media.segment(segment, level, of, take, signal);
+  /** Begin to decode tiles that came when decoding their segment had begun. */
+  #addLate(): void {
+    for (const slot of this.parts.playout.slots) {
+      const clip = this.#clips.get(slot.position);
+      if (!clip) continue;
+      for (const [tile, rung] of slot.tiles) if (!clip.tiles.has(tile)) this.#decodeLate(clip, tile, rung);
+    }
   }
 
-  /** The canonical space of the group of a position, of all tiers that are there. */
-  async #space(position: number, quality: number, signal: AbortSignal): Promise<Canonical> {
+  async #decodeLate(clip: Work, tile: number, rung: number): Promise<void> {
+    clip.tiles.add(tile);
+    const { signal } = this.#stop;
+    try {
+      const layer = await this.#layer(clip.position, tile, rung, true, signal);
+      if (!layer || this.#clips.get(clip.position) !== clip) return;
+      clip.layers.push(layer);
+      await this.#fill(clip, layer, signal);
+    } catch (error) {
+      if (!signal.aborted) this.parts.onProblem(error);
+    }
+  }
+
+  /** A tile of the segment at a position, in a rung; null: it has no rows. */
+  async #layer(pos: number, tile: number, rung: number, late: boolean, signal: AbortSignal): Promise<Layer | null> {
+    const { media, catalogue } = this.parts;
+    const [quality, level] = catalogue.rungs[rung];
+    const canonical = await this.#space(pos, quality, tile, signal);
+    const { start, stop } = media.tables.segment(catalogue.index(pos));
+    const atlas = media.tables.group(canonical.group).tiles[tile].levels[level];
+    const frames = new Array(stop - start).fill(undefined);
+    return canonical.depths.length ? { tile, level, canonical, atlas, frames, late, shown: -1 } : null;
+  }
+
+  async #fill(clip: Work, layer: Layer, signal: AbortSignal): Promise<void> {
+    const { media, catalogue, onProgress } = this.parts;
+    const { canonical, level, frames } = layer;
+    const take = (t: number, frame: StateFrame | null) => {
+      if (this.#clips.get(clip.position) !== clip) return media.taken(frame); // its time has passed
+      frames[t] = frame;
+      if (t < clip.shown) this.#letGo(frames, t);
+      onProgress();
+    };
+    await media.segment(catalogue.index(clip.position), level, canonical, take, signal);
+  }
+
+  /** The canonical space of a tile of the group of a position, of all tiers that are there. */
+  async #space(position: number, quality: number, tile: number, signal: AbortSignal): Promise<Canonical> {
     const { media, catalogue, stores } = this.parts;
     const group = media.tables.groupOf(catalogue.index(position));
-    const tiers = stores.keys.shownTiers(position, quality);
-    const name = `${group} ${quality} ${tiers}`;
-    const canonical = this.#spaces.get(name) ?? (await media.canonical(group, quality, tiers, signal));
+    const tiers = stores.keys.shownTiers(position, quality, tile);
+    if (!tiers) throw new FormatError("missing_entry", `group ${group}`, "expected a key tier, got none");
+    const name = `${group} ${tile} ${quality} ${tiers}`;
+    const canonical = this.#spaces.get(name) ?? (await media.canonical({ group, tile, quality, tiers }, signal));
     signal.throwIfAborted();
     this.#spaces.delete(name);
     this.#spaces.set(name, canonical); // the last one used
-    for (const old of [...this.#spaces.keys()].slice(0, -KEPT_SPACES)) this.#spaces.delete(old);
+    const kept = KEPT_SPACES * catalogue.tiles.length;
+    for (const old of [...this.#spaces.keys()].slice(0, -kept)) this.#spaces.delete(old);
     return canonical;
   }
 }

@@ -5,7 +5,7 @@ import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
 import type { TargetFormat } from "../render/target.ts";
 import type { Catalogue } from "./catalogue.ts";
-import type { Clip } from "./clip.ts";
+import { type Clip, isDecoded } from "./clip.ts";
 import type { SessionEvent } from "./events.ts";
 import { Feed } from "./feed.ts";
 import { locate } from "./locate.ts";
@@ -15,9 +15,12 @@ import { EARLY, Playout } from "./playout.ts";
 import { wishedPolicy } from "./policies/named.ts";
 import { type RungInfo, RungTotals } from "./rungs.ts";
 import { Screen } from "./screen.ts";
-import { sessionSettings } from "./settings.ts";
+import { byView, sessionSettings } from "./settings.ts";
+import { Watcher } from "./sight.ts";
 import type { PlayerStats, Statistics } from "./statistics.ts";
 import { Stores } from "./stores.ts";
+import { TileChoice } from "./tile-choice.ts";
+import type { ViewState } from "./view.ts";
 
 const TIME_EVENT_S = 0.25;
 /** A page that is kept from showing anything for longer loses no frames by it, seconds. */
@@ -34,6 +37,8 @@ export interface Wishes {
   readonly bufferS: number;
   /** Most Gaussians of a group; any number without it. */
   readonly budget?: number;
+  /** Fetch the tiles that are expected in sight, where a package has several; without it true. */
+  readonly viewAdaptive?: boolean;
   readonly target?: TargetFormat;
 }
 
@@ -42,6 +47,7 @@ const nowS = () => performance.now() / 1e3;
 /** Plays one package until it is closed. */
 export class Playback {
   readonly screen: Screen;
+  readonly #watcher = new Watcher();
   readonly #playout: Playout;
   readonly #feed: Feed;
   readonly #pipeline: Pipeline;
@@ -70,7 +76,9 @@ export class Playback {
     readonly tell: (type: string, detail?: Problem) => void,
   ) {
     const { bufferS, target } = wishes;
-    const settings = sessionSettings({ bufferS, pipelined: false });
+    const adaptive = catalogue.tiles.length > 1 && (wishes.viewAdaptive ?? true);
+    const given = sessionSettings({ bufferS, pipelined: false });
+    const settings = adaptive ? byView(given) : given;
     const stores = new Stores(catalogue);
     const playout = new Playout(catalogue, settings, this.#lastPosition());
     const parts = { media, catalogue, stores, playout };
@@ -79,6 +87,7 @@ export class Playback {
     this.#feed = new Feed({
       ...parts,
       settings,
+      choice: adaptive ? new TileChoice(catalogue, playout, this.#watcher) : undefined,
       policy: () => wishedPolicy(wishes, catalogue),
       onEvent: (event) => this.#hear(event),
       onProblem: (error, fatal) => this.#problem(error, fatal),
@@ -110,6 +119,18 @@ export class Playback {
     this.#pipeline.clear();
     this.screen.close();
     this.media.close();
+  }
+
+  /** Look from somewhere else, from the next picture on. */
+  look(view: ViewState): void {
+    this.#watcher.look(view, nowS());
+    this.screen.look(view);
+  }
+
+  /** Pixels of the pictures, from the next one on. */
+  resize(width: number, height: number): void {
+    this.#watcher.resize(width, height);
+    this.screen.resize(width, height);
   }
 
   /** Take in what the viewer wants of the time: speed, and whether it passes. */
@@ -211,8 +232,9 @@ export class Playback {
   /** Make scenes of groups that come next, and free those that have passed. */
   #prepare(): void {
     const clips = [...this.#pipeline.clips];
-    for (const clip of clips) if (clip.frames[0] !== undefined) this.screen.prepare(clip);
-    this.screen.keep(new Set(clips.map((clip) => clip.canonical)));
+    const layers = clips.flatMap((clip) => clip.layers);
+    for (const layer of layers) if (layer.frames[0] !== undefined) this.screen.prepare(layer);
+    this.screen.keep(new Set(layers.map((layer) => layer.canonical)));
   }
 
   readonly #tick = (): void => {
@@ -243,8 +265,9 @@ export class Playback {
   #show(position: number, rung: number | null, frame: number): boolean {
     this.#pipeline.drop(position);
     const clip = this.#pipeline.clip(position);
-    if (rung === null || (clip && this.#shown?.clip === clip && this.#shown.frame === frame)) return true;
-    if (!clip || clip.frames[frame] === undefined || !this.screen.show(clip, frame)) return false;
+    if (rung === null) return true;
+    if (clip && this.#shown?.clip === clip && this.#shown.frame === frame) return this.#complete(clip, frame);
+    if (!clip || !isDecoded(clip, frame) || !this.screen.show(clip, frame)) return false;
     const before = this.#shown;
     this.statistics.shown(this.#passedOver(position, frame));
     this.#shown = { clip, frame };
@@ -255,6 +278,15 @@ export class Playback {
     if (nowS() - this.#timeTold >= TIME_EVENT_S) {
       this.#timeTold = nowS();
       this.tell("time");
+    }
+    return true;
+  }
+
+  /** Add tiles that came late to the frame on the screen. */
+  #complete(clip: Clip, frame: number): true {
+    if (clip.layers.some(({ frames, shown }) => shown !== frame && frames[frame] !== undefined)) {
+      this.screen.show(clip, frame);
+      this.#pipeline.shown(clip, frame);
     }
     return true;
   }

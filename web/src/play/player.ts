@@ -19,6 +19,11 @@ export interface PlayerOptions {
   bufferS?: number;
   /** Most Gaussians that are fetched and shown of a group; default: any number. */
   budget?: number;
+  /**
+   * Whether only those tiles are fetched that the viewer is expected to see, where a package has several, and no more than a
+   * second ahead; default true.
+   */
+  viewAdaptive?: boolean;
   /** What splats are blended into; default: half floats, where the browser has them. */
   target?: TargetFormat;
 }
@@ -225,7 +230,7 @@ export class Player extends EventTarget {
 
   set camera(view: ViewState) {
     this.#view = view;
-    this.#playback?.screen.look(view);
+    this.#playback?.look(view);
   }
 
   get stats(): PlayerStats {
@@ -235,7 +240,7 @@ export class Player extends EventTarget {
   /** Pixels of the pictures, from the next one that is drawn. */
   resize(width: number, height: number): void {
     this.#size = { width, height };
-    this.#playback?.screen.resize(width, height);
+    this.#playback?.resize(width, height);
   }
 
   readonly #tell = (type: string, detail?: Problem): void => {

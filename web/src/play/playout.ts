@@ -156,6 +156,23 @@ export class Playout {
     return this.schedule.reached(slot.startAt, nowS);
   }
 
+  /** When a segment that has a place is over; Infinity where it was to be, and nothing follows that would end it. */
+  endS(slot: Slot, nowS: number): number {
+    const endS = this.schedule.reached(slot.startAt + slot.seconds, nowS);
+    return endS <= nowS && slot === this.timeline[this.firstWaiting - 1] ? Infinity : endS;
+  }
+
+  /** Segments with a place that are not over, but for lost ones, in their order. */
+  unfinished(nowS: number): Slot[] {
+    const scheduled = this.timeline.slice(0, this.firstWaiting);
+    return scheduled.filter((slot) => slot.rung !== null && this.endS(slot, nowS) > nowS);
+  }
+
+  /** When what is due at a place is shown; if the schedule is held, as if it went on now. */
+  startsAtS(dueAt: number, nowS: number): number {
+    return this.schedule.reached(dueAt, nowS);
+  }
+
   /** The place where the next segment is due, the end of all that is buffered; where playing waits, as if it went on
    * now. */
   dueAt(nowS: number): number {
@@ -167,7 +184,7 @@ export class Playout {
   /** When a segment that is due at a place must have arrived to be shown without a stall, the time to decode it taken
    * off. */
   deadlineS(dueAt: number, nowS: number): number {
-    return this.schedule.reached(dueAt, nowS) - this.settings.decodeFrameS;
+    return this.startsAtS(dueAt, nowS) - this.settings.decodeFrameS;
   }
 
   /** Resume if playing waits for more media although the buffer is too full for the segment at a position. */
@@ -183,10 +200,11 @@ export class Playout {
     return this.held && place > this.schedule.at(nowS) ? Infinity : this.schedule.reached(place, nowS);
   }
 
-  /** Append a segment that arrived, or is lost; playing begins or goes on when there is enough. */
-  enqueue(position: number, rung: number | null, arrivedS: number): void {
+  /** Append a segment that arrived with some tiles, or is lost; playing begins or goes on when there is enough. */
+  enqueue(position: number, rung: number | null, arrivedS: number, which = this.catalogue.tiles): void {
     const readyS = arrivedS + (rung === null ? 0 : this.settings.decodeFrameS);
-    const slot = newSlot(this.catalogue, { position, rung, readyS, readyAt: this.schedule.at(readyS) });
+    const tiles = new Map(rung === null ? [] : which.map((tile) => [tile, rung] as const));
+    const slot = newSlot(this.catalogue, { position, rung, tiles, readyS, readyAt: this.schedule.at(readyS) });
     this.timeline.push(slot);
     this.finished = false;
     this.place(slot);
@@ -207,9 +225,16 @@ export class Playout {
     return this.timeline.slice(this.firstUnseen).filter((slot) => slot.rung !== null && !slot.committed);
   }
 
-  /** Show another rung of a segment. */
+  /** Show another rung of the tiles of a segment that have its rung. */
   replace(slot: Slot, rung: number): void {
+    for (const [tile, before] of slot.tiles) if (before === slot.rung) slot.tiles.set(tile, rung);
     slot.rung = rung;
+    this.changed();
+  }
+
+  /** A tile of a segment has come late, in some rung. */
+  addTile(slot: Slot, tile: number, rung: number): void {
+    slot.tiles.set(tile, rung);
     this.changed();
   }
 
@@ -244,7 +269,7 @@ export class Playout {
 
   /** The latest segment that must have begun for another to fit the buffer, and seconds to be shown of it. */
   private blocking(position: number): { slot: Slot; restS: number } | null {
-    let ahead = this.catalogue.secondsAt(position);
+    let ahead = this.settings.overfill ? 0 : this.catalogue.secondsAt(position);
     const most = this.settings.bufferS;
     for (let i = this.timeline.length - 1; i >= 0; i--) {
       const slot = this.timeline[i];

@@ -1,12 +1,13 @@
 // The part of a session that fetches: one batch at a time, and what arrives is kept.
 
-import type { Catalogue } from "./catalogue.ts";
+import { type Catalogue, filesOf } from "./catalogue.ts";
 import type { Downloader, GiveUp } from "./downloader.ts";
 import type { Arrival, Arrived, Request } from "./events.ts";
 import type { Playout } from "./playout.ts";
 import type { Download, Policy } from "./policies/state.ts";
 import type { SessionSettings } from "./settings.ts";
 import type { Stores } from "./stores.ts";
+import type { TileChoice } from "./tile-choice.ts";
 
 /** Downloads that policies know. */
 const REMEMBERED = 24;
@@ -21,6 +22,8 @@ export interface SessionParts {
   settings: SessionSettings;
   playout: Playout;
   stores: Stores;
+  /** Which tiles are fetched with their segments; without it all. */
+  choice?: TileChoice | undefined;
 }
 
 /** Fetches for a session until the signal aborts. */
@@ -62,7 +65,10 @@ export class Receiver {
   /** Fetch a batch and keep what is of use; time goes on. */
   async receive(request: Request, giveUp: GiveUp | null): Promise<Arrival> {
     const { downloader, stores } = this.parts;
-    const arrival = await downloader.fetch(request, giveUp, this.signal);
+    for (const path of filesOf(request.batch)) stores.coming.add(path);
+    const arrival = await downloader.fetch(request, giveUp, this.signal).finally(() => {
+      for (const path of filesOf(request.batch)) stores.coming.delete(path);
+    });
     this.nowS = arrival.atS;
     for (const path of arrival.refused.keys()) stores.unusable.add(path);
     stores.tables.add(arrival);
@@ -83,14 +89,15 @@ export class Receiver {
   private useKeys({ position, rung }: Request): void {
     const { catalogue: c, playout, settings, stores } = this.parts;
     const quality = c.rungs[rung][0];
-    const tiers = stores.keys.shownTiers(position, quality);
     const of = c.group(position);
     for (const slot of playout.pending()) {
       const { loop, group } = c.group(slot.position);
       const inTime = playout.startS(slot, this.nowS) >= this.nowS + settings.decodeFrameS;
       if (loop !== of.loop || group !== of.group || !inTime) continue;
       const [shownQuality, level] = c.rungs[slot.rung ?? 0];
-      if (quality < shownQuality && tiers >= c.tables.root.levels[level].tiers) {
+      const tiles = [...slot.tiles].filter(([, other]) => other === slot.rung);
+      const tiers = tiles.map(([tile]) => stores.keys.shownTiers(position, quality, tile));
+      if (quality < shownQuality && tiers.every((count) => count >= c.tables.root.levels[level].tiers)) {
         playout.replace(slot, quality * c.tables.root.levels.length + level);
       }
     }

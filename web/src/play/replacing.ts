@@ -36,7 +36,7 @@ export function bestReplacement(c: Catalogue, playout: Playout, stores: Stores, 
   for (const slot of playout.pending()) {
     const startS = playout.startS(slot, link.nowS);
     if (!(link.nowS < startS && startS < Infinity)) continue;
-    for (const option of stores.keys.options(slot.position)) {
+    for (const option of stores.keys.options(slot.position, tilesOf(slot))) {
       const worth = worthOf(c, slot, option, { ...link, startS, decodeS });
       if (worth === null || (best && worth <= best.worth)) continue;
       if (usable(stores, replacing(c, stores, slot, option.index))) best = { worth, slot, option };
@@ -49,7 +49,8 @@ function worthOf(c: Catalogue, slot: Slot, option: Option, link: Deadline): numb
   const gain = option.quality - (slotQuality(c, slot) ?? 0);
   const [index, level] = [c.index(slot.position), c.rungs[slot.rung ?? 0][1]];
   // The state is decoded where only the keys would be better.
-  const size = option.sizeBytes - (c.rungs[option.index][1] === level ? c.stateBytes(index)[level] : 0);
+  const states = c.ofTiles(tilesOf(slot)).stateBytes(index);
+  const size = option.sizeBytes - (c.rungs[option.index][1] === level ? states[level] : 0);
   const arrivalS = link.nowS + link.rttS + (8 * size) / link.rateBps;
   if (gain < REPLACE_GAIN_DB || arrivalS + link.decodeS > link.startS) return null;
   return (gain * slot.seconds) / Math.max(1, size);
@@ -57,13 +58,26 @@ function worthOf(c: Catalogue, slot: Slot, option: Option, link: Deadline): numb
 
 /** What it takes to show another rung of a buffered segment: with the same level, only its keys. */
 export function replacing(c: Catalogue, stores: Stores, slot: Slot, rung: number): Batch {
-  const batch = stores.keys.missing(slot.position, rung);
+  const batch = stores.keys.missing(slot.position, rung, tilesOf(slot));
   return c.rungs[rung][1] === c.rungs[slot.rung ?? 0][1] ? { ...batch, state: [] } : batch;
 }
+
+/** The tiles of a segment, ascending. */
+const tilesOf = (slot: Slot): number[] => [...slot.tiles.keys()].sort((a, b) => a - b);
 
 /** Whether no file of a batch was found missing or corrupt. */
 export const usable = (stores: Stores, batch: Batch): boolean =>
   !stores.unusable.size || filesOf(batch).every((path) => !stores.unusable.has(path));
+
+/** Those of the tiles of a position that can be had in some rung; all if none can, so that the segment is lost. */
+export function obtainable(stores: Stores, position: number, tiles: readonly number[]): readonly number[] {
+  const found = tiles.filter((tile) =>
+    stores.keys
+      .options(position, [tile])
+      .some(({ index }) => usable(stores, stores.keys.missing(position, index, [tile]))),
+  );
+  return stores.unusable.size && found.length ? found : tiles;
+}
 
 /** dB, null of a lost segment. */
 export const slotQuality = (c: Catalogue, slot: Slot): number | null =>

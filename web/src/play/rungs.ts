@@ -60,8 +60,7 @@ export class RungTotals {
     const c = this.catalogue;
     const seconds = c.seconds(s);
     this.#seconds += seconds;
-    const { tiers, qualities } = c.tables.root;
-    const kept = new Set(Array.from({ length: qualities.length * tiers }, (_, unit) => unit));
+    const kept = new Set(Array.from({ length: c.unit(c.tables.root.qualities.length, 0) }, (_, unit) => unit));
     const sizes = c.sizes(s, NONE, kept); // what is kept was there before
     const states = c.stateBytes(s);
     const quality = c.quality(s);

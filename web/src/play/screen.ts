@@ -1,20 +1,21 @@
-// What is on the canvas: a scene for each group on its way to the viewer, its rows' order in depth, and one picture drawn
-// when something has changed.
+// What is on the canvas: a scene for each tile of each group on its way to the viewer, its rows' order in depth, and one
+// picture drawn when something has changed.
 import type { Canonical, Group, Root } from "../format/types.ts";
 import { Renderer, type Scene } from "../render/renderer.ts";
 import { Sorter } from "../render/sorter.ts";
 import type { TargetFormat } from "../render/target.ts";
-import type { Clip } from "./clip.ts";
+import { farToNear } from "../render/tile-order.ts";
+import type { Clip, Layer } from "./clip.ts";
 import { cameraOf, type ViewState } from "./view.ts";
 
-/** A canonical space on the GPU, and what of which clip it shows. */
+/** A canonical space on the GPU, and what it shows of a tile of which clip. */
 interface Stage {
   /** What the sorter knows it by. */
   readonly key: string;
   readonly canonical: Canonical;
   readonly scene: Scene;
-  clip: Clip | null;
-  /** The frame up to which the bases of the clip were followed; -1: none. */
+  layer: Layer | null;
+  /** The frame up to which the bases of the layer were followed; -1: none. */
   frame: number;
   /** (3N) means that the sorter does not have yet; null: it has them. */
   means: Float32Array | null;
@@ -35,7 +36,8 @@ export class Screen {
   #renderer: Renderer | null;
   readonly #sorter = new Sorter();
   readonly #stages = new Map<Canonical, Stage>();
-  #shown: Stage | null = null;
+  /** One a tile; null: nothing was shown yet. */
+  #shown: Stage[] | null = null;
   #view: ViewState | null = null;
   #size = { width: 1, height: 1 };
   #dirty = false;
@@ -66,51 +68,67 @@ export class Screen {
     this.#dirty = true;
   }
 
-  /** Make ready what a clip begins with, so that its first frame can follow the one before without a pause. */
-  prepare(clip: Clip): void {
-    this.#stage(clip);
+  /** Make ready what a tile begins with, so that its first frame can follow the one before without a pause. */
+  prepare(layer: Layer): void {
+    this.#stage(layer);
   }
 
   /**
-   * Show a decoded frame of a clip from the next picture on. False: not yet, since the scene of its group has no order; the
-   * old picture stays.
+   * Show a frame of a clip, of all tiles that are decoded, from the next picture on. False: not yet, since a scene has no
+   * order; the old picture stays. Nobody waits for a tile that came late: it is as it was before, or absent.
    */
-  show(clip: Clip, frame: number): boolean {
-    const stage = this.#stage(clip);
+  show({ layers }: Clip, frame: number): boolean {
     const renderer = this.#renderer;
-    if (!stage || !renderer?.ready(stage.scene)) return false;
-    if (stage.clip !== clip || frame < stage.frame) {
-      renderer.level(stage.scene, clip.level);
-      Object.assign(stage, { clip, frame: -1 });
+    if (!renderer) return false;
+    const shown: Stage[] = [];
+    const changed: { stage: Stage; layer: Layer }[] = [];
+    for (const layer of layers) {
+      const isDecoded = layer.frames[frame] !== undefined;
+      const stage = isDecoded ? this.#stage(layer) : this.#stages.get(layer.canonical);
+      const isReady = isDecoded && stage && renderer.ready(stage.scene);
+      if (!isReady && !layer.late) return false;
+      if (stage && (isReady || this.#shown?.includes(stage))) shown.push(stage);
+      if (isReady && layer.shown !== frame) changed.push({ stage, layer });
+    }
+    for (const { stage, layer } of changed) this.#change(renderer, stage, layer, frame);
+    this.#shown = shown;
+    this.#dirty = true;
+    return true;
+  }
+
+  /** Bring a scene to a frame of a tile. */
+  #change(renderer: Renderer, stage: Stage, layer: Layer, frame: number): void {
+    if (stage.layer !== layer || frame < stage.frame) {
+      renderer.level(stage.scene, layer.level);
+      Object.assign(stage, { layer, frame: -1 });
     }
     for (let t = stage.frame + 1; t <= frame; t++) {
-      const { bases } = clip.frames[t] ?? { bases: null };
+      const { bases } = layer.frames[t] ?? { bases: null };
       if (bases) renderer.bases(stage.scene, bases);
     }
-    const state = clip.frames[frame] ?? null;
-    renderer.state(stage.scene, clip.atlas, state?.luma ?? null);
-    stage.means = state?.means ?? clip.canonical.means;
-    Object.assign(stage, { frame });
-    this.#shown = stage;
-    this.#dirty = true;
+    const state = layer.frames[frame] ?? null;
+    renderer.state(stage.scene, layer.atlas, state?.luma ?? null);
+    stage.means = state?.means ?? layer.canonical.means;
+    layer.shown = stage.frame = frame;
     this.#sort(stage);
-    return true;
   }
 
   /** Draw, if anything has changed and the GPU has finished the picture before. True: a picture was drawn. */
   draw(): boolean {
-    const stage = this.#shown;
-    if (!this.#dirty || !stage || !this.#view || !this.#renderer || this.#renderer.busy) return false;
+    const stages = this.#shown;
+    if (!this.#dirty || !stages || !this.#view || !this.#renderer || this.#renderer.busy) return false;
     const { width, height } = this.#size;
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    this.#dirty = !this.#renderer.draw(stage.scene, cameraOf(this.#view, width, height));
+    const boxes = stages.map(({ canonical }) => this.tables.group(canonical.group).tiles[canonical.tile]);
+    const scenes = farToNear(boxes, this.#view.position).map((tile) => stages[tile].scene);
+    this.#dirty = !this.#renderer.draw(scenes, cameraOf(this.#view, width, height));
     return !this.#dirty;
   }
 
   /** Free the scenes of all canonical spaces but these and the one on the screen. */
   keep(spaces: ReadonlySet<Canonical>): void {
     for (const [canonical, stage] of this.#stages) {
-      if (spaces.has(canonical) || stage === this.#shown) continue;
+      if (spaces.has(canonical) || this.#shown?.includes(stage)) continue;
       this.#renderer?.free(stage.scene);
       this.#sorter.forget(stage.key);
       this.#stages.delete(canonical);
@@ -132,15 +150,14 @@ export class Screen {
     return new Renderer(this.canvas, { background: [r, g, b], ...(target ? { target } : {}) });
   }
 
-  #stage(clip: Clip): Stage | null {
-    const { canonical } = clip;
+  #stage({ canonical, frames }: Layer): Stage | null {
     const known = this.#stages.get(canonical);
     if (known || !this.#renderer) return known ?? null;
     const [table, base] = [this.tables.group(canonical.group), this.tables.baseTable(canonical.group)];
     const scene = this.#renderer.scene(this.tables.root, table, canonical, base);
-    const means = clip.frames.find((frame) => frame?.means.length)?.means ?? canonical.means;
+    const means = frames.find((frame) => frame?.means.length)?.means ?? canonical.means;
     const key = `${this.#made++}`;
-    const stage: Stage = { key, canonical, scene, clip: null, frame: -1, means, sorting: false, stale: false };
+    const stage: Stage = { key, canonical, scene, layer: null, frame: -1, means, sorting: false, stale: false };
     this.#stages.set(canonical, stage);
     this.#sort(stage);
     return stage;
@@ -159,7 +176,7 @@ export class Screen {
       if (this.#stages.get(stage.canonical) !== stage || !this.#renderer) return;
       if (!rows) continue;
       this.#renderer.order(stage.scene, rows);
-      this.#dirty ||= stage === this.#shown;
+      this.#dirty ||= this.#shown?.includes(stage) ?? false;
     }
     stage.sorting = false;
   }

@@ -1,7 +1,7 @@
 // A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
 //
-// One batch passes at a time: those key units of the chosen rung that are not decoded, in tier order, then the state
-// segment. When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it better keys
+// One batch passes at a time: those key units of the chosen rung that are not decoded, one by one, then the state segment;
+// of all tiles, or of those that a choice of tiles names (what is lacking then, `Repairs` fetches). When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it better keys
 // of its group) as long as it will be there in time. A download that would come too late is abandoned when a smaller
 // one would come sooner; whole key files that have arrived are kept. A segment none of whose rungs can be had is lost:
 // the last picture stands for its time, and the session goes on.
@@ -20,7 +20,7 @@ import { type Arrival, type Arrived, isComplete, type Request, type SessionEvent
 import type { Decision, Option } from "./ladder.ts";
 import { budgetBytes, estimateThroughput, type PlayerState, SAFETY } from "./policies/state.ts";
 import { Receiver, type SessionParts } from "./receiver.ts";
-import { bestReplacement, replacing, slotQuality, usable } from "./replacing.ts";
+import { bestReplacement, obtainable, replacing, slotQuality, usable } from "./replacing.ts";
 import { ConfigError } from "./settings.ts";
 import type { Slot } from "./slot.ts";
 
@@ -172,17 +172,20 @@ class Run {
 
   /** Choose a rung of the next segment and fetch it; false: it was abandoned or broken, choose again. */
   private async *fetchNext(position: number, latencyS: number): Events<boolean> {
-    const { playout, policy, stores } = this.parts;
-    const state = stores.tables.has(position) ? this.state(position, latencyS) : null;
+    const { catalogue, choice, playout, policy, stores } = this.parts;
+    const there = stores.tables.has(position);
+    const wanted = (there && choice?.early(position, this.sentS(latencyS))) || catalogue.tiles;
+    const tiles = there ? obtainable(stores, position, wanted) : wanted;
+    const state = there ? this.state(position, latencyS, tiles) : null;
     if (!state?.options.length) {
-      if (position === this.first) this.parts.catalogue.checkBudget(position);
+      if (position === this.first) catalogue.checkBudget(position);
       yield { type: "lost", position, atS: this.nowS };
       playout.enqueue(position, null, this.nowS);
       return true;
     }
     const decision = policy.choose(state);
     const tables = position > this.first ? this.wantedTables(position + 1) : []; // nothing delays the first picture
-    const batch = { ...stores.keys.missing(position, decision.index), tables };
+    const batch = { ...stores.keys.missing(position, decision.index, tiles), tables };
     if (filesOf(batch).length) {
       // Without files nothing moves: the canonical space is decoded.
       const kind = batch.keys.length ? "group" : "state";
@@ -193,7 +196,7 @@ class Run {
       if (arrival.abandoned) this.givenUp = { position, sizeBytes: decision.sizeBytes };
       if (this.stopped || !isComplete(arrival)) return false;
     }
-    playout.enqueue(position, decision.index, this.nowS);
+    playout.enqueue(position, decision.index, this.nowS, tiles);
     return true;
   }
 
@@ -201,17 +204,17 @@ class Run {
     return { type: "arrived", arrival, decision, budgetBytes: budget, throughputBps };
   }
 
-  private state(position: number, latencyS: number): PlayerState {
+  private state(position: number, latencyS: number, tiles: readonly number[]): PlayerState {
     const { catalogue, playout, settings, stores } = this.parts;
     return {
-      catalogue,
+      catalogue: catalogue.ofTiles(tiles),
       position,
       end: playout.end,
       decoded: stores.keys.decoded(position),
-      options: this.options(position),
+      options: this.options(position, tiles),
       nowS: this.nowS,
       deadlineS: playout.deadlineS(playout.dueAt(this.nowS), this.nowS),
-      bufferLimitS: settings.bufferS,
+      bufferLimitS: settings.bufferS + (settings.overfill ? catalogue.secondsAt(position) : 0),
       requestLatencyS: latencyS,
       shownQuality: playout.last && slotQuality(catalogue, playout.last),
       history: this.receiver.history(this.sentS(latencyS)),
@@ -219,12 +222,12 @@ class Run {
     };
   }
 
-  /** The rungs of the next segment that can be had and are smaller than what was given up. */
-  private options(position: number): readonly Option[] {
+  /** The rungs of tiles of the next segment that can be had and are smaller than what was given up. */
+  private options(position: number, tiles: readonly number[]): readonly Option[] {
     const { stores } = this.parts;
     const most = this.givenUp.position === position ? this.givenUp.sizeBytes : Infinity;
-    const options = stores.keys.options(position);
-    return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index)));
+    const options = stores.keys.options(position, tiles);
+    return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index, tiles)));
   }
 
   /** Abandon a download that, at the rate so far, would come after its deadline, and after the smallest rung if that

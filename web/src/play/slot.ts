@@ -6,6 +6,8 @@ export interface Slot {
   readonly position: number;
   /** Null: lost. */
   rung: number | null;
+  /** The rung of each tile that is there. */
+  readonly tiles: Map<number, number>;
   /** Of media. */
   readonly seconds: number;
   readonly frames: number;
@@ -21,7 +23,7 @@ export interface Slot {
 }
 
 /** A segment that waits. */
-export function newSlot(c: Catalogue, place: Pick<Slot, "position" | "rung" | "readyS" | "readyAt">): Slot {
+export function newSlot(c: Catalogue, place: Pick<Slot, "position" | "rung" | "tiles" | "readyS" | "readyAt">): Slot {
   const { start, stop } = c.span(c.index(place.position));
   const frames = stop - start;
   return { ...place, seconds: frames / c.fps, frames, startAt: Infinity, stallS: 0, committed: false };

@@ -1,4 +1,5 @@
 // Figures of a session, for viewers who want to see them.
+import type { Catalogue } from "./catalogue.ts";
 import type { Clip } from "./clip.ts";
 import type { Arrived } from "./events.ts";
 import type { Playout } from "./playout.ts";
@@ -24,8 +25,18 @@ export interface PlayerStats {
   psnr: number | null;
   stalls: number;
   stallS: number;
+  /** Tiles of the scene that are on the screen, and how many there are; null: not known. */
+  tiles: { shown: number; all: number } | null;
   /** What this browser does to the luma of pictures. */
   luma: "exact" | "invertible" | null;
+}
+
+/** Of the tiles of a clip that have rows: those on the screen, and all. */
+function tilesOf(catalogue: Catalogue, { layers, shown, position }: Clip): PlayerStats["tiles"] {
+  const segment = catalogue.index(position);
+  if (!catalogue.knows(segment)) return null;
+  const there = layers.filter((layer) => layer.shown === shown);
+  return { shown: there.length, all: catalogue.tilesWithRows(segment).length };
 }
 
 /** Counts what happens. */
@@ -70,6 +81,7 @@ export class Statistics {
       psnr: known && clip ? playout.catalogue.quality(segment)[clip.rung] : null,
       stalls: playout?.stalls ?? 0,
       stallS: playout?.stallS ?? 0,
+      tiles: playout && clip && tilesOf(playout.catalogue, clip),
       luma,
     };
   }

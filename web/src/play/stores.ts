@@ -84,27 +84,28 @@ export class KeyStore {
     return [held(group), held(base)];
   }
 
-  /** How many tiers of a key quality, from the first on, can be shown in the group of a position. */
-  shownTiers(position: number, quality: number): number {
+  /** How many tiers of a tile in a key quality, from the first on, can be shown in the group of a position. */
+  shownTiers(position: number, quality: number, tile: number): number {
     const { tables } = this.catalogue;
     const { group } = this.catalogue.group(position);
     const [own, base] = this.of(position);
     const { tiers } = tables.root;
-    let tier = 0;
-    for (let unit = quality * tiers; tier < tiers && own.has(unit); unit = quality * tiers + ++tier) {
-      if (!base.has(unit) && tables.keptFiles(group, tier, quality).length) break;
+    for (let tier = 0; tier < tiers; tier++) {
+      const number = this.catalogue.unit(quality, tile * tiers + tier);
+      if (!own.has(number)) return tier;
+      if (!base.has(number) && tables.keptFiles(group, tile * tiers + tier, quality).length) return tier;
     }
-    return tier;
+    return tiers;
   }
 
-  /** The files that a rung of the segment at a position still needs. */
-  missing(position: number, rung: number): Batch {
-    return this.catalogue.batch(this.catalogue.index(position), rung, ...this.of(position));
+  /** The files that a rung of the segment at a position still needs of some tiles. */
+  missing(position: number, rung: number, tiles = this.catalogue.tiles): Batch {
+    return this.catalogue.ofTiles(tiles).batch(this.catalogue.index(position), rung, ...this.of(position));
   }
 
-  /** Every rung of the segment at a position, with the bytes that it still needs. */
-  options(position: number): readonly Option[] {
-    return this.catalogue.options(this.catalogue.index(position), ...this.of(position));
+  /** Every rung of the segment at a position, with the bytes that it still needs of some tiles. */
+  options(position: number, tiles = this.catalogue.tiles): readonly Option[] {
+    return this.catalogue.ofTiles(tiles).options(this.catalogue.index(position), ...this.of(position));
   }
 
   /** Take in what arrived: a unit counts once its files are there. */
@@ -121,9 +122,9 @@ export class KeyStore {
       this.units.delete(name); // the order of a Map is that of adding: the last used is the last
       this.units.set(name, { loop, group: of, units });
       if (this.units.size > MOST_GROUPS) this.units.delete(this.units.keys().next().value ?? name);
-      for (let tier = 0; tier < tables.root.levels[level].tiers; tier++) {
-        const whole = tables.keyFiles(of, tier, quality).every((path) => kept.has(path));
-        if (whole) units.add(quality * tables.root.tiers + tier);
+      for (const unit of tables.unitsOf(level)) {
+        const whole = tables.keyFiles(of, unit, quality).every((path) => kept.has(path));
+        if (whole) units.add(this.catalogue.unit(quality, unit));
       }
     }
   }
@@ -140,6 +141,8 @@ export class Stores {
   readonly keys: KeyStore;
   /** With their arrivals, oldest first. */
   readonly downloads: { atS: number; download: Download }[] = [];
+  /** Files on their way. */
+  readonly coming = new Set<string>();
   /** Files found missing or corrupt. */
   readonly unusable = new Set<string>();
   /** When airgs.json was asked for; null: not yet. */

@@ -98,7 +98,7 @@ export class Renderer {
   }
 
   /**
-   * A group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an order.
+   * A tile of a group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an order.
    * `base` is the table of the group whose rows it keeps, if it keeps any.
    *
    * Throws RenderError for more rows or pages than this machine's textures hold.
@@ -151,16 +151,25 @@ export class Renderer {
    */
   ready(scene: Scene): boolean {
     if (this.#gone(scene) || !this.#finishKeys(scene) || !scene.ordered) return false;
-    return this.#programs.done([PROJECTION + scene.degree, "splats", "canvas"]);
+    return this.#programs.done([PROJECTION + scene.degree]) && this.#finishes;
   }
 
-  /** Draws a scene if it is ready, and says whether it did; else the canvas stays as it is. */
-  draw(scene: Scene, camera: Camera): boolean {
-    if (!this.ready(scene)) return false;
+  /** Whether what pictures of any scenes take is compiled. */
+  get #finishes(): boolean {
+    return this.#programs.done(["splats", "canvas"]);
+  }
+
+  /**
+   * Draws scenes into one picture, the first the furthest, if all of them are ready, and says whether it did; else the
+   * canvas stays as it is.
+   */
+  draw(scenes: readonly Scene[], camera: Camera): boolean {
+    if (this.lost || !this.#finishes || !scenes.every((scene) => this.ready(scene))) return false;
     const gl = this.#gl;
     const [width, height] = [gl.drawingBufferWidth, gl.drawingBufferHeight];
-    this.#project(scene, camera, [width, height]);
-    this.#splat(scene, [width, height]);
+    for (const scene of scenes) this.#project(scene, camera, [width, height]);
+    this.#clear(width, height);
+    for (const scene of scenes) this.#splat(scene, [width, height]);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, width, height);
     gl.disable(gl.BLEND);
@@ -252,15 +261,20 @@ export class Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  #splat(scene: Scene, [width, height]: [number, number]): void {
-    const gl = this.#gl;
+  /** Begins a picture of a size. */
+  #clear(width: number, height: number): void {
     const held = this.#picture?.picture;
     if (held?.width !== width || held.height !== height) {
       this.#picture?.free();
-      this.#picture = new Target(gl, this.target, [width, height]);
+      this.#picture = new Target(this.#gl, this.target, [width, height]);
     }
     this.#picture!.clear(this.background);
+  }
+
+  /** Blends a scene over what the picture has. */
+  #splat(scene: Scene, [width, height]: [number, number]): void {
     if (!scene.visible) return;
+    const gl = this.#gl;
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.bindVertexArray(this.#splats);

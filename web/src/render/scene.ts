@@ -1,4 +1,5 @@
-// What the GPU holds of a group: the canonical space, the picture of a state, an order. N rows, C colour channels.
+// What the GPU holds of a tile of a group: the canonical space, the picture of a state, an order. N rows, C colour
+// channels.
 //
 // A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
 import { colourChannels, colourMatrix, colourSteps, keySteps, STATE_CHANNELS, stateSteps } from "../format/steps.ts";
@@ -20,7 +21,7 @@ export interface LevelView {
   readonly codes: CodeTable;
 }
 
-/** A group on the GPU, in a key quality. Made by `Renderer.scene`, released by `Renderer.free`. */
+/** A tile of a group on the GPU, in a key quality. Made by `Renderer.scene`, released by `Renderer.free`. */
 export class Scene {
   readonly rows: number;
   readonly degree: number;
@@ -50,6 +51,7 @@ export class Scene {
   readonly #gl: WebGL2RenderingContext;
   readonly #root: Root;
   readonly #group: Group;
+  readonly #tile: number;
   readonly #depths: Uint8Array;
   /** The level of the pictures that come next. */
   #next: LevelView | null = null;
@@ -58,7 +60,8 @@ export class Scene {
   constructor(gl: WebGL2RenderingContext, root: Root, group: Group, canonical: Canonical, base: Group | null) {
     this.rows = canonical.depths.length;
     this.degree = root.sh_degree;
-    [this.#gl, this.#root, this.#group, this.#depths] = [gl, root, group, canonical.depths];
+    [this.#gl, this.#root, this.#group] = [gl, root, group];
+    [this.#tile, this.#depths] = [canonical.tile, canonical.depths];
     const channels = colourChannels(root.sh_degree);
     const layers = Math.ceil(channels / 4);
     const size = rowSize(gl, this.rows);
@@ -91,7 +94,7 @@ export class Scene {
       return;
     }
     this.#drop();
-    const atlas = this.#group.levels[level];
+    const atlas = this.#group.tiles[this.#tile].levels[level];
     const codes = codeTable(atlas, stateSteps(this.#root, this.#group, level), STATE_CHANNELS.colours);
     this.#next = { level, atlas, codes, samples: new Samples(this.#gl, atlas) };
   }

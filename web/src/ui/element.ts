@@ -20,6 +20,7 @@ export abstract class PlayerElement extends Base implements Owner {
     "policy",
     "quality",
     "budget",
+    "all-tiles",
     "view-region",
   ];
   readonly #root = this.attachShadow({ mode: "open", delegatesFocus: true });
@@ -172,7 +173,8 @@ export abstract class PlayerElement extends Base implements Owner {
     }
     const { src, autoplay, controls, poster, quality, loop, policy } = this;
     const budget = Number(this.getAttribute("budget") ?? Infinity);
-    const settings = { loop, budget, ...(policy ? { policy } : {}) };
+    const viewAdaptive = !this.hasAttribute("all-tiles");
+    const settings = { loop, budget, viewAdaptive, ...(policy ? { policy } : {}) };
     const plan = { src, autoplay, controls, poster, quality, settings, free: this.viewRegion === "free" };
     try {
       this.#view = new View(this, plan, this.#root);

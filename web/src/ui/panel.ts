@@ -13,6 +13,7 @@ const ROWS = {
   throughput: "Throughput",
   buffer: "Buffer",
   bytes: "Received",
+  tiles: "Tiles shown",
   fps: "Frames shown",
   dropped: "Frames dropped",
   stalls: "Stalls",
@@ -67,6 +68,8 @@ export class Panel {
     for (const [key, text] of Object.entries(this.#texts())) write(this.#cells[key as keyof typeof ROWS], text);
     this.#history.draw();
     if (this.#rungs !== this.desk.rungs) this.#fillLegend();
+    const { tiles } = this.desk.player.stats;
+    this.#cells.tiles.parentElement!.hidden = !tiles || tiles.all < 2;
   }
 
   #texts(): Record<keyof typeof ROWS, string> {
@@ -80,6 +83,7 @@ export class Panel {
       throughput: rate(stats.throughputBps),
       buffer: `${stats.bufferS.toFixed(1)} s`,
       bytes: size(stats.bytes),
+      tiles: stats.tiles ? `${stats.tiles.shown} of ${stats.tiles.all}` : "–",
       fps: `${stats.framesShown} (${stats.displayFps.toFixed(stats.displayFps < 10 ? 1 : 0)} pictures/s)`,
       dropped: `${stats.framesDropped}${all ? ` (${((100 * stats.framesDropped) / all).toFixed(1)} %)` : ""}`,
       stalls: stats.stalls ? `${stats.stalls} (${stats.stallS.toFixed(1)} s)` : "none",

@@ -46,6 +46,8 @@ export interface PlayerSettings {
   loop?: boolean;
   /** Most Gaussians that are fetched and shown of a group. */
   budget?: number;
+  /** Fetch only the tiles that are expected in sight, where a package has several. */
+  viewAdaptive?: boolean;
 }
 
 /** What a player tells. */

@@ -98,12 +98,12 @@ export class Decoded {
   #canonical({ quality, tiers, groups }: RungTable, group: number, tables: Group[]): Canonical {
     const { means, units, depths, parts } = groups[group].canonical;
     return {
-      ...{ group, quality, tiers },
+      ...{ group, tile: 0, quality, tiers },
       means: this.#array(means),
       units: this.#array(units),
       depths: this.#array(depths),
       parts: parts.map((part) => ({
-        atlas: (part.kept ? baseOf(tables, group)! : tables[group]).tiers[part.tier].qualities[quality],
+        atlas: (part.kept ? baseOf(tables, group)! : tables[group]).tiles[0].tiers[part.tier].qualities[quality],
         kept: part.kept && this.#array<Uint32Array>(part.kept),
         luma: this.#array<Uint8Array>(part.luma!),
         bases: this.#changes(part),

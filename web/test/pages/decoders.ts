@@ -68,19 +68,19 @@ async function watched(step: Record<string, unknown>): Promise<unknown> {
     if (refused.length) throw new Error(JSON.stringify(refused as [string, WireError][]));
   };
   await fetched([groupPath(1)]);
-  const tiers = tables.group(0).tiers.length;
+  const { tiers } = tables.root;
   await fetched(Array.from({ length: tiers }, (_, tier) => tables.keyFiles(0, tier, 0)).flat());
   await fetched(tables.stateFiles(0, level));
   watch({ after, times });
   const came: number[] = [];
   let said = "";
   try {
-    await engine.canonical({ group: 0, quality: 0, tiers }, context);
+    await engine.canonical({ group: 0, tile: 0, quality: 0, tiers }, context);
     const emit = ({ t }: { t: number }) => {
       came.push(t);
       if (t === abortAt) stop.abort();
     };
-    await engine.segment({ index: 0, level, of: { group: 0, quality: 0, tiers } }, { id: 2, signal, emit });
+    await engine.segment({ index: 0, level, of: { group: 0, tile: 0, quality: 0, tiers } }, { id: 2, signal, emit });
   } catch (error) {
     said = (error as Error).message;
   } finally {

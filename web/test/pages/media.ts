@@ -6,7 +6,7 @@ import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.t
 import { groupPath } from "../../src/format/paths.ts";
 import type { Atlas, Gaussians, StateFrame } from "../../src/format/types.ts";
 import { FrameReader } from "../../src/frames.ts";
-import { type Fetched, Media } from "../../src/media/client.ts";
+import { type CanonicalName, type Fetched, Media } from "../../src/media/client.ts";
 import { decodes } from "./decoders.ts";
 import { probes } from "./mocks.ts";
 
@@ -42,20 +42,17 @@ async function digests(luma: Uint8Array, atlas: Atlas): Promise<string[]> {
   return found;
 }
 
-/** The key files and the canonical space of all tiers. */
-async function canonicalOf(media: Media, group: number, quality: number, tiers: number) {
-  demand(await media.fetch(media.tables.keysOf(group, quality, tiers), { attempts: 1 }));
-  return media.canonical(group, quality, tiers);
+/** The canonical space of a tile, whose key files it fetches. */
+async function canonicalOf(media: Media, of: CanonicalName) {
+  const first = of.tile * media.tables.root.tiers;
+  const units = Array.from({ length: of.tiers }, (_, tier) => first + tier);
+  demand(await media.fetch(media.tables.keysOf(of.group, of.quality, units), { attempts: 1 }));
+  return media.canonical(of);
 }
 
-async function framesOf(
-  media: Media,
-  segment: number,
-  level: number,
-  of: { group: number; quality: number; tiers: number },
-) {
+async function framesOf(media: Media, segment: number, level: number, of: CanonicalName) {
   const frames: (StateFrame | null)[] = [];
-  demand(await media.fetch(media.tables.stateFiles(segment, level), { attempts: 1 }));
+  demand(await media.fetch(media.tables.stateFiles(segment, level, [of.tile]), { attempts: 1 }));
   const count = await media.segment(segment, level, of, (t, frame) => {
     if (t !== frames.length) throw new Error(`expected frame ${frames.length}, got ${t}`);
     frames.push(frame);
@@ -72,22 +69,24 @@ async function luma({ url }: Step): Promise<unknown> {
   const found: Record<string, string[]> = {};
   for (let group = 0; group < index.groups; group++) {
     await openGroup(media, group);
-    const table = media.tables.group(group);
-    for (let quality = 0; quality < root.qualities.length; quality++) {
-      const canonical = await canonicalOf(media, group, quality, table.tiers.length);
-      const own = canonical.parts.filter((part) => !part.kept);
-      const files = table.tiers.flatMap((_, tier) => media.tables.keyFiles(group, tier, quality));
-      const pictures = files.filter((path) => path.endsWith(".m4s"));
-      for (const [i, part] of own.entries()) found[pictures[i]] = await digests(part.luma, part.atlas);
-    }
-    const of = { group, quality: 0, tiers: table.tiers.length };
-    const { start, stop } = media.tables.segmentsOf(group);
-    for (let segment = start; segment < stop; segment++) {
-      for (const [level, atlas] of table.levels.entries()) {
-        const frames = await framesOf(media, segment, level, of);
-        const parts = await Promise.all(frames.map((frame) => (frame ? digests(frame.luma, atlas) : [])));
-        const [path] = media.tables.stateFiles(segment, level);
-        if (path) found[path] = parts[0].flatMap((_, page) => parts.map((pages) => pages[page]));
+    for (const tile of media.tables.tiles) {
+      const of = { group, tile, quality: 0, tiers: root.tiers };
+      for (let quality = 0; quality < root.qualities.length; quality++) {
+        const canonical = await canonicalOf(media, { ...of, quality });
+        const own = canonical.parts.filter((part) => !part.kept);
+        const units = Array.from({ length: root.tiers }, (_, tier) => tile * root.tiers + tier);
+        const files = units.flatMap((unit) => media.tables.keyFiles(group, unit, quality));
+        const pictures = files.filter((path) => path.endsWith(".m4s"));
+        for (const [i, part] of own.entries()) found[pictures[i]] = await digests(part.luma, part.atlas);
+      }
+      const { start, stop } = media.tables.segmentsOf(group);
+      for (let segment = start; segment < stop; segment++) {
+        for (const [level, atlas] of media.tables.group(group).tiles[tile].levels.entries()) {
+          const frames = await framesOf(media, segment, level, of);
+          const parts = await Promise.all(frames.map((frame) => (frame ? digests(frame.luma, atlas) : [])));
+          const [path] = media.tables.stateFiles(segment, level, [tile]);
+          if (path) found[path] = parts[0].flatMap((_, page) => parts.map((pages) => pages[page]));
+        }
       }
     }
   }
@@ -112,12 +111,13 @@ async function frames(step: Step): Promise<unknown> {
     await openGroup(media, group);
     const { root } = media.tables;
     const table = media.tables.group(group);
-    const canonical = await canonicalOf(media, group, quality, tiers);
+    const of = { group, tile: 0, quality, tiers };
+    const canonical = await canonicalOf(media, of);
     const base = canonicalGaussians(root, table, canonical, media.tables.baseTable(group));
     const { start, stop } = media.tables.segmentsOf(group);
     for (let segment = start; segment < stop; segment++) {
-      const bases = new Int32Array(atlasSamples(table.levels[level]));
-      for (const shown of await framesOf(media, segment, level, { group, quality, tiers })) {
+      const bases = new Int32Array(atlasSamples(table.tiles[0].levels[level]));
+      for (const shown of await framesOf(media, segment, level, of)) {
         applyBases(bases, shown?.bases ?? null);
         const state = shown && { level, luma: shown.luma, bases };
         const got = shownGaussians(root, table, base, canonical, state);
@@ -202,12 +202,12 @@ async function growing({ url }: Step): Promise<unknown> {
 async function ahead({ url }: Step): Promise<unknown> {
   const media = await Media.open(url, { aheadBytes: 1 });
   await openGroup(media, 0);
-  const tiers = media.tables.group(0).tiers.length;
-  await canonicalOf(media, 0, 0, tiers);
+  const of = { group: 0, tile: 0, quality: 0, tiers: media.tables.root.tiers };
+  await canonicalOf(media, of);
   const [path] = media.tables.stateFiles(0, 0);
   demand(await media.fetch([path]));
   const frames: (StateFrame | null)[] = [];
-  const waiting = media.segment(0, 0, { group: 0, quality: 0, tiers }, (_, frame) => frames.push(frame));
+  const waiting = media.segment(0, 0, of, (_, frame) => frames.push(frame));
   const settled = async () => {
     for (let before = -1; before !== frames.length; ) {
       before = frames.length;
@@ -223,10 +223,10 @@ async function ahead({ url }: Step): Promise<unknown> {
   const total = await waiting;
   demand(await media.fetch([path]));
   const stop = new AbortController();
-  const given = media.segment(0, 0, { group: 0, quality: 0, tiers }, () => stop.abort(), stop.signal);
+  const given = media.segment(0, 0, of, () => stop.abort(), stop.signal);
   const error = await given.catch((problem: Error) => problem.name);
   demand(await media.fetch([path]));
-  const again = await media.segment(0, 0, { group: 0, quality: 0, tiers }, (_, frame) => media.taken(frame));
+  const again = await media.segment(0, 0, of, (_, frame) => media.taken(frame));
   media.close();
   return { counts, total, error, again };
 }
@@ -239,11 +239,12 @@ async function mistakes({ url }: Step): Promise<unknown> {
   const early = await media.fetch(["key/T0/1.bin", "nothing/1.bin"]);
   for (const error of early.refused.values()) say(error);
   await openGroup(media, 0);
-  said.push((await media.canonical(0, 0, 1)).depths.length);
-  const late = media.canonical(0, 0, 1).catch(say);
+  const of = { group: 0, tile: 0, quality: 0, tiers: 1 };
+  said.push((await media.canonical(of)).depths.length);
+  const late = media.canonical(of).catch(say);
   media.close();
   await late;
-  await media.canonical(0, 0, 1).catch(say);
+  await media.canonical(of).catch(say);
   return said;
 }
 

@@ -1,5 +1,6 @@
 // What the player does on a page, one check a visit. Query: src, check, and what the check takes.
 import { open, type Player } from "../../src/airgs.ts";
+import { firstView } from "../../src/format/region.ts";
 import { cameraOf } from "../../src/play/view.ts";
 import { canvas, gl, number, query, shown, sleep, src, start, until } from "../support/player-page.ts";
 
@@ -55,6 +56,12 @@ function brightness(pixels: Uint8Array): number {
   return sum / (0.75 * pixels.length);
 }
 
+/** The camera of the pictures, as JSON. */
+function seenBy(player: Player) {
+  const { worldToCamera, ...lens } = cameraOf(player.camera, canvas.width, canvas.height);
+  return { ...lens, worldToCamera: Array.from(worldToCamera) };
+}
+
 const checks: Record<string, () => Promise<unknown>> = {
   /** Plays once, to the end. */
   async once() {
@@ -90,8 +97,23 @@ const checks: Record<string, () => Promise<unknown>> = {
       await until(`frame ${frame}`, () => !player.seeking && player.rungs[player.rung ?? 0].name === rung);
       pictures.push({ frame, picture: base64(await settled(player)) });
     }
-    const { worldToCamera, ...lens } = cameraOf(player.camera, canvas.width, canvas.height);
-    return { ...log.report(), pictures, camera: { ...lens, worldToCamera: Array.from(worldToCamera) } };
+    return { ...log.report(), pictures, camera: seenBy(player) };
+  },
+
+  /** Looks away from most of a scene, and after a request for /turned, with the picture of a frame, at all of it. */
+  async turn() {
+    const log = await start({ loop: false }, { ...JSON.parse(query.get("away") ?? ""), fovY: 60, near: 0.01 });
+    const { player } = log;
+    player.quality = query.get("rung") ?? "";
+    await until("the end", () => player.ended);
+    const away = { ...player.stats.tiles, picture: base64(await settled(player)), camera: seenBy(player) };
+    await fetch("/turned");
+    const { region } = player;
+    if (!region) throw new Error("no region");
+    player.camera = { ...firstView(region), near: region.near };
+    await until("all tiles", () => player.stats.tiles?.shown === player.stats.tiles?.all);
+    const back = { ...player.stats.tiles, picture: base64(await settled(player)), camera: seenBy(player) };
+    return { ...log.report(), away, back };
   },
 
   /** Loses the WebGL context, gets it back, and goes on. */

@@ -63,7 +63,7 @@ class Stage {
 
   draw(scene: Scene, camera: Camera): void {
     [canvas.width, canvas.height] = [camera.width, camera.height];
-    if (!this.renderer.draw(scene, camera)) this.errors.push("draw: nothing was drawn");
+    if (!this.renderer.draw([scene], camera)) this.errors.push("draw: nothing was drawn");
     this.look("draw");
   }
 
@@ -87,7 +87,7 @@ async function play(stage: Stage, data: Decoded, rung: Rung, number: number, eve
       stage.look("level");
       for (const frame of frames) {
         const shown = ++count % every === 0;
-        stage.step(scene, frame, shown, group.levels[rung.level]);
+        stage.step(scene, frame, shown, group.tiles[0].levels[rung.level]);
         for (const [n, camera] of shown ? data.cameras.entries() : []) {
           await stage.order(scene, frame.means, camera);
           stage.draw(scene, camera);
@@ -129,7 +129,7 @@ async function levels(data: Decoded) {
         const after = stage.renderer.readFloat();
         if (before.some((value, i) => value !== after[i])) stage.errors.push("level: drawn at once");
       }
-      stage.step(scene, frame, true, group.levels[level]);
+      stage.step(scene, frame, true, group.tiles[0].levels[level]);
       await stage.order(scene, frame.means, camera);
       stage.draw(scene, camera);
       found.push({ rung: n, frame: t, camera: 0, ...compare(stage.renderer, frame.pictures[0]) });
@@ -147,14 +147,14 @@ async function change(data: Decoded) {
   const { level } = data.rungs[0];
   const old = stage.renderer.scene(data.root, first.group, first.canonical);
   stage.renderer.level(old, level);
-  stage.step(old, frames[0], true, first.group.levels[level]);
+  stage.step(old, frames[0], true, first.group.tiles[0].levels[level]);
   await stage.order(old, frames[0].means, camera);
   stage.draw(old, camera);
   const before = stage.renderer.readBytes();
   const next = stage.renderer.scene(data.root, second.group, second.canonical, second.base);
   stage.renderer.level(next, level);
-  stage.step(next, frames[1], true, second.group.levels[level]);
-  const early = stage.renderer.ready(next) || stage.renderer.draw(next, camera);
+  stage.step(next, frames[1], true, second.group.tiles[0].levels[level]);
+  const early = stage.renderer.ready(next) || stage.renderer.draw([next], camera);
   stage.draw(old, camera);
   const between = compare(stage.renderer, frames[0].pictures[0]);
   const same = stage.renderer.readBytes().every((value, i) => value === before[i]);
@@ -162,8 +162,8 @@ async function change(data: Decoded) {
   stage.renderer.free(old);
   stage.draw(next, camera);
   const after = compare(stage.renderer, frames[1].pictures[0]);
-  stage.renderer.state(old, first.group.levels[level], frames[0].luma);
-  const freed = stage.renderer.draw(old, camera);
+  stage.renderer.state(old, first.group.tiles[0].levels[level], frames[0].luma);
+  const freed = stage.renderer.draw([old], camera);
   stage.look("freed");
   return { early, same, between, after, freed, errors: stage.errors };
 }
@@ -178,7 +178,7 @@ async function lost(data: Decoded) {
   const show = async (on: Stage) => {
     const scene = on.renderer.scene(data.root, group, canonical);
     on.renderer.level(scene, level);
-    on.step(scene, frame, true, group.levels[level]);
+    on.step(scene, frame, true, group.tiles[0].levels[level]);
     await on.order(scene, frame.means, camera);
     on.draw(scene, camera);
     return scene;
@@ -195,10 +195,10 @@ async function lost(data: Decoded) {
   for (const one of [scene, dead]) {
     renderer.level(one, level);
     renderer.bases(one, { texels: Uint32Array.of(1), bases: Int32Array.of(1) });
-    renderer.state(one, group.levels[level], frame.luma);
+    renderer.state(one, group.tiles[0].levels[level], frame.luma);
     renderer.order(one, Uint32Array.of(0));
   }
-  const idle = [renderer.lost, renderer.busy, renderer.ready(dead), renderer.draw(scene, camera)];
+  const idle = [renderer.lost, renderer.busy, renderer.ready(dead), renderer.draw([scene], camera)];
   const sizes = [renderer.readBytes().length, renderer.readFloat().length];
   renderer.free(dead);
   const back = heard("webglcontextrestored");
@@ -221,17 +221,17 @@ async function sizes(data: Decoded) {
   const halves = { fx: camera.fx / 2, fy: camera.fy / 2, cx: camera.cx / 2, cy: camera.cy / 2 };
   stage.draw(scene, camera);
   const whole = stage.renderer.readBytes();
-  stage.renderer.draw(scene, { ...half, ...halves }); // the canvas keeps its size
+  stage.renderer.draw([scene], { ...half, ...halves }); // the canvas keeps its size
   stage.look("size");
   const scaled = stage.renderer.readBytes();
   [canvas.width, canvas.height] = [37, 91];
-  const odd = stage.renderer.draw(scene, camera);
+  const odd = stage.renderer.draw([scene], camera);
   stage.look("odd size");
   const corner = Array.from(stage.renderer.readBytes().subarray(0, 4));
   const length = stage.renderer.readBytes().length;
   stage.renderer.dispose();
   stage.renderer.dispose();
-  const disposed = stage.renderer.draw(scene, camera);
+  const disposed = stage.renderer.draw([scene], camera);
   stage.look("disposed");
   const same = scaled.every((value, i) => value === whole[i]);
   return { same, odd, corner, length, disposed, segments: segments.length, errors: stage.errors };
@@ -242,7 +242,7 @@ async function refusals(data: Decoded) {
   const stage = new Stage();
   const { group, canonical, segments } = data.rungs[0].groups[0];
   const { level } = data.rungs[0];
-  const atlas = group.levels[level];
+  const atlas = group.tiles[0].levels[level];
   const luma = segments[0][0].luma!;
   const scene = stage.renderer.scene(data.root, group, canonical);
   const told = (act: () => void) => {

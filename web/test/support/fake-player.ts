@@ -176,6 +176,7 @@ export class FakePlayer extends EventTarget implements PlayerLike {
       psnr: this.rung === null ? null : this.rungs[this.rung].psnr,
       stalls: 1,
       stallS: 0.4,
+      tiles: { shown: 1, all: 1 },
       luma: "exact",
     };
   }

@@ -1,11 +1,11 @@
 // What a package offers a player, from numbers alone: `Offers` without files or tables. All count from 0.
 import { GroupIndex, PAGE } from "../../src/format/index.ts";
-import { keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath } from "../../src/format/paths.ts";
+import { keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath, tileFolder } from "../../src/format/paths.ts";
 import type { Offers } from "../../src/play/offers.ts";
 
 export interface SegmentNumbers {
   frames: number;
-  /** One a level; 0: nothing to fetch. */
+  /** One a level, of each tile after the other; 0: nothing to fetch. */
   bytes: number[];
   /** dB, by level and quality. */
   psnr: number[][];
@@ -14,14 +14,16 @@ export interface SegmentNumbers {
 export interface GroupNumbers {
   /** Bytes. */
   table: number;
-  /** Gaussians, one a tier, where a test counts them. */
+  /** Gaussians, one a unit, where a test counts them. */
   rows?: number[];
-  /** One a tier; 0: no rows. */
+  /** One a unit; 0: no rows. */
   sidecars: number[];
-  /** By tier and quality. */
+  /** By unit and quality. */
   pictures: number[][];
+  /** One a tile, where a test looks at them. */
+  boxes?: { low: number[]; high: number[] }[];
   segments: SegmentNumbers[];
-  /** The group, from 1, whose rows it keeps, and how many of each tier. */
+  /** The group, from 1, whose rows it keeps, and how many of each unit. */
   keeps?: number;
   kept?: number[];
 }
@@ -34,6 +36,8 @@ export interface PackageNumbers {
   page_bytes: number;
   qualities: string[];
   levels: { id: string; tiers: number; pruned: number }[];
+  /** 1 where nothing is said. */
+  tiles?: number;
   groups: GroupNumbers[];
 }
 
@@ -80,11 +84,16 @@ export class NumberOffers implements Offers {
       frame_rate,
       live,
       levels,
-      tiers: groups[0].sidecars.length,
+      tiers: groups[0].sidecars.length / this.tiles,
+      tiles: this.tiles,
       frames: this.index.frames,
       views: { reference: "original" },
       qualities: qualities.map((id) => ({ id })),
     };
+  }
+
+  private get tiles(): number {
+    return this.numbers.tiles ?? 1;
   }
 
   has(_group: number): boolean {
@@ -108,10 +117,21 @@ export class NumberOffers implements Offers {
     return rows ?? sidecars.map(() => 0);
   }
 
-  keyFiles(group: number, tier: number, quality: number): string[] {
+  boxes(group: number) {
+    return this.numbers.groups[group].boxes ?? [];
+  }
+
+  unitsOf(level: number, tiles = Array.from({ length: this.tiles }, (_, tile) => tile)): number[] {
+    const tiers = Array.from({ length: this.root.levels[level].tiers }, (_, tier) => tier);
+    return tiles.flatMap((tile) => tiers.map((tier) => tile * this.root.tiers + tier));
+  }
+
+  keyFiles(group: number, unit: number, quality: number): string[] {
     const { sidecars, pictures } = this.numbers.groups[group];
-    const files = sidecars[tier] ? [keySidecarPath(tier, group + 1)] : [];
-    return pictures[tier][quality] ? [...files, keyMediaPath(tier, quality, group + 1)] : files;
+    const tier = unit % this.root.tiers;
+    const folder = tileFolder((unit - tier) / this.root.tiers, this.tiles);
+    const files = sidecars[unit] ? [keySidecarPath(folder, tier, group + 1)] : [];
+    return pictures[unit][quality] ? [...files, keyMediaPath(folder, tier, quality, group + 1)] : files;
   }
 
   base(group: number): number | null {
@@ -119,28 +139,33 @@ export class NumberOffers implements Offers {
     return keeps ? keeps - 1 : null;
   }
 
-  keptFiles(group: number, tier: number, quality: number): string[] {
+  keptFiles(group: number, unit: number, quality: number): string[] {
     const base = this.base(group);
-    return base !== null && this.numbers.groups[group].kept![tier] ? this.keyFiles(base, tier, quality) : [];
+    return base !== null && this.numbers.groups[group].kept![unit] ? this.keyFiles(base, unit, quality) : [];
   }
 
-  stateFiles(segment: number, level: number): string[] {
+  stateFiles(segment: number, level: number, tiles = Array.from({ length: this.tiles }, (_, tile) => tile)): string[] {
+    const there = tiles.filter((tile) => this.stateBytes(segment, level, tile));
+    return there.map((tile) => stateMediaPath(tileFolder(tile, this.tiles), level, segment + 1));
+  }
+
+  private stateBytes(segment: number, level: number, tile: number): number {
     const { entry, part } = this.part(segment);
-    return part.segments[segment - entry.firstSegment].bytes[level] ? [stateMediaPath(level, segment + 1)] : [];
+    return part.segments[segment - entry.firstSegment].bytes[tile * this.root.levels.length + level];
   }
 
   entry(path: string): { bytes: number } {
     const found = locate(path);
     if (!found) throw new Error(`${path}: no such file`);
-    const [number, ...rest] = [...found.numbers].reverse();
+    const number = found.numbers.at(-1)! - 1;
     if (found.what === "page") return { bytes: this.numbers.page_bytes };
-    if (found.what === "state") {
-      const { entry, part } = this.part(number - 1);
-      return { bytes: part.segments[number - 1 - entry.firstSegment].bytes[rest[0]] };
-    }
-    const group = this.numbers.groups[number - 1];
+    const group = this.numbers.groups[number];
     if (found.what === "group") return { bytes: group.table };
-    return { bytes: found.what === "sidecar" ? group.sidecars[rest[0]] : group.pictures[rest[1]][rest[0]] };
+    const [named, first, second] = found.numbers;
+    const tile = Math.max(0, named - 1);
+    if (found.what === "state") return { bytes: this.stateBytes(number, first, tile) };
+    const unit = tile * this.root.tiers + first;
+    return { bytes: found.what === "sidecar" ? group.sidecars[unit] : group.pictures[unit][second] };
   }
 
   private part(segment: number) {
@@ -181,6 +206,6 @@ export class UnitOffers extends NumberOffers {
   }
 
   override keyFiles(group: number, tier: number, quality: number): string[] {
-    return this.numbers.groups[group].pictures[tier][quality] ? [keyMediaPath(tier, quality, group + 1)] : [];
+    return this.numbers.groups[group].pictures[tier][quality] ? [keyMediaPath("", tier, quality, group + 1)] : [];
   }
 }

@@ -1,5 +1,5 @@
 // What pages that try the player share: a canvas, a player on it, and all that the player tells.
-import { Player, type PlayerOptions, type Problem } from "../../src/airgs.ts";
+import { Player, type PlayerOptions, type Problem, type ViewState } from "../../src/airgs.ts";
 
 export const query = new URLSearchParams(location.search);
 export const src = query.get("src") ?? "";
@@ -49,11 +49,12 @@ export class Log {
   }
 }
 
-/** A player that has begun to play. */
-export async function start(options: PlayerOptions = {}): Promise<Log> {
+/** A player that has begun to play, as seen by `view`, by default from where the package says. */
+export async function start(options: PlayerOptions = {}, view?: ViewState): Promise<Log> {
   const player = new Player(canvas, { policy: query.get("policy") ?? "robust-mpc", ...options });
   log = new Log(player);
   player.resize(number("width", 160), number("height", 120));
+  if (view) player.camera = view;
   player.play();
   await player.open(src);
   return log;

@@ -166,10 +166,10 @@ test("a tier is shown when what it keeps is there as well", async () => {
   const request = { kind: "group" as const, position: 2, rung: 0, batch, sentS: 0, latencyS: 0 };
   const arrival = await downloader.fetch(request, null, new AbortController().signal);
   stores.keys.add({ ...arrival, whole: batch.keys.slice(0, 5) }); // no table of tier 1 of the other group
-  assert.deepEqual([[...stores.keys.decoded(2).get(1)!], stores.keys.shownTiers(2, 0)], [[0, 1], 1]);
+  assert.deepEqual([[...stores.keys.decoded(2).get(1)!], stores.keys.shownTiers(2, 0, 0)], [[0, 1], 1]);
   assert.deepEqual(stores.keys.missing(2, 0).keys, ["key/T1/1.bin", "key/T1/Q0/1.m4s"]);
   stores.keys.add(arrival);
-  assert.equal(stores.keys.shownTiers(2, 0), 2);
+  assert.equal(stores.keys.shownTiers(2, 0, 0), 2);
   assert.deepEqual([catalogue.knows(2), playout.end], [true, 12]);
 });
 

@@ -94,7 +94,7 @@ const NOTHING = { bytes: 0, sha256: "" };
 /** The table of group 2 with so many rows of each tier kept. */
 function keeping(group: Group, keeps: number, kept: number[]): Group {
   const table: Group = { ...structuredClone(group), keeps };
-  for (const [t, tier] of table.tiers.entries()) {
+  for (const [t, tier] of table.tiles[0]!.tiers.entries()) {
     tier.kept = kept[t]!;
     for (const atlas of tier.qualities) atlas.rows = tier.count - tier.kept;
     if (tier.count > tier.kept) continue;
@@ -108,9 +108,10 @@ function keeping(group: Group, keeps: number, kept: number[]): Group {
 async function fewer(): Promise<{ base: Group; keeper: Group }> {
   const group = (await readTables(FOX)).group(1);
   const base = structuredClone(group);
-  base.tiers[0]!.count += 1;
-  base.tiers[1]!.count -= 1;
-  for (const tier of base.tiers) for (const atlas of tier.qualities) atlas.rows = tier.count;
+  const { tiers } = base.tiles[0]!;
+  tiers[0]!.count += 1;
+  tiers[1]!.count -= 1;
+  for (const tier of tiers) for (const atlas of tier.qualities) atlas.rows = tier.count;
   return { base, keeper: keeping(group, 2, [0, 140]) };
 }
 
@@ -134,7 +135,7 @@ test("the files of a key unit, and those of what it keeps", async () => {
   assert.deepEqual(tables.keptFiles(0, 1, 0), []);
   assert.deepEqual((await fox([500, 0])).keptFiles(1, 1, 0), []);
   const files = ["key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s", "key/T1/2.bin"];
-  assert.deepEqual(tables.keysOf(1, 1, 2), [...files, "key/T1/1.bin", "key/T1/Q1/1.m4s"]);
+  assert.deepEqual(tables.keysOf(1, 1, [0, 1]), [...files, "key/T1/1.bin", "key/T1/Q1/1.m4s"]);
 });
 
 test("what is kept must be there", async () => {
@@ -163,7 +164,10 @@ test("what is kept must be there", async () => {
 
 test("a base with fewer rows than are kept is refused, whichever is read first", async () => {
   const { base, keeper } = await fewer();
-  const refused = { reason: "bad_value", message: /group\/3.json.gz.tiers\[1\].kept: expected 0 to 139, got 140/ };
+  const refused = {
+    reason: "bad_value",
+    message: /group\/3.json.gz.tiles\[0\].tiers\[1\].kept: expected 0 to 139, got 140/,
+  };
   for (const order of [
     [base, keeper],
     [keeper, base],
@@ -193,7 +197,7 @@ test("without the table of the base nothing of it can be said", async () => {
 /** Group 2 keeps all rows of tier 1, which move by other rows' depths, and none of tier 0. */
 test("kept rows stand where the base has them", async () => {
   const tables = await fox([0, 3]);
-  const [, count] = tables.group(1).tiers.map((tier) => tier.count);
+  const [, count] = tables.group(1).tiles[0]!.tiers.map((tier) => tier.count);
   const own = readFox(tables, 1);
   const base = readFox(tables, 0);
   assert.equal(count, 140);
@@ -212,13 +216,13 @@ test("kept rows stand where the base has them", async () => {
 function readFox(tables: Tables, group: number): Positions {
   const table = tables.group(group);
   if (group) {
-    const [first, last] = table.tiers;
+    const [first, last] = table.tiles[0]!.tiers;
     last!.count = last!.kept;
-    table.tiers = [first!, last!];
+    table.tiles[0]!.tiers = [first!, last!];
   }
   const sidecar = columnFile([column(1, 2, 4, 92), column(1, 0, 2, 1)]);
   const read = (path: string) => (path === "key/T1/2.bin" ? sidecar : readBytes(`${FOX}/${path}`));
-  return readPositions(tables, read, { group, quality: 1, tiers: 2 });
+  return readPositions(tables, read, { group, tile: 0, quality: 1, tiers: 2 });
 }
 
 test("kept rows look as the table of the base says", () => {
@@ -239,7 +243,7 @@ test("kept rows look as the table of the base says", () => {
     Uint32Array.of(0, 2),
   );
   const canonical: Canonical = {
-    ...{ group: 1, quality: 0, tiers: 1 },
+    ...{ group: 1, tile: 0, quality: 0, tiers: 1 },
     means: new Float32Array(9),
     units: new Float32Array(3),
     depths: new Uint8Array(3),

@@ -19,12 +19,14 @@ const open = (path: string, folder = FOX): Media => readMedia(readBytes(`${folde
 function unitOf(tables: Tables, path: string): { atlas: Atlas; start: number; stop: number } {
   const { what, numbers } = locate(path)!;
   const number = numbers.at(-1)! - 1;
+  const [named, first, second] = numbers as [number, number, number];
+  const tile = Math.max(0, named - 1);
   if (what === "state") {
     const { start, stop } = tables.segment(number);
-    return { atlas: tables.group(tables.groupOf(number)).levels[numbers[0]!]!, start, stop };
+    return { atlas: tables.group(tables.groupOf(number)).tiles[tile]!.levels[first]!, start, stop };
   }
-  const { tiers, start, stop } = tables.group(number);
-  return { atlas: tiers[numbers[0]!]!.qualities[numbers[1]!]!, start, stop };
+  const { tiles, start, stop } = tables.group(number);
+  return { atlas: tiles[tile]!.tiers[first]!.qualities[second]!, start, stop };
 }
 
 for (const one of readVectors("packages").units) {
@@ -249,11 +251,14 @@ test("a damaged file is refused for a reason of the format, wherever it is damag
   const tables = await readTables(FOX);
   const table = tables.group(0);
   const sidecar = readBytes(`${FOX}/key/T0/1.bin`);
-  const place = { group: 0, tier: 0, quality: 0 };
+  const place = { group: 0, tile: 0, tier: 0, quality: 0 };
   const attempts: [Uint8Array, (data: Uint8Array) => void][] = [
     [sidecar, (data) => readKeyUnit(tables.root, table, null, place, data, readBytes(`${FOX}/${KEY}`))],
     [readBytes(`${FOX}/${KEY}`), (data) => readKeyUnit(tables.root, table, null, place, sidecar, data)],
-    [readBytes(`${FOX}/state/L0/1.m4s`), (data) => readStateUnit(table, { segment: 0, place: 0, level: 0 }, data)],
+    [
+      readBytes(`${FOX}/state/L0/1.m4s`),
+      (data) => readStateUnit(table, { segment: 0, place: 0, tile: 0, level: 0 }, data),
+    ],
   ];
   let refusals = 0;
   for (const [data, read] of attempts) {
@@ -276,10 +281,13 @@ test("a damaged file is refused for a reason of the format, wherever it is damag
 test("rows of fewer tiers than a level asks for are some of its rows, of all tiers all of them", async () => {
   const tables = await readTables(FOX);
   const [root, table] = [tables.root, tables.group(0)];
-  const rows = table.levels[0]!.rows;
-  checkCount(root, table, 0, root.tiers, new Uint8Array(rows));
-  checkCount(root, table, 0, root.tiers - 1, new Uint8Array(rows - 1));
+  const rows = table.tiles[0]!.levels[0]!.rows;
+  checkCount(root, table, 0, { tile: 0, tiers: root.tiers }, new Uint8Array(rows));
+  checkCount(root, table, 0, { tile: 0, tiers: root.tiers - 1 }, new Uint8Array(rows - 1));
   const mismatch = { reason: "count_mismatch" };
-  assert.throws(() => checkCount(root, table, 0, root.tiers, new Uint8Array(rows - 1)), mismatch);
-  assert.throws(() => checkCount(root, table, 0, root.tiers - 1, new Uint8Array(rows + 1)), mismatch);
+  assert.throws(() => checkCount(root, table, 0, { tile: 0, tiers: root.tiers }, new Uint8Array(rows - 1)), mismatch);
+  assert.throws(
+    () => checkCount(root, table, 0, { tile: 0, tiers: root.tiers - 1 }, new Uint8Array(rows + 1)),
+    mismatch,
+  );
 });

@@ -16,6 +16,7 @@ const OUT_OF_SIGHT: Record<string, string | null> = {
   doctype: null,
   foreign_file: null,
   "foreign_file-page": null,
+  "foreign_file-tile": null,
   foreign_url: null,
   mpd_mismatch: null,
   "mpd_mismatch-live": null,

@@ -118,6 +118,7 @@ for (const one of readVectors("keys").cases) {
     const { rows } = atlas;
     const canonical: Canonical = {
       group: 0,
+      tile: 0,
       quality: 0,
       tiers: 1,
       means: new Float32Array(3 * rows),
@@ -143,6 +144,7 @@ for (const one of readVectors("states").cases) {
   };
   const canonical: Canonical = {
     group: 0,
+    tile: 0,
     quality: 0,
     tiers: 1,
     means: base.means,
@@ -157,7 +159,7 @@ for (const one of readVectors("states").cases) {
       const { atlas, luma, changes } = pictureOf(codes);
       const bases = new Int32Array(luma.length);
       applyBases(bases, changes);
-      const table = { ...group, levels: new Array(8).fill(atlas) } as Group;
+      const table = { ...group, tiles: [{ levels: new Array(8).fill(atlas) }] } as Group;
       const state = { level: one.level, luma, bases };
       near(shownGaussians(root, table, base, canonical, state), values, tolerance);
     }
@@ -170,7 +172,7 @@ test("numbers that are not finite are refused", () => {
   const parts = [{ ...pictureOf(readVectors("keys").cases[0].codes), kept: null, bases: null }];
   const rows = parts[0]!.atlas.rows;
   const still = { units: new Float32Array(rows), depths: new Uint8Array(rows), means: new Float32Array(3 * rows) };
-  const canonical = { group: 0, quality: 0, tiers: 1, ...still, parts };
+  const canonical = { group: 0, tile: 0, quality: 0, tiers: 1, ...still, parts };
   assert.throws(() => canonicalGaussians(root, group, canonical), { reason: "bad_value" });
 });
 

@@ -27,6 +27,43 @@ export async function readTables(folder: string): Promise<Tables> {
   return tables;
 }
 
+/** Reads the key units of a tile of a group in a quality, and what they say of every level. Returns how many files. */
+async function walkKeys(tables: Tables, folder: string, place: { group: number; tile: number; quality: number }) {
+  const { root } = tables;
+  const { group, tile, quality } = place;
+  const [table, base] = [tables.group(group), tables.baseTable(group)];
+  const depths: number[] = [];
+  let files = 0;
+  for (let tier = 0; tier < root.tiers; tier++) {
+    const paths = tables.keyFiles(group, tile * root.tiers + tier, quality);
+    if (!paths.length) continue;
+    const [sidecar, media = null] = await Promise.all(paths.map((path) => fetched(tables, folder, path)));
+    depths.push(...readKeyUnit(root, table, base, { ...place, tier }, sidecar!, media).depths);
+    files += paths.length;
+  }
+  root.levels.forEach((_, level) => {
+    checkCount(root, table, level, { tile, tiers: root.tiers }, Uint8Array.from(depths));
+  });
+  return files;
+}
+
+/** Reads the states of a tile of a group. Returns how many files. */
+async function walkStates(tables: Tables, folder: string, group: number, tile: number): Promise<number> {
+  const { start, stop } = tables.segmentsOf(group);
+  let files = 0;
+  for (let segment = start; segment < stop; segment++) {
+    for (let level = 0; level < tables.root.levels.length; level++) {
+      for (const path of tables.stateFiles(segment, level, [tile])) {
+        const place = { segment, place: segment - start, tile, level };
+        const unit = readStateUnit(tables.group(group), place, await fetched(tables, folder, path));
+        for (let t = 0; t < unit.frames; t++) unit.bases.next(t);
+        files++;
+      }
+    }
+  }
+  return files;
+}
+
 /** Reads every file that tables lead to. Returns how many there are. */
 export async function walk(folder: string): Promise<number> {
   const tables = await readTables(folder);
@@ -34,34 +71,11 @@ export async function walk(folder: string): Promise<number> {
   await fetched(tables, folder, "init.mp4");
   let files = 1;
   for (let group = 0; group < index.groups; group++) {
-    const table = tables.group(group);
-    for (let quality = 0; quality < root.qualities.length; quality++) {
-      const depths: number[] = [];
-      for (let tier = 0; tier < root.tiers; tier++) {
-        const paths = tables.keyFiles(group, tier, quality);
-        if (!paths.length) continue;
-        const [sidecar, media = null] = await Promise.all(paths.map((path) => fetched(tables, folder, path)));
-        const base = tables.baseTable(group);
-        depths.push(...readKeyUnit(root, table, base, { group, tier, quality }, sidecar!, media).depths);
-        files += paths.length;
+    for (const tile of tables.tiles) {
+      for (let quality = 0; quality < root.qualities.length; quality++) {
+        files += await walkKeys(tables, folder, { group, tile, quality });
       }
-      root.levels.forEach((_, level) => {
-        checkCount(root, table, level, root.tiers, Uint8Array.from(depths));
-      });
-    }
-    const { start, stop } = tables.segmentsOf(group);
-    for (let segment = start; segment < stop; segment++) {
-      for (let level = 0; level < root.levels.length; level++) {
-        for (const path of tables.stateFiles(segment, level)) {
-          const unit = readStateUnit(
-            table,
-            { segment, place: segment - start, level },
-            await fetched(tables, folder, path),
-          );
-          for (let t = 0; t < unit.frames; t++) unit.bases.next(t);
-          files++;
-        }
-      }
+      files += await walkStates(tables, folder, group, tile);
     }
   }
   return files;

@@ -1,0 +1,116 @@
+// What segments turn out to lack soon before they are shown, or while they are: tiles that come into sight. They are
+// fetched beside whatever a session fetches, since nothing is as urgent.
+import { TransportError } from "../media/errors.ts";
+import { filesOf } from "./catalogue.ts";
+import type { Downloader, GiveUp } from "./downloader.ts";
+import { type Arrived, isComplete, type Request } from "./events.ts";
+import type { Option } from "./ladder.ts";
+import type { Playout } from "./playout.ts";
+import { estimateThroughput } from "./policies/state.ts";
+import { usable } from "./replacing.ts";
+import type { Slot } from "./slot.ts";
+import type { Stores } from "./stores.ts";
+import type { Lack, TileChoice } from "./tile-choice.ts";
+
+/** How often it looks what is lacking, seconds. */
+const LOOK_S = 0.05;
+/** After a link has failed, seconds. */
+const RETRY_S = 1;
+/** As many connections as browsers open to a server over HTTP/1.1. */
+const MOST_AT_ONCE = 6;
+
+export interface RepairParts {
+  choice: TileChoice;
+  downloader: Downloader;
+  playout: Playout;
+  stores: Stores;
+  onEvent: (event: Arrived) => void;
+}
+
+/** Fetches tiles that are lacking until the signal aborts. */
+export class Repairs {
+  /** Of position and tile: what is on its way, and what came to nothing. */
+  readonly #underWay = new Set<string>();
+  readonly #noUse = new Set<string>();
+  #restS = Number.NEGATIVE_INFINITY;
+
+  constructor(
+    private readonly parts: RepairParts,
+    readonly signal: AbortSignal,
+  ) {}
+
+  async run(): Promise<void> {
+    const { downloader, playout } = this.parts;
+    while (!this.signal.aborted) {
+      const nowS = downloader.now();
+      if (nowS >= this.#restS) this.look(nowS);
+      await downloader.wait(nowS + LOOK_S, playout, this.signal);
+    }
+  }
+
+  /** Begin to fetch what is lacking at a moment and can be had. */
+  look(nowS: number): void {
+    for (const lack of this.parts.choice.lacking(nowS)) {
+      if (this.#underWay.size >= MOST_AT_ONCE) return;
+      const name = nameOf(lack);
+      if (this.#underWay.has(name) || this.#noUse.has(name)) continue;
+      const option = this.option(lack, nowS);
+      if (option) this.#repair(lack, option, nowS);
+    }
+  }
+
+  /** A tile in the rung of its segment, or else in the smallest one; null: there is none, or its files are on their way. */
+  option({ slot, tile }: Lack, nowS: number): Option | null {
+    const { downloader, playout, stores } = this.parts;
+    const missing = (rung: number) => stores.keys.missing(slot.position, rung, [tile]);
+    const options = stores.keys.options(slot.position, [tile]).filter(({ index }) => usable(stores, missing(index)));
+    const rateBps = estimateThroughput(stores.downloads.map(({ download }) => download));
+    const inTime = ({ sizeBytes }: Option) =>
+      nowS + downloader.rttS + (8 * sizeBytes) / rateBps < playout.endS(slot, nowS) || rateBps === 0;
+    const wanted = options.find(({ index }) => index === slot.rung);
+    const smallest = options.reduce<Option | null>((a, b) => (a && a.sizeBytes <= b.sizeBytes ? a : b), null);
+    const chosen = wanted && inTime(wanted) ? wanted : smallest;
+    return chosen && filesOf(missing(chosen.index)).some((path) => stores.coming.has(path)) ? null : chosen;
+  }
+
+  async #repair(lack: Lack, option: Option, nowS: number): Promise<void> {
+    const { playout, stores } = this.parts;
+    const { slot, tile } = lack;
+    const batch = stores.keys.missing(slot.position, option.index, [tile]);
+    const name = nameOf(lack);
+    this.#underWay.add(name);
+    try {
+      const came = !filesOf(batch).length || (await this.#fetch(slot, tile, option, batch, nowS));
+      if (came && !this.signal.aborted) playout.addTile(slot, tile, option.index);
+    } catch (error) {
+      if (!(error instanceof TransportError)) throw error;
+      this.#restS = this.parts.downloader.now() + RETRY_S; // the session tells of it
+    } finally {
+      this.#underWay.delete(name);
+    }
+  }
+
+  /** Fetches a tile; false: it did not come, or not whole. */
+  async #fetch(slot: Slot, tile: number, option: Option, batch: Request["batch"], sentS: number): Promise<boolean> {
+    const { downloader, playout, stores, onEvent } = this.parts;
+    const { index: rung, sizeBytes } = option;
+    const request: Request = { kind: "repair", position: slot.position, rung, batch, sentS, latencyS: downloader.rttS };
+    /** At the rate so far it would come after its segment. */
+    const tooLate: GiveUp = ({ atS, elapsedS, bytes, expectedBytes }) =>
+      atS + ((expectedBytes - bytes) * elapsedS) / Math.max(1, bytes) > playout.endS(slot, atS);
+    for (const path of filesOf(batch)) stores.coming.add(path);
+    try {
+      const arrival = await downloader.fetch(request, tooLate, this.signal);
+      for (const path of arrival.refused.keys()) stores.unusable.add(path);
+      stores.keys.add(arrival);
+      const decision = { index: rung, fits: true, reason: `tile ${tile + 1} is lacking`, sizeBytes };
+      onEvent({ type: "arrived", arrival, decision, budgetBytes: 0, throughputBps: 0 });
+      if (arrival.abandoned) this.#noUse.add(nameOf({ slot, tile }));
+      return isComplete(arrival);
+    } finally {
+      for (const path of filesOf(batch)) stores.coming.delete(path);
+    }
+  }
+}
+
+const nameOf = ({ slot, tile }: Lack) => `${slot.position} ${tile}`;

@@ -1,0 +1,138 @@
+// What a viewer sees and is expected to see: airgs_codec/play/sight.py, number by number.
+//
+// A player knows how its viewer stands and moved until now. It expects the movement to go on and to die down, so that
+// after t seconds DECAY_S · (1 − exp(−t / DECAY_S)) seconds of it have passed. docs/tiles.md has how good that is.
+import type { Camera, Tile } from "../format/types.ts";
+import { along, length, minus, scaled, type Vector } from "../format/vector.ts";
+import { cameraOf, type ViewState } from "./view.ts";
+
+/** Seconds over which a viewer's movement is measured. */
+export const BEFORE_S = 0.1;
+/** Seconds in which a movement is expected to have died down to 1 / e. */
+const DECAY_S = 0.5;
+/** Points on each axis of a box that are looked for in a picture. */
+const CORNERS = 6;
+const DEGREES = 180 / Math.PI;
+
+type Matrix = Float64Array; // of a camera: (16) row by row
+
+/** Where a camera stands. */
+function positionOf(m: Matrix): Vector {
+  const axis = (i: number) => -(m[i] * m[3] + m[4 + i] * m[7] + m[8 + i] * m[11]);
+  return [axis(0), axis(1), axis(2)];
+}
+
+/** How a viewer moves. */
+export interface Velocity {
+  /** Rotation vector in camera axes, radians a second. */
+  turn: Vector;
+  /** World units a second. */
+  shift: Vector;
+}
+
+/** The steady movement that leads from one view to another in a time. */
+export function velocityOf(before: Camera, here: Camera, seconds = BEFORE_S): Velocity {
+  const [a, b] = [before.worldToCamera, here.worldToCamera];
+  /** Of the turn from one to the other. */
+  const entry = (i: number, j: number) =>
+    b[4 * i] * a[4 * j] + b[4 * i + 1] * a[4 * j + 1] + b[4 * i + 2] * a[4 * j + 2];
+  const cosine = (entry(0, 0) + entry(1, 1) + entry(2, 2) - 1) / 2;
+  const angle = Math.acos(Math.max(-1, Math.min(1, cosine)));
+  const axis: Vector = [entry(2, 1) - entry(1, 2), entry(0, 2) - entry(2, 0), entry(1, 0) - entry(0, 1)];
+  const turn = scaled(axis, angle < 1e-6 ? 0.5 : angle / (2 * Math.sin(angle)));
+  return { turn: scaled(turn, 1 / seconds), shift: scaled(minus(positionOf(b), positionOf(a)), 1 / seconds) };
+}
+
+/** What a viewer is expected to see some seconds later who sees and moves like this. */
+export function expected(view: Camera, { turn, shift }: Velocity, aheadS: number): Camera {
+  const passedS = DECAY_S * (1 - Math.exp(-Math.max(0, aheadS) / DECAY_S));
+  const m = view.worldToCamera;
+  const position = along(positionOf(m), shift, passedS);
+  const rotation = rotationOf(scaled(turn, passedS));
+  const worldToCamera = new Float64Array(16);
+  for (let i = 0; i < 3; i++) {
+    for (let j = 0; j < 3; j++) {
+      const value = rotation[i][0] * m[j] + rotation[i][1] * m[4 + j] + rotation[i][2] * m[8 + j];
+      worldToCamera[4 * i + j] = value;
+      worldToCamera[4 * i + 3] -= value * position[j];
+    }
+  }
+  worldToCamera[15] = 1;
+  return { ...view, worldToCamera };
+}
+
+/** The rows of the matrix of a rotation vector, radians (Rodrigues). */
+function rotationOf(vector: Vector): [Vector, Vector, Vector] {
+  const angle = length(vector);
+  const [x, y, z] = angle > 0 ? scaled(vector, 1 / angle) : [0, 0, 0];
+  const [c, s] = [Math.cos(angle), Math.sin(angle)];
+  const d = 1 - c;
+  return [
+    [c + x * x * d, x * y * d - z * s, x * z * d + y * s],
+    [y * x * d + z * s, c + y * y * d, y * z * d - x * s],
+    [z * x * d - y * s, z * y * d + x * s, c + z * z * d],
+  ];
+}
+
+/** Parts of space, P of them, each as CORNERS points on every axis of a box, its corners among them. */
+export class Boxes {
+  /** Of each box (3 · CORNERS³), world units. */
+  readonly #points: readonly Float64Array[];
+
+  constructor(boxes: readonly Pick<Tile, "low" | "high">[]) {
+    this.#points = boxes.map(({ low, high }) => {
+      const points: number[] = [];
+      const at = (axis: number, n: number) => low[axis] + ((high[axis] - low[axis]) * n) / (CORNERS - 1);
+      for (let n = 0; n < CORNERS ** 3; n++) {
+        const [i, j, k] = [n % CORNERS, Math.floor(n / CORNERS) % CORNERS, Math.floor(n / CORNERS ** 2)];
+        points.push(at(0, i), at(1, j), at(2, k));
+      }
+      return Float64Array.from(points);
+    });
+  }
+
+  /**
+   * (P) by how many degrees the sides of a picture must be moved out for a point of a box to be in it. Negative where one
+   * is in the picture: how far inside of its sides the innermost one is.
+   */
+  degreesOff({ worldToCamera: m, width, height, fx, fy }: Camera): number[] {
+    const [across, down] = [Math.atan(width / 2 / fx), Math.atan(height / 2 / fy)];
+    return this.#points.map((points) => {
+      let least = Number.POSITIVE_INFINITY;
+      for (let p = 0; p < points.length; p += 3) {
+        const [a, b, c] = [points[p], points[p + 1], points[p + 2]];
+        const x = m[0] * a + m[1] * b + m[2] * c + m[3];
+        const y = m[4] * a + m[5] * b + m[6] * c + m[7];
+        const z = m[8] * a + m[9] * b + m[10] * c + m[11];
+        const beside = Math.abs(Math.atan2(x, z)) - across;
+        const above = Math.abs(Math.atan2(y, Math.hypot(x, z))) - down;
+        least = Math.min(least, Math.max(beside, above));
+      }
+      return DEGREES * least;
+    });
+  }
+}
+
+/** A viewer over time, as far as it matters: where he stands, and stood a moment ago. */
+export class Watcher {
+  /** By time; the last one before BEFORE_S and those since. */
+  #views: { atS: number; view: ViewState }[] = [];
+  #size = { width: 1, height: 1 };
+
+  /** He looks like this from now on. */
+  look(view: ViewState, nowS: number): void {
+    this.#views.push({ atS: nowS, view });
+    while (this.#views.length > 1 && this.#views[1].atS <= nowS - BEFORE_S) this.#views.shift();
+  }
+
+  /** The pixels of his pictures, whose shape matters. */
+  resize(width: number, height: number): void {
+    this.#size = { width, height };
+  }
+
+  /** What he saw at a moment, not earlier than BEFORE_S ago; null: nobody looks yet. */
+  at(nowS: number): Camera | null {
+    const last = this.#views.filter(({ atS }) => atS <= nowS).at(-1) ?? this.#views[0];
+    return last ? cameraOf(last.view, this.#size.width, this.#size.height) : null;
+  }
+}
