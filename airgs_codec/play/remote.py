@@ -24,6 +24,7 @@ class RemoteTables:
         self.catalogue: Catalogue | None = None  # None: airgs.json has not come yet
         self._root: Root | None = None
         self._files: dict[str, bytes] = {}  # pages and tables of groups
+        self._keepers: dict[int, set[int]] = {}  # groups whose tables came, by the group whose rows they keep
 
     def limit(self, path: str) -> int:
         """The most bytes that a file may have. Raises FormatError for one that no table lists."""
@@ -78,11 +79,13 @@ class RemoteTables:
 
     def _check_kept(self, m: Manifest, group: int) -> None:
         """Read a table, and check it with those that came before: one may keep rows of the other. FormatError."""
-        m.groups[group]
-        for number in [found[1][0] - 1 for found in map(locate, self._files) if found[0] == "group"]:
-            keeps = m.groups[number].keeps
-            if keeps is not None and group in (number, keeps - 1) and group_path(keeps) in self._files:
-                m.base_of(number)
+        keeps = m.groups[group].keeps
+        for number in self._keepers.get(group, ()):
+            m.base_of(number)
+        if keeps is not None:
+            if group_path(keeps) in self._files:
+                m.base_of(group)
+            self._keepers.setdefault(keeps - 1, set()).add(group)
 
 
 def _check_growth(before: Root, after: Root) -> None:

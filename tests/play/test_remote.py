@@ -6,12 +6,13 @@ from functools import cache
 import pytest
 
 from airgs_codec.errors import FormatError
+from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.packing import pack_json
-from airgs_codec.package.paths import JSON_NAME
+from airgs_codec.package.paths import JSON_NAME, group_path
 from airgs_codec.package.store import open_package, root_of
 from airgs_codec.play.remote import RemoteTables
 from tests.support.long_index import long_index
-from tests.support.paths import VALID
+from tests.support.paths import INVALID, VALID
 
 ROOT = root_of(open_package(VALID / "paged").manifest)
 
@@ -52,6 +53,32 @@ def test_pages_of_every_level_lead_to_groups_as_a_package_grows():
     for path in ("index/2/1.json", "index/1/64.json"):
         tables.accept(path, pack_json(pages[path]))
     assert [places.at_frame(frame) for frame in (64, 4095)] == [64, 4095]  # the page of before is as good as ever
+
+
+@pytest.mark.parametrize("order", [(1, 2, 3), (3, 2, 1), (2, 1, 3)])
+def test_a_table_is_checked_with_those_that_keep_its_rows_and_with_no_others(monkeypatch, order):
+    """Groups 2 and 3 keep rows of group 1."""
+    folder, tables, checked = VALID / "kept", RemoteTables(), []
+    monkeypatch.setattr(Manifest, "base_of", lambda _, group: checked.append(group))
+    tables.accept(JSON_NAME, (folder / JSON_NAME).read_bytes())
+    for number in order:
+        checked.clear()
+        tables.accept(group_path(number), (folder / group_path(number)).read_bytes())
+        there = set(order[: order.index(number) + 1])
+        pairs = [keeper for keeper in (2, 3) if {1, keeper} <= there and number in (1, keeper)]
+        assert sorted(checked) == [keeper - 1 for keeper in pairs]
+
+
+@pytest.mark.parametrize("order", [(2, 3), (3, 2)])
+def test_a_table_that_keeps_rows_of_one_that_keeps_some_is_refused_whichever_comes_first(order):
+    folder, tables = INVALID / "bad_value-keeps-chain", RemoteTables()
+    tables.accept(JSON_NAME, (folder / JSON_NAME).read_bytes())
+    first, second = (group_path(number) for number in order)
+    tables.accept(first, (folder / first).read_bytes())
+    for _ in range(2):
+        with pytest.raises(FormatError) as refused:
+            tables.accept(second, (folder / second).read_bytes())
+        assert refused.value.reason == "bad_value"
 
 
 def test_a_page_that_is_not_what_the_level_above_says_is_refused():
