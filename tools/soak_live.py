@@ -217,10 +217,12 @@ def plot(rows: Sequence[Row], path: Path) -> None:
     for name, words in (("start", "before the first picture"), ("tables", "tables of it"), ("root", "airgs.json")):
         bytes_.plot(hours, [getattr(row, name) / 1e3 for row in rows], ".-", label=words)
     bytes_.plot(hours, [row.mpd / 1e3 for row in rows], ".-", label="manifest.mpd")
-    bytes_.set(ylabel="kB", ylim=(0, None), title="A viewer who joins late")
+    largest = max(row.start for row in rows) / 1e3
+    bytes_.set(ylabel="kB", yscale="log", ylim=(1, 6 * largest), title="A viewer who joins late")  # room for the legend
     memory.plot(hours, [row.memory for row in rows], ".-", color="tab:red")
-    memory.set(xlabel="hours of publishing", ylabel="MB", ylim=(0, None), title="Memory of the publisher (VmRSS)")
-    bytes_.legend()
+    most = 1.2 * max(row.memory for row in rows)
+    memory.set(xlabel="hours of publishing", ylabel="MB", ylim=(0, most), title="Memory of the publisher (VmRSS)")
+    bytes_.legend(loc="upper center", ncols=4, fontsize=8)
     for axes in (bytes_, memory):
         axes.grid(alpha=0.3)
     save_figure(figure, path)
