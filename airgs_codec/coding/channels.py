@@ -8,7 +8,7 @@ N rows of all decoded tiers, n rows of a level, T frames, C colour channels. `ke
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from airgs_codec.coding import row_kernels as kernels
 from airgs_codec.coding.attributes import from_opacity, to_opacity
 from airgs_codec.coding.chunks import for_chunks
 from airgs_codec.coding.colour import colour_steps, colours, from_klt, split_colours, to_klt
+from airgs_codec.coding.frame_memory import FrameMemory
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.sidecar import KeySidecar
@@ -189,6 +190,7 @@ class StateApplier:
     transform: NDArray[np.float32]  # (C, C)
     has_rotation: bool  # some rotation channel may differ from 0; this and the next only save work
     has_colour: bool  # some colour channel may differ from 0
+    memory: FrameMemory = field(default_factory=FrameMemory)
 
     @staticmethod
     def of(
@@ -206,9 +208,9 @@ class StateApplier:
     def apply_parts(self, read: Callable[[slice], NDArray[np.float32]]) -> Gaussians:
         """The same frame, of channels that `read` gives for some of the n rows at a time, on several threads."""
         shown, base = self.shown, self.base
-        out = {name: np.empty_like(getattr(shown, name)) for name in self._changing()}
+        out = {name: self.memory.empty_like(getattr(shown, name)) for name in self._changing()}
         if self.has_colour:
-            out["colours"] = np.empty_like(base.colours)
+            out["colours"] = self.memory.empty_like(base.colours)
 
         def fill(rows: slice) -> None:
             for name, column in out.items():

@@ -33,4 +33,6 @@ def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: floa
 
 def from_codes(codes: NDArray[np.int32], steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
     """(C, N) codes, (C,) steps -> (C, N) values."""
-    return codes.astype(np.float32) * (steps / gain).astype(np.float32)[:, None]
+    values = codes.astype(np.float32)
+    values *= (steps / gain).astype(np.float32)[:, None]
+    return values
