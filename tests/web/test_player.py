@@ -8,7 +8,7 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode, decode_frames
+from airgs_codec.decoder.decode import Part, decode, decode_frames
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.region import before_background
 from airgs_codec.package.store import open_package
@@ -121,7 +121,7 @@ def tile_by_tile(package, report, frame, rung):
     assert z < -1  # tile 0 is before the others, which touch at y = 0.05
     picture = np.zeros((camera.height, camera.width, 3), np.float32)
     for tile in (1, 2, 0) if y > 0.05 else (2, 1, 0):
-        [shown] = decode_frames(package, frame, frame + 1, level=rung[1], key_quality=rung[0], tiles=[tile])
+        [shown] = decode_frames(package, frame, frame + 1, level=rung[1], key_quality=rung[0], part=Part(tiles=[tile]))
         nearer = render(shown.gaussians, camera)
         picture = nearer.rgb + nearer.transmittance[..., None] * picture
     return picture
@@ -153,7 +153,7 @@ def test_tiles_are_fetched_when_the_viewer_turns_to_them(tiled):
     assert report["problems"] == []
     assert (report["away"]["shown"], report["back"]["shown"], report["back"]["all"]) == (1, 3, 3)
     last_frame = tiled.manifest.frames - 1
-    [alone] = decode_frames(tiled, last_frame, last_frame + 1, tiles=[0])
+    [alone] = decode_frames(tiled, last_frame, last_frame + 1, part=Part(tiles=[0]))
     near = render(alone.gaussians, camera_of(tiled, report["away"])).rgb
     assert decibels(report["away"]["picture"], near) >= LEAST_DB
     last = tile_by_tile(tiled, report["back"], last_frame, (0, 0))

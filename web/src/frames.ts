@@ -145,7 +145,7 @@ export class FrameReader {
 }
 
 /** The rows of tiles, one tile after the other. */
-function joined(tiles: Gaussians[]): Gaussians {
+export function joined(tiles: Gaussians[]): Gaussians {
   if (tiles.length === 1) return tiles[0];
   const all = (name: keyof Gaussians) => {
     const array = new Float32Array(tiles.reduce((sum, tile) => sum + tile[name].length, 0));

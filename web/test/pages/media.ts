@@ -4,8 +4,8 @@ import { applyBases, atlasSamples } from "../../src/format/atlas.ts";
 import { FormatError } from "../../src/format/errors.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { groupPath } from "../../src/format/paths.ts";
-import type { Atlas, Gaussians, StateFrame } from "../../src/format/types.ts";
-import { FrameReader } from "../../src/frames.ts";
+import type { Atlas, Canonical, Gaussians, StateFrame } from "../../src/format/types.ts";
+import { FrameReader, joined } from "../../src/frames.ts";
 import { type CanonicalName, type Fetched, Media } from "../../src/media/client.ts";
 import { decodes } from "./decoders.ts";
 import { probes } from "./mocks.ts";
@@ -109,25 +109,36 @@ async function frames(step: Step): Promise<unknown> {
   let frame = 0;
   for (let group = 0; group < media.tables.index.groups; group++) {
     await openGroup(media, group);
-    const { root } = media.tables;
-    const table = media.tables.group(group);
-    const of = { group, tile: 0, quality, tiers };
-    const canonical = await canonicalOf(media, of);
-    const base = canonicalGaussians(root, table, canonical, media.tables.baseTable(group));
+    const spaces = await Promise.all(
+      media.tables.tiles.map((tile) => canonicalOf(media, { group, tile, quality, tiers })),
+    );
     const { start, stop } = media.tables.segmentsOf(group);
     for (let segment = start; segment < stop; segment++) {
-      const bases = new Int32Array(atlasSamples(table.tiles[0].levels[level]));
-      for (const shown of await framesOf(media, segment, level, of)) {
-        applyBases(bases, shown?.bases ?? null);
-        const state = shown && { level, luma: shown.luma, bases };
-        const got = shownGaussians(root, table, base, canonical, state);
+      const tiles = await Promise.all(spaces.map((canonical) => tileOf(media, segment, level, canonical)));
+      for (let t = 0; t < tiles[0].length; t++) {
+        const got = joined(tiles.map((shown) => shown[t].gaussians));
+        const sorted = tiles.flatMap((shown) => Array.from(shown[t].sorted));
         const data = await (await fetch(`${expected}/${frame++}`)).arrayBuffer();
-        compare(got, new Float32Array(data), worst, shown?.means ?? canonical.means);
+        compare(got, new Float32Array(data), worst, Float32Array.from(sorted));
       }
     }
   }
   media.close();
   return { worst, frames: frame };
+}
+
+/** Every frame of a tile of a segment, and the means that it is sorted by. */
+async function tileOf(media: Media, segment: number, level: number, canonical: Canonical) {
+  const { root } = media.tables;
+  const table = media.tables.group(canonical.group);
+  const base = canonicalGaussians(root, table, canonical, media.tables.baseTable(canonical.group));
+  const bases = new Int32Array(atlasSamples(table.tiles[canonical.tile].levels[level]));
+  return (await framesOf(media, segment, level, canonical)).map((shown) => {
+    applyBases(bases, shown?.bases ?? null);
+    const state = shown && { level, luma: shown.luma, bases };
+    const gaussians = shownGaussians(root, table, base, canonical, state);
+    return { gaussians, sorted: shown?.means ?? canonical.means };
+  });
 }
 
 function compare(got: Gaussians, expected: Float32Array, worst: Record<string, number>, sorted: Float32Array): void {
