@@ -23,11 +23,10 @@ from numpy.typing import NDArray
 from airgs_codec.cli.common import Bar, parse_frames, run_command
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, look_at
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.ply import write_ply
 from airgs_codec.scene.sequence import ATTRIBUTION_NAME, GaussianSequence, open_sequence, read_attribution
 from airgs_codec.scene.sequence_json import write_settings
-from tools.tiles.split import joined
 
 VISIBLE = 0.3  # opacity of Gaussians that say how wide a copy is
 SPACING = 1.1  # copies side by side, in their own widths
@@ -67,7 +66,7 @@ def make_scene(
     bar = Bar()
     for time in range(length):
         parts = [moved(frames[to_and_fro(time, k, copies, len(frames))], place) for k, place in enumerate(places)]
-        write_ply(folder / f"{time:06d}.ply", joined(parts))
+        write_ply(folder / f"{time:06d}.ply", join_rows(parts))
         bar("frames", time + 1, length)
     bar.close()
     write_settings(folder, sequence.fps, [0])

@@ -56,8 +56,8 @@ from airgs_codec.package.tables import Group
 from airgs_codec.package.writing import GrowingPackage, write_root
 from airgs_codec.play.events import Arrived, BatchKind
 from airgs_codec.play.http import HttpDownloader
-from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import DEFAULT_POLICY, make_policy
+from airgs_codec.play.run import run
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.scene.sequence import open_sequence
 

@@ -20,6 +20,7 @@ from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
 from airgs_codec.package.folder import Folder
+from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.region import before_background, checking_views
 from airgs_codec.package.store import Package, find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
@@ -33,9 +34,10 @@ from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report.film import film, still
 from airgs_codec.play.report.session import format_metrics, place_record, write_report
 from airgs_codec.play.report.study import format_study, frame_lines, write_study
-from airgs_codec.play.report.viewer import Viewer
+from airgs_codec.play.report.viewer import Viewer, path_of
 from airgs_codec.play.session import SessionLog, play, simulate
 from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.sight import View
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import ENDS, open_trace
 from airgs_codec.render import read_cameras
@@ -92,7 +94,8 @@ def _add_player_options(parser: argparse.ArgumentParser) -> None:
     """Options for the fields of SessionSettings, which say what they mean and their defaults."""
     player = parser.add_argument_group("player")
     defaults = SessionSettings()
-    for option, name in (("--buffer", "buffer_s"), ("--startup", "startup_s"), ("--resume", "resume_s")):
+    seconds = ("--buffer", "buffer_s"), ("--view-buffer", "view_buffer_s"), ("--startup", "startup_s")
+    for option, name in (*seconds, ("--resume", "resume_s")):
         words = f"{about(SessionSettings, name)} (default: %(default)g)"
         player.add_argument(option, dest=name, type=float, default=getattr(defaults, name), metavar="S", help=words)
     milliseconds = f"{1e3 * defaults.decode_frame_s:g}"
@@ -103,6 +106,8 @@ def _add_player_options(parser: argparse.ArgumentParser) -> None:
         player.add_argument(option, dest=name, action="store_false", help=words)
     player.add_argument("--loops", type=int, help=about(SessionSettings, "loops"))
     player.add_argument("--budget", type=int, metavar="N", help=about(SessionSettings, "budget"))
+    words = "fetch the tiles that the viewer is expected to see, who walks as in --video"
+    player.add_argument("--view-adaptive", action="store_true", help=words)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -118,6 +123,8 @@ def _run(args: argparse.Namespace) -> int:
             raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
     if args.budget is not None and (args.compare or args.mode != "segments"):
         raise ConfigError("--budget: expected a single session, got --compare or another --mode")
+    if args.view_adaptive and (args.compare or args.mode != "segments"):
+        raise ConfigError("--view-adaptive: expected a single session, got --compare or another --mode")
     if args.package.startswith(("http://", "https://")):
         return _over_http(args)
     if args.as_fast:
@@ -150,7 +157,8 @@ def _over_http(args: argparse.Namespace) -> int:
         http = HttpSettings(timeout_s=args.timeout, as_fast=args.as_fast)
         downloader = stack.enter_context(HttpDownloader(args.package, http, keep))
         settings = _settings(None, args)
-        log = play(downloader.open(), downloader, args.policy, settings)
+        catalogue = downloader.open()
+        log = play(catalogue, downloader, args.policy, settings, view=_view(catalogue.manifest, args))
         if pictures:
             fetch_beside(log, downloader)
         _present(Package(Folder(folder), log.catalogue.manifest, log.catalogue.root_bytes), log, args)
@@ -167,14 +175,22 @@ def _settings(package: Package | None, args: argparse.Namespace) -> SessionSetti
             decode_s = float(args.decode_ms) / 1e3
         except ValueError as error:
             raise ConfigError(f"--decode-ms: expected milliseconds or measure, got {args.decode_ms}") from error
-    names = ("buffer_s", "startup_s", "resume_s", "replace", "abandon", "pipelined", "loops", "budget")
+    names = ("buffer_s", "view_buffer_s", "startup_s", "resume_s", "replace", "abandon", "pipelined", "loops", "budget")
     return SessionSettings(decode_frame_s=decode_s, **{name: getattr(args, name) for name in names})
 
 
 def _session(package: Package, link: Link, args: argparse.Namespace) -> int:
     settings, faults = _settings(package, args), find_faults(package)
-    _present(package, simulate(package, link, args.policy, settings, faults), args)
+    log = simulate(package, link, args.policy, settings, faults, view=_view(package.manifest, args))
+    _present(package, log, args)
     return 0
+
+
+def _view(m: Manifest, args: argparse.Namespace) -> View | None:
+    """The way of a viewer by whom tiles are fetched; None where all are."""
+    if not args.view_adaptive:
+        return None
+    return path_of(m, read_cameras(args.views) if args.views else [])
 
 
 def _present(package: Package, log: SessionLog, args: argparse.Namespace) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ TINY = np.finfo(np.float64).tiny  # a step of length 0 would count as none
 SAMPLES = 9  # of a way between two stops, looked at to keep it inside
 SLOWER = (0.5, 0.5, 0.5, 0.0)  # factors on the speed at stops, one after another, to keep a way inside; 0: a corner
 
+LENS = ("width", "height", "fx", "fy", "cx", "cy", "near")  # what cameras have of their own, fields of Camera
+
 
 @dataclass(frozen=True, slots=True)
 class Walk:
@@ -47,23 +50,59 @@ class Walk:
         return departures(region, self.cameras)
 
 
+@dataclass(frozen=True, slots=True)
+class Path:
+    """The same at any time: a loop that goes on as often as need be. `at` is what a viewer sees (`play.sight.View`)."""
+
+    region: Region
+    tour: list[Place]
+    line: _Line | None  # None: there is one place to stand at
+    lens: dict[str, Any]  # of the cameras, where it is not the region's
+    unreached: int = 0  # as of a Walk
+
+    def at(self, seconds: float) -> Camera:
+        """The view after so many seconds."""
+        return self.cameras(np.array([seconds]))[0]
+
+    def cameras(self, times: NDArray[np.float64]) -> list[Camera]:
+        """The view at each of some seconds."""
+        if self.line is None:
+            cameras = [place_view(self.region, self.tour[0], f"path{i:04d}") for i in range(len(times))]
+        else:
+            cameras = self.line.cameras(self.region, times)
+        return [replace(camera, **self.lens) for camera in cameras] if self.lens else cameras
+
+    def walk(self, count: int, fps: float) -> Walk:
+        """`count` cameras from the beginning, `fps` of them a second."""
+        return Walk(self.cameras(np.arange(count) / fps), self.unreached)
+
+
 def walk_region(region: Region, count: int, fps: float) -> Walk:
-    """`count` cameras through the places of a region, `fps` of them a second, of its picture size and field of view.
+    """`count` cameras along `path_of_region`, `fps` of them a second."""
+    return path_of_region(region).walk(count, fps)
+
+
+def path_of_region(region: Region) -> Path:
+    """A path through the places of a region, with its picture size and field of view.
 
     The walk is a loop that goes on as often as need be, by way of SIGHTS places and those between them. Places that
     look alike, such as those of a rig that is small beside the reach, are one stop; where there is only one, the walk
     is a circle about it. The viewer is inside the region wherever the straight way from a stop to the next is.
     """
     stops = _thinned(region)
-    return _walk(region, stops, _sights(stops), count, fps)
+    return _path(region, stops, _sights(stops))
 
 
 def walk_cameras(region: Region, cameras: Sequence[Camera], count: int, fps: float) -> Walk:
+    """`count` cameras along `path_by_cameras`, `fps` of them a second."""
+    return path_by_cameras(region, cameras).walk(count, fps)
+
+
+def path_by_cameras(region: Region, cameras: Sequence[Camera]) -> Path:
     """The same by way of `cameras`, with the lens of the first; it may pass by places of the region in between."""
     stops = [_stop(region, camera) for camera in cameras]
-    walk = _walk(region, stops + _thinned(region), range(len(stops)), count, fps)
-    lens = {name: getattr(cameras[0], name) for name in ("width", "height", "fx", "fy", "cx", "cy", "near")}
-    return Walk([replace(camera, **lens) for camera in walk.cameras], walk.unreached)
+    path = _path(region, stops + _thinned(region), range(len(stops)))
+    return replace(path, lens={name: getattr(cameras[0], name) for name in LENS})
 
 
 def _stop(region: Region, camera: Camera) -> Place:
@@ -106,18 +145,15 @@ def _points(stops: Sequence[Place]) -> NDArray[np.float64]:
     return np.array([[stop.position, stop.focus] for stop in stops])
 
 
-def _walk(region: Region, stops: Sequence[Place], visited: Sequence[int], count: int, fps: float) -> Walk:
-    """A walk by the stops `visited`, which may use the others on its way."""
+def _path(region: Region, stops: Sequence[Place], visited: Sequence[int]) -> Path:
+    """A path by the stops `visited`, which may use the others on its way."""
     costs, before = _ways(stops)
     reached = _together(costs, visited)
     tour = [stops[i] for i in _expanded(_tour(costs, reached), before)]
     if len(tour) == 1:
         tour = _circle(region, tour[0])
-    if len(tour) == 1:
-        cameras = [place_view(region, tour[0], f"path{i:04d}") for i in range(count)]
-    else:
-        cameras = _Line.through(tour).kept_inside(region).cameras(region, np.arange(count) / fps)
-    return Walk(cameras, len(visited) - len(reached))
+    line = _Line.through(tour).kept_inside(region) if len(tour) > 1 else None
+    return Path(region, tour, line, {}, len(visited) - len(reached))
 
 
 def _ways(stops: Sequence[Place]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:

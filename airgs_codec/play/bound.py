@@ -27,7 +27,8 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.catalogue import NONE, Catalogue, KeyUnits
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.units import NONE, KeyUnits
 
 ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must not make a session impossible
 LARGEST = 1e6  # units that a state segment may have: past 1e11 HiGHS finds no solution where there is one

@@ -1,13 +1,14 @@
 """What a package offers a viewer, as numbers: wire bytes and qualities of every choice, for players and bounds.
 
-S segments, G groups, K key units, Q key qualities, L levels. A rung is a key quality with a level; rungs are numbered
-quality by quality. A position is a segment of a session, which may play the sequence several times.
+S segments, G groups, P tiles, K key units, Q key qualities, L levels. A unit is a key tier of a tile, those of the
+first tile come first. A rung is a key quality with a level; rungs are numbered quality by quality. A position is a
+segment of a session, which may play the sequence several times.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,41 +19,14 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.store import Package
+from airgs_codec.play.events import Batch
 from airgs_codec.play.ladder import Option, saved_shares
+from airgs_codec.play.rows import Rows
+from airgs_codec.play.units import NONE, KeyUnits, Tiles, absent
 
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
 OVER_BUDGET = 1 << 50  # bytes of a rung that shows too many Gaussians: more than any link carries
-KeyUnits = frozenset[tuple[int, int]]  # (key quality, unit) of those units of a group that are decoded
-NONE: KeyUnits = frozenset()
-
-
-@dataclass(frozen=True, slots=True)
-class Batch:
-    """Paths of the files that are requested together, in the order in which they arrive."""
-
-    keys: tuple[str, ...] = ()
-    state: tuple[str, ...] = ()
-    tables: tuple[str, ...] = ()
-
-    @property
-    def files(self) -> tuple[str, ...]:
-        """All paths: key units tier by tier, then the state segment, then tables for what comes next."""
-        return self.keys + self.state + self.tables
-
-
-class Rows:
-    """A table of numbers whose rows are made when they are asked for, since they need tables of groups, and kept."""
-
-    def __init__(self, make: Callable[[int], NDArray[Any]]) -> None:
-        self._make = make
-        self._kept: dict[int, NDArray[Any]] = {}
-
-    def __getitem__(self, place: Any) -> Any:
-        row, *rest = place if isinstance(place, tuple) else (place,)
-        if row not in self._kept:
-            self._kept[row] = self._make(row)
-        return self._kept[row][tuple(rest)] if rest else self._kept[row]
 
 
 @dataclass(eq=False)
@@ -60,7 +34,8 @@ class Catalogue:
     """What a package offers. Wire bytes are those of files with `header_bytes` for each.
 
     A session over a growing package (`live`) begins with its newest group and goes on while `grow` is called.
-    No rung is offered that shows more Gaussians than the `budget` has.
+    No rung is offered that shows more Gaussians than the `budget` has. With `tiles`, sizes are those of these tiles
+    alone (`of_tiles`); qualities and numbers of Gaussians are those of all.
     """
 
     manifest: Manifest
@@ -69,6 +44,7 @@ class Catalogue:
     live: bool = False  # more groups may come in this session
     first: int = 0  # the segment that a session begins with
     budget: int | None = None  # Gaussians that a picture may show at most; None: any number
+    tiles: Tiles | None = None  # None: all
 
     @staticmethod
     def of(package: Package) -> Catalogue:
@@ -78,12 +54,27 @@ class Catalogue:
     def grow(self, manifest: Manifest, root_bytes: int) -> None:
         """Go on with the tables of the same package, to which groups were added."""
         self.manifest, self.root_bytes, self.live = manifest, root_bytes, manifest.live
+        self._parts.clear()
 
     def limit(self, budget: int | None) -> None:
         """Show at most so many Gaussians from now on; None: any number."""
         for name in ("_options", "bytes_after", "bytes_from_scratch") if budget != self.budget else ():
             self.__dict__.pop(name, None)
         self.budget = budget
+        self._parts.clear()
+
+    def of_tiles(self, tiles: Iterable[int]) -> Catalogue:
+        """What some tiles cost: the same with their sizes."""
+        chosen = frozenset(tiles)
+        if len(chosen) == self.manifest.tiles:
+            return self
+        if chosen not in self._parts:
+            self._parts[chosen] = replace(self, tiles=chosen)
+        return self._parts[chosen]
+
+    @cached_property
+    def _parts(self) -> dict[Tiles, Catalogue]:
+        return {}
 
     def check_budget(self, segments: Iterable[int]) -> None:
         """Raises ConfigError where every rung of one of these segments shows more Gaussians than the budget has."""
@@ -165,13 +156,30 @@ class Catalogue:
     def state_bytes(self) -> Rows:
         """(S, L) wire bytes of a state segment; 0 where there is nothing to fetch."""
         levels = range(len(self.manifest.levels))
-        return Rows(lambda s: np.array([self._wire(self.manifest.state_files(s, j)) for j in levels]))
+        return Rows(lambda s: np.array([self._wire(self._state_files(s, j)) for j in levels]))
+
+    def _state_files(self, segment: int, level: int) -> list[str]:
+        return self.manifest.state_files(segment, level, self._in_order)
+
+    @cached_property
+    def _in_order(self) -> list[int] | None:
+        return None if self.tiles is None else sorted(self.tiles)
+
+    @cached_property
+    def units(self) -> list[list[int]]:
+        """The key units of every level."""
+        return [self.manifest.units_of(j, self._in_order) for j in range(len(self.manifest.levels))]
 
     @cached_property
     def rows(self) -> Rows:
-        """(S, Q L) Gaussians that a rung shows: the rows of its key tiers."""
-        m, shown = self.manifest, [self.manifest.units_of(j) for _, j in self.rungs]
-        return Rows(lambda s: np.array([sum(m.groups[m.group_of(s)].units[k].count for k in units) for units in shown]))
+        """(S, Q L) Gaussians that a rung shows: the rows of its key units."""
+        return Rows(self._row_counts)
+
+    def _row_counts(self, segment: int) -> NDArray[np.int64]:
+        m = self.manifest
+        units = m.groups[m.group_of(segment)].units
+        counts = [sum(units[k].count for k in m.units_of(j)) for j in range(len(m.levels))]
+        return np.array([counts[j] for _, j in self.rungs])
 
     def allowed(self, segment: int) -> NDArray[np.bool_]:
         """(Q L,) whether the budget has the Gaussians of a rung."""
@@ -204,7 +212,7 @@ class Catalogue:
     @cached_property
     def _after(self) -> list[KeyUnits]:
         """What is decoded of a group after each rung, at least."""
-        return [frozenset((q, unit) for unit in self.manifest.units_of(j)) for q, j in self.rungs]
+        return [frozenset((q, unit) for unit in self.units[j]) for q, j in self.rungs]
 
     def bytes_at_start(self, segment: int, known: Mapping[int, KeyUnits]) -> NDArray[np.int64]:
         """(1 or Q L, Q L) wire bytes of every rung in the first segment of a group, by the rung in the one before.
@@ -225,7 +233,7 @@ class Catalogue:
             return self._after
         if base != m.base_of(before):
             return [NONE]
-        kept = {unit for unit, entry in enumerate(m.groups[before].units) if entry.kept}
+        kept = {number for number, unit in enumerate(m.groups[before].units) if unit.kept}
         return [frozenset(unit for unit in units if unit[1] in kept) for units in self._after]
 
     @cached_property
@@ -234,7 +242,7 @@ class Catalogue:
         return Rows(lambda s: np.array(self.sizes(s, NONE)))
 
     def base_bytes(self, group: int) -> NDArray[np.int64]:
-        """(Q, K) wire bytes of key units of the group whose rows a group keeps; 0 for a unit that keeps none."""
+        """(Q, K) wire bytes of key units of the group whose rows a group keeps; 0 for one that keeps none."""
         base = self.manifest.base_of(group)
         if base is None:
             return np.zeros((len(self.manifest.qualities), self.manifest.units), np.int64)
@@ -250,8 +258,8 @@ class Catalogue:
         m = self.manifest
         group = m.group_of(segment)
         own, base, states = self.key_bytes[group], self.base_bytes(group), self.state_bytes[segment]
-        missing = np.where(_absent(decoded, own.shape), own, 0) + np.where(_absent(of_base, own.shape), base, 0)
-        sizes = [int(missing[q, m.units_of(j)].sum() + states[j]) for q, j in self.rungs]
+        missing = np.where(absent(decoded, own.shape), own, 0) + np.where(absent(of_base, own.shape), base, 0)
+        sizes = [int(missing[q, self.units[j]].sum() + states[j]) for q, j in self.rungs]
         return [size if ok else OVER_BUDGET for size, ok in zip(sizes, self.allowed(segment), strict=True)]
 
     def options(self, segment: int, decoded: KeyUnits, of_base: KeyUnits = NONE) -> tuple[Option, ...]:
@@ -270,18 +278,19 @@ class Catalogue:
     def batch(self, segment: int, rung: int, decoded: KeyUnits, of_base: KeyUnits = NONE) -> Batch:
         """The files that a rung of a segment needs beside the decoded units of its group and of the base.
 
-        They are in the order of units, of each those of the group first, then those of the group whose rows it keeps.
+        They are in the order of units, of every unit those of the group first, then those of the group whose rows it
+        keeps.
         """
         m, (q, j) = self.manifest, self.rungs[rung]
         group = m.group_of(segment)
-        base = m.base_of(group)
-        units = []
-        for k in m.units_of(j):
+        base, own = m.base_of(group), m.groups[group].units
+        files: list[str] = []
+        for k in self.units[j]:
             if (q, k) not in decoded:
-                units.append(m.key_files(group, k, q))
-            if base is not None and m.groups[group].units[k].kept and (q, k) not in of_base:
-                units.append(m.key_files(base, k, q))
-        return Batch(tuple(path for unit in units for path in unit), tuple(m.state_files(segment, j)))
+                files += m.key_files(group, k, q)
+            if base is not None and own[k].kept and (q, k) not in of_base:
+                files += m.key_files(base, k, q)
+        return Batch(tuple(files), tuple(self._state_files(segment, j)))
 
     def index(self, position: int) -> int:
         """The segment of the package that a session plays at a position."""
@@ -338,11 +347,3 @@ class Catalogue:
 
     def _wire(self, paths: list[str]) -> int:
         return self.wire_bytes([self.file_bytes(path) for path in paths])
-
-
-def _absent(units: KeyUnits, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-    """(Q, K) units that are not decoded."""
-    absent = np.ones(shape, np.bool_)
-    for unit in units:
-        absent[unit] = False
-    return absent

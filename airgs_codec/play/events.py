@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from airgs_codec.errors import FormatError
-from airgs_codec.play.catalogue import Batch
 from airgs_codec.play.ladder import Decision
 
 
@@ -21,6 +20,21 @@ class BatchKind(StrEnum):
     GROUP = "group"  # the next segment, with keys of its group
     STATE = "state"  # the next segment, whose keys are decoded
     REPLACEMENT = "replacement"  # a better rung of a buffered segment
+    REPAIR = "repair"  # a tile that a buffered segment, or the one on the screen, lacks
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Paths of the files that are requested together, in the order in which they arrive."""
+
+    keys: tuple[str, ...] = ()
+    state: tuple[str, ...] = ()
+    tables: tuple[str, ...] = ()
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """All paths: key units in their order, then the state segment, then tables for what comes next."""
+        return self.keys + self.state + self.tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +102,16 @@ class Replaced:
 
 
 @dataclass(frozen=True, slots=True)
+class TileReady:
+    """A tile of a segment can be shown, of a player that fetches by view."""
+
+    position: int
+    tile: int
+    rung: int
+    ready_s: float  # when it had arrived and was decoded
+
+
+@dataclass(frozen=True, slots=True)
 class Lost:
     """No rung of a segment can be had."""
 
@@ -117,4 +141,4 @@ class Shown:
     psnr: float | None  # dB; None: lost or not measured
 
 
-Event = Arrived | Replaced | Lost | Cut | Shown
+Event = Arrived | Replaced | TileReady | Lost | Cut | Shown

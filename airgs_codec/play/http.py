@@ -20,12 +20,13 @@ import aiohttp
 
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.paths import JSON_NAME, group_path
-from airgs_codec.play.catalogue import NONE, Batch, Catalogue
+from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import CHECK_S, GiveUp, Partial
-from airgs_codec.play.events import Arrival, BatchKind, Request
+from airgs_codec.play.events import Arrival, Batch, BatchKind, Request
 from airgs_codec.play.http_files import FileClient, HttpSettings, Transfer
 from airgs_codec.play.remote import RemoteTables
 from airgs_codec.play.session import SessionLog
+from airgs_codec.play.units import NONE
 
 CONNECTIONS = 16  # at once
 Receive = Callable[[str, bytes], object]

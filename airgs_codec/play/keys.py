@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from airgs_codec.package.paths import FileKind, file_kind, group_path
-from airgs_codec.play.catalogue import NONE, Batch, Catalogue, KeyUnits
-from airgs_codec.play.events import Arrival
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.events import Arrival, Batch
 from airgs_codec.play.ladder import Option
+from airgs_codec.play.units import NONE, KeyUnits
 
 
 @dataclass(slots=True, eq=False)
@@ -69,27 +69,25 @@ class KeyStore:
         units, base = self._units.get(loop, {}), self.catalogue.manifest.base_of(group)
         return units.get(group, NONE), NONE if base is None else units.get(base, NONE)
 
-    def shown_tiers(self, position: int, quality: int) -> int:
-        """How many tiers of a key quality, from the first on, can be shown of all tiles in the group of a position."""
+    def shows(self, position: int, rung: int) -> bool:
+        """Whether all key units of a rung are decoded for the segment at a position."""
+        c, (quality, level) = self.catalogue, self.catalogue.rungs[rung]
         own, of_base = self._of(position)
-        m = self.catalogue.manifest
-        units = m.groups[self.catalogue.group(position)[1]].units
+        units = c.manifest.groups[c.group(position)[1]].units
+        return all((quality, k) in own and (not units[k].kept or (quality, k) in of_base) for k in c.units[level])
 
-        def there(tier: int) -> bool:
-            places = range(tier, m.units, m.tiers)
-            return all((quality, k) in own and (not units[k].kept or (quality, k) in of_base) for k in places)
-
-        return sum(1 for _ in itertools.takewhile(there, range(m.tiers)))
-
-    def missing(self, position: int, rung: int) -> Batch:
-        """The files that a rung of the segment at a position still needs."""
-        c = self.catalogue
+    def missing(self, position: int, rung: int, tiles: Iterable[int] | None = None) -> Batch:
+        """The files that a rung of the segment at a position still needs, of some tiles or of all."""
+        c = self._of_tiles(tiles)
         return c.batch(c.index(position), rung, *self._of(position))
 
-    def options(self, position: int) -> tuple[Option, ...]:
-        """Every rung of the segment at a position, with the bytes that it still needs."""
-        c = self.catalogue
+    def options(self, position: int, tiles: Iterable[int] | None = None) -> tuple[Option, ...]:
+        """Every rung of the segment at a position, with the bytes that it still needs, of some tiles or of all."""
+        c = self._of_tiles(tiles)
         return c.options(c.index(position), *self._of(position))
+
+    def _of_tiles(self, tiles: Iterable[int] | None) -> Catalogue:
+        return self.catalogue if tiles is None else self.catalogue.of_tiles(tiles)
 
     def add(self, arrival: Arrival) -> None:
         """Decode what arrived: a unit counts once its files are there."""
@@ -99,6 +97,5 @@ class KeyStore:
         base, arrived = c.manifest.base_of(group), set(arrival.kept)
         units = self._units.setdefault(loop, {})
         for of in (group,) if base is None else (group, base):
-            wanted = c.manifest.units_of(level)
-            new = {(quality, k) for k in wanted if arrived.issuperset(c.manifest.key_files(of, k, quality))}
+            new = {(quality, k) for k in c.units[level] if arrived.issuperset(c.manifest.key_files(of, k, quality))}
             units[of] = units.get(of, NONE) | new

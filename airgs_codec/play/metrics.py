@@ -17,6 +17,8 @@ from airgs_codec.play.events import BatchKind, Shown
 from airgs_codec.play.link import Link
 from airgs_codec.play.player import SHORTEST_S
 from airgs_codec.play.policies.state import STALL_DB
+from airgs_codec.play.ticks import screen_ticks
+from airgs_codec.play.tile_figures import TileFigures
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,24 +85,17 @@ class SessionMetrics:
     trace_end: str | None  # what follows the trace's last second
     trace_ended: bool | None  # whether the session was longer than the trace
     rtt_s: float | None
-
-
-def screen_ticks(shown: Sequence[Shown], fps: float) -> list[tuple[int, int]]:
-    """For every display tick (1 / fps) from the first picture on: which entry of `shown`, which frame of it.
-
-    While the player waits, the last frame stays.
-    """
-    ticks: list[tuple[int, int]] = []
-    for i, entry in enumerate(shown):
-        if i:
-            ticks += [(i - 1, shown[i - 1].frames - 1)] * round(entry.stall_s * fps)
-        ticks += [(i, frame) for frame in range(entry.frames)]
-    return ticks
+    tiles: TileFigures | None = None  # None where all of the scene was fetched
 
 
 def frame_times(fetches: Sequence[Fetch], shown: Sequence[Shown]) -> NDArray[np.float64]:
-    """Seconds that every frame shown was on its way: its share of the batch that brought what was shown."""
-    took = {f.position: f.arrival_s - f.request_s for f in fetches if f.shown}
+    """Seconds that every frame shown was on its way: its share of the batches that brought what was shown."""
+    spans: dict[int, tuple[float, float]] = {}
+    for f in fetches:
+        if f.shown and f.kind is not BatchKind.REPAIR:
+            first_s = f.request_s if f.kind is BatchKind.REPLACEMENT else spans.get(f.position, (f.request_s,))[0]
+            spans[f.position] = first_s, f.arrival_s
+    took = {position: last_s - first_s for position, (first_s, last_s) in spans.items()}
     frames = [shown[position].frames for position in took]
     return np.repeat([seconds / n for seconds, n in zip(took.values(), frames, strict=True)], frames)
 
@@ -109,6 +104,13 @@ def mean_quality(shown: Sequence[Shown]) -> float:
     """PSNR in dB, mean over media time; segments without a quality are left out."""
     known = [(s.psnr, s.frames) for s in shown if s.psnr is not None]
     return sum(p * n for p, n in known) / sum(n for _, n in known)
+
+
+def _first_picture(fetches: Sequence[Fetch]) -> int:
+    """The last batch that the first picture needs; the last of all where there is none."""
+    brought = [i for i, f in enumerate(fetches) if f.shown and f.kind in (BatchKind.GROUP, BatchKind.STATE)]
+    same = [i for i in brought if fetches[i].position == fetches[brought[0]].position]
+    return same[-1] if same else len(fetches)
 
 
 def session_metrics(
@@ -134,7 +136,7 @@ def session_metrics(
     took_ms = 1e3 * frame_times(fetches, shown)
     took_ms = took_ms if len(took_ms) else np.zeros(1)
     trace = link.trace if link else None
-    first = fetches[: 1 + next((i for i, f in enumerate(fetches) if f.shown), len(fetches))]
+    first = fetches[: 1 + _first_picture(fetches)]
     return SessionMetrics(
         frames=frames,
         played_s=played,

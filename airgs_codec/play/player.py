@@ -1,4 +1,4 @@
-"""A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
+"""A player: requests, arrivals, choices and what is on the screen, as a stream of events. `run` starts one.
 
 One batch passes at a time: those key units of the chosen rung that are not decoded, in tier order, then the state
 segment. When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it better keys of
@@ -17,14 +17,15 @@ nothing will follow, or nothing has followed for SILENCE_S. Times are seconds fr
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
-from airgs_codec.errors import ConfigError, TransportError
+from airgs_codec.errors import TransportError
 from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.play.catalogue import Batch, Catalogue
-from airgs_codec.play.downloader import Connection, Downloader, Fetching, GiveUp, Partial, Steps, Wanted, answer
-from airgs_codec.play.events import Arrival, Arrived, BatchKind, Cut, Event, Lost, Replaced, Request, Shown
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.downloader import Connection, Fetching, GiveUp, Partial, Steps, Wanted
+from airgs_codec.play.events import Arrival, Arrived, Batch, BatchKind, Cut, Lost, Replaced, Request, Shown
 from airgs_codec.play.keys import KeyStore, TableStore
 from airgs_codec.play.ladder import Decision, Option
 from airgs_codec.play.playout import Playout, Slot
@@ -45,53 +46,27 @@ POLL_S = 0.2  # airgs.json of a growing package is fetched no more often
 SILENCE_S = 60.0  # without a new group: whoever added groups has gone
 
 
-def run(
-    catalogue: Catalogue, downloader: Downloader, policy: Policy, settings: SessionSettings | None = None
-) -> Iterator[Event]:
-    """Play a package from the first request to the last picture.
-
-    Raises ConfigError where the policy needs quality that was not measured and where all rungs of the first segment are
-    over the budget, TransportError when the link fails.
-    """
-    return answer(play_steps(catalogue, downloader, policy, settings), downloader)
-
-
-def play_steps(
-    catalogue: Catalogue, connection: Connection, policy: Policy, settings: SessionSettings | None = None
-) -> Steps:
-    """The same as steps of a player that fetches nothing itself: whoever runs it sends the arrival of every `Wanted`,
-    and None after every event, so that many players can share one thread.
-
-    Raises ConfigError where the policy needs quality that was not measured.
-    """
-    if policy.needs_quality and not catalogue.measured:
-        raise ConfigError(
-            f"policy {policy.name}: the package has no measured quality, encode it without --measure-pictures 0"
-        )
-    return _Player.new(catalogue, connection, policy, settings or SessionSettings()).play()
-
-
 @dataclass(slots=True, eq=False)
-class _Player:
-    """State of one session."""
+class Player:
+    """State of one session in which all tiles are fetched."""
 
     catalogue: Catalogue
     connection: Connection
     policy: Policy
     settings: SessionSettings
-    tables: TableStore
-    keys: KeyStore
-    playout: Playout
+    tables: TableStore = field(init=False)
+    keys: KeyStore = field(init=False)
+    playout: Playout = field(init=False)
     now_s: float = 0.0  # when the last batch was over, or when there was room for the next
     downloads: list[tuple[float, Download]] = field(default_factory=list)  # with their arrivals
     unusable: set[str] = field(default_factory=set)  # files found missing or corrupt
     root_s: float = 0.0  # when airgs.json was asked for
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for there again
 
-    @staticmethod
-    def new(c: Catalogue, connection: Connection, policy: Policy, settings: SessionSettings) -> _Player:
-        end = c.end(c.loops(settings.loops))
-        return _Player(c, connection, policy, settings, TableStore(c), KeyStore(c), Playout(c, settings, end))
+    def __post_init__(self) -> None:
+        c = self.catalogue
+        self.tables, self.keys = TableStore(c), KeyStore(c)
+        self.playout = Playout(c, self.settings, c.end(c.loops(self.settings.loops)))
 
     def play(self) -> Steps:
         """All events of the session, in the order in which they happen."""
@@ -105,17 +80,20 @@ class _Player:
                 self.catalogue.check_budget([self.catalogue.index(0)])
             self.playout.make_room(position)
             earliest_s = self.playout.earliest_request_s(position)
-            while self.now_s < earliest_s and (yield from self._replace_best()):
-                pass
-            latency_s = self._latency_s(position, earliest_s)
+            yield from self._wait(earliest_s)
+            latency_s = self._latency_s(earliest_s) if position else self.connection.rtt_s
             self.now_s = max(self.now_s, earliest_s)
             while not (yield from self._fetch_next(position, latency_s)):
                 latency_s = self.connection.rtt_s
             yield from self._shown(self.playout.started(self.now_s))
             position += 1
-        while (yield from self._replace_best()):
-            pass
+        yield from self._wait(math.inf)
         yield from self._shown(self.playout.started())
+
+    def _wait(self, until_s: float) -> Steps:
+        """Spend the time until the next request, or all that is left, on what is buffered."""
+        while self.now_s < until_s and (yield from self._replace_best()):
+            pass
 
     def _grow(self, position: int) -> Fetching[bool]:
         """Wait until a growing package has a segment for a position; False: it has ended before."""
@@ -125,8 +103,7 @@ class _Player:
                 yield Cut(self.now_s, f"no group has followed for {SILENCE_S:g} s")
                 break
             ask_s = max(self.now_s, self.root_s + max(POLL_S, c.newest_seconds))
-            while self.now_s < ask_s and (yield from self._replace_best()):
-                pass
+            yield from self._wait(ask_s)
             self.now_s = max(self.now_s, ask_s)
             yield from self._shown(self.playout.started(self.now_s))
             yield from self._fetch_root(position)
@@ -155,10 +132,10 @@ class _Player:
         arrival = yield from self._receive(request)
         yield Arrived(arrival, Decision(0, True, "tables", arrival.bytes), 0.0, 0.0)
 
-    def _latency_s(self, position: int, earliest_s: float) -> float:
+    def _latency_s(self, earliest_s: float) -> float:
         """What is left of the round trip when the link is free: pipelined, the request was sent before."""
         rtt_s = self.connection.rtt_s
-        if self.settings.pipelined and self.connection.pipelines and position and earliest_s < self.now_s:
+        if self.settings.pipelined and self.connection.pipelines and earliest_s < self.now_s:
             return max(0.0, rtt_s - (self.now_s - earliest_s))
         return rtt_s
 
@@ -187,21 +164,19 @@ class _Player:
         """Show what is buffered of a group with its best keys, where they are decoded in time."""
         c, position = self.catalogue, request.position
         quality = c.rungs[request.rung][0]
-        tiers = self.keys.shown_tiers(position, quality)
         ready_s = self.now_s + self.settings.decode_frame_s
         for slot in self.playout.pending():
             if c.group(slot.position) != c.group(position) or slot.start_s < ready_s:
                 continue
             shown_quality, level = c.rungs[slot.rung or 0]
-            if quality < shown_quality and tiers >= c.manifest.levels[level].tiers:
+            if quality < shown_quality and self.keys.shows(position, c.rungs.index((quality, level))):
                 self.playout.replace(slot, c.rungs.index((quality, level)))
 
     def _fetch_next(self, position: int, latency_s: float) -> Fetching[bool]:
         """Choose a rung of the next segment and fetch it; False: it was abandoned or broken, choose again."""
         state = self._state(position, latency_s) if self.tables.has(position) else None
         if state is None or not state.options:
-            yield Lost(position, self.now_s)
-            self.playout.enqueue(position, None, self.now_s)
+            yield from self._lose(position)
             return True
         decision = self.policy.choose(state)
         ahead = self._wanted_tables(position + 1) if position else ()  # nothing delays the first picture
@@ -218,14 +193,19 @@ class _Player:
         self.playout.enqueue(position, decision.index, self.now_s)
         return True
 
-    def _state(self, position: int, latency_s: float) -> PlayerState:
+    def _lose(self, position: int) -> Steps:
+        yield Lost(position, self.now_s)
+        self.playout.enqueue(position, None, self.now_s)
+
+    def _state(self, position: int, latency_s: float, tiles: Sequence[int] | None = None) -> PlayerState:
+        """What is known before a segment is requested: all of it, or some tiles."""
         last = self.playout.last
         return PlayerState(
-            catalogue=self.catalogue,
+            catalogue=self.catalogue if tiles is None else self.catalogue.of_tiles(tiles),
             position=position,
             end=self.playout.end,
             decoded=self.keys.decoded(position),
-            options=self._options(position),
+            options=self._options(position, tiles),
             now_s=self.now_s,
             deadline_s=self.playout.deadline_s(self.now_s),
             buffer_limit_s=self.settings.buffer_s,
@@ -235,13 +215,13 @@ class _Player:
             history=self._history(self._sent_s(latency_s)),
         )
 
-    def _options(self, position: int) -> tuple[Option, ...]:
+    def _options(self, position: int, tiles: Sequence[int] | None = None) -> tuple[Option, ...]:
         """The rungs of the next segment that can be had and are smaller than what was given up."""
-        options = self.keys.options(position)
+        options = self.keys.options(position, tiles)
         if self.given_up[0] == position:
             options = tuple(p for p in options if p.size_bytes < self.given_up[1])
         if self.unusable:
-            options = tuple(p for p in options if self._usable(self.keys.missing(position, p.index)))
+            options = tuple(p for p in options if self._usable(self.keys.missing(position, p.index, tiles)))
         return options
 
     def _usable(self, batch: Batch) -> bool:

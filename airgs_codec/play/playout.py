@@ -7,11 +7,14 @@ until enough media has arrived.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.settings import SessionSettings
+
+NO_TILES: Mapping[int, int] = MappingProxyType({})
 
 
 @dataclass(slots=True, eq=False)
@@ -23,6 +26,7 @@ class Slot:
     ready_s: float  # when it has arrived and is decoded
     start_s: float = math.inf  # of its display; inf while it waits
     stall_s: float = 0.0  # waited for it on the screen
+    tiles: dict[int, int] = field(default_factory=dict)  # of a player that fetches by view: the rung of each that came
 
 
 @dataclass(slots=True, eq=False)
@@ -80,9 +84,10 @@ class Playout:
             ahead += length
         return None
 
-    def enqueue(self, position: int, rung: int | None, arrived_s: float) -> None:
+    def enqueue(self, position: int, rung: int | None, arrived_s: float, tiles: Mapping[int, int] = NO_TILES) -> None:
         """Append a segment that arrived, or is lost; playing begins or goes on when there is enough."""
-        slot = Slot(position, rung, arrived_s + (0.0 if rung is None else self.settings.decode_frame_s))
+        ready_s = arrived_s + (0.0 if rung is None else self.settings.decode_frame_s)
+        slot = Slot(position, rung, ready_s, tiles=dict(tiles))
         self.timeline.append(slot)
         if len(self.timeline) - self._first_waiting == 1 and slot.ready_s <= self.scheduled_end_s:
             slot.start_s = self.scheduled_end_s
@@ -121,6 +126,20 @@ class Playout:
         while self._first_unseen < self._first_waiting and self.timeline[self._first_unseen].start_s < before_s:
             self._first_unseen += 1
             yield self.timeline[self._first_unseen - 1]
+
+    def unfinished(self, at_s: float) -> list[Slot]:
+        """Segments with a start that are not over at a moment, but for lost ones, in their order."""
+        found: list[Slot] = []
+        for number in range(self._first_waiting - 1, -1, -1):
+            slot = self.timeline[number]
+            if self.end_s(slot) <= at_s:
+                break
+            found += [slot] if slot.rung is not None else []
+        return found[::-1]
+
+    def end_s(self, slot: Slot) -> float:
+        """When a segment that has a start is over."""
+        return slot.start_s + self._seconds(slot)
 
     def _waiting_s(self) -> float:
         return sum(self._seconds(slot) for slot in self.timeline[self._first_waiting :])

@@ -12,10 +12,11 @@ from airgs_codec.play.session import SessionLog
 def session_bound(log: SessionLog, integer: bool = False) -> float | None:
     """Upper bound on the mean PSNR (dB) of any player that shows each segment when this one did; see `bound`.
 
-    None when segments were lost, and over a real connection, whose capacity is not known.
+    None when segments were lost, where tiles were fetched by view, and over a real connection, whose capacity is not
+    known.
     """
     link = log.link
-    if link is None or any(shown.rung is None for shown in log.shown):
+    if link is None or log.tiles is not None or any(shown.rung is None for shown in log.shown):
         return None
     slots = []
     manifest_s = log.fetches[0].arrival_s

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,20 +15,22 @@ from airgs_codec.package.paths import FileKind, file_kind
 from airgs_codec.package.store import Package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import Downloader, SimulatedDownloader
-from airgs_codec.play.events import Arrival, Arrived, BatchKind, Cut, Event, Lost, Replaced, Shown
+from airgs_codec.play.events import Arrival, Arrived, BatchKind, Cut, Event, Lost, Replaced, Shown, TileReady
 from airgs_codec.play.link import Link
 from airgs_codec.play.metrics import (
     Fetch,
     SessionMetrics,
     frame_times,
     mean_quality,
-    screen_ticks,
     session_metrics,
 )
-from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import DEFAULT_POLICY, make_policy
 from airgs_codec.play.policies.state import Policy
+from airgs_codec.play.run import run
 from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.sight import View
+from airgs_codec.play.ticks import screen_ticks
+from airgs_codec.play.tile_figures import TilesShown, tile_of
 from airgs_codec.play.trace import Trace
 
 
@@ -45,6 +47,7 @@ class SessionLog:
     bytes_by_kind: Mapping[FileKind, int]  # of files that were of use, without headers
     lost: tuple[str, ...]  # what could not be had, one line each
     retried: tuple[str, ...]  # what was asked for again, one line each
+    tiles: TilesShown | None = None  # None where all of the scene was fetched
 
     @staticmethod
     def of(
@@ -53,31 +56,35 @@ class SessionLog:
         policy: str,
         settings: SessionSettings,
         link: Link | None = None,
+        view: View | None = None,
     ) -> SessionLog:
-        """The log of a player's events."""
+        """The log of a player's events; with a `view`, of one that fetched by it."""
         fold = _Fold(catalogue)
         for event in events:
             fold.add(event)
+        shown = tuple(fold.shown)
         return SessionLog(
             catalogue=catalogue,
             settings=settings,
             policy=policy,
             link=link,
             fetches=tuple(fold.fetch(number) for number in range(len(fold.arrived))),
-            shown=tuple(fold.shown),
+            shown=shown,
             bytes_by_kind=dict(fold.bytes_by_kind),
             lost=tuple(fold.lost),
             retried=tuple(fold.retried),
+            tiles=TilesShown(catalogue, view, shown, tuple(fold.ready), dict(fold.bytes_by_tile)) if view else None,
         )
 
     @cached_property
     def metrics(self) -> SessionMetrics:
         """Figures of the session."""
-        return session_metrics(self.catalogue, self.link, self.fetches, self.shown, self.bytes_by_kind)
+        figures = session_metrics(self.catalogue, self.link, self.fetches, self.shown, self.bytes_by_kind)
+        return figures if self.tiles is None else replace(figures, tiles=self.tiles.figures)
 
     @property
     def screen_ticks(self) -> list[tuple[int, int]]:
-        """(entry of `shown`, frame of it) for every display tick; see `metrics.screen_ticks`."""
+        """(entry of `shown`, frame of it) for every display tick; see `ticks.screen_ticks`."""
         return screen_ticks(self.shown, self.catalogue.fps)
 
     @property
@@ -97,15 +104,19 @@ def play(
     policy: Policy | str = DEFAULT_POLICY,
     settings: SessionSettings | None = None,
     link: Link | None = None,
+    view: View | None = None,
 ) -> SessionLog:
     """Play a package from wherever the downloader fetches it; `link` is what a simulated one is of.
 
-    `policy` is a value or one of the names that `make_policy` takes. Raises ConfigError for an unknown policy and for
+    With a `view`, tiles are fetched by it, where the package has more than one. `policy` is a value or one of the names
+    that `make_policy` takes. Raises ConfigError for an unknown policy and for
     one that needs what is not known, TransportError when the link fails.
     """
     rule = make_policy(policy, catalogue, link) if isinstance(policy, str) else policy
+    seen = view if catalogue.manifest.tiles > 1 else None
     rules = settings or SessionSettings()
-    return SessionLog.of(run(catalogue, downloader, rule, rules), catalogue, rule.name, rules, link)
+    rules = rules if seen is None else rules.by_view()
+    return SessionLog.of(run(catalogue, downloader, rule, rules, seen), catalogue, rule.name, rules, link, seen)
 
 
 def simulate(
@@ -114,8 +125,9 @@ def simulate(
     policy: Policy | str = DEFAULT_POLICY,
     settings: SessionSettings | None = None,
     faults: Mapping[str, FormatError] | None = None,
+    view: View | None = None,
 ) -> SessionLog:
-    """Play a package over a trace, with the trace's own round trip, or over a link.
+    """Play a package over a trace, with the trace's own round trip, or over a link; with a `view`, by tiles.
 
     `policy` is a value or one of the names that `make_policy` takes; `faults` are files that cannot be used, as
     `find_faults` gives them. Raises ConfigError for an unknown policy, for one that needs quality that was not measured
@@ -125,7 +137,7 @@ def simulate(
     link = Link.over(trace) if isinstance(trace, Trace) else trace
     catalogue.limit(settings.budget if settings else None)
     catalogue.check_budget(range(catalogue.segments))
-    return play(catalogue, SimulatedDownloader(link, catalogue, faults or {}), policy, settings, link)
+    return play(catalogue, SimulatedDownloader(link, catalogue, faults or {}), policy, settings, link, view)
 
 
 @dataclass(slots=True, eq=False)
@@ -141,6 +153,8 @@ class _Fold:
     on_timeline: set[int] = field(default_factory=set)  # batches, by their place in `arrived`
     replaced_bytes: Counter[int] = field(default_factory=Counter)  # state that a batch brought in vain
     state_source: dict[int, int] = field(default_factory=dict)  # position -> the batch that brought its state
+    ready: list[TileReady] = field(default_factory=list)
+    bytes_by_tile: Counter[int] = field(default_factory=Counter)  # of keys and states that were of use
 
     def add(self, event: Event) -> None:
         """Take in the next event."""
@@ -148,6 +162,8 @@ class _Fold:
             self._arrived(event)
         elif isinstance(event, Replaced):
             self._replaced(event)
+        elif isinstance(event, TileReady):
+            self.ready.append(event)
         elif isinstance(event, Lost):
             start, stop = self.catalogue.span(self.catalogue.index(event.position))
             frames = f"frames {start}-{stop - 1}"
@@ -162,8 +178,12 @@ class _Fold:
         self.arrived.append(event)
         for path in arrival.kept:
             self.bytes_by_kind[file_kind(path)] += self.catalogue.file_bytes(path)
+            if (tile := tile_of(path)) is not None:
+                self.bytes_by_tile[tile] += self.catalogue.file_bytes(path)
         self.lost += [f"{path} at {arrival.at_s:.2f} s: {why.detail}" for path, why in arrival.refused.items()]
         self.retried += [f"{retry.path} before {arrival.at_s:.2f} s: {retry.why}" for retry in arrival.retries]
+        if arrival.complete and arrival.request.kind is BatchKind.REPAIR:
+            self.on_timeline.add(number)
         if arrival.complete and arrival.request.kind in (BatchKind.GROUP, BatchKind.STATE):
             self.on_timeline.add(number)
             self.state_source[arrival.request.position] = number

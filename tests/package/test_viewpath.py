@@ -7,7 +7,7 @@ import pytest
 
 from airgs_codec.package.region import departure, departures, draw_views, place_view
 from airgs_codec.package.tables import Place
-from airgs_codec.package.viewpath import SPEED, TURNING, walk_cameras, walk_region
+from airgs_codec.package.viewpath import SPEED, TURNING, path_of_region, walk_cameras, walk_region
 from tests.support.regions import arc, row
 from tests.support.regions import region as region_of
 
@@ -125,3 +125,13 @@ def test_departures_are_those_of_the_best_place():
     assert departure(region, aside).distance == 0 and departure(region, aside).degrees == pytest.approx(35)
     assert departures(region, [camera, aside]) == [found, departure(region, aside)]
     assert all(d.inside for d in departures(region, draw_views(region, 50, 3)))
+
+
+@pytest.mark.parametrize("region", [arc(180, 7, 0.8), row(1, 0.0)], ids=["arc", "one place"])
+def test_a_path_has_a_view_at_any_time(region):
+    """A walk is a path looked at again and again; in between it goes on."""
+    path, walk = path_of_region(region), walk_region(region, 30, FPS)
+    for i in (0, 7, 29):
+        np.testing.assert_allclose(path.at(i / FPS).world_to_camera, walk.cameras[i].world_to_camera, atol=1e-12)
+    before, between, after = (path.at(seconds).position for seconds in (0.7, 0.75, 0.8))
+    assert np.linalg.norm(between - (before + after) / 2) <= 0.05 * np.linalg.norm(after - before) + 1e-12

@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.bound import Horizon, Slot, paper_programme, solve_horizon
-from airgs_codec.play.catalogue import NONE, Catalogue
+from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Ladder, Option, select
 from airgs_codec.play.link import Link
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace
+from airgs_codec.play.units import NONE
 from tests.support.manifests import tiny_manifest, units
 
 CATALOGUE = Catalogue(tiny_manifest(), header_bytes=0)

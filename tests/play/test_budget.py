@@ -7,17 +7,18 @@ import pytest
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.play.catalogue import NONE, OVER_BUDGET, Catalogue
+from airgs_codec.play.catalogue import OVER_BUDGET, Catalogue
 from airgs_codec.play.downloader import SimulatedDownloader
 from airgs_codec.play.events import Lost, Shown
 from airgs_codec.play.link import Link
-from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import ADAPTIVE, ORACLES, make_policy
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.report.session import format_metrics
+from airgs_codec.play.run import run
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import open_trace
+from airgs_codec.play.units import NONE
 from tests.support.manifests import in_groups, tiny_manifest, with_tiers
 
 POLICIES = ("fixed:0", *ADAPTIVE, *ORACLES)

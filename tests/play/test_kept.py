@@ -11,19 +11,20 @@ from hypothesis import strategies as st
 from airgs_codec.package.references import check_group, check_kept
 from airgs_codec.package.tables import NO_FILE
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.catalogue import NONE, Catalogue
+from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import SimulatedDownloader
 from airgs_codec.play.events import Arrival, Arrived, BatchKind, Request
 from airgs_codec.play.keys import KeyStore
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.link import Link
-from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.regret import session_bound
+from airgs_codec.play.run import run
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace
+from airgs_codec.play.units import NONE
 from tests.support.manifests import in_groups, missing, tiny_manifest, units, with_tiers
 from tests.support.session_packages import catalogue_of
 
@@ -194,7 +195,7 @@ def test_a_second_tier_that_came_before_the_first_is_not_fetched_again():
     second = tuple(c.manifest.key_files(0, 1, 0))
     keys.add(Arrival(request, 0.0, 1.0, 1, whole=second, refused={}, abandoned=True))
     assert keys.missing(0, 0).keys == tuple(c.manifest.key_files(0, 0, 0))
-    assert keys.shown_tiers(0, 0) == 0
+    assert not keys.shows(0, 0)
 
 
 def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.catalogue import NONE, Catalogue
+from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.policies.bola import choose_bola
 from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, choose_robust_mpc, discounted_throughput
@@ -32,6 +32,7 @@ from airgs_codec.play.policies.state import (
 )
 from airgs_codec.play.policies.throughput import choose_throughput
 from airgs_codec.play.trace import Trace
+from airgs_codec.play.units import NONE
 from tests.support.manifests import tiny_manifest, units
 
 CATALOGUE = Catalogue(tiny_manifest(), header_bytes=0)

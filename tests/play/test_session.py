@@ -12,19 +12,20 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.references import check_group, check_root
 from airgs_codec.package.store import open_package, root_of
 from airgs_codec.package.tables import Segment
-from airgs_codec.play.catalogue import NONE, Catalogue
+from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import SimulatedDownloader
 from airgs_codec.play.events import Arrival, Arrived, BatchKind, Replaced, Request, Shown
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.link import Link
-from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.report.session import format_metrics, write_report
+from airgs_codec.play.run import run
 from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.play.units import NONE
 from tests.support.manifests import missing, tiny_manifest, with_segments
 from tests.support.paths import VALID
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.play.catalogue import NONE, KeyUnits
 from airgs_codec.play.ladder import Option, saved_shares
+from airgs_codec.play.units import NONE, KeyUnits
 
 Numbers = Mapping[str, Any]
 

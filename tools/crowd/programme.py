@@ -20,12 +20,13 @@ from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.packing import pack_json
 from airgs_codec.package.store import Package, root_of
 from airgs_codec.package.tables import FileEntry, Group
-from airgs_codec.play.catalogue import NONE, Catalogue, KeyUnits
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.units import NONE, KeyUnits
 
 Answer = TypeVar("Answer")
 SHARED = (  # tables that all visits of a programme share; each is made when it is first asked for
     "_options", "rungs", "names", "fps", "quality", "delta_e", "state_bytes", "rows", "key_bytes", "bytes_after",
-    "_after", "bytes_from_scratch",
+    "_after", "bytes_from_scratch", "units",
 )  # fmt: skip
 
 

@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from airgs_codec.play.catalogue import Catalogue, KeyUnits
+from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Decision, Ladder, Option
+from airgs_codec.play.units import KeyUnits
 
 SAFETY = 0.9  # share of the estimated throughput that is spent
 HALF_LIVES_S = (3.0, 8.0)  # of the two throughput averages; the smaller one counts (as in dash.js)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,45 +14,74 @@ from airgs_codec.media.image import label, to_bytes
 from airgs_codec.media.movie import write_movie
 from airgs_codec.package.store import Package
 from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.events import Shown
 from airgs_codec.play.report.viewer import Viewer
 from airgs_codec.play.session import SessionLog
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.sequence import GaussianSequence
 
 
 def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians | None, int]]:
     """(Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
 
-    In a lost segment the last Gaussians stay; None before the first that could be shown.
+    In a lost segment the last Gaussians stay; None before the first that could be shown. Where tiles were fetched by
+    view, there are those that had come by then.
     """
     shown_at = -1
-    frames: list[Gaussians] = []
+    parts: dict[tuple[int, ...], list[Gaussians]] = {}  # of the segment shown: rung and tiles -> frames
     last: Gaussians | None = None
-    for entry, frame in log.screen_ticks:
+    for tick, (entry, frame) in enumerate(log.screen_ticks):
         s = log.shown[entry]
-        if entry != shown_at and s.rung is not None:
-            frames = _segment(package, s.segment, *log.catalogue.rungs[s.rung])
+        if entry != shown_at:
+            parts = {}
         shown_at = entry
         if s.rung is not None:
-            last = frames[frame]
+            found = [_frames(package, log, entry, part, parts)[frame] for part in _parts(log, tick, entry)]
+            last = found[0] if len(found) == 1 else join_rows(found)
         yield last, entry
 
 
-def _segment(package: Package, index: int, quality: int, level: int) -> list[Gaussians]:
-    m = package.manifest
+def _parts(log: SessionLog, tick: int, entry: int) -> list[tuple[int, ...]]:
+    """What is on the screen at a display tick: rungs, each with the tiles in it; without tiles: all."""
+    if log.tiles is None:
+        return [(log.shown[entry].rung or 0,)]
+    there = log.tiles.there(entry, float(log.tiles.tick_times[tick]))
+    return [(rung, *sorted(t for t in there if there[t] == rung)) for rung in sorted(set(there.values()))]
+
+
+def _frames(
+    package: Package, log: SessionLog, entry: int, part: tuple[int, ...], known: dict[tuple[int, ...], list[Gaussians]]
+) -> list[Gaussians]:
+    if part not in known:
+        rung, *tiles = part
+        known[part] = _segment(package, log.shown[entry].segment, log.catalogue.rungs[rung], tiles or None)
+    return known[part]
+
+
+def _segment(
+    package: Package, index: int, rung: tuple[int, int], tiles: Sequence[int] | None = None
+) -> list[Gaussians]:
+    m, (quality, level) = package.manifest, rung
     segment = m.segments[index]
-    base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers)
-    return list(decode_segment(package, index, base, level, range(segment.stop - segment.start)))
+    base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers, tiles)
+    return list(decode_segment(package, index, base, level, range(segment.stop - segment.start), tiles))
+
+
+def _came(log: SessionLog, shown: Shown) -> list[int] | None:
+    """The tiles that came of a segment; None: all."""
+    if log.tiles is None:
+        return None
+    return sorted({event.tile for event in log.tiles.came(log.shown.index(shown))})
 
 
 def _best(package: Package, c: Catalogue, segment: int) -> tuple[list[Gaussians], str]:
     """Frames of a segment at the first rung whose files are whole, and what to call it."""
     for name, rung in zip(c.names, c.rungs, strict=True):
         try:
-            return _segment(package, segment, *rung), f"best rung: {name}"
+            return _segment(package, segment, rung), f"best rung: {name}"
         except FormatError:
             continue
     return [], "no rung can be had"
@@ -141,7 +170,7 @@ def still(package: Package, log: SessionLog, camera: Camera, renderer: Renderer 
         return label(np.zeros((camera.height, camera.width, 3), np.uint8), "nothing could be shown")
     worst = min(shown, key=lambda s: s.psnr if s.psnr is not None else -(s.rung or 0))
     pictures = []
-    worst_frames = _segment(package, worst.segment, *c.rungs[worst.rung or 0])
+    worst_frames = _segment(package, worst.segment, c.rungs[worst.rung or 0], _came(log, worst))
     text = f"worst shown: {c.names[worst.rung or 0]}" + ("" if worst.psnr is None else f"  {worst.psnr:.1f} dB")
     for frames, words in (_best(package, c, worst.segment), (worst_frames, text)):
         pictures.append(label(to_bytes(renderer.render(frames[0], camera).rgb), words))

@@ -20,6 +20,7 @@ from airgs_codec.play.figures import FIGURES, meanings
 from airgs_codec.play.metrics import SessionMetrics
 from airgs_codec.play.regret import session_bound
 from airgs_codec.play.report.region_map import plot_region
+from airgs_codec.play.report.tile_chart import plot_tiles, tile_words
 from airgs_codec.play.report.viewer import Viewer
 from airgs_codec.play.session import SessionLog
 
@@ -70,10 +71,13 @@ def _rung_record(log: SessionLog) -> list[dict[str, Any]]:
 
 
 def plot_session(log: SessionLog, path: Path) -> None:
-    """Six panels over time: throughput, rungs, buffer, PSNR on the screen, arrival of every frame, time it took."""
-    figure = new_figure(11, 16.5)
-    axes = figure.subplots(6, 1, sharex=True)
-    for draw, axis in zip((_throughput, _rungs, _buffer, _psnr, _arrivals, _transfers), axes, strict=True):
+    """Panels over time: throughput, rungs, buffer, PSNR on the screen, arrival of every frame, time it took, and the
+    tiles where they were fetched by view.
+    """
+    panels = [_throughput, _rungs, _buffer, _psnr, _arrivals, _transfers, *([plot_tiles] if log.tiles else [])]
+    figure = new_figure(11, 2.75 * len(panels))
+    axes = figure.subplots(len(panels), 1, sharex=True)
+    for draw, axis in zip(panels, axes, strict=True):
         draw(axis, log)
         axis.grid(alpha=0.25)
         for s in log.shown:
@@ -104,6 +108,7 @@ def _throughput(axis: Any, log: SessionLog) -> None:
         (BatchKind.GROUP, "s", _ORANGE),
         (BatchKind.STATE, "o", _GREEN),
         (BatchKind.REPLACEMENT, "^", _RED),
+        (BatchKind.REPAIR, "v", _RED),
     ):
         batch = [f for f in log.fetches if f.kind is kind]
         if not batch:
@@ -233,6 +238,8 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
     if bound is not None:
         regret = f"regret {bound - log.mean_quality:.2f} dB"
         rows.append(("best possible", f"at most {bound:.2f} dB at the same moments, mean of segments: {regret}"))
+    if log.metrics.tiles is not None:
+        rows.append(("tiles", tile_words(log.metrics.tiles)))
     if log.lost:
         rows.append(("lost", f"{r['lost_frames']} frames; {_some(log.lost)}"))
     if log.retried:

@@ -6,11 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from airgs_codec._sampling import evenly_spaced
+from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.region import Departure, departures, levelled
 from airgs_codec.package.region_summary import ORBIT, departure_words
 from airgs_codec.package.tables import Region
-from airgs_codec.package.viewpath import walk_cameras, walk_region
+from airgs_codec.package.viewpath import Path, path_by_cameras, path_of_region
 from airgs_codec.play.session import SessionLog
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
@@ -18,6 +21,14 @@ from airgs_codec.scene.camera import resized
 
 MOST_PIXELS = 640  # of the longer side of a picture of the screen
 MOST_STOPS = 64  # cameras that the walk comes by
+
+
+def path_of(m: Manifest, cameras: Sequence[Camera] = ()) -> Path:
+    """The way of a viewer through a package's region, or by way of `cameras`, at most MOST_STOPS of them."""
+    region = levelled(m)
+    if not cameras:
+        return path_of_region(region)
+    return path_by_cameras(region, [cameras[i] for i in evenly_spaced(len(cameras), MOST_STOPS)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,15 +43,11 @@ class Viewer:
 
     @staticmethod
     def of(log: SessionLog, cameras: Sequence[Camera] = (), renderer: Renderer = CPU) -> Viewer:
-        """The walk through the package's region, or by way of `cameras`, at most MOST_STOPS of them."""
-        region, ticks, fps = levelled(log.catalogue.manifest), len(log.screen_ticks), log.catalogue.fps
-        if cameras:
-            stops = [cameras[i] for i in evenly_spaced(len(cameras), MOST_STOPS)]
-            walk = walk_cameras(region, stops, ticks, fps)
-        else:
-            walk = walk_region(region, ticks, fps)
-        shown = [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in walk.cameras]
-        return Viewer(region, shown, departures(region, shown), walk.unreached, renderer)
+        """The walk along `path_of(manifest, cameras)`."""
+        path, ticks = path_of(log.catalogue.manifest, cameras), len(log.screen_ticks)
+        times = np.arange(ticks) / log.catalogue.fps if log.tiles is None else log.tiles.view_times
+        shown = [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in path.cameras(times)]
+        return Viewer(path.region, shown, departures(path.region, shown), path.unreached, renderer)
 
     @property
     def outside(self) -> int:

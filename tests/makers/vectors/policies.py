@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.play.catalogue import NONE
 from airgs_codec.play.policies.mpc import discounted_throughput
 from airgs_codec.play.policies.named import ADAPTIVE
 from airgs_codec.play.policies.state import estimate_throughput
+from airgs_codec.play.units import NONE
 from tests.makers.vectors.text import Table, plain
 from tests.support.offers import Numbers, Offer
 from tests.support.policy_states import State, choices, player_state

@@ -18,10 +18,10 @@ from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import GiveUp, SimulatedDownloader
-from airgs_codec.play.events import Arrival, Arrived, Cut, Event, Lost, Replaced, Request
+from airgs_codec.play.events import Arrival, Arrived, Cut, Event, Lost, Replaced, Request, TileReady
 from airgs_codec.play.link import Link
-from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import ADAPTIVE, make_policy
+from airgs_codec.play.run import run
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace
 from tests.makers.vectors.text import Table, plain
@@ -207,6 +207,8 @@ def row(event: Event, c: Catalogue) -> list[Any]:
             return [r.kind.value, r.position, r.rung, a.bytes, *times, *files]
         case Replaced():
             return ["replaced", event.position, event.before, event.after]
+        case TileReady():
+            return ["tile", event.position, event.tile, event.rung, plain(event.ready_s)]
         case Lost():
             return ["lost", event.position, plain(event.at_s)]
         case Cut():

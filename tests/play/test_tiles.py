@@ -1,0 +1,187 @@
+"""Packages in tiles: what they cost, and players that fetch the tiles that their viewers are expected to see."""
+
+import dataclasses
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.play.bound import Horizon, Slot, solve_horizon
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.events import BatchKind
+from airgs_codec.play.report.session import format_metrics, write_report
+from airgs_codec.play.session import simulate
+from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.tile_figures import tile_of
+from airgs_codec.play.trace import open_trace
+from airgs_codec.play.units import NONE
+from tests.support.manifests import missing, tiny_manifest
+from tests.support.tiled import Turning, tiled_manifest
+
+TILES = 8  # 45 degrees apart; a picture of 60 degrees shows the one in its middle
+SCENE = {"groups": (30,) * 8, "fps": (30, 1)}
+STILL = Turning()
+
+
+def play(m, rate="const:10", policy="fixed:0", view=None, **options):
+    rules = SessionSettings(**({"loops": 1} | options))
+    return simulate(Catalogue(m, 0, 1000), open_trace(rate), policy, rules, view=view)
+
+
+def fetched(log):
+    """Tiles that came, by position."""
+    return [{event.tile for event in log.tiles.came(position)} for position in range(len(log.shown))]
+
+
+def test_numbers_are_those_of_all_tiles():
+    one, four = Catalogue(tiled_manifest(1), 0), Catalogue(tiled_manifest(4), 0)
+    assert four.sizes(0, NONE) == [4 * size for size in one.sizes(0, NONE)]
+    assert four.rows[0].tolist() == [4 * rows for rows in one.rows[0].tolist()]
+    batch = four.batch(0, 0, NONE)
+    assert len(batch.keys) == 4 * 2 * 2 and len(batch.state) == 4
+    assert four.wire_bytes([four.file_bytes(path) for path in batch.files]) == four.sizes(0, NONE)[0]
+    assert four.batch(0, 0, frozenset((0, unit) for unit in range(8))).keys == ()
+
+
+def test_some_tiles_cost_what_they_have():
+    four = Catalogue(tiled_manifest(4, empty=[3]), 0)
+    part = four.of_tiles([0, 2])
+    assert part.sizes(0, NONE) == [size * 2 // 3 for size in four.sizes(0, NONE)]
+    assert {tile_of(path) for path in part.batch(0, 0, NONE).files} == {0, 2}
+    assert part.bytes_after[1, 0].tolist() == part.sizes(1, frozenset((0, unit) for unit in (0, 1, 4, 5)))
+    assert four.of_tiles(range(4)) is four and four.of_tiles([3]).sizes(0, NONE) == [0] * len(four.rungs)
+
+
+def test_a_package_of_one_tile_is_played_as_ever():
+    m = tiny_manifest(**SCENE)
+    plain, seen = play(m), play(m, view=STILL)
+    assert seen.fetches == plain.fetches and seen.shown == plain.shown and seen.tiles is None
+    assert seen.metrics == plain.metrics and seen.settings == plain.settings
+
+
+@pytest.mark.parametrize("policy", ["fixed:Q1+L1", "robust-mpc", "bola", "oracle-lp"])
+def test_all_tiles_cost_what_one_with_all_of_their_bytes_costs(policy):
+    """Four tiles of a quarter each are a quarter of four times the rate, with headers of no bytes."""
+    four = play(tiled_manifest(4), "const:0.4", policy, loops=8)
+    one = play(tiled_manifest(1), "const:0.1", policy, loops=8)
+    tables = 1000 + 2 * 100  # those are not four times as large
+    assert four.tiles is None and four.metrics.tiles is None
+    if policy.startswith("fixed"):
+        assert four.metrics.wire_bytes - tables == 4 * (one.metrics.wire_bytes - tables)
+    assert [s.rung for s in four.shown[4:]] == [s.rung for s in one.shown[4:]] or policy == "robust-mpc"
+
+
+def test_the_bound_counts_the_keys_of_all_tiles():
+    c = Catalogue(tiled_manifest(3), 0)
+    whole = float(c.sizes(0, NONE)[0])
+    assert solve_horizon(Horizon(c, (Slot(0, True, 0.0, whole),), {}), integer=True).quality == pytest.approx(40)
+    assert solve_horizon(Horizon(c, (Slot(0, True, 0.0, whole - 100),), {}), integer=True).quality < 40
+
+
+def test_who_does_not_turn_fetches_what_he_sees_and_what_is_beside_it():
+    log = play(tiled_manifest(TILES, **SCENE), view=STILL)
+    assert set().union(*fetched(log)) == {0, 1, 7}  # within 30 degrees of the picture
+    assert log.metrics.tiles.missing_s == 0 and log.metrics.stalls == 0
+    assert log.metrics.tiles.bytes[2:7] == (0,) * 5 and min(log.metrics.tiles.bytes[i] for i in (0, 1, 7)) > 0
+    assert log.metrics.tiles.fetched == pytest.approx(3 / 8)
+    everything = play(tiled_manifest(TILES, **SCENE))
+    assert log.metrics.wire_bytes - 2000 < 3 / 8 * everything.metrics.wire_bytes
+
+
+def test_the_buffer_is_short_where_tiles_are_fetched_by_view():
+    log = play(tiled_manifest(TILES, **SCENE), view=STILL)
+    for position, s in enumerate(log.shown[4:], 4):
+        ask_s = min(f.request_s for f in log.fetches if f.position == position and f.kind is not BatchKind.TABLES)
+        assert ask_s >= s.start_s + s.frames / 30 - log.settings.buffer_s - 1e-6
+    assert log.settings.buffer_s == SessionSettings().view_buffer_s
+
+
+@pytest.mark.parametrize("degrees", [30, 90, -150])
+def test_who_turns_lacks_nothing_on_a_fast_link(degrees):
+    log = play(tiled_manifest(TILES, **SCENE), "const:20", view=Turning(degrees, 1.0))
+    assert log.metrics.tiles.missing_s == 0 and log.metrics.stalls == 0
+    assert set().union(*fetched(log)) == set(range(TILES))
+    assert log.metrics.tiles.fetched < 0.75
+
+
+def test_a_sudden_turn_is_repaired_before_the_next_segment():
+    """He turns by a right angle in a fifth of a second: what is then in sight comes first, though it is late."""
+    log = play(tiled_manifest(TILES, **SCENE), "const:1", view=Turning(450, 2.0, 2.2))
+    turned_s = log.shown[0].start_s + 2.2
+    after = [f for f in log.fetches if f.request_s > turned_s - 0.1]
+    assert after[0].kind is BatchKind.REPAIR
+    on_screen = next(i for i, s in enumerate(log.shown) if s.start_s + s.frames / 30 > turned_s)
+    came = {event.tile: event.ready_s for event in log.tiles.came(on_screen)}
+    assert came[2] > log.shown[on_screen].start_s
+    later = [f.request_s for f in after if f.position > on_screen + 1]
+    assert came[2] < min(later)
+    assert 0 < log.metrics.tiles.missing_s < 1
+
+
+def test_what_is_lacking_on_a_slow_link_is_counted():
+    slow, fast = (
+        play(tiled_manifest(TILES, **SCENE), rate, view=Turning(90, 0.5)) for rate in ("const:0.2", "const:5")
+    )
+    assert slow.metrics.tiles.missing_s > 1 and fast.metrics.tiles.missing_s == 0
+    missing = slow.tiles.missing
+    assert missing.any(axis=1).sum() / 30 == pytest.approx(slow.metrics.tiles.missing_s)
+    assert len(missing) == len(slow.screen_ticks) == len(slow.tiles.tick_times)
+
+
+def test_a_repair_that_would_come_too_late_takes_the_smallest_rung():
+    m = tiled_manifest(TILES, key_bytes=((30_000, 1000),), state_bytes=(20_000, 500), psnr=[[40.0, 36.0]] * 2, **SCENE)
+    log = play(m, "const:2.4", view=Turning(450, 2.0, 2.2))
+    rungs = {event.rung for event in log.tiles.ready}
+    assert 0 in rungs and log.catalogue.rungs.index((1, 1)) in rungs
+
+
+def test_policies_see_the_sizes_of_the_tiles_that_are_chosen():
+    """A link that carries three tiles in the best rung, and not eight."""
+    m = tiled_manifest(TILES, **SCENE)
+    rates = play(m, "const:0.35", "robust-mpc"), play(m, "const:0.35", "robust-mpc", view=STILL)
+    best = [np.mean([s.rung == 0 for s in log.shown[6:]]) for log in rates]
+    assert best[1] > 0.9 > best[0]
+
+
+def test_a_tile_without_rows_is_never_fetched():
+    log = play(tiled_manifest(TILES, empty=[1, 7], **SCENE), view=STILL)
+    assert set().union(*fetched(log)) == {0} and log.metrics.tiles.missing_s == 0
+
+
+def test_a_missing_file_costs_its_tile_a_rung_and_no_more():
+    m = tiled_manifest(TILES, **SCENE)
+    path = m.state_files(5, 0, [0])[0]
+    log = simulate(Catalogue(m, 0, 1000), open_trace("const:10"), "robust-mpc", None, missing(path), STILL)
+    assert path in log.lost[0] and log.metrics.lost_frames == 0
+    (rung,) = {event.rung for event in log.tiles.came(5) if event.tile == 0}
+    assert log.catalogue.rungs[rung] == (0, 1)
+
+
+def test_the_log_says_what_is_on_the_screen():
+    log = play(tiled_manifest(TILES, **SCENE), "const:0.4", view=Turning(90, 0.5))
+    for position, s in enumerate(log.shown):
+        before, after = log.tiles.there(position, s.start_s), log.tiles.there(position, s.start_s + s.frames / 30)
+        assert before.items() <= after.items() and before
+    late = sum(event.ready_s > log.shown[event.position].start_s for event in log.tiles.ready)
+    assert late == log.metrics.tiles.late > 0
+    assert sum(f.wasted for f in log.fetches) <= 0.05 * log.metrics.wire_bytes
+
+
+def test_the_report_shows_tiles(tmp_path):
+    log = play(tiled_manifest(TILES, **SCENE), "const:0.4", view=Turning(90, 0.5))
+    words = format_metrics(log)
+    assert f"lacking for {log.metrics.tiles.missing_s:.2f} s" in words and "best possible" not in words
+    page = write_report(log, tmp_path).read_text()
+    assert "lacking for" in page
+    assert dataclasses.asdict(log.metrics)["tiles"]["tiles"] == TILES
+
+
+def test_a_group_that_keeps_rows_needs_the_units_of_the_same_tiles():
+    m = tiled_manifest(2)
+    first, second = m.groups
+    tiles = [replace(t, tiers=[replace(k, kept=5) for k in t.tiers]) for t in second.tiles]
+    keeping = replace(m, groups=type(m.groups).of([first, replace(second, tiles=tiles, keeps=1)]))
+    batch = Catalogue(keeping, 0).of_tiles([1]).batch(2, 0, NONE)
+    assert len(batch.keys) == 2 * 2 * 2 and len(batch.state) == 1
+    of_second = {path for unit in (2, 3) for group in (0, 1) for path in keeping.key_files(group, unit, 0)}
+    assert set(batch.keys) == of_second
