@@ -208,7 +208,7 @@ class Player:
             options=self._options(position, tiles),
             now_s=self.now_s,
             deadline_s=self.playout.deadline_s(self.now_s),
-            buffer_limit_s=self.settings.buffer_s,
+            buffer_limit_s=self.playout.limit_s(position),
             request_latency_s=latency_s,
             shown_quality=self._quality(last) if last else None,
             pipelined=self.settings.pipelined and self.connection.pipelines,

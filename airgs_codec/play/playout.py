@@ -37,6 +37,7 @@ class Playout:
     settings: SessionSettings
     end: int
     timeline: list[Slot] = field(default_factory=list)
+    room_for_two: bool = False  # segments, however long they are: the next one is fetched while one is shown
     _first_waiting: int = 0
     _first_unseen: int = 0  # of the timeline: those before it were given by `started`
 
@@ -63,6 +64,11 @@ class Playout:
         """When the next segment must have arrived to be shown without a stall, the time to decode it taken off."""
         return self.buffer_end_s(now_s) - self.settings.decode_frame_s
 
+    def limit_s(self, position: int) -> float:
+        """Most media time ahead of the playhead when the segment at a position has come."""
+        two_s = 2 * self.catalogue.seconds_at(position) if self.room_for_two else 0.0
+        return max(self.settings.buffer_s, two_s)
+
     def make_room(self, position: int) -> None:
         """Resume if playing waits for more media although the buffer is too full for the segment at a position."""
         blocking = self._blocking(position)
@@ -76,11 +82,11 @@ class Playout:
 
     def _blocking(self, position: int) -> tuple[Slot, float] | None:
         """The latest segment that must have begun for another to fit the buffer, and seconds to be shown of it."""
-        ahead = self.catalogue.seconds_at(position)
+        ahead, most = self.catalogue.seconds_at(position), self.limit_s(position)
         for slot in reversed(self.timeline):
             length = self._seconds(slot)
-            if ahead + length > self.settings.buffer_s:
-                return slot, length - max(0.0, self.settings.buffer_s - ahead)
+            if ahead + length > most:
+                return slot, length - max(0.0, most - ahead)
             ahead += length
         return None
 

@@ -25,7 +25,9 @@ class SessionSettings:
     )
     loops: int | None = setting(None, "times the sequence is played (default: about 30 s of play)")
     budget: int | None = setting(None, "most Gaussians that are fetched and shown of a group (default: any number)")
-    view_buffer_s: float = setting(1.0, "most media time ahead of the playhead where tiles are fetched by view")
+    view_buffer_s: float = setting(
+        1.0, "most media time ahead of the playhead where tiles are fetched by view; two segments always fit"
+    )
 
     def __post_init__(self) -> None:
         if not 0 < self.buffer_s < math.inf:

@@ -34,6 +34,7 @@ class ViewPlayer(Player):
 
     def __post_init__(self) -> None:
         Player.__post_init__(self)
+        self.playout.room_for_two = True
         self.choice = TileChoice(self.catalogue, self.playout, self.view)
 
     def _wait(self, until_s: float) -> Steps:

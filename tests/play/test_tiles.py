@@ -96,6 +96,13 @@ def test_the_buffer_is_short_where_tiles_are_fetched_by_view():
     assert log.settings.buffer_s == SessionSettings().view_buffer_s
 
 
+@pytest.mark.parametrize("parts", [1, 2, 4])
+def test_segments_of_any_length_play_without_a_pause(parts):
+    """A segment of a second is as long as the buffer: it must come while the one before is shown."""
+    log = play(tiled_manifest(TILES, parts, **SCENE), view=STILL)
+    assert log.metrics.stalls == 0 and log.metrics.tiles.missing_s == 0
+
+
 @pytest.mark.parametrize("degrees", [30, 90, -150])
 def test_who_turns_lacks_nothing_on_a_fast_link(degrees):
     log = play(tiled_manifest(TILES, **SCENE), "const:20", view=Turning(degrees, 1.0))

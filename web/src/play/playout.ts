@@ -267,10 +267,16 @@ export class Playout {
     return waiting.length && !this.firstWaiting ? sum - this.skipS : sum;
   }
 
+  /** Most media time ahead of the playhead when the segment at a position has come. */
+  limitS(position: number): number {
+    const { bufferS, roomForTwo } = this.settings;
+    return roomForTwo ? Math.max(bufferS, 2 * this.catalogue.secondsAt(position)) : bufferS;
+  }
+
   /** The latest segment that must have begun for another to fit the buffer, and seconds to be shown of it. */
   private blocking(position: number): { slot: Slot; restS: number } | null {
-    let ahead = this.settings.overfill ? 0 : this.catalogue.secondsAt(position);
-    const most = this.settings.bufferS;
+    let ahead = this.catalogue.secondsAt(position);
+    const most = this.limitS(position);
     for (let i = this.timeline.length - 1; i >= 0; i--) {
       const slot = this.timeline[i];
       if (ahead + slot.seconds > most) return { slot, restS: slot.seconds - Math.max(0, most - ahead) };

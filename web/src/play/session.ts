@@ -205,7 +205,7 @@ class Run {
   }
 
   private state(position: number, latencyS: number, tiles: readonly number[]): PlayerState {
-    const { catalogue, playout, settings, stores } = this.parts;
+    const { catalogue, playout, stores } = this.parts;
     return {
       catalogue: catalogue.ofTiles(tiles),
       position,
@@ -214,7 +214,7 @@ class Run {
       options: this.options(position, tiles),
       nowS: this.nowS,
       deadlineS: playout.deadlineS(playout.dueAt(this.nowS), this.nowS),
-      bufferLimitS: settings.bufferS + (settings.overfill ? catalogue.secondsAt(position) : 0),
+      bufferLimitS: playout.limitS(position),
       requestLatencyS: latencyS,
       shownQuality: playout.last && slotQuality(catalogue, playout.last),
       history: this.receiver.history(this.sentS(latencyS)),

@@ -11,8 +11,8 @@ export class ConfigError extends Error {
 export interface SessionSettings {
   /** Most media time ahead of the playhead, seconds. */
   bufferS: number;
-  /** Request a segment when what is ahead of it fits the buffer, whether or not it fits, too. */
-  overfill: boolean;
+  /** Two segments fit the buffer, however long they are: the next one is fetched while one is shown. */
+  roomForTwo: boolean;
   /** Media time to buffer before playing begins, seconds; one segment at least. */
   startupS: number;
   /** Media time to buffer before playing goes on after a stall, seconds. */
@@ -29,20 +29,20 @@ export interface SessionSettings {
   loops: number | null;
 }
 
-/** A segment is requested so long before it is shown, at most, where tiles are fetched by view, seconds. */
-const VIEW_AHEAD_S = 1;
+/** Most media time ahead of the playhead where tiles are fetched by view, seconds; two segments always fit. */
+const VIEW_BUFFER_S = 1;
 
 /** The rules where tiles are fetched by view: what is buffered is soon shown, and not replaced. */
 export const byView = (settings: SessionSettings): SessionSettings => ({
   ...settings,
-  bufferS: Math.min(settings.bufferS, VIEW_AHEAD_S),
-  overfill: true,
+  bufferS: Math.min(settings.bufferS, VIEW_BUFFER_S),
+  roomForTwo: true,
   replace: false,
 });
 
 const DEFAULTS: SessionSettings = {
   bufferS: 10,
-  overfill: false,
+  roomForTwo: false,
   startupS: 1,
   resumeS: 0.5,
   decodeFrameS: 0.004,

@@ -166,7 +166,7 @@ test("a session fetches the tiles that are expected in sight, and counts them al
   ]);
   assert.ok(!viewer.files().some((path) => path.includes("/P3/")));
   assert.deepEqual([...viewer.playout.slots[0]!.tiles], [[0, 0]]);
-  assert.equal(viewer.playout.earliestRequestS(4, 0), viewer.playout.slots[3]!.startAt); // a second before it is due
+  assert.equal(viewer.playout.earliestRequestS(4, 0), viewer.playout.slots[3]!.startAt); // there is room for two segments
 });
 
 test("a tile that cannot be had is left out, and the others are shown", async () => {
