@@ -1,10 +1,9 @@
 // What brings files: one session after another over the same playout and stores, each until its end, or until another
 // one is wanted.
-import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
 import type { Catalogue } from "./catalogue.ts";
 import type { SessionEvent } from "./events.ts";
-import { HttpDownloader } from "./http-downloader.ts";
+import { HttpDownloader, type Source } from "./http-downloader.ts";
 import type { Playout } from "./playout.ts";
 import { makePolicy } from "./policies/named.ts";
 import { Repairs } from "./repairs.ts";
@@ -17,7 +16,7 @@ import type { TileChoice } from "./tile-choice.ts";
 const RETRY_S = 5;
 
 export interface FeedParts {
-  media: Media;
+  media: Source;
   catalogue: Catalogue;
   settings: SessionSettings;
   playout: Playout;
@@ -60,7 +59,6 @@ export class Feed {
 
   /** Fetch from a position on; `signal` is that of `next`, or the first one. */
   run(from: number, signal: AbortSignal = this.#stop.signal): void {
-    this.#from = from;
     this.#running = Promise.all([this.#fetch(from, signal), this.#repair(signal)]).then(() => {});
   }
 
@@ -68,38 +66,53 @@ export class Feed {
     this.#stop.abort();
   }
 
+  /** One session after another, until one is over. */
   async #fetch(from: number, signal: AbortSignal): Promise<void> {
+    this.#from = from;
+    while (!(await this.#session(signal))) {
+      await retry(signal);
+      if (signal.aborted) return;
+      this.#from = (this.#parts.playout.last?.position ?? this.#from - 1) + 1;
+    }
+  }
+
+  /** Fetch from where a session is to begin; false: its server was lost. */
+  async #session(signal: AbortSignal): Promise<boolean> {
     const { onEvent, onProblem, ...parts } = this.#parts;
     try {
       const policy = makePolicy(parts.policy(), parts.catalogue);
-      const session = new Session({ ...parts, downloader: this.#downloader, policy, from });
+      const session = new Session({ ...parts, downloader: this.#downloader, policy, from: this.#from });
       for await (const event of session.run(signal)) onEvent(event);
     } catch (error) {
-      if (signal.aborted) return;
+      if (signal.aborted) return true;
       const away = error instanceof TransportError;
       onProblem(error, !away);
-      if (away) this.#retry(signal);
+      return !away;
     }
+    return true;
   }
 
   /** Fetch what turns out to be lacking, also when the session is over. */
   async #repair(signal: AbortSignal): Promise<void> {
-    const { choice, ...parts } = this.#parts;
-    if (choice) await new Repairs({ ...parts, choice, downloader: this.#downloader }, signal).run();
+    const { choice, ...rest } = this.#parts;
+    if (!choice) return;
+    const onProblem = (error: unknown) => this.#parts.onProblem(error, false);
+    await new Repairs({ ...rest, choice, downloader: this.#downloader, onProblem }, signal).run();
   }
+}
 
-  async #retry(signal: AbortSignal): Promise<void> {
-    const done = new AbortController();
-    await new Promise<void>((resolve) => {
-      const timer = setTimeout(resolve, 1e3 * RETRY_S);
-      const end = () => {
-        clearTimeout(timer);
-        resolve();
-      };
-      signal.addEventListener("abort", end, { signal: done.signal });
-      addEventListener("online", end, { signal: done.signal });
-    });
-    done.abort();
-    if (!signal.aborted) this.run((this.#parts.playout.last?.position ?? this.#from - 1) + 1, signal);
-  }
+/** Wait until a server that was lost is tried again, or the signal aborts. */
+async function retry(signal: AbortSignal): Promise<void> {
+  if (signal.aborted) return;
+  const done = new AbortController();
+  await new Promise<void>((resolve) => {
+    const timer = setTimeout(resolve, 1e3 * RETRY_S);
+    const end = () => {
+      clearTimeout(timer);
+      resolve();
+    };
+    signal.addEventListener("abort", end, { signal: done.signal });
+    addEventListener("online", end, { signal: done.signal });
+  });
+  done.abort();
 }

@@ -65,10 +65,9 @@ export class Receiver {
   /** Fetch a batch and keep what is of use; time goes on. */
   async receive(request: Request, giveUp: GiveUp | null): Promise<Arrival> {
     const { downloader, stores } = this.parts;
-    for (const path of filesOf(request.batch)) stores.coming.add(path);
-    const arrival = await downloader.fetch(request, giveUp, this.signal).finally(() => {
-      for (const path of filesOf(request.batch)) stores.coming.delete(path);
-    });
+    const files = filesOf(request.batch);
+    stores.coming.add(files);
+    const arrival = await downloader.fetch(request, giveUp, this.signal).finally(() => stores.coming.remove(files));
     this.nowS = arrival.atS;
     for (const path of arrival.refused.keys()) stores.unusable.add(path);
     stores.tables.add(arrival);

@@ -25,9 +25,11 @@ export interface RepairParts {
   playout: Playout;
   stores: Stores;
   onEvent: (event: Arrived) => void;
+  /** Something went wrong that is not the link. */
+  onProblem: (error: unknown) => void;
 }
 
-/** Fetches tiles that are lacking until the signal aborts. */
+/** Fetches tiles that are lacking until the signal aborts, or looking fails. */
 export class Repairs {
   /** Of position and tile: what is on its way, and what came to nothing. */
   readonly #underWay = new Set<string>();
@@ -41,10 +43,14 @@ export class Repairs {
 
   async run(): Promise<void> {
     const { downloader, playout } = this.parts;
-    while (!this.signal.aborted) {
-      const nowS = downloader.now();
-      if (nowS >= this.#restS) this.look(nowS);
-      await downloader.wait(nowS + LOOK_S, playout, this.signal);
+    try {
+      while (!this.signal.aborted) {
+        const nowS = downloader.now();
+        if (nowS >= this.#restS) this.look(nowS);
+        await downloader.wait(nowS + LOOK_S, playout, this.signal);
+      }
+    } catch (error) {
+      this.#failed(error);
     }
   }
 
@@ -59,32 +65,47 @@ export class Repairs {
     }
   }
 
-  /** A tile in the rung of its segment, or else in the smallest one; null: there is none, or its files are on their way. */
+  /** A tile in the rung of its segment, or else in the smallest one; null: none can be had in time, or its files are on
+   * their way. */
   option({ slot, tile }: Lack, nowS: number): Option | null {
     const { downloader, playout, stores } = this.parts;
+    const atS = nowS + downloader.rttS + playout.settings.decodeFrameS;
     const missing = (rung: number) => stores.keys.missing(slot.position, rung, [tile]);
     const options = stores.keys.options(slot.position, [tile]).filter(({ index }) => usable(stores, missing(index)));
-    const rateBps = estimateThroughput(stores.downloads.map(({ download }) => download));
-    const inTime = ({ sizeBytes }: Option) =>
-      nowS + downloader.rttS + (8 * sizeBytes) / rateBps < playout.endS(slot, nowS) || rateBps === 0;
+    const rateBps = estimateThroughput(stores.downloads.map(({ download }) => download)) || Infinity;
+    const endS = this.#endS(slot, nowS);
     const wanted = options.find(({ index }) => index === slot.rung);
     const smallest = options.reduce<Option | null>((a, b) => (a && a.sizeBytes <= b.sizeBytes ? a : b), null);
-    const chosen = wanted && inTime(wanted) ? wanted : smallest;
+    const chosen = [wanted, smallest].find((option) => option && atS + (8 * option.sizeBytes) / rateBps < endS) ?? null;
     return chosen && filesOf(missing(chosen.index)).some((path) => stores.coming.has(path)) ? null : chosen;
+  }
+
+  /** When a segment is over; Infinity while nobody knows, since the schedule stands still. */
+  #endS(slot: Slot, nowS: number): number {
+    const { playout } = this.parts;
+    return playout.held ? Infinity : playout.endS(slot, nowS);
+  }
+
+  #failed(error: unknown): void {
+    if (!this.signal.aborted) this.parts.onProblem(error);
   }
 
   async #repair(lack: Lack, option: Option, nowS: number): Promise<void> {
     const { playout, stores } = this.parts;
     const { slot, tile } = lack;
-    const batch = stores.keys.missing(slot.position, option.index, [tile]);
     const name = nameOf(lack);
     this.#underWay.add(name);
     try {
+      const batch = stores.keys.missing(slot.position, option.index, [tile]);
       const came = !filesOf(batch).length || (await this.#fetch(slot, tile, option, batch, nowS));
       if (came && !this.signal.aborted) playout.addTile(slot, tile, option.index);
     } catch (error) {
-      if (!(error instanceof TransportError)) throw error;
-      this.#restS = this.parts.downloader.now() + RETRY_S; // the session tells of it
+      if (error instanceof TransportError) {
+        this.#restS = this.parts.downloader.now() + RETRY_S; // the session tells of it
+      } else {
+        this.#noUse.add(name);
+        this.#failed(error);
+      }
     } finally {
       this.#underWay.delete(name);
     }
@@ -92,13 +113,14 @@ export class Repairs {
 
   /** Fetches a tile; false: it did not come, or not whole. */
   async #fetch(slot: Slot, tile: number, option: Option, batch: Request["batch"], sentS: number): Promise<boolean> {
-    const { downloader, playout, stores, onEvent } = this.parts;
+    const { downloader, stores, onEvent } = this.parts;
     const { index: rung, sizeBytes } = option;
     const request: Request = { kind: "repair", position: slot.position, rung, batch, sentS, latencyS: downloader.rttS };
     /** At the rate so far it would come after its segment. */
     const tooLate: GiveUp = ({ atS, elapsedS, bytes, expectedBytes }) =>
-      atS + ((expectedBytes - bytes) * elapsedS) / Math.max(1, bytes) > playout.endS(slot, atS);
-    for (const path of filesOf(batch)) stores.coming.add(path);
+      atS + ((expectedBytes - bytes) * elapsedS) / Math.max(1, bytes) > this.#endS(slot, atS);
+    const files = filesOf(batch);
+    stores.coming.add(files);
     try {
       const arrival = await downloader.fetch(request, tooLate, this.signal);
       for (const path of arrival.refused.keys()) stores.unusable.add(path);
@@ -108,7 +130,7 @@ export class Repairs {
       if (arrival.abandoned) this.#noUse.add(nameOf({ slot, tile }));
       return isComplete(arrival);
     } finally {
-      for (const path of filesOf(batch)) stores.coming.delete(path);
+      stores.coming.remove(files);
     }
   }
 }

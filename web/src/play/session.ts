@@ -26,6 +26,8 @@ import type { Slot } from "./slot.ts";
 
 /** airgs.json of a growing package is fetched no more often, seconds. */
 const POLL_S = 0.2;
+/** After files that a repair fetches it looks again, seconds, where nothing changes before. */
+const REPAIR_S = 0.05;
 /** Without a new group: whoever added groups has gone. */
 const SILENCE_S = 60;
 
@@ -170,7 +172,8 @@ class Run {
     return this.nowS - (this.parts.downloader.rttS - latencyS);
   }
 
-  /** Choose a rung of the next segment and fetch it; false: it was abandoned or broken, choose again. */
+  /** Choose a rung of the next segment and fetch it; false: it was abandoned or broken, or a repair fetches some of it:
+   * choose again. */
   private async *fetchNext(position: number, latencyS: number): Events<boolean> {
     const { catalogue, choice, playout, policy, stores } = this.parts;
     const there = stores.tables.has(position);
@@ -186,6 +189,10 @@ class Run {
     const decision = policy.choose(state);
     const tables = position > this.first ? this.wantedTables(position + 1) : []; // nothing delays the first picture
     const batch = { ...stores.keys.missing(position, decision.index, tiles), tables };
+    if (filesOf(batch).some((path) => stores.coming.has(path))) {
+      await this.receiver.wait(this.nowS + REPAIR_S);
+      return false;
+    }
     if (filesOf(batch).length) {
       // Without files nothing moves: the canonical space is decoded.
       const kind = batch.keys.length ? "group" : "state";

@@ -135,14 +135,36 @@ export class KeyStore {
   }
 }
 
+/** Files on their way, each as often as it was asked for. */
+export class Coming {
+  private readonly counts = new Map<string, number>();
+
+  has(path: string): boolean {
+    return this.counts.has(path);
+  }
+
+  /** They were asked for. */
+  add(paths: readonly string[]): void {
+    for (const path of paths) this.counts.set(path, (this.counts.get(path) ?? 0) + 1);
+  }
+
+  /** They have come, or will not come, of those asked for together. */
+  remove(paths: readonly string[]): void {
+    for (const path of paths) {
+      const count = (this.counts.get(path) ?? 0) - 1;
+      if (count > 0) this.counts.set(path, count);
+      else this.counts.delete(path);
+    }
+  }
+}
+
 /** What sessions over one package share. */
 export class Stores {
   readonly tables: TableStore;
   readonly keys: KeyStore;
   /** With their arrivals, oldest first. */
   readonly downloads: { atS: number; download: Download }[] = [];
-  /** Files on their way. */
-  readonly coming = new Set<string>();
+  readonly coming = new Coming();
   /** Files found missing or corrupt. */
   readonly unusable = new Set<string>();
   /** When airgs.json was asked for; null: not yet. */

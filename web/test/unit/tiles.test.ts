@@ -205,12 +205,18 @@ test("what is lacking soon before a segment is shown is looked for in a wider pi
   assert.deepEqual(lacking(100), [[1, 1]]);
 });
 
+function repairsOf(viewer: Viewer, onProblem = (error: unknown): void => assert.fail(String(error))) {
+  return new Repairs({ ...viewer, onEvent: () => {}, onProblem }, new AbortController().signal);
+}
+
+const settled = () => new Promise((resolve) => setTimeout(resolve));
+
 /** Lets repairs look once, and waits for what they fetch. */
 async function repaired(viewer: Viewer, atS: number): Promise<Map<number, number>> {
-  const repairs = new Repairs({ ...viewer, onEvent: () => {} }, new AbortController().signal);
+  const repairs = repairsOf(viewer);
   repairs.look(atS);
   repairs.look(atS); // what is on its way is not asked for again
-  await new Promise((resolve) => setTimeout(resolve));
+  await settled();
   return viewer.playout.slots[0]!.tiles;
 }
 
@@ -239,10 +245,76 @@ test("files on their way are not asked for twice, broken ones not again", async 
   const viewer = new Viewer();
   viewer.playout.enqueue(0, 0, 0, [0]);
   viewer.watcher.look(turned(20), 0.1);
-  viewer.stores.coming.add("key/P2/T0/1.bin");
+  viewer.stores.coming.add(["key/P2/T0/1.bin"]);
   assert.equal((await repaired(viewer, 0.4)).size, 1);
-  viewer.stores.coming.clear();
+  viewer.stores.coming.remove(["key/P2/T0/1.bin"]);
   for (const level of [0, 1]) viewer.stores.unusable.add(`state/P2/L${level}/1.m4s`);
   assert.equal((await repaired(viewer, 0.4)).size, 1);
   assert.deepEqual(viewer.files(), []);
+});
+
+test("what would come too late in the smallest rung as well is not fetched", async () => {
+  const viewer = new Viewer();
+  viewer.playout.enqueue(0, 0, 0, [0]); // shown from 0.004 s to 1.004 s
+  viewer.playout.enqueue(1, 0, 0, [0]);
+  viewer.watcher.look(turned(20), 0.1);
+  const smallest = viewer.stores.keys.options(0, [1])[3]!.sizeBytes;
+  const at = (endS: number) => {
+    viewer.stores.downloads.length = 0; // it takes until endS, from 0.4 s on, a round trip of 0.05 s and decoding
+    viewer.stores.downloads.push({ atS: 0, download: { bytes: smallest, seconds: endS - 0.4 - 0.05 - 0.004 } });
+    const [slot] = viewer.playout.slots;
+    return repairsOf(viewer).option({ slot: slot!, tile: 1 }, 0.4)?.index;
+  };
+  assert.deepEqual([at(1.003), at(1.005)], [3, undefined]);
+  assert.equal((await repaired(viewer, 0.4)).size, 1);
+  assert.deepEqual(viewer.files(), []);
+});
+
+test("while a viewer pauses, a tile comes late as it is wanted", async () => {
+  const viewer = new Viewer(GROUP, 8000); // a tile takes four seconds
+  viewer.stores.downloads.push({ atS: 0, download: { bytes: 1000, seconds: 1 } });
+  viewer.playout.enqueue(0, 0, 0, [0]);
+  viewer.playout.enqueue(1, 0, 0, [0]);
+  viewer.watcher.look(turned(20), 0.1);
+  viewer.playout.freeze(0.4);
+  assert.deepEqual([...(await repaired(viewer, 0.4))], [[0, 0], [1, 0]]); // biome-ignore format: a line
+  assert.ok(viewer.downloader.now() > 3);
+});
+
+test("a repair that fails is told of once, and so is looking", async () => {
+  const viewer = new Viewer();
+  viewer.playout.enqueue(0, 0, 0, [0]);
+  viewer.watcher.look(turned(20), 0.1);
+  const problems: unknown[] = [];
+  const repairs = repairsOf(viewer, (error) => problems.push(error));
+  const wrong = new Error("made up");
+  viewer.downloader.fetch = () => Promise.reject(wrong);
+  for (let look = 0; look < 2; look++) {
+    repairs.look(0.4);
+    await settled();
+  }
+  assert.deepEqual(problems, [wrong]);
+  viewer.choice.lacking = () => {
+    throw wrong;
+  };
+  await repairs.run();
+  assert.deepEqual(problems, [wrong, wrong]);
+});
+
+test("a session waits for files that a repair fetches", async () => {
+  const viewer = new Viewer();
+  const [path] = ["key/P1/T0/1.bin"];
+  const { coming } = viewer.stores;
+  coming.add([path]);
+  coming.add([path]); // by two, of whom one ends before the other
+  const asked: number[] = [];
+  const wait = viewer.downloader.wait.bind(viewer.downloader);
+  viewer.downloader.wait = (untilS) => {
+    if (coming.has(path)) asked.push(viewer.files().length);
+    coming.remove([path]);
+    return wait(untilS);
+  };
+  await viewer.play("fixed:Q0+L0");
+  assert.deepEqual(asked, [0, 0]);
+  assert.equal(viewer.files()[0], path); // it did not come
 });
