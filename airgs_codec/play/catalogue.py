@@ -26,6 +26,7 @@ from airgs_codec.play.units import NONE, KeyUnits, Tiles, absent
 
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
+KEPT_PARTS = 16  # catalogues of some of the tiles, those asked for last
 OVER_BUDGET = 1 << 50  # bytes of a rung that shows too many Gaussians: more than any link carries
 
 
@@ -68,13 +69,15 @@ class Catalogue:
         chosen = frozenset(tiles)
         if len(chosen) == self.manifest.tiles:
             return self
-        if chosen not in self._parts:
-            self._parts[chosen] = replace(self, tiles=chosen)
-        return self._parts[chosen]
+        part = self._parts.pop(chosen, None) or replace(self, tiles=chosen)
+        self._parts[chosen] = part  # the last of them
+        if len(self._parts) > KEPT_PARTS:
+            self._parts.pop(next(iter(self._parts)))
+        return part
 
     @cached_property
     def _parts(self) -> dict[Tiles, Catalogue]:
-        return {}
+        return {}  # the one asked for last is the last
 
     def check_budget(self, segments: Iterable[int]) -> None:
         """Raises ConfigError where every rung of one of these segments shows more Gaussians than the budget has."""
@@ -178,13 +181,11 @@ class Catalogue:
     def _row_counts(self, segment: int) -> NDArray[np.int64]:
         m = self.manifest
         units = m.groups[m.group_of(segment)].units
-        counts = [sum(units[k].count for k in m.units_of(j)) for j in range(len(m.levels))]
-        return np.array([counts[j] for _, j in self.rungs])
+        return np.array([sum(units[k].count for k in m.units_of(j)) for _, j in self.rungs])
 
     def allowed(self, segment: int) -> NDArray[np.bool_]:
         """(Q L,) whether the budget has the Gaussians of a rung."""
-        most = np.inf if self.budget is None else self.budget
-        return np.asarray(self.rows[segment] <= most)
+        return np.asarray(self.rows[segment] <= (np.inf if self.budget is None else self.budget))
 
     def levels(self, segment: int) -> tuple[Option, ...]:
         """The levels of a segment by the bytes of their states and their quality with the finest keys."""

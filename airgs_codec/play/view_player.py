@@ -19,6 +19,7 @@ from airgs_codec.play.playout import Slot
 from airgs_codec.play.policies.state import PlayerState, budget_bytes, estimate_throughput
 from airgs_codec.play.sight import View
 from airgs_codec.play.tile_choice import TileChoice
+from airgs_codec.play.tile_figures import tile_of
 
 LOOK_S = 0.05  # a player that waits looks so often what is lacking
 
@@ -46,29 +47,64 @@ class ViewPlayer(Player):
 
     def _fetch_next(self, position: int, latency_s: float) -> Fetching[bool]:
         """Choose tiles of the next segment and a rung for them, and fetch one after another; always True."""
+        if not self.tables.has(position):
+            yield from self._lose(position)
+            return True
+        wanted = self.choice.early(position, self._sent_s(latency_s))
+        if wanted:
+            came = yield from self._fetch_tiles(position, wanted, latency_s)
+            rung = self._worst(position, came) if came else None
+        else:  # no tile has rows: an empty scene is shown, for which nothing is fetched
+            came, state = {}, self._state(position, latency_s, wanted)
+            rung = self.policy.choose(state).index if state.options else None
+        if rung is None:
+            yield from self._lose(position)
+            return True
+        self.playout.enqueue(position, rung, self.now_s, came)
+        for tile, of_tile in came.items():
+            yield TileReady(position, tile, of_tile, self.now_s + self.settings.decode_frame_s)
+        return True
+
+    def _fetch_tiles(self, position: int, wanted: list[int], latency_s: float) -> Fetching[dict[int, int]]:
+        """Fetch tiles of the next segment one after another: those that came, each with its rung.
+
+        A tile that cannot be had in any rung is left out. Where no rung is left that all of them can be had in, the
+        next tile has one for itself.
+        """
         earliest_s = self.playout.earliest_request_s(position)
-        wanted = self.choice.early(position, self._sent_s(latency_s)) if self.tables.has(position) else []
         came: dict[int, int] = {}
         decision: Decision | None = None
-        while left := [tile for tile in wanted if tile not in came]:
-            while (yield from self._repair()):
+        while left := [tile for tile in wanted if tile not in came and self._can_be_had(position, tile)]:
+            if (yield from self._repair()):
                 latency_s = self._latency_s(earliest_s)
+                continue
             state = self._state(position, latency_s, left)
             if not state.options:
-                break
-            decision = decision or self.policy.choose(state)
+                left = left[:1]
+                state = self._state(position, latency_s, left)
+            if not state.options:
+                wanted = [tile for tile in wanted if tile not in left]
+                continue
+            if decision is None or decision.index not in {option.index for option in state.options}:
+                decision = self.policy.choose(state)
             if (yield from self._fetch_tile(state, decision, left, latency_s)):
                 came[left[0]] = decision.index
             else:
                 decision = None
             latency_s = self._latency_s(earliest_s)
-        if not came:
-            yield from self._lose(position)
-            return True
-        self.playout.enqueue(position, self._worst(position, came), self.now_s, came)
-        for tile, rung in came.items():
-            yield TileReady(position, tile, rung, self.now_s + self.settings.decode_frame_s)
-        return True
+        return came
+
+    def _can_be_had(self, position: int, tile: int) -> bool:
+        faulty = any(tile_of(path) == tile for path in self.unusable)
+        return not faulty or bool(self._usable_options(position, tile))
+
+    def _usable_options(self, position: int, tile: int) -> list[Option]:
+        """The rungs in which a tile can be had."""
+        return [
+            option
+            for option in self.keys.options(position, [tile])
+            if self._usable(self.keys.missing(position, option.index, [tile]))
+        ]
 
     def _use_keys(self, request: Request) -> None:
         """What is buffered is shown as it was fetched."""
@@ -108,11 +144,7 @@ class ViewPlayer(Player):
         """A tile in the rung of its segment, or else in the smallest one; None where both would come too late."""
         rate_bps = estimate_throughput(self._history(self._sent_s(latency_s)))
         at_s = self.now_s + latency_s + self.settings.decode_frame_s
-        options = [
-            option
-            for option in self.keys.options(slot.position, [tile])
-            if self._usable(self.keys.missing(slot.position, option.index, [tile]))
-        ]
+        options = self._usable_options(slot.position, tile)
         wanted = [option for option in options if option.index == slot.rung]
         wanted += sorted(options, key=lambda option: option.size_bytes)[:1]
         end_s = self.playout.end_s(slot)

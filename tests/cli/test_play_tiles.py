@@ -1,21 +1,29 @@
 """airgs-play on a package in tiles."""
 
 import json
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from airgs_codec.cli.play import main
 from airgs_codec.decoder.decode import Part, decode_frames
-from airgs_codec.package.store import open_package
-from airgs_codec.play.report.film import screen_frames
+from airgs_codec.media.image import to_bytes
+from airgs_codec.package.store import find_faults, open_package
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.report import film
+from airgs_codec.play.report.viewer import path_of
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import open_trace
+from airgs_codec.render.backend import CPU
 from airgs_codec.scene.gaussians import join_rows
+from tests.support.manifests import missing
 from tests.support.paths import GOLDEN, VALID
 from tests.support.servers import plainly_serving
-from tests.support.tiled import Turning
+from tests.support.tiled import Turning, tiled_manifest
 
 PACKAGE = GOLDEN / "tiles"
 OPTIONS = ["--policy", "fixed:0", "--loops", "2", "--json"]
@@ -79,13 +87,51 @@ def test_the_screen_shows_the_tiles_that_had_come():
         if any(tier.count for tier in m.groups[0].tiles[tile].tiers)
     }
     seen = set()
-    for tick, (shown, entry) in enumerate(screen_frames(package, log)):
+    for tick, (shown, entry) in enumerate(film.screen_frames(package, log)):
         there = log.tiles.there(entry, float(log.tiles.tick_times[tick]))
         frame = m.segments[log.shown[entry].segment].start + log.screen_ticks[tick][1]
         wanted = join_rows([alone[tile][frame].gaussians for tile in sorted(there)])
         np.testing.assert_array_equal(shown.means, wanted.means)
         seen.add(tuple(sorted(there)))
     assert seen
+
+
+def test_a_tile_that_is_missing_costs_no_other():
+    package = open_package(PACKAGE)
+    faults = missing("key/P3/T0/1.bin")
+    log = simulate(
+        package, open_trace("const:8"), "fixed:0", SessionSettings(loops=1), faults, path_of(package.manifest)
+    )
+    assert log.metrics.lost_frames == 0
+    assert {event.tile for event in log.tiles.ready} == {0, 1}
+
+
+def test_the_still_has_every_tile_in_its_own_rung(tmp_path, monkeypatch):
+    """The first tile came in the better keys, before those of another were found missing."""
+    root = shutil.copytree(PACKAGE, tmp_path / "package")
+    m = open_package(root).manifest
+    settings, view = SessionSettings(loops=1), path_of(m)
+    whole = simulate(open_package(root), open_trace("const:8"), "fixed:0", settings, view=view)
+    last = whole.tiles.came(0)[-1].tile
+    (root / m.key_files(0, last * m.tiers, 0)[1]).unlink()
+    package = open_package(root)
+    log = simulate(package, open_trace("const:8"), "fixed:0", settings, find_faults(package), view)
+    assert len({event.rung for event in log.tiles.came(0)}) == 2
+    monkeypatch.setattr(film, "label", lambda picture, *_: picture)
+    shown = next(film.screen_frames(package, log))[0]
+    camera = replace(view.at(0.0), width=96, height=64)
+    monkeypatch.setattr(film, "_goodness", lambda s: s.start_s)
+    seen = film.still(package, log, camera)[:, camera.width :]
+    np.testing.assert_array_equal(seen, to_bytes(CPU.render(shown, camera).rgb))
+
+
+def test_a_scene_without_rows_is_an_empty_picture():
+    m = tiled_manifest(4, empty=range(4))
+    log = simulate(Catalogue(m, 0, 1000), open_trace("const:8"), "fixed:0", SessionSettings(loops=1), view=Turning())
+    frames = [shown for shown, _ in film.screen_frames(SimpleNamespace(manifest=m), log)]
+    assert len(frames) == m.frames
+    assert {(len(shown), shown.sh_degree) for shown in frames} == {(0, m.sh_degree)}
+    assert not CPU.render(frames[0], Turning().at(0.0)).rgb.any()
 
 
 def test_frame_mode_and_budgets_count_all_tiles(capsys):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.catalogue import KEPT_PARTS, Catalogue
 from airgs_codec.play.events import BatchKind
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.session import simulate
@@ -15,10 +15,12 @@ from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.tile_figures import tile_of
 from airgs_codec.play.trace import open_trace
 from airgs_codec.play.units import NONE
+from airgs_codec.play.view_player import ViewPlayer
 from tests.support.manifests import missing, tiny_manifest
 from tests.support.tiled import Turning, tiled_manifest
 
 TILES = 8  # 45 degrees apart; a picture of 60 degrees shows the one in its middle
+SHORT = {"groups": (30,) * 3, "fps": (30, 1)}
 SCENE = {"groups": (30,) * 8, "fps": (30, 1)}
 STILL = Turning()
 
@@ -162,6 +164,63 @@ def test_a_missing_file_costs_its_tile_a_rung_and_no_more():
     assert path in log.lost[0] and log.metrics.lost_frames == 0
     (rung,) = {event.rung for event in log.tiles.came(5) if event.tile == 0}
     assert log.catalogue.rungs[rung] == (0, 1)
+
+
+@pytest.mark.parametrize(("gone", "came"), [(0, {1, 15}), (1, {0, 15}), (15, {0, 1})])
+def test_a_tile_that_cannot_be_had_costs_no_other_tile(gone, came):
+    """Of 16 tiles the picture shows three, the one in the middle first."""
+    m = tiled_manifest(16, **SHORT)
+    lost = [path for level in range(len(m.levels)) for path in m.state_files(5, level, [gone])]
+    log = simulate(Catalogue(m, 0, 1000), open_trace("const:10"), "fixed:0", None, missing(*lost), STILL)
+    early = {e.tile for e in log.tiles.came(5) if e.ready_s <= log.shown[5].ready_s}
+    assert log.metrics.lost_frames == 0 and early == came
+
+
+def test_tiles_that_can_be_had_in_no_common_rung_each_have_one():
+    m = tiled_manifest(16, **SHORT)
+    there = {0: 0, 1: 1, 15: 0}  # tile -> the only level of it that can be had
+    lost = [
+        path
+        for tile, level in there.items()
+        for j in range(len(m.levels))
+        if j != level
+        for path in m.state_files(0, j, [tile])
+    ]
+    log = simulate(Catalogue(m, 0, 1000), open_trace("const:10"), "robust-mpc", None, missing(*lost), STILL)
+    early = {e.tile: log.catalogue.rungs[e.rung][1] for e in log.tiles.came(0) if e.ready_s <= log.shown[0].ready_s}
+    assert log.metrics.lost_frames == 0 and early == there
+
+
+@pytest.mark.parametrize("policy", ["fixed:0", "robust-mpc", "bola", "oracle-lp"])
+def test_a_scene_without_rows_is_shown_and_not_lost(policy):
+    log = play(tiled_manifest(4, empty=range(4)), policy=policy, view=STILL)
+    assert log.lost == () and log.metrics.lost_frames == 0 and {s.rung for s in log.shown} == {0}
+    assert log.tiles.ready == () and log.metrics.tiles.missing_s == 0 and log.metrics.stalls == 0
+    assert {f.kind for f in log.fetches} == {BatchKind.TABLES}
+
+
+def test_a_rung_that_a_repair_finds_missing_is_chosen_no_more(monkeypatch):
+    m = tiled_manifest(16, **SHORT)
+    lost, repair = m.state_files(0, 0, [1]), ViewPlayer._repair
+
+    def finding(player):
+        player.unusable.update(lost if player.downloads else ())
+        return (yield from repair(player))
+
+    monkeypatch.setattr(ViewPlayer, "_repair", finding)
+    log = play(m, view=STILL)
+    early = {e.tile: log.catalogue.rungs[e.rung][1] for e in log.tiles.came(0) if e.ready_s <= log.shown[0].ready_s}
+    assert early[0] == 0 and early[1] != 0 and early[15] != 0
+
+
+def test_few_choices_of_tiles_are_kept():
+    c = Catalogue(tiled_manifest(TILES), 0)
+    parts = [c.of_tiles({tile}) for tile in range(TILES)]
+    assert c.of_tiles([0]) is parts[0]
+    for number in range(KEPT_PARTS - 1):
+        c.of_tiles({tile for tile in range(TILES - 1) if (number + 256 - 20) >> tile & 1} | {7})
+    assert c.of_tiles([0]) is parts[0] and c.of_tiles([1]) is not parts[1]
+    assert len(c._parts) == KEPT_PARTS
 
 
 def test_the_log_says_what_is_on_the_screen():

@@ -20,7 +20,7 @@ from airgs_codec.play.session import SessionLog
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
-from airgs_codec.scene.gaussians import Gaussians, join_rows
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
 from airgs_codec.scene.sequence import GaussianSequence
 
 
@@ -28,7 +28,7 @@ def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians
     """(Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
 
     In a lost segment the last Gaussians stay; None before the first that could be shown. Where tiles were fetched by
-    view, there are those that had come by then.
+    view, there are those that had come by then; a scene whose tiles have no rows has no Gaussians.
     """
     shown_at = -1
     parts: dict[tuple[int, ...], list[Gaussians]] = {}  # of the segment shown: rung and tiles -> frames
@@ -40,7 +40,7 @@ def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians
         shown_at = entry
         if s.rung is not None:
             found = [_frames(package, log, entry, part, parts)[frame] for part in _parts(log, tick, entry)]
-            last = found[0] if len(found) == 1 else join_rows(found)
+            last = _joined(found, package.manifest.sh_degree)
         yield last, entry
 
 
@@ -50,6 +50,14 @@ def _parts(log: SessionLog, tick: int, entry: int) -> list[tuple[int, ...]]:
         return [(log.shown[entry].rung or 0,)]
     there = log.tiles.there(entry, float(log.tiles.tick_times[tick]))
     return [(rung, *sorted(t for t in there if there[t] == rung)) for rung in sorted(set(there.values()))]
+
+
+def _joined(parts: Sequence[Gaussians], degree: int) -> Gaussians:
+    """All rows of a picture; no parts are no rows."""
+    if parts:
+        return parts[0] if len(parts) == 1 else join_rows(parts)
+    shapes = ((0, 3), (0, 4), (0, 3), (0,), (0, 3), (0, SH_REST[degree], 3))
+    return Gaussians(*(np.zeros(shape, np.float32) for shape in shapes))
 
 
 def _frames(
@@ -68,13 +76,6 @@ def _segment(
     segment = m.segments[index]
     base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers, tiles)
     return list(decode_segment(package, index, base, level, range(segment.stop - segment.start), tiles))
-
-
-def _came(log: SessionLog, shown: Shown) -> list[int] | None:
-    """The tiles that came of a segment; None: all."""
-    if log.tiles is None:
-        return None
-    return sorted({event.tile for event in log.tiles.came(log.shown.index(shown))})
 
 
 def _best(package: Package, c: Catalogue, segment: int) -> tuple[list[Gaussians], str]:
@@ -121,11 +122,7 @@ def _pictures(
         s, frame, camera = log.shown[entry], ticks[tick][1], viewer.cameras[tick]
         waits = seen[entry] == s.frames
         seen[entry] += not waits
-        picture = (
-            np.zeros((camera.height, camera.width, 3), np.uint8)
-            if gaussians is None
-            else to_bytes(draw(gaussians, camera).rgb)
-        )
+        picture = _black(camera) if gaussians is None else to_bytes(draw(gaussians, camera).rgb)
         words = "lost" if s.rung is None else c.names[s.rung]
         picture = label(picture, words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
         for line, text in enumerate(filter(None, ["waiting for data" * waits, viewer.caption(tick)]), 1):
@@ -163,15 +160,26 @@ def buffer_bar(picture: NDArray[np.uint8], seconds: float, limit: float, waits: 
 
 
 def still(package: Package, log: SessionLog, camera: Camera, renderer: Renderer = CPU) -> NDArray[np.uint8]:
-    """(H, W, 3) the first frame of the worst segment shown: at the package's best rung, and as it was shown."""
+    """(H, W, 3) the worst segment shown, as it was when it began: at the package's best rung, and as it was shown."""
     c = log.catalogue
-    shown = [s for s in log.shown if s.rung is not None]
-    if not shown:
-        return label(np.zeros((camera.height, camera.width, 3), np.uint8), "nothing could be shown")
-    worst = min(shown, key=lambda s: s.psnr if s.psnr is not None else -(s.rung or 0))
-    pictures = []
-    worst_frames = _segment(package, worst.segment, c.rungs[worst.rung or 0], _came(log, worst))
+    entries = [entry for entry, s in enumerate(log.shown) if s.rung is not None]
+    if not entries:
+        return label(_black(camera), "nothing could be shown")
+    entry = min(entries, key=lambda e: _goodness(log.shown[e]))
+    worst = log.shown[entry]
+    tick = next(tick for tick, (at, _) in enumerate(log.screen_ticks) if at == entry)
+    parts = [_frames(package, log, entry, part, {})[0] for part in _parts(log, tick, entry)]
     text = f"worst shown: {c.names[worst.rung or 0]}" + ("" if worst.psnr is None else f"  {worst.psnr:.1f} dB")
-    for frames, words in (_best(package, c, worst.segment), (worst_frames, text)):
-        pictures.append(label(to_bytes(renderer.render(frames[0], camera).rgb), words))
-    return np.concatenate(pictures, axis=1)
+    frames, best = _best(package, c, worst.segment)
+    beside = label(to_bytes(renderer.render(frames[0], camera).rgb) if frames else _black(camera), best)
+    seen = to_bytes(renderer.render(_joined(parts, package.manifest.sh_degree), camera).rgb)
+    return np.concatenate([beside, label(seen, text)], axis=1)
+
+
+def _goodness(shown: Shown) -> float:
+    """Quality in dB, or where it was not measured less for a later rung."""
+    return shown.psnr if shown.psnr is not None else -(shown.rung or 0)
+
+
+def _black(camera: Camera) -> NDArray[np.uint8]:
+    return np.zeros((camera.height, camera.width, 3), np.uint8)
