@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.row_kernels import read_planes
-from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, Atlas, plane_height
+from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas, plane_height
 
 CELLS = BLOCK * BLOCK
-MIN_SIDE = 64  # smaller pictures trip encoders
 GREY = 128
 _NO_BASES = np.empty((0, 0), np.int32)
 
@@ -34,10 +33,10 @@ def picture_size(atlas: Atlas, macroblocks: int = MAX_MACROBLOCKS) -> tuple[int,
 
     An atlas of more than `macroblocks`, or taller than a picture may be, takes several pages of that size.
     """
-    width, lines = (max(MIN_SIDE, side) for side in atlas.size)
-    most = max(MIN_SIDE, min(MAX_PICTURE_SIDE, macroblocks * BLOCK // width * BLOCK))
+    width, lines = (max(MIN_PICTURE_SIDE, side) for side in atlas.size)
+    most = max(MIN_PICTURE_SIDE, min(MAX_PICTURE_SIDE, macroblocks * BLOCK // width * BLOCK))
     pages = -(-lines // most)
-    return width, max(MIN_SIDE, -(-lines // (pages * BLOCK)) * BLOCK)
+    return width, max(MIN_PICTURE_SIDE, -(-lines // (pages * BLOCK)) * BLOCK)
 
 
 def fit_atlas(codes: NDArray[np.int32], limit: float, omitted: NDArray[np.bool_] | None = None) -> Atlas:

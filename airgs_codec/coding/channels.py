@@ -63,6 +63,20 @@ class Canonical:
         return _to_gaussians(self.means, self.quaternions, self.log_scales, self.opacity, self.colours)
 
 
+def no_rows(transform: NDArray[np.float64]) -> Canonical:
+    """The canonical space of a part of a group that has no rows; `transform` is the (C, C) KLT of the group."""
+    return Canonical(
+        means=np.empty((0, 3)),
+        motion_units=np.empty(0, np.float32),
+        quaternions=np.empty((0, 4), np.float32),
+        log_scales=np.empty((0, 3), np.float32),
+        opacity=np.empty(0, np.float32),
+        colours=np.empty((0, len(transform)), np.float32),
+        depths=np.empty(0, np.uint8),
+        transform=transform,
+    )
+
+
 def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -> Canonical:
     """The rows of several canonical spaces as those of one group, whose (C, C) KLT `transform` is."""
     names = [f.name for f in fields(Canonical) if f.name != "transform"]

@@ -23,7 +23,7 @@ def colours(sh_dc: Floats, sh_rest: Floats) -> Floats:
 def split_colours(channels: Floats) -> tuple[Floats, Floats]:
     """Inverse of `colours`: (..., N, C) -> (..., N, 3) and (..., N, K, 3)."""
     rest = channels[..., 3:]
-    return channels[..., :3], rest.reshape(*rest.shape[:-1], -1, 3)
+    return channels[..., :3], rest.reshape(*rest.shape[:-1], rest.shape[-1] // 3, 3)
 
 
 def colour_steps(sh_dc: float, sh_rest: float, channels: int) -> NDArray[np.float64]:

@@ -11,7 +11,13 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-_OURS = 3  # references to an array that nobody else has: of the list, of the loop, and of the count itself
+
+def _references(arrays: list[NDArray[np.float32]]) -> list[int]:
+    """How often each array is held, by whatever this version of Python counts here besides."""
+    return [sys.getrefcount(array) for array in arrays]
+
+
+_OURS = _references([np.empty(0, np.float32)])[0]  # of an array that nobody has but the list
 
 
 class FrameMemory:
@@ -22,8 +28,8 @@ class FrameMemory:
 
     def empty_like(self, like: NDArray[np.float32]) -> NDArray[np.float32]:
         """An array of the shape of `like` with any content, which nobody else has."""
-        for array in self._arrays:
-            if array.shape == like.shape and sys.getrefcount(array) == _OURS:
+        for array, held in zip(self._arrays, _references(self._arrays), strict=True):
+            if array.shape == like.shape and held <= _OURS:
                 return array
         self._arrays.append(np.empty_like(like))
         return self._arrays[-1]

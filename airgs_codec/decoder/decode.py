@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import read_codes
-from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_parts, join_canonical
+from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_parts, join_canonical, no_rows
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
@@ -104,16 +104,17 @@ def decode_canonical(
 ) -> Canonical:
     """The canonical space of a group, with the rows that it keeps, in file order.
 
-    It is that of the first `tiers` key tiers of some `tiles` (default: all of all). Raises ConfigError when none of
-    them has rows, FormatError for a broken package.
+    It is that of the first `tiers` key tiers of some `tiles` (default: all of all), which may have no rows. Raises
+    ConfigError for tiers that the package does not have, FormatError for a broken package.
     """
     m = package.manifest
     g = m.groups[group]
+    if tiers is not None and not 1 <= tiers <= m.tiers:
+        raise ConfigError(f"tiers: expected 1..{m.tiers}, got {tiers}")
     units = [tile * m.tiers + t for tile in _tiles(package, tiles) for t in range(m.tiers)[:tiers]]
     parts = [part for k in units if g.units[k].count for part in _decode_unit(package, group, k, quality)]
-    if not parts:
-        raise ConfigError(f"group {group}: expected at least one key tier with rows, got tiers={tiers}")
-    return join_canonical(parts, unpack_matrix(g.colour_transform, m.colour_channels))
+    transform = unpack_matrix(g.colour_transform, m.colour_channels)
+    return join_canonical(parts, transform) if parts else no_rows(transform)
 
 
 def _decode_unit(package: Package, group: int, unit: int, quality: int) -> Iterator[Canonical]:
@@ -266,7 +267,7 @@ def decode_segment(
     """
     m = package.manifest
     there = _tiles(package, tiles)
-    if not (places and m.state_files(index, level, there)):
+    if not (places and len(base.means) and m.state_files(index, level, there)):
         frame = base.to_gaussians()
         yield from (frame for _ in places)
         return

@@ -20,6 +20,7 @@ from airgs_codec.package.tables import (
     MAX_MACROBLOCKS,
     MAX_PAGES,
     MAX_PICTURE_SIDE,
+    MIN_PICTURE_SIDE,
     PAGE,
     Atlas,
     FileEntry,
@@ -221,6 +222,7 @@ def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Ite
         yield f"{where}.plane_width % {BLOCK}", atlas.plane_width % BLOCK, 0, 0
         yield f"{where}.columns", atlas.columns, 1, len(atlas.planes)
         yield f"{where}.height", atlas.height, BLOCK, MAX_PICTURE_SIDE
+        yield f"{where}.width", atlas.width, BLOCK, max(MIN_PICTURE_SIDE, atlas.size[0])
         yield f"{where}.width % {BLOCK}", atlas.width % BLOCK, 0, 0
         yield f"{where}.height % {BLOCK}", atlas.height % BLOCK, 0, 0
         yield f"{where} macroblocks", atlas.width * atlas.height // BLOCK**2, 1, MAX_MACROBLOCKS

@@ -27,6 +27,7 @@ MAX_COUNT = 1 << 24  # Gaussians a group
 MAX_FRAMES = 100_000_000  # 38 days at 30 frames a second
 MAX_SIDE = 16384  # pixels, either side of a view
 MAX_PICTURE_SIDE = 4096  # samples
+MIN_PICTURE_SIDE = 64  # smaller pictures trip encoders
 MAX_MACROBLOCKS = 36_864  # of 16x16 samples, in a picture: H.264 level 5.1
 MAX_PAGES = 128
 MAX_FILE_BYTES = 1 << 31

@@ -134,15 +134,22 @@ def train_in_jobs(run: Run, work: Work) -> Iterator[FrameRecord]:
     if not model.record.frames:
         yield model.commit(first_frame(jobs, work))
     first = First(model.read(0), model.record.exposure)
+    done, usage = len(model.record.frames), dict[Span, Usage]()
     spans = chunks(len(run.scene), run.settings.group_frames)
-    left = [span for span in spans if span[1] > len(model.record.frames)]
-    made, usage = run_chunks(jobs, left, first, work), dict[Span, Usage]()
-    for (start, _), job in zip(left, made, strict=True):
+    left = [span for span in spans if span[1] > max(1, done) or span == (0, 1)]
+    made = dict(zip(left, run_chunks(jobs, left, first, work), strict=True))
+    stored = work.put(first)
+    for span in spans:
+        job = made.get(span) or jobs.chunk(span, stored)
+        if span not in made and not work.store.has(job.entry):
+            continue  # its usage is measured at the end
         chunk = work.result(job)
-        model.keep_first(max(1, start))
-        for trained in chunk.frames:
-            yield model.commit(trained)
-        usage |= chunk.usage
+        if span[1] > done:
+            model.keep_first(max(1, span[0]))
+            for trained in chunk.frames:
+                yield model.commit(trained)
+        if all(trained.record == model.record.frames[trained.record.frame] for trained in chunk.frames):
+            usage |= chunk.usage
     finish(run, usage, work.progress)
 
 

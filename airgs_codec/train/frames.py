@@ -63,6 +63,7 @@ class Capture:
         if before is None:
             before = find_moving(self.pictures.train(start), self.plates, exposure)
         now = settle(self.pictures.train(frame), self.plates, exposure)
+        self._moving.clear()
         self._moving[frame] = now.moving
         return FrameViews(frame, now.views, Masks(a | b for a, b in zip(before, now.moving, strict=True)))
 

@@ -23,7 +23,7 @@ from airgs_codec.train import chunk_jobs
 from airgs_codec.train.chunk_jobs import TrainJobs, train_in_jobs, train_part
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.record import read_model
-from airgs_codec.train.run import open_run, train
+from airgs_codec.train.run import Run, open_run, train
 from tests.support.jobs import square
 from tests.support.training import SETTINGS
 from tests.train.test_record import StopError, files, killed_at
@@ -47,7 +47,18 @@ def scene(blobs):
 
 
 @pytest.fixture(scope="module")
-def expected(scene, tmp_path_factory):
+def compiled(scene, tmp_path_factory):
+    """Another process has compiled the kernels: what it had then may differ in the last bits from what is loaded."""
+    engine = Processes(1)
+    try:
+        folder = tmp_path_factory.mktemp("compiled")
+        train_with(scene, folder / "m", Work(WorkFolder(folder / "work"), engine))
+    finally:
+        engine.close()
+
+
+@pytest.fixture(scope="module")
+def expected(scene, compiled, tmp_path_factory):
     """What one process leaves that trains frame after frame."""
     model = train(scene, tmp_path_factory.mktemp("models") / "chunked", CHUNKED)
     assert [f.kind for f in model.record.frames][::2] == ["first", "key"]
@@ -56,7 +67,7 @@ def expected(scene, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def made(scene, tmp_path_factory):
+def made(scene, compiled, tmp_path_factory):
     """A model folder, and the work that one process has trained it with."""
     folder = tmp_path_factory.mktemp("jobs")
     work = Work(WorkFolder(folder / "work"))
@@ -145,6 +156,18 @@ def test_a_model_that_was_written_in_part_is_finished_by_either(scene, expected,
     else:
         train(scene, tmp_path / "m", CHUNKED, resume=True)
     assert files(tmp_path / "m") == expected
+
+
+@pytest.mark.parametrize("length", [1, 2])
+def test_whoever_writes_the_model_measures_nothing_that_jobs_have(scene, tmp_path, monkeypatch, length):
+    """The machine of the command may have no GPU: the usage of all groups comes from jobs, those written before too."""
+    settings, work = replace(CHUNKED, group_frames=length), Work(WorkFolder(tmp_path / "work"))
+    monkeypatch.setattr(Run, "capture", lambda run: pytest.fail("something is measured here"))
+    frames = train_in_jobs(open_run(scene, tmp_path / "m", settings), work)
+    assert [next(frames).frame for _ in range(3)] == [0, 1, 2]
+    frames.close()
+    assert train_with(scene, tmp_path / "m", work, settings, resume=True)[-1] == 3
+    assert read_model(tmp_path / "m").finished()
 
 
 def test_a_picture_that_changes_is_trained_again_in_its_chunk_alone(blobs, tmp_path, done):

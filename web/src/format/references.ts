@@ -10,6 +10,7 @@ import { isSimilarity } from "./world.ts";
 
 const MAX_BITS = 21;
 const MAX_PICTURE_SIDE = 4096;
+const MIN_PICTURE_SIDE = 64;
 const MAX_MACROBLOCKS = 36_864;
 const MAX_PAGES = 128;
 const DIGEST = 32;
@@ -219,6 +220,7 @@ function checkAtlas(place: Place, atlas: Atlas, channels: number, attributes: nu
   place.within("columns", columns, 1, planes.length);
   place.within("height", height, BLOCK, MAX_PICTURE_SIDE);
   place.exactly(`width % ${BLOCK}`, width % BLOCK, 0);
+  place.within("width", width, BLOCK, Math.max(MIN_PICTURE_SIDE, plane_width * columns));
   place.exactly(`height % ${BLOCK}`, height % BLOCK, 0);
   place.within("macroblocks", (width * height) / BLOCK ** 2, 1, MAX_MACROBLOCKS);
   place.within("width of the planes", plane_width * columns, BLOCK, width);
