@@ -1,4 +1,4 @@
-# Two commands do all the set-up on a fresh machine: `make demo` and `make test`.
+# `make demo` and `make test` do all the set-up on a fresh machine.
 PYTHON ?= python3
 BIN := .venv/bin
 SCENE := tests/data/fox
@@ -6,13 +6,14 @@ OUT := build/demo
 
 VIEWS := tests/data/fox_views
 
-.PHONY: demo test page clean
+.PHONY: demo demo-train demo-study test lint web-check pytest soak page clean
 
 # torch is pinned here, in one place; where pip would take its CUDA build, name a CPU index in PIP_EXTRA_INDEX_URL.
 .venv/installed: pyproject.toml Makefile
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet torch==2.13.0
 	$(BIN)/pip install --quiet --editable '.[train,formats,dev]'
+	$(BIN)/python -m airgs_codec.cli.kernels
 	touch $@
 
 # Tests in a browser are skipped, and say so, where npm, node or chromium is not there.
@@ -28,22 +29,48 @@ demo: .venv/installed web/node_modules/installed
 	$(BIN)/airgs-encode $(SCENE) -o $(OUT)/fox.airgs
 	$(BIN)/airgs-manifest inspect $(OUT)/fox.airgs --plot $(OUT)/ladder.png
 	$(BIN)/airgs-manifest validate $(OUT)/fox.airgs
-	$(BIN)/airgs-play $(OUT)/fox.airgs --trace $(SCENE)/trace.csv --views $(SCENE)/transforms.json --report $(OUT)/report --video $(OUT)/screen.mp4
-	$(BIN)/airgs-play $(OUT)/fox.airgs --compare --traces $(SCENE)/trace.csv markov:1 --offsets 4 --report $(OUT)/study
+	$(BIN)/airgs-play $(OUT)/fox.airgs --trace $(SCENE)/trace.csv --views $(SCENE)/transforms.json --report $(OUT)/report
+	-$(BIN)/python -m tools.screenshot $(OUT)/fox.airgs -o $(OUT)/browser.png
+	@echo
+	@echo "Pictures: $(OUT)/browser.png, $(OUT)/ladder.png, $(OUT)/report/index.html. What to do next:"
+	@echo "  $(BIN)/airgs-serve $(OUT)/fox.airgs    # play it in a browser"
+	@echo "  make demo-study                       # compare policies over networks"
+	@echo "  make demo-train                       # train a scene from pictures, then encode it"
+
+demo-train: .venv/installed
 	$(BIN)/airgs-train $(VIEWS) -o $(OUT)/trained --iterations 1000,600,150 --resume --report $(OUT)/training
 	$(BIN)/airgs-encode $(OUT)/trained -o $(OUT)/trained.airgs
 	$(BIN)/airgs-play $(OUT)/trained.airgs --trace $(SCENE)/trace.csv --views $(OUT)/trained/transforms.json --report $(OUT)/trained-report
-	-$(BIN)/python -m tools.screenshot $(OUT)/fox.airgs -o $(OUT)/browser.png
-	@echo "Pictures: $(OUT)/ladder.png, $(OUT)/report/index.html, $(OUT)/study/index.html, $(OUT)/training/index.html; what the viewer saw: $(OUT)/screen.mp4"
-	@echo "In a browser: run $(BIN)/airgs-serve $(OUT) and open http://127.0.0.1:8000/player.html?src=fox.airgs/"
+	@echo "Pictures: $(OUT)/training/index.html, $(OUT)/trained-report/index.html"
 
+demo-study: .venv/installed
+	test -d $(OUT)/fox.airgs || $(BIN)/airgs-encode $(SCENE) -o $(OUT)/fox.airgs
+	$(BIN)/airgs-play $(OUT)/fox.airgs --compare --traces $(SCENE)/trace.csv markov:1 --offsets 4 --report $(OUT)/study
+	@echo "Pictures: $(OUT)/study/index.html"
+
+# Lint and types take one core while tests take the other.
 test: .venv/installed web/node_modules/installed
+	@$(MAKE) --no-print-directory --jobs 2 lint web-check pytest
+
+lint: .venv/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+web-check: web/node_modules/installed
 	@if [ -f web/node_modules/installed ]; then npm run --silent --prefix web check; \
 	else echo "types and lint of web/ are not checked: npm is not there"; fi
-	$(BIN)/pytest --numprocesses 2 --dist loadfile -rs
+
+pytest: .venv/installed
+	$(BIN)/pytest --numprocesses 3 --dist loadfile -rs
+
+# What takes long: mutated packages, killed encodes and trainings, a farm and a publisher that fail. Hours in all.
+soak: .venv/installed
+	$(BIN)/python -m tests.long.fuzz
+	$(BIN)/python -m tests.long.kill
+	rm -rf build/lab/soak-farm
+	$(BIN)/python -m tools.lab soak-farm
+	$(BIN)/python -m tools.lab soak-live
 
 clean:
-	rm -rf build .venv web/node_modules web/out web/src/generated
+	rm -rf build .venv web/node_modules web/out

@@ -139,6 +139,6 @@ def _words(error: Exception) -> str:
     """What went wrong, in one line: obstore's messages are pages, with the store's own answer inside."""
     text = str(error).partition("\n\nDebug source")[0]
     if _NO_CREDENTIALS.search(text):
-        return "no credentials: expected them in the environment (docs/stores.md), and this machine has none of its own"
+        return "no credentials: expected them in the environment (docs/serving.md), this machine has none of its own"
     answer = re.search(r"<Message>([^<\n]+)", text)
     return answer[1] if answer else " ".join(text.split())

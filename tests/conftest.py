@@ -1,14 +1,22 @@
 """What every test shares: a cache of its own, and the embedded scene, encoded once."""
 
+import fcntl
 import os
 import shutil
+from collections.abc import Callable
+from pathlib import Path
 
+import hypothesis
 import pytest
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba: threads that wait must not take a core
 
 from tests.support.mutations import read_files
 from tests.support.paths import FOX
+
+# A first example may have to compile a kernel: how long one takes says nothing.
+hypothesis.settings.register_profile("airgs", deadline=None)
+hypothesis.settings.load_profile("airgs")
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -20,16 +28,37 @@ def own_cache(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
-def demo_package(tmp_path_factory):
+def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Path]:
+    """A function that gives the folder of a name, filled by the first process of the run that asks for it.
+
+    Processes of pytest-xdist share it, so that what takes long is made once for all of them, and only read then.
+    """
+    base = tmp_path_factory.getbasetemp()
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
+    shared.mkdir(exist_ok=True)
+
+    def get(name: str, make: Callable[[Path], object]) -> Path:
+        folder = shared / name
+        with (shared / f"{name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not folder.exists():
+                begun = shared / f"{name}.begun"
+                make(begun)
+                begun.rename(folder)
+        return folder
+
+    return get
+
+
+@pytest.fixture(scope="session")
+def demo_package(made_once):
     """The folder of the embedded scene as a package with measured quality. Never written to: see `demo_copy`."""
     from airgs_codec.encoder.publish import encode
     from airgs_codec.encoder.settings import EncodeSettings
     from airgs_codec.scene.sequence import open_sequence
 
-    folder = tmp_path_factory.mktemp("demo") / "fox.airgs"
-    encode(
-        open_sequence(FOX), folder, EncodeSettings(calibrate="none", measure_pictures=8, preset="veryfast", threads=2)
-    )
+    settings = EncodeSettings(calibrate="none", measure_pictures=8, preset="veryfast", threads=2)
+    folder = made_once("fox.airgs", lambda folder: encode(open_sequence(FOX), folder, settings))
     before = read_files(folder)
     yield folder
     assert read_files(folder) == before, "a test wrote into the shared package"

@@ -1,4 +1,4 @@
-"""The documentation says nothing that is not there; `python -m tools.check_docs --run` runs its commands, too."""
+"""The documentation says nothing that is not there; blocks of user pages run, and print what the pages say."""
 
 import re
 
@@ -7,23 +7,41 @@ import pytest
 from tests.support.paths import REPOSITORY
 from tools import check_docs
 
-README_WORDS = 900
+MOST_WORDS = {"README.md": 800, "CHANGELOG.md": 400, "CONTRIBUTING.md": 1000, "FORMAT.md": 5200}
+USER_PAGES = ["README", "browser", "encoding", "farm", "formats", "playing", "python", "serving", "training"]
+USER_PAGE_WORDS = 1200
+USER_WORDS = 9000
+WORDS = 24_000
 
 
-@pytest.mark.parametrize("page", check_docs.pages(), ids=lambda page: page.name)
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory):
+    """Where blocks run; the package that pages share is made first, so that any page can be run alone."""
+    shop = check_docs.Workshop(tmp_path_factory.mktemp("docs"))
+    shop.run_command(["airgs-encode", "tests/data/fox", "-o", "fox.airgs"])
+    return shop
+
+
+@pytest.mark.parametrize("page", check_docs.user_pages(), ids=lambda page: page.name)
+def test_commands_and_python_of_user_pages_run(page, workshop):
+    assert list(workshop.run_page(page)) == []
+
+
+@pytest.mark.parametrize("page", check_docs.pages(), ids=lambda page: page.relative_to(REPOSITORY).as_posix())
 def test_commands_parse_and_paths_names_and_links_exist(page):
     assert list(check_docs.findings(page)) == []
 
 
-def test_the_python_examples_of_the_readme_run(tmp_path):
-    (tmp_path / "tests").symlink_to(REPOSITORY / "tests")
-    examples = [b for b in check_docs.blocks((REPOSITORY / "README.md").read_text()) if b.info == "python"]
-    assert examples
-    assert [check_docs.run_block(block, tmp_path) for block in examples] == [None] * len(examples)
+def words(page):
+    return len(page.read_text().split())
 
 
-def test_the_readme_is_short():
-    assert len((REPOSITORY / "README.md").read_text().split()) <= README_WORDS
+def test_pages_are_short():
+    assert {name: words(REPOSITORY / name) for name in MOST_WORDS if words(REPOSITORY / name) > MOST_WORDS[name]} == {}
+    assert [page.stem for page in check_docs.user_pages()] == USER_PAGES
+    assert [page.name for page in check_docs.user_pages() if words(page) > USER_PAGE_WORDS] == []
+    assert sum(map(words, check_docs.user_pages())) <= USER_WORDS
+    assert sum(map(words, check_docs.pages())) <= WORDS
 
 
 @pytest.mark.parametrize(
@@ -31,8 +49,9 @@ def test_the_readme_is_short():
     [
         ("airgs-encode scene/ --no-such-option", "unrecognized arguments"),
         ("airgs-play scene.airgs --decode 4 --policy", "expected one argument"),
+        ("airgs-train views/ | airgs-encode model/ --no-such-option", "unrecognized arguments"),
         ("python -m tools.no_such_tool --quick", "No module"),
-        ("python -m tools.bench_encode fox/ --lots 3", "unrecognized arguments"),
+        ("python -m tools.check_docs --lots 3", "unrecognized arguments"),
         ("tools/no_such_tool.py", "no such file"),
         ("airgs_codec.coding.motion.no_such_name", "no such name"),
         ("airgs.no_such_name", "no such name"),
@@ -58,10 +77,13 @@ def test_links_lead_to_files_and_headings(tmp_path):
 @pytest.mark.parametrize(
     ("expected", "printed", "difference"),
     [
-        ("a 10.0\nb 3", "a 10.2\nb 3", None),
-        ("a 10.0\nb 3", "a 12.0\nb 3", "a 10.0"),
+        ("a 44.5 dB\nb 3", "a 44.8 dB\nb 3", None),
+        ("a 44.5 dB\nb 3", "a 44.9 dB\nb 3", "a 44.5 dB"),
+        ("a 0.4", "a 0.5", None),
+        ("a 0.4", "a 0.6", "a 0.4"),
         ("a 1\n…\nb 3", "a 1\nx\ny\nb 3\nz", None),
         ("a 1\nb 3", "a 1\nx\nb 3", "b 3"),
+        ("b 1,000", "b 1,001", "b 1,000"),
         ("b 3", "", "b 3"),
     ],
 )
@@ -69,9 +91,25 @@ def test_pasted_output_is_compared_line_by_line(expected, printed, difference):
     assert check_docs.first_difference(expected, printed) == difference
 
 
+@pytest.mark.parametrize(
+    ("info", "code", "finding"),
+    [
+        ("sh", "python -m tools.check_docs tests/data/README.md", None),
+        ("sh", "airgs-manifest validate nothing.airgs", "SystemExit"),
+        ("python", "print('seen')", None),
+        ("python", "print('unseen')", "does not print 'seen'"),
+        ("python", "1 / 0", "ZeroDivisionError"),
+        ("sh not-run", "airgs-encode nothing/", None),
+    ],
+)
+def test_what_fails_or_prints_something_else_is_found(info, code, finding, tmp_path):
+    wrong = check_docs.Workshop(tmp_path).run_block(check_docs.Block(info, code, "seen\n" if info == "python" else ""))
+    assert (wrong is None) if finding is None else finding in wrong
+
+
 def test_every_page_is_looked_at():
     names = {page.relative_to(REPOSITORY).as_posix() for page in check_docs.pages()}
-    assert {"README.md", "FORMAT.md", "docs/numerics.md", "tests/data/README.md"} <= names
+    assert {"README.md", "FORMAT.md", "docs/results/numerics.md", "tests/data/README.md"} <= names
     assert all(re.search(r"\w", page.read_text()) for page in check_docs.pages())
 
 
@@ -87,8 +125,9 @@ def test_blocks_are_told_apart_and_keep_their_output():
 
 def test_every_file_of_the_documentation_is_linked_from_a_page():
     linked = {
-        (page.parent / target).resolve()
+        (page.parent / target.partition("#")[0]).resolve()
         for page in check_docs.pages()
         for target in check_docs.LINK.findall(page.read_text())
     }
-    assert [path.name for path in (REPOSITORY / "docs").iterdir() if path.resolve() not in linked] == []
+    files = [path for path in (REPOSITORY / "docs").rglob("*") if path.is_file()]
+    assert [path.name for path in files if path.resolve() not in linked] == []

@@ -5,8 +5,8 @@ import statistics
 
 import pytest
 
+from tests.support.house import FOLDERS, House, measure, percentile
 from tests.support.paths import REPOSITORY
-from tools.measure_house import FOLDERS, House, main, measure, percentile
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
@@ -73,14 +73,13 @@ def test_what_is_counted(tmp_path):
     assert sizes == {"short": (3, 5), "method": (2, 1), "inner": (1, 1), "made": (0, 0)}
 
 
-def test_what_is_over_a_limit_is_named(tmp_path, capsys):
+def test_what_is_over_a_limit_is_named(tmp_path):
     body = "\n".join(f"    x = {i}" for i in range(61))
     (tmp_path / "long.py").write_text(f"def long(a, b, c, d, e, f, g):\n{body}\n" + "\n" * 300)
-    assert len(measure(tmp_path).excesses()) == 3
-    assert main([str(tmp_path)]) == 1
-    assert "long.py:1 long: 61 lines, at most 60" in capsys.readouterr().out
+    excesses = measure(tmp_path).excesses()
+    assert len(excesses) == 3 and any(line.endswith("long.py:1 long: 61 lines, at most 60") for line in excesses)
 
 
-def test_the_table_of_nothing_is_a_table(capsys):
+def test_nothing_is_over_no_limit():
     assert House({}, ()).excesses() == []
     assert percentile([], 0.9) == 0 and percentile([1, 2, 3, 4, 5, 6, 7, 8, 9, 10], 0.9) == 9

@@ -32,7 +32,6 @@ def test_columns_are_right_aligned():
         (play_main, [MOVING, "--trace", "const:1", "--policy", "fixed:0", "--report"]),
         (play_main, [MOVING, "--compare", "--traces", "const:1", "--report"]),
         (manifest_main, ["inspect", MOVING, "--plot"]),
-        (manifest_main, ["inspect", MOVING, "--ladder", "--plot"]),
     ],
 )
 @pytest.mark.usefixtures("no_matplotlib")

@@ -6,31 +6,35 @@ Always checked, in every markdown page: each command line in a ```sh block and i
 its program (a command, a module run by python -m, a target of the Makefile); each path of this repository, each dotted
 name of airgs_codec and each option exists; each relative link leads somewhere.
 
-With --run the ```sh and ```python blocks are run as well, in one empty folder a page that has links to tests/ and
-tools/; not those marked ```sh not-run, whose data is not in the repository. A ```text block that comes next is what the
-block prints: its lines must come in that order, "…" stands for any lines between, and numbers may differ by 5 %
-(TOLERANCE), those of another machine or build of x264. Exit status 1 with one line a finding.
+With --run, as in tests/test_docs.py, the ```sh and ```python blocks of the user pages are run as well, in page order
+and in one folder with links to tests/ and tools/. A command that stands on several pages is run once. Blocks marked
+```sh not-run need data that is not in the repository. A ```text block that comes next is what the block prints: its
+lines must come in that order, and "…" stands for any lines between. Whole numbers must be equal; others may differ by
+SHARE, which is 0.3 dB at 44 dB, or by one unit of the last digit shown. Exit status 1 with one line a finding.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
-import os
+import importlib.util
+import io
 import re
 import shlex
-import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import takewhile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields
+from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
+from tools.lab.experiments import EXPERIMENTS
+
 REPOSITORY = Path(__file__).parent.parent
-TOLERANCE = 0.05
+SHARE = 0.007
 FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`]+)`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -52,14 +56,16 @@ class _ParserError(Exception):
     """What a parser says of its arguments: nothing, or why it refuses them."""
 
 
+def user_pages() -> list[Path]:
+    """The pages for users, the README first; their blocks are run."""
+    return [REPOSITORY / "README.md", *sorted((REPOSITORY / "docs").glob("*.md"))]
+
+
 def pages() -> list[Path]:
     """Every markdown page of the repository."""
-    return [
-        *sorted(REPOSITORY.glob("*.md")),
-        *sorted((REPOSITORY / "docs").glob("*.md")),
-        *REPOSITORY.glob("tests/*/*.md"),
-        *REPOSITORY.glob("manifests/*/*.md"),
-    ]
+    others = [page for page in sorted(REPOSITORY.glob("*.md")) if page.name != "README.md"]
+    deeper = [REPOSITORY.glob(pattern) for pattern in ("docs/*/*.md", "tests/*/*.md", "manifests/*/*.md")]
+    return [*user_pages(), *others, *(page for found in deeper for page in sorted(found))]
 
 
 def blocks(text: str) -> list[Block]:
@@ -69,15 +75,16 @@ def blocks(text: str) -> list[Block]:
     return [Block(m[1], m[2], output) for m, output in zip(found, [*outputs, ""], strict=False)]
 
 
-def command_lines(code: str) -> list[list[str]]:
-    """The commands of a shell block as words, comments and what follows a pipe left out."""
-    lines = (shlex.split(line, comments=True) for line in code.replace("\\\n", " ").splitlines())
-    return [before_redirection(words) for words in lines if words]
-
-
-def before_redirection(words: list[str]) -> list[str]:
-    """The words of a command before the first `|` or `>`."""
-    return list(takewhile(lambda word: word not in ("|", ">"), words))
+def commands(code: str) -> Iterator[list[str]]:
+    """The commands of a shell block as words, those joined by `|` one after the other, without comments."""
+    for line in code.replace("\\\n", " ").splitlines():
+        words = shlex.split(line, comments=True)
+        while "|" in words:
+            cut = words.index("|")
+            yield words[:cut]
+            words = words[cut + 1 :]
+        if words:
+            yield words
 
 
 def findings(page: Path) -> Iterator[str]:
@@ -85,7 +92,7 @@ def findings(page: Path) -> Iterator[str]:
     text = page.read_text(encoding="utf-8")
     for block in blocks(text):
         if block.info.split()[:1] == ["sh"]:
-            yield from (wrong for words in command_lines(block.code) if (wrong := command_error(words, whole=True)))
+            yield from filter(None, (command_error(words, whole=True) for words in commands(block.code)))
     prose = FENCE.sub("", text)
     for code in INLINE.findall(prose):
         yield from inline_errors(" ".join(code.split()))
@@ -98,7 +105,7 @@ def inline_errors(code: str) -> Iterator[str]:
     words = code.replace("[", "").replace("]", "").split()
     program = words[0] if words else ""
     if len(words) > 1 and (program in scripts() or words[:2] == ["python", "-m"]):
-        yield from filter(None, [command_error(before_redirection(words), whole=False)])
+        yield from filter(None, (command_error(command, whole=False) for command in commands(shlex.join(words))))
     elif PATH.fullmatch(program) and not (REPOSITORY / program).exists():
         yield f"{program}: no such file"
     elif re.fullmatch(r"airgs(_codec)?(\.\w+)+", code) and not resolves(code.replace("airgs.", "airgs_codec.", 1)):
@@ -130,11 +137,14 @@ def scripts() -> dict[str, str]:
     return dict(tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["scripts"])
 
 
+@cache
 def known_options() -> set[str]:
-    """Every option that a command or a tool of this repository declares."""
+    """Every option that a command, a tool or an experiment of this repository declares."""
     folders = ("airgs_codec/cli", "tools", "tests/long", "tests/makers")
-    sources = [path for folder in folders for path in (REPOSITORY / folder).glob("*.py")]
-    return {option for path in sources for option in re.findall(r'"(--[a-z][a-z0-9-]*)"', path.read_text())}
+    sources = [path for folder in folders for path in (REPOSITORY / folder).rglob("*.py")]
+    declared = {option for path in sources for option in re.findall(r'"(--[a-z][a-z0-9-]*)"', path.read_text())}
+    modules = [importlib.import_module(one.module) for one in EXPERIMENTS]
+    return declared | {f"--{f.name.replace('_', '-')}" for module in modules for f in fields(module.Options)}
 
 
 def resolves(name: str) -> bool:
@@ -161,23 +171,32 @@ def command_error(words: list[str], whole: bool) -> str | None:
     if program == "make":
         targets = re.findall(r"^([\w-]+):", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
         return next((f"make {word}: no such target" for word in arguments if word not in targets), None)
-    if program == "python" and arguments[:1] == ["-m"]:
-        entry, arguments = f"{arguments[1]}:main", arguments[2:]
-        if not arguments and not whole:
-            return None if resolves(words[2]) else f"{words[2]}: no such module"
-    elif program in scripts():
-        entry = scripts()[program]
-    else:
+    module = program == "python" and arguments[:1] == ["-m"]
+    if not module and program not in scripts():
         return f"{program}: neither a command of this repository nor one of {', '.join(sorted(OTHER_PROGRAMS))}"
-    refusal = _refusal(entry, arguments)
+    if module and len(words) == 3 and (not whole or words[2].startswith("tests.makers.")):  # makers take no arguments
+        return None if resolves(words[2]) else f"{words[2]}: no such module"
+    refusal = _refusal(words)
     if refusal is None or (refusal.startswith("the following arguments are required") and not whole):
         return None
     return f"{shlex.join(words)}: {refusal}"
 
 
-def _refusal(entry: str, arguments: list[str]) -> str | None:
-    """Run a program as far as its parser. None: the arguments are good."""
+def _main_of(words: list[str]) -> tuple[Callable[[], int | None], list[str]]:
+    """The function behind a command and its `sys.argv`. Raises ModuleNotFoundError."""
+    if words[0] == "python":
+        name, arguments = words[2], words[3:]
+        found = importlib.util.find_spec(name)
+        package = found is not None and found.submodule_search_locations is not None
+        entry = f"{name}.__main__:main" if package else f"{name}:main"
+    else:
+        entry, arguments = scripts()[words[0]], words[1:]
     module, _, function = entry.partition(":")
+    return getattr(importlib.import_module(module), function, lambda: None), [words[0], *arguments]
+
+
+def _refusal(words: list[str]) -> str | None:
+    """Run a program as far as its parser. None: the arguments are good."""
     parse = argparse.ArgumentParser.parse_args
 
     def stop(self: argparse.ArgumentParser, *args: object) -> None:
@@ -188,44 +207,71 @@ def _refusal(entry: str, arguments: list[str]) -> str | None:
         raise _ParserError(message)
 
     try:
-        main = getattr(importlib.import_module(module), function, lambda: None)  # a module may just print
+        main, argv = _main_of(words)
     except ModuleNotFoundError as error:
         return str(error)
     with (
         patch.object(argparse.ArgumentParser, "parse_args", stop),
         patch.object(argparse.ArgumentParser, "error", refuse),
-        patch.object(sys, "argv", [module, *arguments]),
+        patch.object(sys, "argv", argv),
+        contextlib.redirect_stdout(io.StringIO()),
     ):
         try:
             main()
         except _ParserError as error:
             return str(error) or None
-    return "takes no arguments" if arguments else None
+        except SystemExit:  # --help
+            return None
+    return "takes no arguments" if len(argv) > 1 else None
 
 
-def run_page(page: Path, folder: Path) -> Iterator[str]:
-    """Run the ```sh and ```python blocks of a page in `folder`, an empty one; a line for each that fails."""
-    for name in ("tests", "tools"):
-        (folder / name).symlink_to(REPOSITORY / name)
-    found = (run_block(block, folder) for block in blocks(page.read_text(encoding="utf-8")))
-    yield from (wrong for wrong in found if wrong)
+@dataclass(frozen=True, slots=True)
+class Workshop:
+    """A folder in which blocks are run, and what each command has printed there: none is run twice."""
 
+    folder: Path
+    printed: dict[str, str] = field(default_factory=dict)
 
-def run_block(block: Block, folder: Path) -> str | None:
-    """Run a ```sh or ```python block in `folder`; None for others, and when it prints what the page says."""
-    shell = ["bash", "-e", "-o", "pipefail", "-c"]
-    runner = {"sh": shell, "python": [sys.executable, "-c"]}.get(block.info)
-    if runner is None:
-        return None
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "PYTHONPATH": str(REPOSITORY)}
-    done = subprocess.run(
-        [*runner, block.code], cwd=folder, env=environment, capture_output=True, text=True, check=False
-    )
-    if done.returncode:
-        return f"{block.code.strip()}: exit status {done.returncode}: {done.stderr.strip()[-500:]}"
-    missing = first_difference(block.output, done.stdout)
-    return None if missing is None else f"{block.code.strip()}: does not print {missing!r}"
+    def __post_init__(self) -> None:
+        for name in ("tests", "tools"):
+            (self.folder / name).symlink_to(REPOSITORY / name)
+
+    def run_page(self, page: Path) -> Iterator[str]:
+        """Run the ```sh and ```python blocks of a page; a line for each that fails or prints something else."""
+        yield from filter(None, map(self.run_block, blocks(page.read_text(encoding="utf-8"))))
+
+    def run_block(self, block: Block) -> str | None:
+        """Run a ```sh or ```python block; None for others, and when it prints what the page says."""
+        if block.info not in ("sh", "python"):
+            return None
+        try:
+            if block.info == "sh":
+                printed = "".join(self.run_command(words) for words in commands(block.code))
+            else:
+                printed = self._capture(lambda: exec(block.code, {"__name__": "__main__"}))
+        except (Exception, SystemExit) as error:  # whatever an example ends with is a finding
+            return f"{block.code.strip()}: {type(error).__name__}: {error}"
+        missing = first_difference(block.output, printed)
+        return None if missing is None else f"{block.code.strip()}: does not print {missing!r}"
+
+    def run_command(self, words: list[str]) -> str:
+        """What a command prints. Raises SystemExit where it fails."""
+        line = shlex.join(words)
+        if line not in self.printed:
+            main, argv = _main_of(words)
+            with patch.object(sys, "argv", argv):
+                self.printed[line] = self._capture(lambda: sys.exit(main()))
+        return self.printed[line]
+
+    def _capture(self, run: Callable[[], object]) -> str:
+        out = io.StringIO()
+        with contextlib.chdir(self.folder), contextlib.redirect_stdout(out):
+            try:
+                run()
+            except SystemExit as end:
+                if end.code:
+                    raise
+        return out.getvalue()
 
 
 def first_difference(expected: str, printed: str) -> str | None:
@@ -245,29 +291,34 @@ def first_difference(expected: str, printed: str) -> str | None:
 
 
 def same_line(a: str, b: str) -> bool:
-    """Equal words, and numbers that differ by TOLERANCE at most."""
+    """Equal words, and numbers that are the same."""
     if NUMBER.sub("#", a).split() != NUMBER.sub("#", b).split():
         return False
-    pairs = zip(NUMBER.findall(a), NUMBER.findall(b), strict=True)
-    numbers = ((float(x.replace(",", "")), float(y.replace(",", ""))) for x, y in pairs)
-    return all(abs(x - y) <= TOLERANCE * max(abs(x), abs(y)) for x, y in numbers)
+    return all(same_number(x, y) for x, y in zip(NUMBER.findall(a), NUMBER.findall(b), strict=True))
+
+
+def same_number(a: str, b: str) -> bool:
+    """Equal whole numbers; others within SHARE, or within one unit of the last digit of `a`."""
+    if "." not in a:
+        return a == b
+    x, y = (float(number.replace(",", "")) for number in (a, b))
+    unit = 10.0 ** -len(a.partition(".")[2])
+    return abs(x - y) <= max(SHARE * abs(x), 1.001 * unit)
 
 
 def main() -> int:
     """Check the pages named, or all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pages", type=Path, nargs="*", metavar="PAGE", help="default: every page of the repository")
-    parser.add_argument("--run", action="store_true", help="run the shell blocks, too (several minutes)")
+    parser.add_argument("--run", action="store_true", help="run the blocks of user pages, too (minutes)")
     args = parser.parse_args()
-    wrong = 0
-    for page in args.pages or pages():
-        found = list(findings(page))
-        if args.run:
-            with tempfile.TemporaryDirectory() as folder:
-                found += run_page(page, Path(folder))
-        wrong += len(found)
-        for line in found:
-            print(f"{page}: {line}")
+    wrong = [f"{page}: {line}" for page in args.pages or pages() for line in findings(page)]
+    if args.run:
+        with tempfile.TemporaryDirectory() as folder:
+            shop = Workshop(Path(folder))
+            runnable = [page.resolve() for page in args.pages] or user_pages()
+            wrong += [f"{page}: {line}" for page in runnable for line in shop.run_page(page)]
+    print("\n".join(wrong), end="\n" if wrong else "")
     return 1 if wrong else 0
 
 

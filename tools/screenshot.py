@@ -16,10 +16,10 @@ import sys
 from pathlib import Path
 
 from airgs_codec.serve.player import is_built, player_address
+from tools.lab.serving import airgs_serve
 
 REPOSITORY = Path(__file__).parent.parent
 SCRIPT = REPOSITORY / "web" / "scripts" / "screenshot.mjs"
-SERVE = "import sys; from airgs_codec.cli.serve import main; sys.exit(main())"
 
 
 def missing() -> list[str]:
@@ -35,16 +35,10 @@ def missing() -> list[str]:
 
 def take(package: Path, picture: Path) -> int:
     """Serve a package and write the picture; gives the exit status."""
-    command = [sys.executable, "-c", SERVE, str(package), "--port", "0"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
-        try:
-            assert server.stdout
-            address = server.stdout.readline().split()[-1].rstrip("/")
-            shot = ["node", str(SCRIPT), address + player_address(package.resolve().name), str(picture)]
-            environment = os.environ | {"CHROMIUM": shutil.which("chromium") or ""}
-            return subprocess.run(shot, env=environment, check=False).returncode
-        finally:
-            server.terminate()
+    with airgs_serve(package) as (_, address):
+        shot = ["node", str(SCRIPT), address + player_address(package.resolve().name), str(picture)]
+        environment = os.environ | {"CHROMIUM": shutil.which("chromium") or ""}
+        return subprocess.run(shot, env=environment, check=False).returncode
 
 
 def main() -> int:

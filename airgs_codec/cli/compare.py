@@ -10,11 +10,11 @@ from airgs_codec._files import atomic_path
 from airgs_codec.cli.baking import UNTOLD, add_baking, is_told, told_baking
 from airgs_codec.cli.common import PACKAGE, Bar, add_views, parse_range
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.compare import compared_views
-from airgs_codec.inspect.side_by_side import side_by_side
+from airgs_codec.inspect.compare import Comparison, compare_two, comparison_json, format_two, side_by_side
 from airgs_codec.inspect.sides import (
     Side,
     before_both,
+    compared_views,
     described,
     expect_same_rate,
     is_package,
@@ -22,7 +22,6 @@ from airgs_codec.inspect.sides import (
     open_side,
     shared_views,
 )
-from airgs_codec.inspect.two import Comparison, compare_two, comparison_json, format_two
 from airgs_codec.media.image import write_png
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.formats.clips import is_clip

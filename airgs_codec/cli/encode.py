@@ -14,6 +14,7 @@ from airgs_codec.cli.baking import add_baking, is_told, told_baking
 from airgs_codec.cli.common import Bar, add_views, expect_rate, fraction, run_command
 from airgs_codec.cli.encoding import add_encoding, told_settings
 from airgs_codec.cli.follow import frames_may_come, report_groups
+from airgs_codec.cli.kernels import prepare
 from airgs_codec.cli.training import train_by_default
 from airgs_codec.cli.work import add_work, told_work
 from airgs_codec.cli.world import add_world, with_signs
@@ -108,6 +109,7 @@ def _run(args: argparse.Namespace) -> int:
     cameras = sequence.files.name_of(sequence.cameras_path) if sequence.cameras_path else None
     if cameras and not args.json:
         print(f"cameras: {cameras}, {_counts(sequence)}", flush=True)
+    prepare()
     bar = Bar(args.json)
     try:
         with told_work(args, bar) as work:
@@ -159,6 +161,7 @@ def _follow(args: argparse.Namespace, settings: EncodeSettings, target: str) -> 
     folder = GrowingFolder(args.scene, views=args.views, fps=args.fps)
     bar = Bar(args.json)
     more = frames_may_come(args.idle)
+    prepare()
     try:
         groups = follow(folder, target, settings, more=more, attribution=args.attribution, progress=bar)
         report_groups(groups, target, args.json)

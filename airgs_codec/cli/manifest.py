@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,26 +17,18 @@ from airgs_codec.cli.export import add_export, export
 from airgs_codec.encoder.publish import merge
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
-from airgs_codec.inspect.compare import (
-    claimed_quality,
-    compare_streams,
-    compared_views,
-    format_comparison,
-    region_views,
-    rung_streams,
-    splits_of,
-)
-from airgs_codec.inspect.dense import measure_dense
-from airgs_codec.inspect.dense_report import dense_table, format_dense, plot_dense
+from airgs_codec.inspect.compare import claimed_quality, compare_streams, format_comparison, pool_splits
 from airgs_codec.inspect.errors import format_errors, measure_errors
 from airgs_codec.inspect.plot import plot_ladder
+from airgs_codec.inspect.sides import compared_views, region_views, rung_streams, splits_of
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.jobs.store import open_store
-from airgs_codec.package.manifest import Manifest, Quality
-from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background, checking_views
-from airgs_codec.package.store import Package, open_package
+from airgs_codec.media.metrics import Difference, Quality
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background
+from airgs_codec.package.store import open_package
 from airgs_codec.package.world import up_of
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.orbits import UP, orbit_views
@@ -61,10 +52,6 @@ def _add_inspect(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("package", help=PACKAGE)
     parser.add_argument("--json", action="store_true", help="the same as JSON")
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="picture of the ladder and of bytes over time")
-    parser.add_argument("--ladder", action="store_true", help="measure the dense level space (minutes)")
-    parser.add_argument("--against", metavar="SEQUENCE", help="the original, for --ladder (default: L0)")
-    add_baking(parser)
-    add_views(parser, "cameras, for --ladder", "those of --against, or drawn from the region")
 
 
 def _add_validate(parser: argparse.ArgumentParser) -> None:
@@ -114,8 +101,6 @@ def _inspect(args: argparse.Namespace) -> int:
     if args.plot:
         require_matplotlib("--plot")
     package = open_package(args.package)
-    if args.ladder:
-        return _ladder(package, args)
     summary = summarise(package.manifest, package.manifest_bytes)
     if args.plot:
         plot_ladder(package.manifest, package.manifest_bytes, args.plot)
@@ -127,21 +112,6 @@ def _inspect(args: argparse.Namespace) -> int:
         print(format_attributes(package))
         if args.plot:
             print(f"picture: {args.plot}")
-    return 0
-
-
-def _ladder(package: Package, args: argparse.Namespace) -> int:
-    original = open_sequence(args.against, **told_baking(args)) if args.against else None
-    if original is not None:
-        _expect_frames(args.against, len(original), package.manifest.frames)
-    cameras = read_cameras(args.views) if args.views else list(original.cameras) if original else []
-    training, measured = checking_views(package.manifest.region, cameras)
-    bar = Bar(args.json)
-    levels = measure_dense(package, measured, training, original, os.cpu_count() or 1, bar)
-    bar.close()
-    if args.plot:
-        plot_dense(levels, package.manifest.frames, args.plot)
-    print(json.dumps(dense_table(levels)) if args.json else format_dense(levels, package.manifest.frames))
     return 0
 
 
@@ -179,7 +149,8 @@ def _rungs(args: argparse.Namespace) -> int:
     cameras = compared_views(cameras or _around(package.manifest, original), args.split)
     cameras = before_background(region, cameras)
     bar = Bar(args.json)
-    splits = compare_streams(streams, original, frames, cameras, bar)
+    looked_at = [(number, camera) for number in frames for camera in cameras]
+    splits = pool_splits(compare_streams(streams, original, looked_at, Difference.of, bar), looked_at)
     bar.close()
     if args.json:
         quality = {"claimed": _plain(claimed), **{split: _plain(some) for split, some in splits.items()}}

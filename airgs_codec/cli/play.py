@@ -21,19 +21,16 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.region import before_background, checking_views
+from airgs_codec.package.region import before_background
 from airgs_codec.package.store import Package, find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.closed_loop import ClosedLoopSettings, adaptive, closed_loop_table, run_closed_loop
-from airgs_codec.play.frame_mode import CHOOSERS, simulate_frames
-from airgs_codec.play.frame_table import frame_table
 from airgs_codec.play.http import HttpDownloader, fetch_beside
 from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.link import DEFAULT_RTT_S, Link
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report.film import film, still
 from airgs_codec.play.report.session import format_metrics, place_record, write_report
-from airgs_codec.play.report.study import format_study, frame_lines, write_study
+from airgs_codec.play.report.study import format_study, write_study
 from airgs_codec.play.report.viewer import Viewer, path_of
 from airgs_codec.play.session import SessionLog, play, simulate
 from airgs_codec.play.settings import SessionSettings
@@ -44,7 +41,6 @@ from airgs_codec.render import read_cameras
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import open_sequence
 
-MODES = ("segments", "frames", "closed-loop")
 PAPER = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
 COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
 
@@ -58,7 +54,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("package", metavar="PACKAGE|URL", help=f"{PACKAGE}, or where a web server has it")
     traces = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
     parser.add_argument("--trace", metavar="TRACE", help=traces)
-    parser.add_argument("--mode", choices=MODES, default="segments", help="frames, closed-loop: as the paper streams")
     names = f"{', '.join(NAMES)}, fixed:J (level J) or fixed:RUNG (default: %(default)s)"
     parser.add_argument("--policy", default=DEFAULT_POLICY, help=names)
     link = parser.add_argument_group("link")
@@ -121,10 +116,9 @@ def _run(args: argparse.Namespace) -> int:
         require_matplotlib("--report")
         if args.report.exists() and not args.report.is_dir():
             raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
-    if args.budget is not None and (args.compare or args.mode != "segments"):
-        raise ConfigError("--budget: expected a single session, got --compare or another --mode")
-    if args.view_adaptive and (args.compare or args.mode != "segments"):
-        raise ConfigError("--view-adaptive: expected a single session, got --compare or another --mode")
+    if args.compare and (args.budget is not None or args.view_adaptive):
+        option = "--view-adaptive" if args.budget is None else "--budget"
+        raise ConfigError(f"{option}: expected a single session, got --compare")
     if args.package.startswith(("http://", "https://")):
         return _over_http(args)
     if args.as_fast:
@@ -138,18 +132,12 @@ def _run(args: argparse.Namespace) -> int:
         raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {args.rtt:g}")
     trace = open_trace(args.trace).cut(args.offset, args.scale).ending(args.end)
     link = Link.over(trace, None if args.rtt is None else args.rtt / 1e3)
-    if args.mode != "segments" and (args.report or args.video):
-        raise ConfigError(f"--mode {args.mode}: prints a table, expected no --report and no --video")
-    if args.mode == "frames":
-        return _frames(package, link, args)
-    if args.mode == "closed-loop":
-        return _closed_loop(package, link, args)
     return _session(package, link, args)
 
 
 def _over_http(args: argparse.Namespace) -> int:
-    if args.trace or args.compare or args.mode != "segments":
-        raise ConfigError("a URL is played over the real connection: expected no --trace, --compare and --mode")
+    if args.trace or args.compare:
+        raise ConfigError("a URL is played over the real connection: expected no --trace and no --compare")
     pictures = args.report or args.video
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="airgs-")))
@@ -222,46 +210,6 @@ def _as_words(log: SessionLog, viewer: Viewer | None, args: argparse.Namespace) 
     report = f"\n{'report':<22}{args.report / 'index.html'}" if args.report else ""
     film_line = f"\n{'film':<22}{args.video}" if args.video else ""
     return format_metrics(log, viewer) + report + film_line
-
-
-def _frames(package: Package, link: Link, args: argparse.Namespace) -> int:
-    c = Catalogue(package.manifest)
-    runs = {name: frame_table(simulate_frames(c, link, name, c.loops(args.loops))) for name in CHOOSERS}
-    if args.json:
-        print(to_json(runs | {"trace": link.trace.name, "scale": link.trace.scale}))
-        return 0
-    print(f"{link.trace.name}: mean {link.trace.mean_bps / 1e6:.2f} Mbit/s, rates x{link.trace.scale:g}; state only")
-    print("ms a frame by bits over the rate of that moment, as the paper counts; then over the link, one after another")
-    print("\n".join(frame_lines([{"chooser": name} | table for name, table in runs.items()])))
-    return 0
-
-
-def _closed_loop(package: Package, link: Link, args: argparse.Namespace) -> int:
-    cameras = read_cameras(args.views) if args.views else []
-    training, measured = checking_views(package.manifest.region, cameras)
-    bar = Bar(args.json)
-    loops = Catalogue(package.manifest).loops(args.loops)
-    renderer = open_renderer(args.device)
-    settings = ClosedLoopSettings(training, measured, link, loops, renderer=renderer)
-    served = run_closed_loop(package, adaptive, settings, bar)
-    bar.close()
-    table = closed_loop_table(served)
-    if args.json:
-        print(to_json(table | {"trace": link.trace.name, "scale": link.trace.scale}))
-        return 0
-    m = package.manifest
-    state = [m.bytes_of(m.state_files(i, 0)) for i in range(len(m.segments))]
-    trace = link.trace
-    print(
-        f"closed loop over {trace.name}, mean {trace.mean_bps / 1e6:.2f} Mbit/s, rates x{trace.scale:g}:\n"
-        f"{table['kb_frame']:.2f} kB/frame of state, worst frame {table['worst_kb']:.2f} kB, "
-        f"{100 * table['pruned']:.0f} % pruned on average, {100 * table['skipped']:.1f} % of frames skipped\n"
-        f"{table['psnr_to_top']:.2f} dB to the top rung (PSNR of the pooled error), "
-        f"{100 * table['stale']:.1f} % of the moving rows stale, "
-        f"drift {table['drift_steps']} steps\n"
-        f"the package's level 0, for every viewer: {sum(state) / m.frames / 1e3:.2f} kB/frame"
-    )
-    return 0
 
 
 def _compare(package: Package, args: argparse.Namespace) -> int:

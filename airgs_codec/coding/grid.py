@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.package.tables import Grid
+from airgs_codec.package.tables import MAX_BITS, Grid
 from airgs_codec.scene.morton import morton_decode, morton_encode
 
 
@@ -43,15 +43,15 @@ def grid_means(
 def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float) -> Grid:
     """The grid whose cells are `cell` motion units wide.
 
-    Where the finest class would need more than 21 bits an axis, it shares the cells of a coarser one. Raises SceneError
-    when the (N, 3) means span more than 1e30 world units.
+    Where the finest class would need more than MAX_BITS bits an axis, it shares the cells of a coarser one. Raises
+    SceneError when the (N, 3) means span more than 1e30 world units.
     """
     low, high = means.min(axis=0).astype(np.float64), means.max(axis=0).astype(np.float64)
     extent = float((high - low).max())
     if not np.isfinite(extent) or extent > 1e30:
         raise SceneError(f"means span {extent:g} world units: expected at most 1e30")
     finest = int(classes.min())
-    while extent / (cell * 2.0**finest) >= 2**21:
+    while extent / (cell * 2.0**finest) >= 2**MAX_BITS:
         finest += 1
     step = cell * 2.0**finest
     return Grid(low.tolist(), step, max(1, int(extent / step).bit_length()), finest)

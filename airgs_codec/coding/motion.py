@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import FLOOR, Sensitivity
+from airgs_codec.package.tables import LEAST_CLASS, MOST_CLASS
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -20,7 +21,7 @@ def motion_classes(sensitivity: NDArray[np.float64], floor: float) -> NDArray[np
     The motion unit is the power of two nearest to the fourth root of 1 / `sensitivity`. `floor` (> 0) is the least
     sensitivity that counts: of a row that no picture shows the logarithm is infinite.
     """
-    return np.clip(np.rint(-0.25 * np.log2(np.maximum(sensitivity, floor))), -128, 127).astype(np.int16)
+    return np.clip(np.rint(-0.25 * np.log2(np.maximum(sensitivity, floor))), LEAST_CLASS, MOST_CLASS).astype(np.int16)
 
 
 def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:

@@ -18,17 +18,20 @@ from airgs_codec.errors import FormatError
 
 MOST = (1 << 63) - 1  # largest number
 
-_TOP = 1 << 24  # the range is kept at or above it
-_HALF = 1 << 15  # probabilities are in 1 / 65536
-_MEMORY = 60  # decisions that a model remembers
-_LENGTHS = 64  # nodes of the tree of bit lengths
-_MODELLED = 3  # bits below the leading one that have models
-_NODES = _LENGTHS + (_LENGTHS << _MODELLED)
-_SEEN = 16  # numbers from 15 up choose the same model
+RANGE_START = 0xFFFFFFFF
+RANGE_LEAST = 1 << 24  # the range is kept at or above it
+CHANCE_HALF = 1 << 15  # probabilities are in 1 / 65536
+CHANCE_LEAST = 16  # of a 1 and of a 0, in 1 / 32768
+MODEL_MEMORY = 60  # decisions that a model remembers
+MODEL_CONTEXTS = 16  # numbers from 15 up choose the same model
+LENGTH_BITS = 6  # decisions that give a bit length
+MODELLED_BITS = 3  # below the leading one: those that have models
+END_BYTES = 5  # at the end, and at the start of decoding
+_LENGTHS = 1 << LENGTH_BITS  # nodes of the tree of bit lengths
+_NODES = _LENGTHS + (_LENGTHS << MODELLED_BITS)
 _CODE, _RANGE, _AT, _CACHE, _PENDING, _CONTEXT = range(6)  # places in the array that is the state of the coder
 _BATCH = 1 << 14  # numbers coded into one buffer
 _MOST_BYTES = 40  # of a number: 9 modelled decisions of at most 11 bits, 60 plain ones, and bytes kept back
-_FLUSH = 5  # bytes at the end, and at the start of decoding
 
 
 @numba.njit(cache=True)
@@ -50,17 +53,17 @@ def _shift(state: NDArray[np.int64], out: NDArray[np.uint8]) -> None:
 
 @numba.njit(cache=True)
 def _update(models: NDArray[np.int32], node: int, bit: int) -> None:
-    """Move the chance of a 1 towards the decision: by one over the decisions seen so far, at least by 1/_MEMORY."""
+    """Move the chance of a 1 towards the decision: by one over the decisions seen so far, at least 1/MODEL_MEMORY."""
     seen = models[node, 1]
     error = (65535 if bit else 0) - models[node, 0]
     models[node, 0] += 2 * error // (2 * seen + 3)
-    models[node, 1] = min(seen + 1, _MEMORY)
+    models[node, 1] = min(seen + 1, MODEL_MEMORY)
 
 
 @numba.njit(cache=True)
 def _split(models: NDArray[np.int32], node: int, range_: int) -> int:
     """The part of the range that stands for 1; never empty, never all."""
-    return (range_ >> 15) * min(max(models[node, 0] >> 1, 16), _HALF - 16)
+    return (range_ >> 15) * min(max(models[node, 0] >> 1, CHANCE_LEAST), CHANCE_HALF - CHANCE_LEAST)
 
 
 @numba.njit(cache=True)
@@ -70,7 +73,7 @@ def _put(bit: int, part: int, state: NDArray[np.int64], out: NDArray[np.uint8]) 
     else:
         state[_CODE] += part
         state[_RANGE] -= part
-    while state[_RANGE] < _TOP:
+    while state[_RANGE] < RANGE_LEAST:
         state[_RANGE] <<= 8
         _shift(state, out)
 
@@ -85,7 +88,7 @@ def _encode(
         while value >> length:
             length += 1
         node = 1
-        for i in range(5, -1, -1):
+        for i in range(LENGTH_BITS - 1, -1, -1):
             bit = (length >> i) & 1
             _put(bit, _split(models, base + node, state[_RANGE]), state, out)
             _update(models, base + node, bit)
@@ -93,14 +96,14 @@ def _encode(
         node = 1
         for i in range(length - 2, -1, -1):
             bit = (value >> i) & 1
-            if length - 2 - i < _MODELLED:
-                at = base + _LENGTHS + (length << _MODELLED) + node
+            if length - 2 - i < MODELLED_BITS:
+                at = base + _LENGTHS + (length << MODELLED_BITS) + node
                 _put(bit, _split(models, at, state[_RANGE]), state, out)
                 _update(models, at, bit)
                 node = 2 * node + bit
             else:
                 _put(bit, state[_RANGE] >> 1, state, out)
-        state[_CONTEXT] = min(int(value), _SEEN - 1) % (len(models) // _NODES)
+        state[_CONTEXT] = min(int(value), MODEL_CONTEXTS - 1) % (len(models) // _NODES)
 
 
 @numba.njit(cache=True)
@@ -111,7 +114,7 @@ def _take(part: int, state: NDArray[np.int64], data: NDArray[np.uint8]) -> int:
     else:
         state[_CODE] -= part
         state[_RANGE] -= part
-    while state[_RANGE] < _TOP:
+    while state[_RANGE] < RANGE_LEAST:
         state[_RANGE] <<= 8
         byte = data[state[_AT]] if state[_AT] < len(data) else 0
         state[_AT] += 1
@@ -127,7 +130,7 @@ def _decode(
     for k in range(len(values)):
         base = state[_CONTEXT] * _NODES
         node = 1
-        for _ in range(6):
+        for _ in range(LENGTH_BITS):
             bit = _take(_split(models, base + node, state[_RANGE]), state, data)
             _update(models, base + node, bit)
             node = 2 * node + bit
@@ -135,8 +138,8 @@ def _decode(
         value = np.int64(1 if length else 0)
         node = 1
         for i in range(length - 1):
-            if i < _MODELLED:
-                at = base + _LENGTHS + (length << _MODELLED) + node
+            if i < MODELLED_BITS:
+                at = base + _LENGTHS + (length << MODELLED_BITS) + node
                 bit = _take(_split(models, at, state[_RANGE]), state, data)
                 _update(models, at, bit)
                 node = 2 * node + bit
@@ -146,7 +149,7 @@ def _decode(
         if state[_AT] > len(data):
             return
         values[k] = value
-        state[_CONTEXT] = min(int(value), _SEEN - 1) % (len(models) // _NODES)
+        state[_CONTEXT] = min(int(value), MODEL_CONTEXTS - 1) % (len(models) // _NODES)
 
 
 Column = tuple[NDArray[np.integer], int]  # numbers (M,) in 0..MOST; order 0, or 1: the number before chooses the models
@@ -154,14 +157,14 @@ Column = tuple[NDArray[np.integer], int]  # numbers (M,) in 0..MOST; order 0, or
 
 def _models(order: int) -> NDArray[np.int32]:
     """A fresh model for each context and node, (contexts * nodes, 2): the chance of a 1 in 1/65536, decisions seen."""
-    models = np.zeros((_SEEN**order * _NODES, 2), np.int32)
-    models[:, 0] = _HALF
+    models = np.zeros((MODEL_CONTEXTS**order * _NODES, 2), np.int32)
+    models[:, 0] = CHANCE_HALF
     return models
 
 
 def encode_columns(columns: Sequence[Column]) -> bytes:
     """Columns -> bytes, which `ColumnReader` gives back. Raises ValueError for a number below 0."""
-    state = np.array([0, 0xFFFFFFFF, 0, 0, 1, 0], np.int64)
+    state = np.array([0, RANGE_START, 0, 0, 1, 0], np.int64)
     out = np.empty(_MOST_BYTES * _BATCH, np.uint8)
     parts = []
     for numbers, order in columns:
@@ -174,7 +177,7 @@ def encode_columns(columns: Sequence[Column]) -> bytes:
             _encode(values[start : start + _BATCH], models, state, out)
             parts.append(out[: state[_AT]].tobytes())
             state[_AT] = 0
-    for _ in range(_FLUSH):
+    for _ in range(END_BYTES):
         _shift(state, out)
     return b"".join([*parts, out[: state[_AT]].tobytes()])
 
@@ -193,12 +196,12 @@ class ColumnReader:
 
     def __init__(self, data: bytes | None, where: str) -> None:
         self._absent = data is None
-        data = bytes(_FLUSH) if data is None else data
+        data = bytes(END_BYTES) if data is None else data
         self._data = np.frombuffer(data, np.uint8)
         self.where = where
-        if len(data) < _FLUSH:
-            raise FormatError("bad_sidecar", where, f"expected at least {_FLUSH} bytes, got {len(data)}")
-        self._state = np.array([int.from_bytes(data[1:_FLUSH], "big"), 0xFFFFFFFF, _FLUSH, 0, 0, 0], np.int64)
+        if len(data) < END_BYTES:
+            raise FormatError("bad_sidecar", where, f"expected at least {END_BYTES} bytes, got {len(data)}")
+        self._state = np.array([int.from_bytes(data[1:END_BYTES], "big"), RANGE_START, END_BYTES, 0, 0, 0], np.int64)
         if data[0]:
             raise FormatError("bad_sidecar", where, f"expected a first byte of 0, got {data[0]}")
 

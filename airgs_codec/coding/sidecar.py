@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from airgs_codec.coding.grid import cell_bits, coarse_codes
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns, sum_gaps
 from airgs_codec.errors import FormatError
-from airgs_codec.package.tables import Grid
+from airgs_codec.package.tables import LEAST_CLASS, MOST_CLASS, STATIC, Grid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +66,7 @@ def _position_columns(sidecar: KeySidecar, grid: Grid, coarsest: int) -> list[Co
     gaps = ((codes >> low) - (before >> low)).astype(np.int64)
     least = int(sidecar.classes.min())
     carried = sidecar.depths + np.uint8(1)  # static rows, 255, become 0
-    return [(np.array([least + 128]), 0), (sidecar.classes - least, 1), (gaps, 0), (carried, 1)]
+    return [(np.array([least - LEAST_CLASS]), 0), (sidecar.classes - least, 1), (gaps, 0), (carried, 1)]
 
 
 def unpack_key_sidecar(
@@ -88,17 +88,17 @@ def unpack_key_sidecar(
 def _read_kept(reader: ColumnReader, count: int, there: int) -> Kept:
     """So many kept rows, of `there` rows."""
     gaps, carried = reader.column(count, 1), reader.column(count, 1)
-    if int(gaps.max()) >= there or int((gaps + 1).sum()) > there or int(carried.max()) > 255:
-        raise FormatError("bad_sidecar", reader.where, f"expected kept rows below {there} and depths up to 255")
+    if int(gaps.max()) >= there or int((gaps + 1).sum()) > there or int(carried.max()) > STATIC:
+        raise FormatError("bad_sidecar", reader.where, f"expected kept rows below {there} and depths up to {STATIC}")
     return Kept(np.cumsum(gaps + 1).astype(np.intp) - 1, (carried - 1).astype(np.uint8))
 
 
 def _read_positions(reader: ColumnReader, rows: int, grid: Grid, coarsest: int) -> KeySidecar:
-    classes = int(reader.column(1, 0)[0]) - 128 + reader.column(rows, 1)
+    classes = int(reader.column(1, 0)[0]) + LEAST_CLASS + reader.column(rows, 1)
     gaps, carried = reader.column(rows, 0), reader.column(rows, 1)
     where = reader.where
-    if int(classes.max()) > 127 or int(carried.max()) > 255:
-        raise FormatError("bad_sidecar", where, "expected classes up to 127 and depths up to 255")
+    if int(classes.max()) > MOST_CLASS or int(carried.max()) > STATIC:
+        raise FormatError("bad_sidecar", where, f"expected classes up to {MOST_CLASS} and depths up to {STATIC}")
     codes = np.empty(rows, np.uint64)
     if not sum_gaps(gaps, 3 * cell_bits(classes.astype(np.int16), grid, coarsest), 3 * grid.bits, codes):
         raise FormatError("bad_sidecar", where, f"Morton codes leave {3 * grid.bits} bits")

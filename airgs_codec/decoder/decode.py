@@ -225,24 +225,6 @@ def _ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]
             yield picture
 
 
-def decode_level(package: Package, index: int, level: int, base: Canonical) -> Iterator[NDArray[np.int32]]:
-    """(STATE.width(C), n) codes of each frame of a segment: of all rows of a level, in the order of `base`.
-
-    `base` is the canonical space of all tiles and tiers. Those of a tile without a file are 0. Raises FormatError.
-    """
-    m = package.manifest
-    tiles = m.groups[m.group_of(index)].tiles
-    count = m.segments[index].stop - m.segments[index].start
-    files = [bool(m.state_files(index, level, [tile])) for tile in range(m.tiles)]
-    zeros = [np.zeros((STATE.width(m.colour_channels), tile.levels[level].rows), np.int32) for tile in tiles]
-    parts = [
-        decode_state(package, index, level, 0, count, tile) if there else itertools.repeat(zeros[tile], count)
-        for tile, there in enumerate(files)
-    ]
-    for codes in zip(*parts, strict=True):
-        yield codes[0] if len(codes) == 1 else np.concatenate(codes, axis=1)
-
-
 def fewer_tiers(group: Group, base: Canonical, tiers: int) -> Canonical:
     """The canonical space that the first `tiers` key tiers of all tiles make, of the one that all tiers make."""
     counts = [tier.count for tier in group.units]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from airgs_codec.encoder.group import CodedKey, GroupFiles
 from airgs_codec.encoder.group_jobs import GroupJobs
 from airgs_codec.encoder.plan import split_segments
-from airgs_codec.encoder.quality import Measured, Round, Rounds, RoundSums, measure_groups
+from airgs_codec.encoder.quality import Measured, Round, RoundErrors, Rounds, measure_groups
 from airgs_codec.encoder.representation import Clock
 from airgs_codec.encoder.settings import KEPT, EncodeSettings
 from airgs_codec.encoder.tables import Provenance, build_manifest
@@ -141,7 +141,7 @@ def measure_quality(job: EncodeJob, encoded: Encoded, original: GroupJobs, round
     m = encoded.manifest
     tables = root_of(m), list(m.groups)
 
-    def ask(asked: Round) -> list[RoundSums]:
+    def ask(asked: Round) -> list[RoundErrors]:
         jobs = [original.measure(encoded.files, g, asked, tables) for g in range(len(m.groups))]
         job.work.run(jobs)
         return [job.work.result(one) for one in jobs]

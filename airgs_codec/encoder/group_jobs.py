@@ -12,7 +12,7 @@ from functools import cached_property
 from airgs_codec._settings import available_cores
 from airgs_codec.encoder.group import GroupFiles, code_group, code_key, keep_key
 from airgs_codec.encoder.group_length import compare_lengths
-from airgs_codec.encoder.quality import Round, RoundSums, measure_round
+from airgs_codec.encoder.quality import Round, RoundErrors, measure_round
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, survey_group
 from airgs_codec.encoder.views import ViewPlan
@@ -87,7 +87,7 @@ class GroupJobs:
         return self._job("states", group, code_group, arguments, *parts)
 
     def measure(self, files: Sequence[Job], group: int, asked: Round, tables: tuple[Root, Sequence[Group]]) -> Job:
-        """A round of pictures of the rungs of a group beside its frames as they are here: `RoundSums`.
+        """A round of pictures of the rungs of a group beside its frames as they are here: `RoundErrors`.
 
         `files`: of all groups; `tables`: those of the package that they make.
         """
@@ -128,7 +128,7 @@ def length_job(sequence: GaussianSequence, names: Sequence[str], views: ViewPlan
 def measure_files(
     original: GaussianSequence, views: ViewPlan, tables: tuple[Root, Sequence[Group]], asked: tuple[int, Round],
     own: GroupFiles, base: GroupFiles | None,
-) -> RoundSums:  # fmt: skip
+) -> RoundErrors:  # fmt: skip
     """A round of pictures of a group, from its files and those of the group whose rows it keeps.
 
     `tables`: those of the package; `asked`: the group, and which pictures.

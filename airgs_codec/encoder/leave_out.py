@@ -19,9 +19,10 @@ from airgs_codec.encoder.plan import CODED_HERE, GroupLayout
 from airgs_codec.encoder.state_values import StateValues
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.views import Pictures
-from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import STATIC, LeftOut
+from airgs_codec.render.compare import Source, compare, draw_ahead, draw_frames, draw_still
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -42,13 +43,12 @@ def omit_bands(sequence: GaussianSequence, survey: Survey, step: float, price: f
     if not sequence.sh_degree or price == 0:
         return sequence.sh_degree, None
     g = sequence.load([survey.span.middle]).frames[0]
-    draw = survey.renderer.render
-    full = [(camera, draw(g, camera).rgb) for _, camera in survey.checks]
+    whole = draw_ahead(draw_still(g, survey.renderer), survey.checks)
     bands, cost, size = g.sh_degree, 0.0, 0.0
     while bands:
-        fewer = g.with_degree(bands - 1)
+        fewer = draw_still(g.with_degree(bands - 1), survey.renderer)
         band = _band_bytes(g, bands, step) / survey.span.frames
-        error = pooled_error([mse(draw(fewer, camera).rgb, picture) for camera, picture in full])
+        error = pooled_error(list(compare(whole, fewer, survey.checks, Picture.mse)))
         if error > price / 2 * (size + band):
             break
         bands, cost, size = bands - 1, error, size + band
@@ -97,21 +97,22 @@ class KeyOmissions:
         coded = self.layout.base_rows == CODED_HERE
         if price == 0 or not coded.any():
             return np.zeros(len(self.sizes), bool), None
-        shown = self._show(self.values)
-        draw = self.layout.renderer.render
-        full = [(camera, draw(shown, camera).rgb) for _, camera in self.layout.pictures]
+        pictures = self.layout.pictures
+        whole = draw_ahead(self._show(self.values), pictures)
 
         def error(omitted: NDArray[np.bool_]) -> float:
             without = self._show(np.where(omitted[:, None] & coded, self.centres[:, None], self.values))
-            return pooled_error([mse(draw(without, camera).rgb, picture) for camera, picture in full])
+            return pooled_error(list(compare(whole, without, pictures, Picture.mse)))
 
         chosen, cost = select_omissions(self.sizes, self.guesses, error, price)
         saved = float(self.sizes[chosen].sum())
         return chosen, note_omission("key planes", int(chosen.sum()), cost, saved)
 
-    def _show(self, values: NDArray[np.float64]) -> Gaussians:
+    def _show(self, values: NDArray[np.float64]) -> Source:
+        """The canonical frame with these (7 + C, N) key channels."""
         depths = np.zeros(len(self.layout.codes), np.uint8)
-        return self.layout.canonical_space(values.astype(np.float32), depths).to_gaussians()
+        shown = self.layout.canonical_space(values.astype(np.float32), depths).to_gaussians()
+        return draw_still(shown, self.layout.renderer)
 
 
 def note_static(layout: GroupLayout, values: StateValues, depths: NDArray[np.uint8]) -> LeftOut | None:
@@ -158,10 +159,11 @@ class StateOmissions:
             return np.zeros(count, bool), None
         centres = np.array([np.median(self.values.channel(c, rows)) for c in range(count)])
         sizes, guesses = self._estimate(centres, slice(None))
-        full = self._render(self.layout.pictures, np.zeros(count, bool), centres)
+        pictures = self.layout.pictures
+        whole = draw_ahead(self._show(np.zeros(count, bool), centres), pictures)
 
         def error(omitted: NDArray[np.bool_]) -> float:
-            return _difference(self._render(self.layout.pictures, omitted, centres), full)
+            return pooled_error(list(compare(whole, self._show(omitted, centres), pictures, Picture.mse)))
 
         chosen, cost = select_omissions(sizes / frames, guesses, error, price)
         saved = float(sizes[chosen].sum()) / frames
@@ -174,6 +176,7 @@ class StateOmissions:
         if price == 0 or not len(self.applier.rows):
             return np.zeros(len(spans), bool), None
         none = np.zeros(count)
+        whole, still = (self._show(omitted, none) for omitted in (np.zeros(count, bool), np.ones(count, bool)))
         parts = [np.arange(start, stop) - self.layout.span.start for start, stop in spans]
         pairs = [self._estimate(none, slice(part[0], part[-1] + 1)) for part in parts]
         sizes, guesses = (np.array([sum(pair[i]) for pair in pairs]) for i in (0, 1))
@@ -182,10 +185,8 @@ class StateOmissions:
         def error(omitted: NDArray[np.bool_]) -> float:
             costs = []
             for part in (parts[i] for i in np.flatnonzero(omitted)):
-                seen = self._of_segment(part)
-                full = self._render(seen, np.zeros(count, bool), none)
-                still = self._render(seen, np.ones(count, bool), none)
-                costs.append(_difference(still, full) * len(part))
+                errors = list(compare(whole, still, self._of_segment(part), Picture.mse))
+                costs.append(pooled_error(errors) * len(part))
             return sum(costs) / frames
 
         chosen, cost = select_omissions(sizes / frames, guesses * shares, error, price)
@@ -200,19 +201,11 @@ class StateOmissions:
         cameras = [camera for _, camera in self.layout.pictures]
         return [(int(places[i]), camera) for i, camera in zip(evenly_spaced(len(places), SEEN), cameras, strict=False)]
 
-    def _render(
-        self, pictures: Pictures, omitted: NDArray[np.bool_], centres: NDArray[np.float64]
-    ) -> list[NDArray[np.float32]]:
-        """Pictures of frames whose `omitted` channels are at their centres."""
-        rendered = []
-        for t, camera in pictures:
-            shown = self.values.frame(t)[:, self.applier.rows]
-            values = np.where(omitted[:, None], centres[:, None], shown)
-            frame = self.applier.apply(values.astype(np.float32))
-            rendered.append(self.layout.renderer.render(frame, camera).rgb)
-        return rendered
+    def _show(self, omitted: NDArray[np.bool_], centres: NDArray[np.float64]) -> Source:
+        """The frames of the group, whose `omitted` channels are at their centres."""
 
+        def frame(place: int) -> Gaussians:
+            shown = self.values.frame(place)[:, self.applier.rows]
+            return self.applier.apply(np.where(omitted[:, None], centres[:, None], shown).astype(np.float32))
 
-def _difference(a: list[NDArray[np.float32]], b: list[NDArray[np.float32]]) -> float:
-    """Pooled error between pictures."""
-    return pooled_error([mse(x, y) for x, y in zip(a, b, strict=True)])
+        return draw_frames(frame, self.layout.renderer)

@@ -12,7 +12,8 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.encoder import Encoded
 from airgs_codec.encoder.group_jobs import GroupJobs
-from airgs_codec.media.metrics import Reference, psnr
+from airgs_codec.media.metrics import Picture, psnr
+from airgs_codec.render.compare import compare, draw_ahead, draw_still
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 
 FRAMES = 6  # of the sequence, each looked at from a view of its own
@@ -32,14 +33,16 @@ def find_limit(encoded: Encoded, original: GroupJobs) -> tuple[str, float]:
     The part is a name of PARTS or LEFT_OUT.
     """
     errors: dict[str, list[float]] = {}
-    package, draw = encoded.package(), original.views.renderer.render
+    package, renderer = encoded.package(), original.views.renderer
     numbers = evenly_spaced(package.manifest.frames, FRAMES)
-    for number, camera in zip(numbers, original.views.measuring, strict=False):
+    for view in zip(numbers, original.views.measuring, strict=False):
+        number, _ = view
         whole = original.sequence.load([number]).frames[0]
         group = next(span.index for span in original.spans if number < span.stop)
-        reference = Reference.of(draw(whole, camera).rgb)
+        reference = draw_ahead(draw_still(whole, renderer), [view])
         for name, shown in _made_exact(whole, decode(package, number), encoded.group(group).rows):
-            errors.setdefault(name, []).append(reference.mse(draw(shown, camera).rgb))
+            found = compare(reference, draw_still(shown, renderer), [view], Picture.mse)
+            errors.setdefault(name, []).extend(found)
     means = {name: float(np.mean(found)) for name, found in errors.items()}
     best = min(means, key=lambda name: means[name])
     return best, psnr(means[best])

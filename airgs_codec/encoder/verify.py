@@ -6,7 +6,7 @@ N rows of a group.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,14 +14,17 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence, measure_quality
+from airgs_codec.encoder.group import GroupFiles
 from airgs_codec.encoder.group_jobs import GroupJobs
 from airgs_codec.encoder.quality import Rounds
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.tables import STATIC
 from airgs_codec.progress import Stopwatch
+from airgs_codec.render.backend import Renderer
+from airgs_codec.render.compare import View, compare, draw_ahead, draw_frames
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows
 
 ATTEMPTS = 4  # encodes at most
@@ -160,27 +163,27 @@ def _part_errors(attempt: Attempt, encoded: Encoded) -> tuple[float, float]:
     """Mean squared error of pictures without the rows left out, and with updates of the top level withheld."""
     errors: list[tuple[float, float]] = []
     groups = attempt.job.groups
-    draw = groups.views.renderer.render
-    views = iter(draw_views(groups.views.region, CHECKED, CHECKING))
+    cameras = iter(draw_views(groups.views.region, CHECKED, CHECKING))
     picked = evenly_spaced(len(groups), CHECKED)
     for i in picked:
-        coded, span = encoded.group(i), groups.spans[i]
+        span = groups.spans[i]
         frames = groups.sequence.load(range(span.start, span.stop)).frames
-        for place, camera in zip(evenly_spaced(len(frames), max(1, CHECKED // len(picked))), views, strict=False):
-            whole = draw(frames[place], camera).rgb
-            canonical = mean_frame(frames)
-            errors.append(
-                (
-                    mse(draw(_only(frames[place], coded.rows), camera).rgb, whole),
-                    mse(draw(_held(frames[place], canonical, coded.rows[coded.depths == STATIC]), camera).rgb, whole),
-                )
-            )
+        places = evenly_spaced(len(frames), max(1, CHECKED // len(picked)))
+        views = list(zip(places, cameras, strict=False))
+        errors += _errors_of_group(encoded.group(i), frames, views, groups.views.renderer)
     rows, held = np.mean(errors, axis=0)
     return float(rows), float(held)
 
 
-def _only(g: Gaussians, rows: NDArray[np.intp]) -> Gaussians:
-    return g.take(np.sort(rows))
+def _errors_of_group(
+    coded: GroupFiles, frames: Sequence[Gaussians], views: Sequence[View], renderer: Renderer
+) -> Iterator[tuple[float, float]]:
+    """The same errors of each view of a group; views count its frames from 0."""
+    canonical, rows, static = mean_frame(frames), np.sort(coded.rows), coded.rows[coded.depths == STATIC]
+    whole = draw_ahead(draw_frames(frames.__getitem__, renderer), views)
+    parts = (lambda place: frames[place].take(rows)), (lambda place: _held(frames[place], canonical, static))
+    fewer, held = (compare(whole, draw_frames(part, renderer), views, Picture.mse) for part in parts)
+    return zip(fewer, held, strict=True)
 
 
 def _held(g: Gaussians, canonical: Gaussians, rows: NDArray[np.intp]) -> Gaussians:

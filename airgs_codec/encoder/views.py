@@ -21,6 +21,7 @@ from airgs_codec.package.tables import Region, Views, World
 from airgs_codec.package.world import up_of, world_from, world_words
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
+from airgs_codec.render.compare import View
 from airgs_codec.scene.camera import resized, training_views
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -30,7 +31,7 @@ SMALL_PIXELS = 110_000  # of a picture, at most: of small ones twice as many dec
 LOOKED_AT = 3  # frames, where no camera is given
 DRAWS = 240  # views that are drawn; groups and segments take them in turn
 
-Pictures = list[tuple[int, Camera]]  # (place of a frame in its group, or its number in the sequence; view)
+Pictures = list[View]  # a frame is its place in its group, or its number in the sequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,96 +1,71 @@
-"""Decoded frames beside the original ones, as pictures: PSNR, SSIM and CIEDE2000 over views and frames.
+"""Gaussians beside those that they should be, as pictures: PSNR, SSIM and CIEDE2000 over views and frames.
 
-Whatever was decoded is a stream of frames with a name, such as the rungs of a package. It is seen by the cameras of
-several splits, one of which may be drawn from the viewing region of the package.
+Either many streams of frames, such as the rungs of a package, against the original; or two scenes or packages, A and B,
+of which A is the reference, with the worst picture and a typical one. H x W pixels, 8-bit RGB.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from airgs_codec._report import table
-from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.encoder.quality import QualitySums
-from airgs_codec.errors import ConfigError
-from airgs_codec.media.metrics import Reference
-from airgs_codec.package.manifest import Manifest, Quality, pooled_quality
-from airgs_codec.package.region import draw_views
-from airgs_codec.package.store import Package
-from airgs_codec.package.tables import Region
+from airgs_codec.inspect.sides import Side, splits_of
+from airgs_codec.media.image import contact_sheet, to_bytes
+from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr
+from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render import Camera, render
+from airgs_codec.render import Camera
+from airgs_codec.render.compare import View, compare, draw_ahead, draw_frames, draw_still, in_order
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-REGION = "region"  # the split of views that are drawn from the package's region
+LABEL = 36  # pixels above each picture, for two lines
+LEAST_WIDTH = 320  # pixels; smaller pictures are shown with larger pixels, so that labels have room
+MOST_LETTERS = 44  # of a line
+MOST_GAIN = 64
+SHOWN = 0.999  # of the differences are not cut off
 
 
-def rung_streams(
-    package: Package, frames: range, level: str | None = None, key_quality: str | None = None
-) -> dict[str, Iterator[Gaussians]]:
-    """These frames of every rung of a package, or of those of one level or key quality, decoded as they are asked for.
-
-    Raises ConfigError for a level or key quality that the package does not have.
-    """
-    m = package.manifest
-    levels = m.levels if level is None else [m.levels[m.level_index(level)]]
-    qualities = m.qualities if key_quality is None else [m.qualities[m.quality_index(key_quality)]]
-    return {f"{q.id}+{v.id}": rung_frames(package, frames, v.id, q.id) for q in qualities for v in levels}
-
-
-def rung_frames(package: Package, frames: range, level: str, key_quality: str) -> Iterator[Gaussians]:
-    """These frames of one rung, at least one, decoded as they are asked for; `decode_frames` says what is raised."""
-    for frame in decode_frames(package, frames[0], frames[-1] + 1, level=level, key_quality=key_quality):
-        if frame.number in frames:
-            yield frame.gaussians
+Measure = TypeVar("Measure")
 
 
 def compare_streams(
     streams: Mapping[str, Iterator[Gaussians]],
     original: GaussianSequence,
-    frames: range,
-    cameras: Sequence[Camera],
+    views: Sequence[View],
+    measure: Callable[[Picture, Picture], Measure],
     progress: Progress = silent,
-) -> dict[str, dict[str, Quality]]:
-    """Quality of every stream against the original after repairs, in each split of the cameras.
+) -> dict[str, list[Measure]]:
+    """What `render.compare.compare` says of every stream against the original after repairs, view by view.
 
-    `streams` give `frames` and no others. Raises SceneError for a frame that cannot be read, FormatError for a package
-    that cannot be decoded.
+    Views of one frame follow each other; `streams` give their frames in that order and no others. Raises SceneError for
+    a frame that cannot be read, FormatError for a package that cannot be decoded.
     """
-    sums = {split: {name: QualitySums() for name in streams} for split in splits_of(cameras)}
-    for done, number in enumerate(frames):
+    found: dict[str, list[Measure]] = {name: [] for name in streams}
+    frames = [(number, list(seen)) for number, seen in itertools.groupby(views, key=lambda view: view[0])]
+    for done, (number, seen) in enumerate(frames):
         progress("rendering", done, len(frames))
-        reference = original.load([number]).frames[0]
-        pictures = [Reference.of(render(reference, camera).rgb) for camera in cameras]
+        reference = draw_ahead(draw_still(original.load([number]).frames[0]), seen)
         for name, stream in streams.items():
-            shown = next(stream)
-            for camera, picture in zip(cameras, pictures, strict=True):
-                sums[camera.split][name].add(render(shown, camera).rgb, picture)
-    return {split: {name: total.quality() for name, total in some.items()} for split, some in sums.items()}
+            found[name] += compare(reference, draw_still(next(stream)), seen, measure)
+    return found
 
 
-def splits_of(cameras: Sequence[Camera]) -> dict[str, int]:
-    """How many cameras each split has."""
-    names = [camera.split for camera in cameras]
-    return {name: names.count(name) for name in dict.fromkeys(names)}
-
-
-def region_views(region: Region, count: int, seed: int) -> list[Camera]:
-    """Views drawn from a region, as a split of their own."""
-    return [replace(view, split=REGION) for view in draw_views(region, count, seed)]
-
-
-def compared_views(cameras: Sequence[Camera], split: str | None) -> list[Camera]:
-    """The cameras of a split; without one those of REGION and those held out (`test`), or all if none is.
-
-    Raises ConfigError.
-    """
-    found = splits_of(cameras)
-    if split is not None and split not in found:
-        raise ConfigError(f"--split: expected one of {', '.join(sorted(found))}, got {split!r}")
-    wanted = {split} if split else {REGION, "test"} if "test" in found else set(found)
-    return [camera for camera in cameras if camera.split in wanted]
+def pool_splits(found: Mapping[str, Sequence[Difference]], views: Sequence[View]) -> dict[str, dict[str, Quality]]:
+    """The quality of every stream in each split of the cameras; `found`: a difference for each of the views."""
+    splits = {split: [view[1].split == split for view in views] for split in splits_of([view[1] for view in views])}
+    return {
+        split: {name: pool(list(itertools.compress(errors, inside))) for name, errors in found.items()}
+        for split, inside in splits.items()
+    }
 
 
 def claimed_quality(m: Manifest, names: Iterable[str]) -> dict[str, Quality | None]:
@@ -108,3 +83,162 @@ def format_comparison(splits: Mapping[str, Mapping[str, Quality | None]]) -> str
 
 def _cells(q: Quality | None) -> list[str]:
     return [f"{q.psnr:.2f}", f"{q.worst:.2f}", f"{q.ssim:.4f}", f"{q.delta_e:.2f}"] if q else ["-"] * 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """One picture: a frame as one camera sees it."""
+
+    frame: int
+    camera: Camera
+    psnr: float  # dB, of B against A
+
+    def __str__(self) -> str:
+        return f"{self.psnr:.2f} dB, frame {self.frame}, camera {self.camera.name}"
+
+    def to_json(self) -> dict[str, Any]:
+        """The same as plain values, the camera by its name and position."""
+        place = self.camera.position.tolist()
+        return {"frame": self.frame, "camera": self.camera.name, "position": place, "psnr": self.psnr}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """How near B is to A over all pictures of some frames."""
+
+    frames: tuple[int, ...]
+    cameras: tuple[str, ...]  # their names
+    gaussians: tuple[tuple[int, int], tuple[int, int]]  # of A and of B: fewest and most rows of a frame
+    quality: Quality
+    worst: Seen
+    typical: Seen  # the picture whose error is the median
+
+
+def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], progress: Progress = silent) -> Comparison:
+    """B against A in the same frames and views, at least one of each.
+
+    PSNR is of the mean squared error over all pictures (`media.metrics.PSNR_CAP` where there is none), SSIM and
+    CIEDE2000 are means. Raises SceneError or FormatError for a frame that cannot be read.
+    """
+    views = [(number, camera) for number in frames for camera in cameras]
+    rows: tuple[list[int], list[int]] = ([], [])
+    first, second = (
+        draw_frames(in_order(frames, _counted(side.read(frames), count)))
+        for side, count in zip((a, b), rows, strict=True)
+    )
+    differences: list[Difference] = []
+    for difference in compare(first, second, views, Difference.of):
+        differences.append(difference)
+        progress("comparing", len(differences), len(views))
+    ranked = np.argsort([difference.mse for difference in differences], kind="stable")
+
+    def seen(place: int) -> Seen:
+        return Seen(*views[place], psnr(differences[place].mse))
+
+    return Comparison(
+        frames=tuple(frames),
+        cameras=tuple(camera.name for camera in cameras),
+        gaussians=((min(rows[0]), max(rows[0])), (min(rows[1]), max(rows[1]))),
+        quality=pool(differences),
+        worst=seen(int(ranked[-1])),
+        typical=seen(int(ranked[len(ranked) // 2])),
+    )
+
+
+def _counted(frames: Iterator[Gaussians], rows: list[int]) -> Iterator[Gaussians]:
+    """The frames, whose numbers of rows are added to `rows` as they are read."""
+    for frame in frames:
+        rows.append(len(frame))
+        yield frame
+
+
+def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
+    """The figures of both sides and of their comparison as plain values."""
+    return {
+        "reference": _side(a, result.gaussians[0]),
+        "compared": _side(b, result.gaussians[1]),
+        "frames": list(result.frames),
+        "cameras": list(result.cameras),
+        "quality": dataclasses.asdict(result.quality),
+        "worst": result.worst.to_json(),
+        "typical": result.typical.to_json(),
+    }
+
+
+def _side(side: Side, gaussians: tuple[int, int]) -> dict[str, Any]:
+    claimed = dataclasses.asdict(side.claimed) if side.claimed else None
+    return {
+        "name": side.name,
+        "rung": side.rung,
+        "frames": side.frames,
+        "fps": side.fps and float(side.fps),
+        "sh_degree": side.sh_degree,
+        "gaussians": list(gaussians),
+        "bytes_per_frame": side.bytes_per_frame,
+        "claimed": claimed,
+    }
+
+
+def format_two(a: Side, b: Side, result: Comparison, views: str, notes: Iterable[str] = ()) -> str:
+    """The same for people; `views` says what the cameras are, `notes` what was left out."""
+    q, frames = result.quality, result.frames
+    return "\n".join(
+        [
+            f"A, the reference: {_words(a, result.gaussians[0])}",
+            f"B: {_words(b, result.gaussians[1])}, {b.bytes_per_frame / a.bytes_per_frame:.3g} times those of A",
+            f"{len(frames)} frame{'s' * (len(frames) > 1)} ({frames[0]} to {frames[-1]}) in {views}",
+            *(f"left out: {note}" for note in notes),
+            f"PSNR    {_decibels(q)} pooled over pictures{_claim(b)}",
+            f"SSIM    {q.ssim:.4f}",
+            f"ΔE2000  {q.delta_e:.2f}",
+            f"worst   {result.worst}",
+            f"typical {result.typical}",
+        ]
+    )
+
+
+def _words(side: Side, gaussians: tuple[int, int]) -> str:
+    rows = f"{gaussians[0]:,}" if gaussians[0] == gaussians[1] else f"{gaussians[0]:,} to {gaussians[1]:,}"
+    rate = f" at {float(side.fps):g} fps" if side.fps else ""
+    name = f"{side.name} {side.rung}" if side.rung else side.name
+    count = f"{side.frames} frame{'s' * (side.frames > 1)}{rate}"
+    return f"{name}: {count}, {rows} Gaussians of SH degree {side.sh_degree}, {side.bytes_per_frame:,.0f} bytes a frame"
+
+
+def _decibels(q: Quality) -> str:
+    return f"{q.psnr:.2f} dB"
+
+
+def _claim(b: Side) -> str:
+    return f" (B's tables claim {_decibels(b.claimed)})" if b.claimed else ""
+
+
+def side_by_side(a: Side, b: Side, seen: Seen) -> NDArray[np.uint8]:
+    """(LABEL + H, 3 W, 3): A, B and their difference as one camera sees them, with labels above."""
+    frames = range(seen.frame, seen.frame + 1)
+    first, second = (draw_still(next(side.read(frames)))(seen.frame, seen.camera).rgb for side in (a, b))
+    difference = np.abs(first - second)
+    gain = difference_gain(difference)
+    captions = [
+        f"A, the reference: {a.label}\nframe {seen.frame}, camera {seen.camera.name}",
+        f"B: {b.label}\n{seen.psnr:.2f} dB",
+        f"difference x {gain}\nlargest {difference.max():.3f} of 1",
+    ]
+    pictures = [_with_room(to_bytes(picture)) for picture in (first, second, gain * difference)]
+    return contact_sheet(pictures, ["\n".join(map(_shortened, text.split("\n"))) for text in captions], columns=3)
+
+
+def difference_gain(difference: NDArray[np.float32]) -> int:
+    """The power of 2, at most MOST_GAIN, that differences of [0, 1] are multiplied by to be seen."""
+    large = float(np.quantile(difference, SHOWN))
+    return MOST_GAIN if large * MOST_GAIN <= 1 else 2 ** max(0, math.floor(-math.log2(large)))
+
+
+def _with_room(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A picture below a black band, its pixels as many times as wide as it needs."""
+    times = math.ceil(LEAST_WIDTH / picture.shape[1])
+    return np.pad(picture.repeat(times, axis=0).repeat(times, axis=1), ((LABEL, 0), (0, 0), (0, 0)))
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 12]}..{text[-10:]}"

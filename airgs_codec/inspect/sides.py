@@ -1,4 +1,4 @@
-"""Either side of a comparison: a scene or a rung of a package, whose frames are read when they are asked for."""
+"""What is compared, and from where: scenes and rungs of packages, whose frames are read when asked for, and views."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec._stores import Store, is_address
+from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.compare import compared_views, region_views, rung_frames
 from airgs_codec.inspect.summary import rung_bytes
-from airgs_codec.package.manifest import Quality, pooled_quality
+from airgs_codec.media.metrics import Quality
+from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.package.region import CHECKING, background_of
+from airgs_codec.package.region import CHECKING, background_of, draw_views
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
@@ -28,6 +29,7 @@ from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from airgs_codec.scene.sequence_json import SETTINGS_NAME
 
 DRAWS = 8  # views of a region
+REGION = "region"  # the split of views that are drawn from the package's region
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +123,26 @@ def _size(path: Path) -> int:
     return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
 
 
+def rung_streams(
+    package: Package, frames: range, level: str | None = None, key_quality: str | None = None
+) -> dict[str, Iterator[Gaussians]]:
+    """These frames of every rung of a package, or of those of one level or key quality, decoded as they are asked for.
+
+    Raises ConfigError for a level or key quality that the package does not have.
+    """
+    m = package.manifest
+    levels = m.levels if level is None else [m.levels[m.level_index(level)]]
+    qualities = m.qualities if key_quality is None else [m.qualities[m.quality_index(key_quality)]]
+    return {f"{q.id}+{v.id}": rung_frames(package, frames, v.id, q.id) for q in qualities for v in levels}
+
+
+def rung_frames(package: Package, frames: range, level: str, key_quality: str) -> Iterator[Gaussians]:
+    """These frames of one rung, at least one, decoded as they are asked for; `decode_frames` says what is raised."""
+    for frame in decode_frames(package, frames[0], frames[-1] + 1, level=level, key_quality=key_quality):
+        if frame.number in frames:
+            yield frame.gaussians
+
+
 def expect_same_rate(a: Side, b: Side) -> None:
     """Raise ConfigError where both state frame rates that differ; a single frame has none that matters."""
     if a.fps and b.fps and a.fps != b.fps and min(a.frames, b.frames) > 1:
@@ -158,6 +180,29 @@ def shared_views(a: Side, b: Side) -> tuple[str, list[Camera]]:
             return f"{len(views)} views drawn from the viewing region of {side.name}, seed {CHECKING}", views
     views = orbit_views(next(a.read(range(1))), up=np.array(a.axes.up) if a.axes else UP)
     return f"{len(views)} views on an orbit around frame 0 of {a.name}", views
+
+
+def splits_of(cameras: Sequence[Camera]) -> dict[str, int]:
+    """How many cameras each split has."""
+    names = [camera.split for camera in cameras]
+    return {name: names.count(name) for name in dict.fromkeys(names)}
+
+
+def region_views(region: Region, count: int, seed: int) -> list[Camera]:
+    """Views drawn from a region, as a split of their own."""
+    return [replace(view, split=REGION) for view in draw_views(region, count, seed)]
+
+
+def compared_views(cameras: Sequence[Camera], split: str | None) -> list[Camera]:
+    """The cameras of a split; without one those of REGION and those held out (`test`), or all if none is.
+
+    Raises ConfigError.
+    """
+    found = splits_of(cameras)
+    if split is not None and split not in found:
+        raise ConfigError(f"--split: expected one of {', '.join(sorted(found))}, got {split!r}")
+    wanted = {split} if split else {REGION, "test"} if "test" in found else set(found)
+    return [camera for camera in cameras if camera.split in wanted]
 
 
 def described(views: Sequence[Camera], source: str) -> tuple[str, list[Camera]]:

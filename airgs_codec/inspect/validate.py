@@ -17,7 +17,8 @@ from airgs_codec.media.h264 import BRIGHTEST, DARKEST, decode_pictures, in_range
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.packing import MAX_ROOT_BYTES
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path
-from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.storage import Files, open_storage
+from airgs_codec.package.store import Package, open_files
 from airgs_codec.package.tables import Atlas
 from airgs_codec.scene.gaussians import Gaussians
 
@@ -35,14 +36,22 @@ class Finding:
 
 
 def validate(path: str | Path) -> list[Finding]:
-    """Everything that is wrong with the package at `path`, a folder or an address: an empty list for a good one.
+    """Everything that is wrong with the package at `path`, a folder or an address, as `validate_files` finds it.
+
+    Raises TransportError where a store does not answer.
+    """
+    return validate_files(open_storage(path))
+
+
+def validate_files(files: Files) -> list[Finding]:
+    """Everything that is wrong with the package of these files: an empty list for a good one.
 
     Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
     key unit and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
     for a bad package; TransportError where a store does not answer.
     """
     try:
-        package = open_package(path)
+        package = open_files(files)
     except FormatError as error:
         return [_finding(error)]
     findings = list(_check_tables(package))

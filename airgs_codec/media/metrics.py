@@ -1,12 +1,17 @@
-"""Quality of pictures: mean squared error, PSNR and SSIM; `color` has CIEDE2000.
+"""How much pictures differ: mean squared error, PSNR, SSIM and CIEDE2000, of one picture and of many together.
 
-Pictures are (H, W, 3) float32 RGB; samples outside [0, 1] are shown as the nearest end, and compared so.
+Pictures are (H, W, 3) float32 sRGB. The only importer of colour-science, and only when asked: it takes two seconds.
 """
 
 from __future__ import annotations
 
 import math
+import sys
+import threading
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,71 +21,127 @@ from airgs_codec.media.image import blur
 Floats = NDArray[np.float32]
 
 PSNR_CAP = 100.0  # dB; equal pictures have no finite PSNR, and JSON no infinity
+MOST_COLOURS = 8192  # pixels whose colours are compared; all of 320x320 take twenty times the time of PSNR and SSIM
 _RADIUS, _SIGMA = 5, 1.5  # Wang et al. 2004: 11x11 Gaussian window
+_LOADING = threading.Lock()  # filters of warnings and print options are those of all threads
 _C1, _C2 = 0.01**2, 0.03**2  # same paper, K1 and K2 for a range of 1
 
 
-def mse(a: Floats, b: Floats) -> float:
-    """Mean squared error over pixels and channels."""
-    return _mean_square(np.clip(a, 0, 1), np.clip(b, 0, 1))
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture as a screen shows it.
 
-
-def psnr(mean_squared_error: float) -> float:
-    """PSNR in dB of samples in 0..1, at most PSNR_CAP. For many pictures take the mean of their errors first."""
-    return PSNR_CAP if mean_squared_error <= 10 ** (-PSNR_CAP / 10) else -10 * math.log10(mean_squared_error)
-
-
-def ssim(a: Floats, b: Floats) -> float:
-    """Mean SSIM over pixels and channels (Wang et al. 2004, eq. 13), borders mirrored."""
-    return Reference.of(b).ssim(a)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reference:
-    """A picture that several others are compared with, and what every comparison needs of it.
-
-    It takes three times the memory of the picture; comparing takes half the time of `mse` and `ssim`.
+    What comparing it takes is computed when it is first asked for and held for further comparisons: twice the memory of
+    the picture for SSIM, next to nothing for the others.
     """
 
-    picture: Floats  # (H, W, 3) within [0, 1]
-    mean: Floats  # (H, W, 3) of the window around each pixel
-    variance: Floats  # (H, W, 3) of the window, plus C2
+    rgb: Floats  # (H, W, 3) within [0, 1]
 
     @staticmethod
-    def of(picture: Floats) -> Reference:
-        """The reference that a picture is."""
-        shown = np.clip(picture, 0, 1)
-        mean = blur(shown, _WINDOW)
-        variance = blur(shown * shown, _WINDOW)
-        variance -= mean * mean
-        variance += _C2
-        return Reference(shown, mean, variance)
+    def of(rgb: Floats) -> Picture:
+        """(H, W, 3) samples, of which those outside [0, 1] become the nearest end."""
+        return Picture(np.clip(rgb, 0, 1))
 
-    def mse(self, picture: Floats) -> float:
-        """Mean squared error of another picture over pixels and channels."""
-        return _mean_square(np.clip(picture, 0, 1), self.picture)
+    def mse(self, other: Picture) -> float:
+        """Mean squared error of another picture over pixels and channels, summed in float64."""
+        d = (self.rgb - other.rgb).ravel()
+        return float(np.einsum("i,i->", d, d, dtype=np.float64)) / d.size
 
-    def ssim(self, picture: Floats) -> float:
-        """Mean SSIM of another picture, as `ssim` gives it."""
-        shown = np.clip(picture, 0, 1)
-        mean, product = blur(shown, _WINDOW), blur(shown * self.picture, _WINDOW)
-        shown *= shown
-        square = blur(shown, _WINDOW)
-        # (2 m m' + C1) (2 (product - m m') + C2) / ((m^2 + m'^2 + C1) (square - m^2 + variance')), in place
-        top = mean * self.mean
+    def ssim(self, other: Picture) -> float:
+        """Mean SSIM of another picture over pixels and channels (Wang et al. 2004, eq. 13), borders mirrored."""
+        # (2 m m' + C1) (2 (product - m m') + C2) / ((m^2 + m'^2 + C1) (v + v' + C2)), in place
+        top, product = self._mean * other._mean, blur(self.rgb * other.rgb, _WINDOW)
         top *= 2
         product *= 2
         product -= top
         product += _C2
         top += _C1
         top *= product
-        mean *= mean
-        square -= mean
-        square += self.variance
-        mean += self.mean * self.mean
-        mean += _C1
-        top /= np.multiply(mean, square, out=mean)
+        below, spread = other._mean * other._mean, self._variance + _C2
+        below += self._mean * self._mean
+        below += _C1
+        spread += other._variance
+        below *= spread
+        top /= below
         return float(np.mean(top, dtype=np.float64))
+
+    def delta_e(self, other: Picture) -> float:
+        """Mean CIEDE2000 difference (Sharma et al. 2005) of another picture; about 1 is just noticeable.
+
+        Over every s-th pixel of every s-th row from the first on, s = ceil(sqrt(H W / MOST_COLOURS)): evenly spread,
+        and at most about MOST_COLOURS.
+        """
+        _load_colour()
+        from colour.difference import delta_E_CIE2000
+
+        return float(np.mean(delta_E_CIE2000(other._lab, self._lab)))
+
+    @cached_property
+    def _mean(self) -> Floats:
+        """(H, W, 3) of the window around each pixel."""
+        return blur(self.rgb, _WINDOW)
+
+    @cached_property
+    def _variance(self) -> Floats:
+        """(H, W, 3) of the window around each pixel."""
+        variance = blur(self.rgb * self.rgb, _WINDOW)
+        variance -= self._mean * self._mean
+        return variance
+
+    @cached_property
+    def _lab(self) -> NDArray[np.float64]:
+        """(h, w, 3) CIE Lab of the pixels whose colours are compared."""
+        _load_colour()
+        from colour import XYZ_to_Lab, sRGB_to_XYZ
+
+        height, width, _ = self.rgb.shape
+        stride = math.ceil(math.sqrt(height * width / MOST_COLOURS))
+        return np.asarray(XYZ_to_Lab(sRGB_to_XYZ(self.rgb[::stride, ::stride].astype(np.float64))), np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """How much one picture differs from the picture that it should be."""
+
+    mse: float  # mean squared error over pixels and channels
+    ssim: float  # mean over pixels and channels
+    delta_e: float  # CIEDE2000, mean over pixels
+
+    @staticmethod
+    def of(reference: Picture, shown: Picture) -> Difference:
+        """Every figure of two pictures of one size."""
+        return Difference(reference.mse(shown), reference.ssim(shown), reference.delta_e(shown))
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How near some pictures are to what they should be."""
+
+    psnr: float  # dB, of the mean squared error over pictures
+    worst: float  # dB, of the picture with the largest error
+    ssim: float  # mean over pictures
+    delta_e: float  # CIEDE2000, mean over pictures
+
+
+def pool(differences: Sequence[Difference], scale: float = 1.0) -> Quality:
+    """The quality of all of some pictures together, at least one; squared errors are multiplied by `scale`."""
+    count, squared = len(differences), [d.mse for d in differences]
+    return Quality(
+        psnr=psnr(scale * sum(squared) / count),
+        worst=psnr(scale * max(squared)),
+        ssim=sum(d.ssim for d in differences) / count,
+        delta_e=sum(d.delta_e for d in differences) / count,
+    )
+
+
+def mse(a: Floats, b: Floats) -> float:
+    """Mean squared error of two pictures over pixels and channels, as a screen shows them."""
+    return Picture.of(a).mse(Picture.of(b))
+
+
+def psnr(mean_squared_error: float) -> float:
+    """PSNR in dB of samples in 0..1, at most PSNR_CAP. For many pictures take the mean of their errors first."""
+    return PSNR_CAP if mean_squared_error <= 10 ** (-PSNR_CAP / 10) else -10 * math.log10(mean_squared_error)
 
 
 def _gaussian_window() -> Floats:
@@ -92,7 +153,9 @@ def _gaussian_window() -> Floats:
 _WINDOW = _gaussian_window()
 
 
-def _mean_square(a: Floats, b: Floats) -> float:
-    """Mean squared difference, summed in float64."""
-    d = (a - b).ravel()
-    return float(np.einsum("i,i->", d, d, dtype=np.float64)) / d.size
+def _load_colour() -> None:
+    """Import colour-science without its warnings about matplotlib, which only its plots need, and its print options."""
+    with _LOADING:
+        if "colour.difference" not in sys.modules:
+            with warnings.catch_warnings(action="ignore"), np.printoptions():
+                import colour.difference  # noqa: F401

@@ -120,7 +120,7 @@ def _for_each(names: Iterable[str], work: Callable[[str], object]) -> None:
 
 
 def _headers(relative: str) -> dict[str, str]:
-    """What a store says of a file to those who fetch it over HTTP; docs/serve.md gives the reasons."""
+    """What a store says of a file to those who fetch it over HTTP; docs/serving.md gives the reasons."""
     name = relative.rpartition("/")[2]
     headers = {"Content-Type": MEDIA_TYPES[name[name.index(".") :]]}
     return headers | {"Cache-Control": "no-cache"} if name in ROOTS else headers

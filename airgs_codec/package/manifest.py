@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import overload
 
 from airgs_codec.errors import FormatError
-from airgs_codec.media.metrics import psnr
+from airgs_codec.media.metrics import Quality, psnr
 from airgs_codec.package.index import Entry, GroupIndex, ReadPage
 from airgs_codec.package.packing import build_index, pack_group
 from airgs_codec.package.paths import (
@@ -216,18 +216,8 @@ class Manifest(Header):
         return keys + [path for s in range(len(self.segments)) for path in self.state_files(s, level)]
 
 
-@dataclass(frozen=True, slots=True)
-class Quality:
-    """How near the pictures of a rung are to those of the original, over the whole sequence."""
-
-    psnr: float  # dB, of the mean squared error over pictures
-    worst: float  # dB, of the picture with the largest error
-    ssim: float  # mean over pictures
-    delta_e: float  # CIEDE2000, mean over pictures
-
-
 def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:
-    """Quality of a rung, segments weighed by their frames; None when one of them was not measured."""
+    """Quality of a rung over the whole sequence, segments weighed by frames; None when one was not measured."""
     squared, similarity, difference, worst = 0.0, 0.0, 0.0, MAX_PSNR
     for segment in m.segments:
         measured = segment.levels[level]

@@ -20,7 +20,7 @@ MEDIA_TYPES = {  # by how the name of a file ends
 
 _ORDINAL, _NUMBER = r"(0|[1-9]\d?)", r"([1-9]\d{0,6})"
 _TILE = r"(?:P([1-9]\d?)/)?"
-_PATTERNS = {  # how a path is built -> what `locate` calls it
+PATTERNS = {  # how a path is built -> what `locate` calls it
     rf"key/{_TILE}T{_ORDINAL}/{_NUMBER}\.bin": "sidecar",
     rf"key/{_TILE}T{_ORDINAL}/Q{_ORDINAL}/{_NUMBER}\.m4s": "key",
     rf"state/{_TILE}L{_ORDINAL}/{_NUMBER}\.m4s": "state",
@@ -54,7 +54,7 @@ def locate(path: str) -> tuple[str, list[int]]:
 
     The first number of sidecars, keys and states is that of the tile, 0 in a package that has one.
     """
-    for pattern, what in _PATTERNS.items():
+    for pattern, what in PATTERNS.items():
         if match := re.fullmatch(pattern, path, re.ASCII):
             return what, [int(number or 0) for number in match.groups()]
     return "", []

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from airgs_codec.package.tables import Header, Place, Region
 from airgs_codec.package.world import up_of
-from airgs_codec.scene.camera import BLACK, Background, Camera, look_at, measured_views, training_views
+from airgs_codec.scene.camera import BLACK, Background, Camera, look_at
 
 SLIGHTLY_DOWN, GIVE_OR_TAKE = 15.0, 10.0  # degrees; a scene is seen best by most people who look down so much
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
+FORGIVEN_DEGREES = 1e-4  # beyond the turn
+FORGIVEN_SHARE = 1e-9  # of 1 + the largest coordinate: a camera's position comes from its matrix, which rounds
 LEVELLING = 100  # steps to what is upright: with more, rounding would speak where places say nothing
 DECIDING, MEASURING, CHECKING = 0, 1, 2  # seeds of draws: for an encoder, for its tables, for whoever checks them
-TRAINING_DRAWS, CHECKING_DRAWS = 8, 4
 Vector = NDArray[np.float64]
 
 
@@ -122,14 +123,6 @@ def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> 
     return view_from(region, position, target, np.array(place.up), name)
 
 
-def checking_views(region: Region, cameras: Sequence[Camera]) -> tuple[list[Camera], list[Camera]]:
-    """Views to rank rows by and other views to measure with: of `cameras` if there are any, else drawn."""
-    if cameras:
-        seen = before_background(region, cameras)
-        return training_views(seen), measured_views(seen)
-    return draw_views(region, TRAINING_DRAWS, DECIDING), draw_views(region, CHECKING_DRAWS, CHECKING)
-
-
 @dataclass(frozen=True, slots=True)
 class Departure:
     """How far a viewer is outside of a region; both are 0 inside."""
@@ -153,7 +146,7 @@ def departures(region: Region, cameras: Sequence[Camera]) -> list[Departure]:
     positions = np.array([camera.position for camera in cameras]).reshape(-1, 1, 3)
     forward = np.array([camera.world_to_camera[2, :3] for camera in cameras]).reshape(-1, 1, 3)
     centres, foci = (np.array([getattr(place, name) for place in region.places]) for name in ("position", "focus"))
-    slack = 1e-9 * (1 + np.abs(positions).max(axis=2))  # a camera's position comes from its matrix, which rounds
+    slack = FORGIVEN_SHARE * (1 + np.abs(positions).max(axis=2))
     away = np.linalg.norm(positions - centres, axis=2) - [place.reach for place in region.places]
     ahead = foci - positions
     length = np.linalg.norm(ahead, axis=2)
@@ -162,7 +155,7 @@ def departures(region: Region, cameras: Sequence[Camera]) -> list[Departure]:
     degrees = np.degrees(np.arccos(np.clip(cosine, -1, 1))) - region.turn
     distance = np.where(away > slack, away, 0.0)  # (C, P)
     least = distance.min(axis=1)
-    degrees[degrees <= 1e-4] = 0.0
+    degrees[degrees <= FORGIVEN_DEGREES] = 0.0
     degrees[distance > least[:, None]] = np.inf
     return [Departure(float(d), float(a)) for d, a in zip(least, degrees.min(axis=1), strict=True)]
 

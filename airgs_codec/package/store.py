@@ -88,7 +88,11 @@ def open_package(path: str | Path) -> Package:
     Raises FormatError: missing_file, too_large, or one of the reasons of `parse_root`; what `open_storage` raises, and
     TransportError where a store does not answer.
     """
-    files = open_storage(path)
+    return open_files(open_storage(path))
+
+
+def open_files(files: Files) -> Package:
+    """Open the package of these files, wherever they are; raises as `open_package` does."""
     mpd_bytes, _ = _open_root(files, MPD_NAME)
     size, read = _open_root(files, JSON_NAME)
     if size > MAX_ROOT_BYTES:

@@ -44,7 +44,9 @@ MAX_LEVELS = 5  # of the index, groups among them: PAGE ** MAX_LEVELS groups hav
 DIGEST = 32  # characters of a digest
 STATE_ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity", "sh_dc", "sh_rest")
 KEY_ATTRIBUTES = STATE_ATTRIBUTES[1:]  # canonical means travel in the sidecar
-STATIC = 255  # depth of a row that no level carries
+STATIC = 255  # depth of a row that no level carries; no depth is larger
+LEAST_CLASS, MOST_CLASS = -128, 127  # of motion: a row of class c has the motion unit 2^c world units
+TRANSFORM_UNITS = 32767  # entries of a colour transform are whole numbers of 1 over so much
 
 Digest = Annotated[str, Pattern("([A-Za-z0-9_-]{32})?", "a digest of 32 characters of base64url")]  # "": no file
 Digests = Annotated[str, Pattern("([A-Za-z0-9_-]{32})*", "digests of 32 characters of base64url each")]
@@ -158,7 +160,7 @@ class Grid:
     origin: Annotated[list[float], Length(3, 3)]  # world units
     step: Annotated[float, Range(0, 1e30)]  # world units
     bits: Annotated[int, Range(1, MAX_BITS)]
-    finest: Annotated[int, Range(-128, 127 + MAX_BITS)]  # motion class whose cells are one step wide
+    finest: Annotated[int, Range(LEAST_CLASS, MOST_CLASS + MAX_BITS)]  # motion class whose cells are one step wide
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,7 +291,7 @@ class Group:
     grid: Grid
     key_steps: KeySteps
     state_steps: StateSteps
-    colour_transform: str  # base64 of C x C little-endian int16, in 1/32767; row k makes channel k
+    colour_transform: str  # base64 of C x C little-endian int16, in 1 / TRANSFORM_UNITS; row k makes channel k
     tiles: list[GroupTile]
     segments: Annotated[list[Segment], Length(1, MAX_FRAMES)]
     left_out: list[LeftOut]
@@ -402,14 +404,14 @@ def file_entry(data: bytes) -> FileEntry:
 
 
 def pack_matrix(matrix: NDArray[np.float64]) -> str:
-    """Entries in -1..1 as base64 of little-endian int16 in 1/32767, row by row."""
-    return base64.b64encode(np.rint(matrix * 32767).astype("<i2").tobytes()).decode("ascii")
+    """Entries in -1..1 as base64 of little-endian int16 in 1 / TRANSFORM_UNITS, row by row."""
+    return base64.b64encode(np.rint(matrix * TRANSFORM_UNITS).astype("<i2").tobytes()).decode("ascii")
 
 
 def unpack_matrix(text: str, side: int) -> NDArray[np.float64]:
     """Inverse of `pack_matrix`: (side, side). Raises FormatError(bad_value)."""
     try:
         raw = base64.b64decode(text, validate=True)
-        return np.frombuffer(raw, "<i2").reshape(side, side) / 32767.0
+        return np.frombuffer(raw, "<i2").reshape(side, side) / TRANSFORM_UNITS
     except ValueError as error:
         raise FormatError("bad_value", "colour_transform", f"expected {side}x{side} int16: {error}") from error

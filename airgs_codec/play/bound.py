@@ -1,4 +1,4 @@
-"""The best that could have been shown: the paper's integer programme, and a bound over a whole session.
+"""The best that could have been shown: a bound over a whole session.
 
 The paper maximises the quality of each frame under B / R; that separates by frame and is no bound, since bytes saved
 now serve later. The bound here is a multiple-choice knapsack with prefix constraints: with F_k the bytes that the
@@ -22,7 +22,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
@@ -227,28 +227,3 @@ class _Constraints:
         """All rows over so many variables."""
         matrix = csr_array((self._values, self._columns, self._ends), shape=(len(self._low), columns))
         return LinearConstraint(matrix, np.array(self._low), np.array(self._high))
-
-
-def paper_programme(sizes: ArrayLike, qualities: ArrayLike, budgets: ArrayLike) -> tuple[float, NDArray[np.bool_]]:
-    """The paper's integer programme over n frames of L levels, solved with HiGHS.
-
-    sizes (n, L) in bytes, qualities (n, L) in dB, budgets (n,) in bytes. Gives the sum of qualities over the frames
-    for which a level fits, and (n,) which those are: where none does, the programme as printed has no solution.
-    """
-    size, quality = np.asarray(sizes, np.float64), np.asarray(qualities, np.float64)
-    budget = np.asarray(budgets, np.float64)
-    feasible: NDArray[np.bool_] = np.any(size <= budget[:, None], axis=1)
-    n, levels = int(feasible.sum()), size.shape[1]
-    if not n:
-        return 0.0, feasible
-    constraints = _Constraints()
-    for i, frame in enumerate(np.flatnonzero(feasible)):
-        constraints.add([(i * levels + j, 1.0) for j in range(levels)], 1.0, 1.0)
-        constraints.add([(i * levels + j, size[frame, j]) for j in range(levels)], -np.inf, budget[frame])
-    result = milp(
-        -quality[feasible].ravel(),
-        constraints=constraints.matrix(n * levels),
-        bounds=Bounds(0.0, 1.0),
-        integrality=np.ones(n * levels),
-    )
-    return float(-result.fun), feasible

@@ -1,8 +1,8 @@
-"""What the figures of sessions and of frame mode are called in tables, and what they mean.
+"""What the figures of sessions are called in tables, and what they mean.
 
 PSNR has three definitions in this package. Packages: the PSNR of the squared error pooled over views and frames.
 Training: the mean over views of each view's dB. Sessions, here: every segment has the package's PSNR of its rung, and
-a session the mean of these dB over display ticks (or over frames sent, in frame mode).
+a session the mean of these dB over display ticks.
 """
 
 from __future__ import annotations
@@ -50,29 +50,6 @@ FIGURES = (
     Figure("frame_ms_p95", "95 % ms", "95th percentile over frames of the same time", 1, 0),
     Figure("frame_ms_max", "worst ms", "the longest of these times", 1, 0),
     *(Figure(f"{kind}_kb_frame", f"{kind} kB", f"kB a frame of {kind} files, without headers") for kind in KINDS),
-)
-
-FRAME_FIGURES = (
-    Figure("kb_frame", "kB/frame", "state sent", headline=True),
-    Figure("psnr", "PSNR dB", "mean over the frames sent of the dB of their level", headline=True),
-    Figure(
-        "psnr_screen", "screen dB", "mean over frames of the dB of the frame that stood at its moment", headline=True
-    ),
-    Figure("paper_mean_ms", "mean ms", "bits over the rate of that moment, outages left out", 1, 1, headline=True),
-    Figure("paper_p95_ms", "95 % ms", "95th percentile of the same time", 1, 1, headline=True),
-    Figure("paper_max_ms", "worst ms", "the longest of these times", 1, 1, headline=True),
-    Figure("late", "late %", "frames that were not through the link when the next was due", 100, 1),
-    Figure("skipped", "skipped %", "frames of which nothing was sent", 100, 1, headline=True),
-    Figure("stale", "stale %", "frames at whose moment an earlier one stood: skipped, or late", 100, 1),
-    Figure("blank", "blank %", "frames at whose moment none had come yet; not in the dB on the screen", 100, 1),
-    Figure("paper_max_ms_share", "of unpruned", "the longest time over the unpruned stream's, median over runs"),
-    Figure("infeasible", "no fit %", "frames for which no level fitted", 100, 1),
-    Figure("outage", "outage %", "frames pushed while the rate was zero", 100, 1),
-    Figure("link_mean_ms", "link mean ms", "time over the link, one frame after another", 1, 1),
-    Figure("link_p50_ms", "link median ms", "median of the same time", 1, 1),
-    Figure("link_p95_ms", "link 95 % ms", "95th percentile of the same time", 1, 1),
-    Figure("link_max_ms", "link worst ms", "the longest of these times", 1, 0),
-    Figure("link_max_ms_share", "link of unpruned", "that over the unpruned stream's, median over runs"),
 )
 
 

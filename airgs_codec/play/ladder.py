@@ -19,6 +19,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import PSNR_CAP
 
 DEFAULT_BETA = 2.0  # the paper's cliff multiplier
+CLIFF_DB = 3.0  # drop from the best level to the next that is a cliff
 EPS_DB = 0.25  # least mean drop: with DEFAULT_BETA, half a dB per 10 % is no cliff (a player fetches nothing for less)
 
 
@@ -54,7 +55,7 @@ class Ladder:
         *,
         beta: float = DEFAULT_BETA,
         eps_db: float = EPS_DB,
-        cliff_db: float = 3.0,
+        cliff_db: float = CLIFF_DB,
         min_quality: float | None = None,
     ) -> Ladder:
         """Pareto filter, then the cliff test.

@@ -1,7 +1,7 @@
 """What a viewer sees and is expected to see: views over time, and boxes in and beside a picture.
 
 A player knows how its viewer stands and moved until now. It expects the movement to go on and to die down, so that
-after t seconds DECAY_S * (1 - exp(-t / DECAY_S)) seconds of it have passed. `docs/tiles.md` has how good that is.
+after t seconds DECAY_S * (1 - exp(-t / DECAY_S)) seconds of it have passed. Measured in docs/results/tiles.md.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from airgs_codec.scene.rotations import from_rotation_vector, to_matrices
 
 BEFORE_S = 0.1  # seconds over which a viewer's movement is measured
 DECAY_S = 0.5  # seconds in which a movement is expected to have died down to 1 / e
+SMALL_TURN = 1e-6  # radians: below it angle / (2 sin(angle)) is 1/2
 CORNERS = 6  # points on each axis of a box that are looked for in a picture
 
 Vector = NDArray[np.float64]
@@ -44,7 +45,7 @@ class Velocity:
         step = here.world_to_camera[:3, :3] @ before.world_to_camera[:3, :3].T
         angle = np.arccos(np.clip((np.trace(step) - 1) / 2, -1, 1))
         axis = np.array([step[2, 1] - step[1, 2], step[0, 2] - step[2, 0], step[1, 0] - step[0, 1]])
-        turn = axis * (0.5 if angle < 1e-6 else angle / (2 * np.sin(angle)))
+        turn = axis * (0.5 if angle < SMALL_TURN else angle / (2 * np.sin(angle)))
         return Velocity(turn / seconds, (here.position - before.position) / seconds)
 
 

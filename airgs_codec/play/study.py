@@ -19,9 +19,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.figures import FIGURES, FRAME_FIGURES, KINDS
-from airgs_codec.play.frame_mode import CHOOSERS, frame_options, simulate_frames
-from airgs_codec.play.frame_table import frame_programme, frame_table
+from airgs_codec.play.figures import FIGURES, KINDS
 from airgs_codec.play.keys import TableStore
 from airgs_codec.play.link import Link
 from airgs_codec.play.regret import session_bound
@@ -61,16 +59,11 @@ class StudySettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Study:
-    """Rows of every session and of every frame-mode run, in the order of traces, offsets and policies.
-
-    `programmes` has a row for every link: the paper's integer programme over the frames of frame mode.
-    """
+    """Rows of every session, in the order of traces, offsets and policies."""
 
     settings: StudySettings
     package: str
     rows: tuple[Row, ...]
-    frame_rows: tuple[Row, ...]
-    programmes: tuple[Row, ...]
 
     def of(self, policy: str, figure: str, feasible: bool | None = None) -> NDArray[np.float64]:
         """(n,) a figure of every session of a policy, NaN where it has none, on links that are `feasible` or not."""
@@ -109,27 +102,23 @@ def run_study(package: str | Path, settings: StudySettings, progress: Progress =
     for trace in settings.traces:
         open_trace(trace)  # one that cannot be read is told before minutes of work
     rows: list[Row] = []
-    frame_rows: list[Row] = []
-    programmes: list[Row] = []
     tasks = [(package, trace, settings) for trace in settings.traces]
     progress("sessions", 0, len(tasks))
     context = multiprocessing.get_context("spawn")  # a fork has no threads, and clients of object stores live on them
     with ProcessPoolExecutor(settings.jobs, context) as pool:
-        for done, (some, frames, bounds) in enumerate(pool.map(_one_trace, tasks), 1):
+        for done, some in enumerate(pool.map(_one_trace, tasks), 1):
             rows += some
-            frame_rows += frames
-            programmes += bounds
             progress("sessions", done, len(tasks))
-    return Study(settings, Path(package).name, tuple(rows), tuple(frame_rows), tuple(programmes))
+    return Study(settings, Path(package).name, tuple(rows))
 
 
-def _one_trace(task: tuple[str | Path, str, StudySettings]) -> tuple[list[Row], list[Row], list[Row]]:
-    """Rows of the sessions, of the frame-mode runs and of the integer programmes on one trace."""
+def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:
+    """Rows of the sessions on one trace."""
     path, name, settings = task
     c = Catalogue.of(open_package(path))
     whole = open_trace(name)
     rules = replace(settings.session, loops=c.loops(settings.session.loops))
-    rows, frame_rows, programmes = [], [], []
+    rows = []
     for offset in offsets_of(whole, settings.offsets, settings.seed):
         trace = whole.cut(offset, settings.scale).ending(settings.end)
         link = Link.over(trace, settings.rtt_s)
@@ -138,11 +127,7 @@ def _one_trace(task: tuple[str | Path, str, StudySettings]) -> tuple[list[Row], 
         for policy in settings.policies:
             log = simulate(c, link, policy, rules)
             rows.append(start | {"policy": policy, "feasible": feasible} | _session_row(log))
-        for chooser in CHOOSERS:
-            frames = simulate_frames(c, link, chooser, c.loops(rules.loops))
-            frame_rows.append(start | {"chooser": chooser} | frame_table(frames))
-        programmes.append(start | frame_programme(frame_options(c, False) * c.loops(rules.loops), c.fps, link))
-    return rows, frame_rows, programmes
+    return rows
 
 
 def _is_feasible_to_the_end(c: Catalogue, link: Link, rules: SessionSettings) -> bool:
@@ -219,40 +204,3 @@ def summarise(study: Study, feasible: bool | None = None) -> list[PolicySummary]
             )
         )
     return summaries
-
-
-def frame_summary(frame_rows: Sequence[Row]) -> list[Row]:
-    """One row a chooser of frame mode: means over its runs, and the worst frame as a share of the unpruned one's."""
-    out: list[Row] = []
-    by_chooser = {name: [r for r in frame_rows if r["chooser"] == name] for name in CHOOSERS}
-    for name, rows in by_chooser.items():
-        row: Row = {"chooser": name, "runs": len(rows)}
-        for figure in FRAME_FIGURES:
-            if figure.name in rows[0]:
-                row[figure.name] = float(np.nanmean([r[figure.name] for r in rows]))
-        for worst in ("paper_max_ms", "link_max_ms"):
-            shares = [a[worst] / b[worst] for a, b in zip(rows, by_chooser["unpruned"], strict=True) if b[worst] > 0]
-            row[f"{worst}_share"] = float(np.nanmedian(shares))
-        out.append(row)
-    return out
-
-
-def programme_summary(study: Study) -> Row:
-    """The paper's integer programme over all links beside the greedy choice `paper-no-cliff` on the same.
-
-    dB are means over links of the mean over the frames for which a level fits; `gain_db` is the most that the
-    programme has over the greedy choice on any link, 0 but for the solver's tolerance.
-    """
-    greedy = np.array([row["psnr"] for row in study.frame_rows if row["chooser"] == "paper-no-cliff"])
-    names = ("psnr", "infeasible", "solve_s")
-    best, none, seconds = (np.array([row[name] for row in study.programmes]) for name in names)
-    known = np.isfinite(best)
-    return {
-        "links": len(best),
-        "psnr": float(best[known].mean()) if known.any() else math.nan,
-        "greedy_psnr": float(greedy[known].mean()) if known.any() else math.nan,
-        "gain_db": float((best - greedy)[known].max()) if known.any() else math.nan,
-        "infeasible": float(none.mean()),
-        "solve_mean_s": float(seconds.mean()),
-        "solve_max_s": float(seconds.max()),
-    }

@@ -2,7 +2,7 @@
 
 Early, when a segment is asked for, those that the picture is expected to show while the segment is shown. Nobody can
 tell more than a second ahead how a viewer turns, so that tiles will be lacking; what a wider picture is expected to
-show soon before it is shown is fetched then. Measured in docs/tiles.md.
+show soon before it is shown is fetched then. Measured in docs/results/tiles.md.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ A `Renderer` is made once from the name of a device and handed down to all that 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Protocol
@@ -66,11 +66,6 @@ class Renderer:
     def render(self, gaussians: Gaussians, camera: Camera, background: Background | None = None) -> Render:
         """The picture that `camera` sees of the Gaussians before a background; None: the camera's."""
         return self.load(gaussians).draw(camera, background)
-
-    def render_views(self, gaussians: Gaussians, cameras: Iterable[Camera]) -> list[Render]:
-        """The pictures that several cameras see of the same Gaussians, which are loaded once."""
-        loaded = self.load(gaussians)
-        return [loaded.draw(camera) for camera in cameras]
 
     def measure_contribution(self, gaussians: Gaussians, camera: Camera) -> Contribution:
         """How much each Gaussian contributes to what `camera` sees."""

@@ -36,14 +36,14 @@ f4 = np.float32
 
 # Real spherical harmonics of bands 1 to 3, with the signs of the INRIA files.
 SH_C1 = 0.4886025119029199
-C20, C21, C22, C23, C24 = (
+SH_C2 = C20, C21, C22, C23, C24 = (
     1.0925484305920792,
     -1.0925484305920792,
     0.31539156525252005,
     -1.0925484305920792,
     0.5462742152960396,
 )
-C30, C31, C32, C33, C34, C35, C36 = (
+SH_C3 = C30, C31, C32, C33, C34, C35, C36 = (
     -0.5900435899266435,
     2.890611442640554,
     -0.4570457994644658,
@@ -63,6 +63,7 @@ _c = (
 E0, E1, E2, E3, E4, E5 = [f4(v) for v in _c]
 ALPHA_MAX = f4(0.999)
 T_MIN = f4(1e-4)
+MARGIN = 0.15  # of the picture, on each side, in which projections are still linearised in their own place
 
 
 @njit(fastmath=FAST)
@@ -166,8 +167,8 @@ def _lens(view, intrinsics, W, H):
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     lens = np.empty(9, np.float64)
     lens[0], lens[1] = fx, fy
-    lens[2], lens[3] = -cx / fx - 0.15 * W / fx, (W - cx) / fx + 0.15 * W / fx
-    lens[4], lens[5] = -cy / fy - 0.15 * H / fy, (H - cy) / fy + 0.15 * H / fy
+    lens[2], lens[3] = -cx / fx - MARGIN * W / fx, (W - cx) / fx + MARGIN * W / fx
+    lens[4], lens[5] = -cy / fy - MARGIN * H / fy, (H - cy) / fy + MARGIN * H / fy
     for a in range(3):  # camera centre: -R^T t
         lens[6 + a] = -(view[0, a] * view[0, 3] + view[1, a] * view[1, 3] + view[2, a] * view[2, 3])
     return lens
@@ -196,7 +197,7 @@ def _unit(quaternions, i):
         w, x, y, z = w / largest, x / largest, y / largest, z / largest
         inv = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
         return w * inv, x * inv, y * inv, z * inv, inv / largest
-    if not (square > 1e-24):
+    if not (square > 1e-24):  # no direction to read, as in `scene.repair`: q / |q| would be 0 / 0
         return 1.0, 0.0, 0.0, 0.0, 0.0
     inv = 1.0 / math.sqrt(square)
     return w * inv, x * inv, y * inv, z * inv, inv
@@ -261,7 +262,7 @@ def _colour_gradient(deg, lens, px, py, pz, sh, i, g0, g1, g2, basis, grad_sh):
     return (hx - dot * ux) * dn, (hy - dot * uy) * dn, (hz - dot * uz) * dn
 
 
-@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")
 def project(
     means,
     quaternions,
@@ -404,6 +405,7 @@ def _xrange(flat, i, ty, tiles_x):
     x1 = mx + xr - 0.5  # pixel index range
     if x1 < 0 or x0 > tiles_x * TILE:
         return 0, 0
+    # 1e-3 px for rounding: a tile too many is tried, never one too few.
     a = int(max(0.0, math.ceil(x0 - 1e-3))) // TILE
     b = int(min(float(tiles_x * TILE - 1), math.floor(x1 + 1e-3))) // TILE + 1
     return a, b
@@ -421,7 +423,7 @@ def _ntiles(flat, i, drawn, tiles_x, tiles_y):
     return n
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, nogil=True, cache=True, error_model="numpy")
 def bin_tiles(flat, order, first_pair, drawn, tiles_x, tiles_y):
     """Pairs of (Gaussian, tile), tile by tile, front to back inside a tile: a counting sort.
 
@@ -550,7 +552,7 @@ def _blend_tile(flat, ids, a, b, Y0, buf):
     return b - a
 
 
-@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
+@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
 def blend(flat, tile_start, ids, tile_order, tiles_x, tiles_y, background, rgb, transmittance, blended):
     """Blend the tiles of `tile_order`: rgb (H, W, 3), transmittance (H, W), blended (tiles,) pairs visited."""
     H = rgb.shape[0]
@@ -588,7 +590,7 @@ def _from_bits(x):
     return np.int32(x).view(np.float32)
 
 
-@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
+@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
 def blend_gradient(
     flat,
     tile_start,
@@ -728,7 +730,7 @@ def blend_gradient(
             pairs[j, 11] = c11
 
 
-@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")
 def sum_pairs(order, first_pair, slots, wanted, pairs, grads):
     """Sum a wanted Gaussian's pairs in fixed order: the same result with any number of threads.
 
@@ -747,7 +749,7 @@ def sum_pairs(order, first_pair, slots, wanted, pairs, grads):
                     grads[i, c] += pairs[p, c]
 
 
-@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")
 def project_gradient(
     means,
     quaternions,
@@ -892,7 +894,7 @@ def project_gradient(
             grad_means[i, 2] = gz + view[0, 2] * gcx + view[1, 2] * gcy + view[2, 2] * gcz
 
 
-@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
+@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
 def blend_statistics(flat, tile_start, ids, tile_order, tiles_x, tiles_y, W, H, pairs):
     """Per pair: sum and maximum of the blending weight alpha T, and pixels blended, into pairs (M, 3)."""
     for tt in prange(tile_order.shape[0]):
@@ -940,7 +942,7 @@ def blend_statistics(flat, tile_start, ids, tile_order, tiles_x, tiles_y, W, H, 
             pairs[j, 2] = hits
 
 
-@njit(parallel=True, fastmath=FAST, cache=True, error_model="numpy")
+@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")
 def sum_statistics(order, first_pair, slots, pairs, column, statistics):
     """Sum, maximum and sum of columns `column` to `column` + 2 over a Gaussian's pairs, into statistics (N, 3).
 

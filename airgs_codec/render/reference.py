@@ -8,6 +8,7 @@ from __future__ import annotations
 import torch
 
 from airgs_codec.render.cpu import DILATION, FAR
+from airgs_codec.render.cpu_kernels import MARGIN
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Background, Camera
 from airgs_codec.scene.gaussians import SH_C0
@@ -91,7 +92,7 @@ def _conics(
     rotation = torch.as_tensor(camera.world_to_camera[:3, :3], dtype=places.dtype)
     x, y, z = places.unbind(-1)
     u, v = x / z, y / z
-    margin_x, margin_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
+    margin_x, margin_y = MARGIN * camera.width / camera.fx, MARGIN * camera.height / camera.fy
     uc = u.clamp(-camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)
     vc = v.clamp(-camera.cy / camera.fy - margin_y, (camera.height - camera.cy) / camera.fy + margin_y)
     zero = torch.zeros_like(z)

@@ -13,7 +13,7 @@ FIELD_OF_VIEW = np.radians(50)  # of both axes
 ELEVATIONS = np.radians([10.0, 35.0])  # above the horizon; neighbouring cameras take turns
 COVERED_OPACITY = 0.9  # of the scene lies within the ring's view
 MARGIN = 1.15  # around what the ring sees
-LEAST_SHARE = 1e-6
+LEAST_SHARE = 1e-6  # keeps a weighted median of nothing, and a ring of radius 0, out
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)  # radians; successive turns by it spread evenly over a sphere (Vogel 1979)
 
 

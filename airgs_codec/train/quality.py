@@ -6,12 +6,13 @@ its pictures first, and is lower where views differ.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from airgs_codec.media.metrics import mse, psnr, ssim
+from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.render.backend import CPU, Renderer
+from airgs_codec.render.compare import compare, draw_still
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.pictures import View
 
@@ -20,8 +21,7 @@ PSNR_DEFINITION = "mean over views of the PSNR of each, in dB"
 
 def mean_psnr(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> float:
     """Mean over views of each view's PSNR in dB."""
-    loaded = renderer.load(g)
-    return float(np.mean([psnr(mse(loaded.draw(view.camera).rgb, view.target.rgb)) for view in views]))
+    return float(np.mean([psnr(error) for error in _compare(g, views, renderer, Picture.mse)]))
 
 
 def better(before: Gaussians, after: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> Gaussians:
@@ -31,5 +31,12 @@ def better(before: Gaussians, after: Gaussians, views: Sequence[View], renderer:
 
 def mean_ssim(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> float:
     """Mean over views of each view's SSIM, 1 for equal pictures."""
-    loaded = renderer.load(g)
-    return float(np.mean([ssim(loaded.draw(view.camera).rgb, view.target.rgb) for view in views]))
+    return float(np.mean(list(_compare(g, views, renderer, Picture.ssim))))
+
+
+def _compare(
+    g: Gaussians, views: Sequence[View], renderer: Renderer, measure: Callable[[Picture, Picture], float]
+) -> Iterator[float]:
+    """A figure of each view's picture as it was taken and as the Gaussians are drawn."""
+    numbered = [(i, view.camera) for i, view in enumerate(views)]
+    return compare(lambda i, _: Picture.of(views[i].target.rgb), draw_still(g, renderer), numbered, measure)

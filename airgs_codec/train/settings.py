@@ -185,7 +185,7 @@ def preset(name: str, settings: TrainSettings) -> TrainSettings:
     """The settings with those of a preset.
 
     `paper` is the paper's method with its constants (AirGS, "Training" 1 to 3), read literally where it gives no unit:
-    its temporal loss stops most motion. docs/training.md lists what the paper leaves open.
+    its temporal loss stops most motion. docs/results/training.md has what differs.
     """
     if name != "paper":
         return settings

@@ -7,6 +7,7 @@ import pytest
 
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.analysis.rows import restore_rows
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
@@ -100,6 +101,17 @@ def test_rows_that_all_are_matched_are_out_of_order_only_where_they_were(tmp_pat
     np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
     ordered = restore_rows(open_sequence(write_sequence(tmp_path / "ordered", frames)), "match")
     assert ordered.notes == [] and not ordered.sequence.orders
+
+
+def test_rows_are_looked_for_where_they_would_go_on_to(tmp_path):
+    """A lattice of equal rows that moves faster and faster, in the end by more than the rows are apart."""
+    lattice = np.stack(np.meshgrid(*[np.arange(6.0)] * 3), axis=-1).reshape(-1, 3)
+    one = random_gaussians(1)
+    looks = [getattr(one, name).repeat(len(lattice), 0) for name in one.__slots__[1:]]
+    places = np.cumsum([0, *(0.3 * 1.3**t for t in range(6))])
+    frames = [Gaussians(np.add(lattice, [place, 0, 0]).astype(np.float32), *looks) for place in places]
+    restored = restore_rows(open_sequence(write_sequence(tmp_path, shuffled(frames, {2, 5, 6}))), "match")
+    np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
 
 
 def test_frames_of_a_growing_sequence_that_are_alone_are_said_one_by_one(tmp_path):

@@ -20,7 +20,7 @@ def package(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cli")
     scene = write_sequence(folder / "scene", moving_frames(120, 4), fps=10, keyframes=[0, 2])
     (scene / "ATTRIBUTION.txt").write_text("points by nobody\n")
-    options = ["--preset", "veryfast", "--steps", "default"]
+    options = ["--preset", "veryfast", "--steps", "default", "--keep-all"]
     assert encode.main([str(scene), "-o", str(folder / "out"), *options, "--json"]) == 0
     return folder / "out"
 
@@ -94,7 +94,7 @@ def test_frames_of_sog_are_matched_again_and_come_out_tracked(tmp_path, capsys):
 
 def test_a_region_from_one_package_serves_another(package, tmp_path):
     tables = json.loads((package / "airgs.json").read_text())
-    assert tables["region"]["source"] == "orbit"
+    assert tables["region"]["source"] == "cameras"
     (tmp_path / "region.json").write_text(json.dumps(tables["region"] | {"turn": 3}))
     scene = write_sequence(tmp_path / "scene", moving_frames(20, 1))
     words = [str(scene), "-o", str(tmp_path / "out"), "--preset", "ultrafast", "--measure-pictures", "0"]
@@ -251,10 +251,11 @@ def test_encode_refuses_bad_scenes_in_one_line_and_leaves_nothing(tmp_path, what
 
 
 def test_encode_says_which_cameras_it_took(tmp_path, capsys):
-    scene = write_sequence(tmp_path / "model" / "point_cloud" / "iteration_7", moving_frames(60, 1))
+    scene = write_sequence(tmp_path / "model" / "point_cloud" / "iteration_7", moving_frames(60, 1), cameras=False)
     found = write_inria(tmp_path / "model", ring(3, held_out=1))
     given = write_colmap_binary(tmp_path / "rec", ring(5, held_out=1))
-    options = [str(scene), "-o", str(tmp_path / "out"), "--steps", "default", "--preset", "ultrafast"]
+    quickly = ["--steps", "default", "--preset", "ultrafast", "--measure-pictures", "0"]
+    options = [str(scene), "-o", str(tmp_path / "out"), *quickly]
     assert encode.main(options) == 0
     assert capsys.readouterr().out.startswith(f"cameras: {found}, 3 of them, 0 held out\n")
     assert encode.main([*options, "--views", str(given)]) == 0
@@ -274,7 +275,7 @@ def test_encode_names_the_repairs(tmp_path, capsys):
     scene = tmp_path / "scene"
     scene.mkdir()
     write_ply(scene / "0.ply", type(g)(**arrays))
-    assert encode.main([str(scene), "-o", str(tmp_path / "out"), "--preset", "veryfast"]) == 0
+    assert encode.main([str(scene), "-o", str(tmp_path / "out"), "--steps", "default", "--measure-pictures", "0"]) == 0
     out = capsys.readouterr().out
     assert "1 Gaussians that are not finite" in out and "1 Gaussians with zero quaternions" in out
 

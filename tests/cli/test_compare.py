@@ -15,7 +15,7 @@ from tests.support.views import ring
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory):
-    return write_sequence(tmp_path_factory.mktemp("compare") / "scene", moving_frames(400, 4), fps=10)
+    return write_sequence(tmp_path_factory.mktemp("compare") / "scene", moving_frames(400, 4), cameras=False, fps=10)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.store import open_package
-from tests.makers.conformance import TABLE
+from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX, VALID
 from tests.support.scenes import moving_frames, write_sequence

@@ -125,7 +125,7 @@ def test_policies_are_compared_over_traces(capsys):
         (["--loops", "0"], "loops"),
         (["--budget", "0"], "budget: expected at least 1 Gaussian"),
         (["--budget", "1"], "Gaussians or more, got 1"),
-        (["--budget", "9", "--mode", "frames"], "--budget: expected a single session"),
+        (["--budget", "9", "--compare"], "--budget: expected a single session"),
         (["--buffer", "nan"], "buffer"),
         (["--offset", "1e9"], "offset"),
         (["--scale", "0"], "scale"),

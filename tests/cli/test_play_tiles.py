@@ -65,7 +65,6 @@ def test_a_package_of_one_tile_is_played_as_ever(capsys):
     ("options", "words"),
     [
         (["--compare", "--traces", "const:1"], "--view-adaptive: expected a single session"),
-        (["--trace", "const:1", "--mode", "frames"], "--view-adaptive: expected a single session"),
         (["--trace", "const:1", "--view-buffer", "0"], "buffer by view: expected more than 0 s"),
         (["--trace", "const:1", "--views", "none.json"], "none.json"),
     ],
@@ -134,10 +133,7 @@ def test_a_scene_without_rows_is_an_empty_picture():
     assert not CPU.render(frames[0], Turning().at(0.0)).rgb.any()
 
 
-def test_frame_mode_and_budgets_count_all_tiles(capsys):
+def test_a_budget_counts_all_tiles(capsys):
     m = open_package(PACKAGE).manifest
     fewest = m.groups[0].count
     assert play(capsys, "--budget", fewest, "--view-adaptive")["gaussians"] <= fewest
-    frames = play(capsys, "--mode", "frames", trace="const:100")
-    files = [path for s in range(len(m.segments)) for path in m.state_files(s, 0)]
-    assert frames["unpruned"]["kb_frame"] == pytest.approx(m.bytes_of(files) / m.frames / 1e3, rel=0.01)

@@ -49,3 +49,9 @@ def test_what_the_package_does_not_have_is_refused_in_one_line(package, choice, 
     with pytest.raises(ConfigError) as refused:
         decode(package, **({"frame": 0} | choice))
     assert str(refused.value) == message
+
+
+@pytest.mark.parametrize("frames", [(0, 5), (-1, 2), (3, 2)], ids=str)
+def test_frames_that_the_package_does_not_have_are_refused_in_one_line(package, frames):
+    with pytest.raises(ConfigError, match=f"^frames: expected a range inside 0:4, got {frames[0]}:{frames[1]}$"):
+        next(decode_frames(package, *frames))

@@ -1,4 +1,4 @@
-"""A thousand frames, any level at any segment over any key tiers, seeks and lost files: the bits of a fresh decode."""
+"""Hundreds of frames, any level at any segment over any key tiers, seeks and lost files: the bits of a fresh decode."""
 
 import random
 import shutil
@@ -23,19 +23,22 @@ from airgs_codec.play.trace import open_trace
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.manifests import missing, with_segments
+from tests.support.regions import region
 from tests.support.scenes import moving_frames, write_sequence
 
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory):
-    """Forth and back, 1000 frames."""
+    """Forth and back, 600 frames."""
     folder = tmp_path_factory.mktemp("drift")
     there = moving_frames(60, 40)
     turn = [*range(40), *range(38, 0, -1)]
-    scene = write_sequence(folder / "scene", [there[turn[i % len(turn)]] for i in range(1000)])
+    scene = write_sequence(folder / "scene", [there[turn[i % len(turn)]] for i in range(600)])
     levels = (LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1))
     settings = EncodeSettings(
         calibrate="none",
+        region=region(),
+        decide_pictures=2,
         measure_pictures=0,
         group_frames=30,
         preset="ultrafast",
@@ -59,12 +62,12 @@ def same(a, b):
     return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in a.__slots__)
 
 
-def test_errors_after_a_thousand_frames_are_those_of_the_first(package):
+def test_errors_of_the_last_groups_are_those_of_the_first(package):
     measured = list(measure_errors(*package))
     assert all(e.error <= e.bound for e in measured)
-    of = [np.array([e.error for e in measured if e.where == f"group {g} state L0"]) for g in range(34)]
-    assert len(package[0].manifest.groups) == 34
-    assert (np.mean(of[-10:], axis=0) < 1.5 * np.mean(of[:10], axis=0)).all()
+    of = [np.array([e.error for e in measured if e.where == f"group {g} state L0"]) for g in range(20)]
+    assert len(package[0].manifest.groups) == 20
+    assert (np.mean(of[-4:], axis=0) < 1.5 * np.mean(of[:4], axis=0)).all()
 
 
 class Viewer:
@@ -159,7 +162,7 @@ def test_a_session_over_a_bad_link_shows_the_bits_of_fresh_decodes(package):
     views = replace(m.views, reference="original")
     c = Catalogue(replace(with_segments(m, segments), views=views), root_bytes=package.root_bytes)
     lost = missing(*(f"state/L0/{n}.m4s" for n in range(3, 30, 5)), "key/T0/7.bin")
-    link = Link(open_trace("markov:5:0.1"))
+    link = Link(open_trace("markov:1:0.02"))
     log = simulate(c, link, "paper", SessionSettings(loops=1), lost)
     assert len({s.rung for s in log.shown}) > 4 and any(s.rung is None for s in log.shown)
     chance = random.Random(2)

@@ -8,10 +8,12 @@ import pytest
 
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.views import DRAWS
+from airgs_codec.encoder.views import DRAWS, ViewPlan
 from airgs_codec.errors import SceneError
-from airgs_codec.inspect.compare import claimed_quality, compare_streams, rung_streams
-from airgs_codec.package.region import MEASURING, checking_views, draw_views
+from airgs_codec.inspect.compare import claimed_quality, compare_streams
+from airgs_codec.inspect.sides import rung_streams
+from airgs_codec.media.metrics import Picture, psnr
+from airgs_codec.package.region import MEASURING, before_background, draw_views
 from airgs_codec.package.store import open_package
 from airgs_codec.render import render
 from airgs_codec.scene.ply import write_ply
@@ -54,12 +56,19 @@ def test_views_of_all_kinds_see_it(packages):
     (scene, white), (_, plain) = packages
     region = white.manifest.region
     views = [*draw_views(region, 2, MEASURING), *open_sequence(scene).cameras]
-    views += [camera for some in checking_views(region, ring(2)) for camera in some]
+    views += before_background(region, ring(2))
     assert {view.background for view in views} == {WHITE}
     assert {view.background for view in draw_views(plain.manifest.region, 2, MEASURING)} == {(0, 0, 0)}
     empty = coloured_cloud(1)
     picture = render(empty, views[0])
     np.testing.assert_allclose(picture.rgb[picture.transmittance == 1], 1)
+
+
+def test_it_is_behind_a_region_that_names_none_and_not_behind_one_that_does(packages):
+    (scene, white), (_, plain) = packages
+    sequence, black = open_sequence(scene), replace(white.manifest.region, background=[0.0, 0.0, 0.0])
+    assert ViewPlan.of(sequence, 8, region=plain.manifest.region).region.background == [1, 1, 1]
+    assert ViewPlan.of(sequence, 8, region=black).region.background == [0, 0, 0]
 
 
 def test_claimed_psnr_is_that_before_the_background(packages):
@@ -69,8 +78,9 @@ def test_claimed_psnr_is_that_before_the_background(packages):
         views = draw_views(m.region, DRAWS, MEASURING)[: m.views.measured]
         found = []
         for some in (views, [replace(view, background=other) for view in views]):
-            streams = rung_streams(package, frames)
-            found.append(compare_streams(streams, open_sequence(scene), frames, some)["train"]["Q0+L1"].psnr)
+            looked_at = [(number, view) for number in frames for view in some]
+            errors = compare_streams(rung_streams(package, frames), open_sequence(scene), looked_at, Picture.mse)
+            found.append(psnr(np.mean(errors["Q0+L1"])))
         claim = claimed_quality(m, ["Q0+L1"])["Q0+L1"].psnr
         assert claim == pytest.approx(found[0], abs=0.006) and abs(claim - found[1]) > 0.05
 

@@ -59,7 +59,7 @@ def test_pictures_that_would_leave_the_range_are_coded_finer():
 def test_an_atlas_that_is_too_large_for_a_picture_is_decoded_from_pages(tmp_path, monkeypatch):
     """Every key and level is, here, and every value keeps to its `max_error`."""
     monkeypatch.setattr(representation, "picture_size", partial(picture_size, macroblocks=16))
-    sequence = open_sequence(write_sequence(tmp_path / "scene", moving_frames(600, 5)))
+    sequence = open_sequence(write_sequence(tmp_path / "scene", moving_frames(600, 5), cameras=False))
     settings = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", threads=2, segment_s=0.1)
     encode(sequence, tmp_path / "out", settings)
     assert validate(tmp_path / "out") == []

@@ -236,14 +236,14 @@ def test_constant_channels_have_no_plane(tmp_path):
 @pytest.mark.parametrize("degree", [0, 3])
 def test_awkward_counts(tmp_path, count, degree):
     frames = moving_frames(count, 2, degree)
-    package = encoded(tmp_path, frames)
+    package = encoded(tmp_path, frames, replace(FAST, keep_all=True))
     shown = decode(package, 1)
     assert len(shown) == count and shown.sh_degree == degree
     assert all(np.isfinite(getattr(shown, n)).all() for n in shown.__slots__)
 
 
 def test_groups_of_different_counts_share_their_representations(tmp_path):
-    package = encoded(tmp_path, moving_frames(300, 3) + moving_frames(700, 4))
+    package = encoded(tmp_path, moving_frames(300, 3) + moving_frames(700, 4), replace(FAST, keep_all=True))
     assert [g.count for g in package.manifest.groups] == [300, 700]
     assert [len(f.gaussians) for f in decode_frames(package, 0, 7)] == [300] * 3 + [700] * 4
 

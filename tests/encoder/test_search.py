@@ -2,6 +2,7 @@
 
 import json
 import math
+from fractions import Fraction
 
 import pytest
 
@@ -11,6 +12,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.store import open_package
+from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import write_demo
 
 
@@ -53,8 +55,15 @@ def test_targets_are_reached(first_frames, tmp_path, capsys):
     code, report = run(first_frames, tmp_path, capsys, "--target-mb", f"{wanted}")
     assert code == 0 and report["top_rung_bytes"] / m.frames / 1e6 == pytest.approx(wanted, rel=0.03)
     assert report["calibration_cached"]
-    code, report = run(first_frames, tmp_path, capsys, "--target-mbps", f"{1.4 * 8 * wanted * float(m.fps)}")
-    assert code == 0 and report["top_rung_bytes"] / m.frames / 1e6 == pytest.approx(1.4 * wanted, rel=0.03)
+
+
+def test_sizes_are_told_by_the_frame_or_by_the_second(first_frames):
+    parser, sequence = command._parser(), open_sequence(first_frames, fps=Fraction(25))
+    goals = [
+        command._goal(parser.parse_args(["x", *words]), sequence)
+        for words in (["--target-psnr", "41"], ["--target-mb", "0.02"], ["--target-mbps", "4"], [])
+    ]
+    assert goals == [Goal(PSNR, 41.0), Goal(SIZE, 20.0), Goal(SIZE, 20.0), None]  # kB a frame
 
 
 def test_a_target_out_of_reach_is_one_line_and_leaves_nothing(first_frames, tmp_path, capsys):

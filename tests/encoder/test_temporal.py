@@ -1,20 +1,17 @@
 """A scene whose Gaussians come and go: its quality is reached and its ladder holds where no decision looked."""
 
-import itertools
-
 import numpy as np
 import pytest
 
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.quality import QualitySums
 from airgs_codec.encoder.rate_target import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.inspect.compare import rung_streams
+from airgs_codec.inspect.compare import compare_streams
+from airgs_codec.inspect.sides import rung_streams
 from airgs_codec.inspect.summary import summarise
-from airgs_codec.media.metrics import Reference
+from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.store import open_package
-from airgs_codec.render import render
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.temporal import FLASHES, temporal_cameras, temporal_frames, write_temporal
 
@@ -33,18 +30,11 @@ def ladder(tmp_path_factory):
     m, frames = package.manifest, range(len(sequence))
     names = [f"{m.qualities[level.quality].id}+{level.id}" for level in m.levels]
     streams = {name: stream for name, stream in rung_streams(package, frames).items() if name in names}
-    views = iter(draw_views(m.region, VIEWS * len(frames), SEED))
-    sums = {name: QualitySums() for name in names}
-    for number in frames:
-        original = sequence.load([number]).frames[0]
-        shown = {name: next(stream) for name, stream in streams.items()}
-        for camera in itertools.islice(views, VIEWS):
-            reference = Reference.of(render(original, camera).rgb)
-            for name in names:
-                sums[name].add(render(shown[name], camera).rgb, reference)
-    found = {name: of.quality() for name, of in sums.items()}
+    cameras = draw_views(m.region, VIEWS * len(frames), SEED)
+    views = [(i // VIEWS, camera) for i, camera in enumerate(cameras)]
+    errors = compare_streams(streams, sequence, views, Picture.mse)
     rungs = {f"{rung.key}+{rung.state}": rung for rung in summarise(m, package.manifest_bytes).rungs}
-    return np.array([[rungs[name].bytes_per_frame, rungs[name].psnr, found[name].psnr] for name in names])
+    return np.array([[rungs[name].bytes_per_frame, rungs[name].psnr, psnr(np.mean(errors[name]))] for name in names])
 
 
 def test_large_gaussians_pass_between_the_frames_that_are_picked_first():

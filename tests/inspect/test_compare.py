@@ -1,20 +1,31 @@
-"""Decoded against original pictures: every rung of a package."""
+"""Decoded against original pictures: every rung of a package, and any two scenes or packages."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from airgs_codec.cli.manifest import main
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.compare import compared_views, region_views
-from airgs_codec.media.metrics import PSNR_CAP
+from airgs_codec.inspect.compare import (
+    LABEL,
+    MOST_GAIN,
+    compare_two,
+    comparison_json,
+    difference_gain,
+    format_two,
+    side_by_side,
+)
+from airgs_codec.inspect.sides import left_out, open_side
+from airgs_codec.media.image import to_bytes
+from airgs_codec.media.metrics import PSNR_CAP, mse, psnr
 from airgs_codec.package.store import open_package
+from airgs_codec.render import render
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import VALID
-from tests.support.regions import arc
-from tests.support.scenes import moving_frames, write_sequence
-from tests.support.views import ring
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+from tests.support.views import moved, ring
 
 PACKAGE = VALID / "moving"
 
@@ -23,7 +34,22 @@ PACKAGE = VALID / "moving"
 def top(tmp_path_factory):
     """What the top rung of the package decodes to, as the original."""
     frames = [frame.gaussians for frame in decode_frames(open_package(PACKAGE), 0, 4)]
-    return write_sequence(tmp_path_factory.mktemp("compare") / "top", frames)
+    return write_sequence(tmp_path_factory.mktemp("compare") / "top", frames, cameras=False)
+
+
+@pytest.fixture
+def original(tmp_path):
+    return open_side(str(write_sequence(tmp_path / "original", moving_frames(40, 4))))
+
+
+@pytest.fixture
+def broken(tmp_path):
+    """The same, but for some rows that are elsewhere in frame 2, a little in frame 1, and one row less in frame 3."""
+    frames = moving_frames(40, 4)
+    frames[1] = moved(frames[1], slice(0, 4), (0.05, 0.0, 0.0))
+    frames[2] = moved(frames[2], slice(0, 12), (0.4, 0.2, 0.0))
+    frames[3] = frames[3].take(slice(1, None))
+    return open_side(str(write_sequence(tmp_path / "broken", frames)))
 
 
 def figures(capsys, *arguments):
@@ -92,12 +118,58 @@ def test_sequences_of_other_lengths_and_what_is_no_package_are_refused(top, tmp_
         assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_held_out_cameras_are_taken_where_there_are_any():
-    assert [c.split for c in compared_views(ring(4, held_out=1), None)] == ["test"]
-    assert len(compared_views(ring(4), None)) == 4
-    drawn = region_views(arc(90, 3, 1.0), 5, 2)
-    assert [c.split for c in compared_views([*ring(4, held_out=1), *drawn], None)] == ["test"] + ["region"] * 5
-    assert len(compared_views([*ring(4), *drawn], None)) == 9
-    assert len(compared_views(ring(4, held_out=1), "train")) == 3
-    with pytest.raises(ConfigError, match="--split: expected one of train"):
-        compared_views(ring(4), "test")
+def test_the_worst_picture_is_the_worst_and_the_typical_one_the_median(original, broken):
+    cameras, frames = ring(5), range(1, 4)
+    result = compare_two(original, broken, frames, cameras)
+    errors = {}
+    for number, first, second in zip(frames, original.read(frames), broken.read(frames), strict=True):
+        for camera in cameras:
+            errors[number, camera.name] = mse(render(second, camera).rgb, render(first, camera).rgb)
+    ranked = sorted(errors, key=errors.__getitem__)
+    assert (result.worst.frame, result.worst.camera.name) == ranked[-1] and result.worst.frame == 2
+    assert result.worst.psnr == pytest.approx(psnr(errors[ranked[-1]]))
+    assert (result.typical.frame, result.typical.camera.name) == ranked[len(ranked) // 2]
+    assert result.quality.psnr == pytest.approx(psnr(float(np.mean(list(errors.values())))))
+    assert result.gaussians == ((40, 40), (39, 40))
+
+
+def test_other_degrees_and_lengths_are_compared_and_said(original, tmp_path):
+    long = open_side(str(write_sequence(tmp_path / "long", moving_frames(60, 6, degree=2))))
+    result = compare_two(original, long, range(4), ring(1))
+    words = format_two(original, long, result, "1 view", left_out(original, long))
+    assert "A, the reference: " in words and "SH degree 2" in words and "left out: frames 4 to 5" in words
+
+
+def test_pictures_show_both_and_their_difference(original, broken):
+    seen = compare_two(original, broken, range(4), ring(2, size=400)).worst
+    picture = side_by_side(original, broken, seen)
+    assert picture.shape == (LABEL + 400, 3 * 400, 3)
+    first, second, difference = (picture[LABEL:, 400 * i : 400 * (i + 1)] for i in range(3))
+    shown = [to_bytes(render(next(s.read(range(2, 3))), seen.camera).rgb) for s in (original, broken)]
+    assert np.array_equal(first, shown[0]) and np.array_equal(second, shown[1])
+    apart = np.abs(shown[0].astype(int) - shown[1])
+    assert (difference[apart > 20] > 15).all() and not difference[(apart == 0).all(axis=2)].max() > 32
+    labels = [picture[top : top + 18, 400 * i : 400 * (i + 1)] for i in range(3) for top in (0, 18)]
+    assert all(label.max() > 200 for label in labels)
+
+
+def test_small_pictures_have_room_for_labels(original):
+    seen = compare_two(original, original, range(1), ring(1, size=48)).worst
+    picture = side_by_side(replace(original, name="x" * 300), original, seen)
+    assert picture.shape == (LABEL + 7 * 48, 3 * 7 * 48, 3)
+    assert not picture[LABEL:, 2 * 7 * 48 :].any(), "equal pictures have no difference"
+
+
+def test_differences_are_amplified_until_they_are_seen():
+    for largest, gain in ((1.0, 1), (0.5, 2), (0.3, 2), (0.1, 8), (1e-5, MOST_GAIN), (0.0, MOST_GAIN)):
+        assert difference_gain(np.full((20, 20, 3), largest, np.float32)) == gain
+
+
+def test_broken_rows_are_repaired_on_both_sides(original, tmp_path):
+    g = random_gaussians(40)
+    means = g.means.copy()
+    means[3] = np.nan
+    other = open_side(str(write_sequence(tmp_path / "nan", [replace(g, means=means)])))
+    result = compare_two(original, other, range(1), ring(1))
+    assert result.gaussians[1] == (39, 39) and np.isfinite(result.quality.psnr)
+    assert comparison_json(original, other, result)["compared"]["gaussians"] == [39, 39]

@@ -14,7 +14,7 @@ from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.sequence import open_sequence
-from tests.makers.conformance import TABLE
+from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence

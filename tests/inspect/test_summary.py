@@ -76,6 +76,12 @@ def test_a_rung_counts_everything_a_viewer_fetches():
     assert len(rungs) == 6
 
 
+def test_rows_that_a_group_keeps_are_counted():
+    m = open_package(VALID / "kept").manifest
+    kept = [sum(unit.kept for unit in group.units) for group in m.groups]
+    assert [group.kept for group in summarise(m, MANIFESTS).groups] == kept and max(kept) > kept[0] == 0
+
+
 def test_the_viewing_region_is_told_in_figures_and_words():
     region = replace_reach(arc(90, 3, 1.0), 1, 0.25)
     s = summarise(dataclasses.replace(tiny_manifest(), region=region), MANIFESTS)

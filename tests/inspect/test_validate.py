@@ -5,195 +5,177 @@ import os
 import random
 import shutil
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
+from airgs_codec.decoder.decode import decode_canonical, decode_segment
+from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.fragments import with_columns
 from airgs_codec.media.h264 import ClosedGop, encode_gop, key_codec
 from airgs_codec.media.mp4 import read_segment
+from airgs_codec.package.memory import MemoryFiles
 from airgs_codec.package.paths import JSON_NAME, FileKind, file_kind
-from airgs_codec.package.store import open_package
-from tests.makers.conformance import TABLE, media_alone
+from airgs_codec.package.store import open_files, open_package
+from tests.makers.refusals import TABLE, media_alone
 from tests.support.mutations import (
+    Files,
     add_file,
+    apply,
     by_chance,
     edit_tables,
     honest,
-    on_disk,
     random_tables,
-    read_files,
     reindexed,
+    rewrite,
     set_value,
 )
 from tests.support.paths import VALID
+from tests.support.refusals import base_files, findings
+
+MOVING = base_files("moving")
+OPENED = open_package(VALID / "moving")
 
 
-@pytest.fixture
-def package(tmp_path):
-    return shutil.copytree(VALID / "moving", tmp_path / "package")
-
-
-def replace_file(package: Path, relative: str, data: bytes) -> None:
+def with_file(files: Files, relative: str, data: bytes) -> Files:
     """Write a file and make its entry agree, so that only its content can be refused."""
-    on_disk(package, add_file(relative, data), honest)
+    return apply(files, add_file(relative, data), honest)
 
 
-def reasons(package: Path) -> set[str]:
-    findings = validate(package)
-    assert all("\n" not in str(f) for f in findings)
-    return {f.reason for f in findings}
+def reasons(files: Files) -> set[str]:
+    found = findings(files)
+    assert all("\n" not in str(f) for f in found)
+    return {f.reason for f in found}
 
 
 def test_a_folder_that_is_no_package(tmp_path):
     (tmp_path / "file").write_text("x")
-    assert reasons(tmp_path) == reasons(tmp_path / "missing") == reasons(tmp_path / "file") == {"missing_file"}
+    for path in (tmp_path, tmp_path / "missing", tmp_path / "file"):
+        (finding,) = validate(path)
+        assert finding.reason == "missing_file" and "\n" not in str(finding)
 
 
-def test_every_broken_file_has_its_own_finding(package):
-    listed = sorted(p for p in open_package(package).manifest.files() if file_kind(p) is not FileKind.MANIFESTS)
-    for relative in listed:
-        (package / relative).unlink()
-    assert [(f.reason, f.where) for f in validate(package)] == [("missing_file", relative) for relative in listed]
+def test_every_broken_file_has_its_own_finding():
+    listed = sorted(p for p in OPENED.manifest.files() if file_kind(p) is not FileKind.MANIFESTS)
+    left = {name: data for name, data in MOVING.items() if name not in listed}
+    assert [(f.reason, f.where) for f in findings(left)] == [("missing_file", relative) for relative in listed]
 
 
-def test_links_are_refused_wherever_they_lead(package, tmp_path):
+def test_only_plain_files_belong_to_a_package(tmp_path):
+    """Links are refused wherever they lead; what is neither file nor folder is foreign."""
+    package = shutil.copytree(VALID / "moving", tmp_path / "package")
     media = package / "state/L0/1.m4s"
     media.rename(tmp_path / "elsewhere.m4s")
     media.symlink_to(tmp_path / "elsewhere.m4s")
     (package / "folder").symlink_to(tmp_path)
-    found = {(f.reason, f.where) for f in validate(package)}
-    assert found == {("unsafe_path", "state/L0/1.m4s"), ("unsafe_path", "folder")}
-
-
-def test_what_is_neither_file_nor_folder_is_foreign(package):
     os.mkfifo(package / "pipe")
-    assert [(f.reason, f.where) for f in validate(package)] == [("foreign_file", "pipe")]
+    found = {(f.reason, f.where) for f in validate(package)}
+    assert found == {("unsafe_path", "state/L0/1.m4s"), ("unsafe_path", "folder"), ("foreign_file", "pipe")}
 
 
-@pytest.mark.parametrize("level", [0, 1])
-def test_every_level_is_decoded(package, level):
-    relative = f"state/L{level}/1.m4s"
-    replace_file(package, relative, with_columns(media_alone((package / relative).read_bytes()), bytes(20)))
-    assert [(f.reason, f.where) for f in validate(package)] == [("bad_sidecar", relative)]
-
-
-@pytest.mark.parametrize("quality", [0, 1])
-def test_every_key_quality_is_decoded(package, quality):
-    relative = f"key/T1/Q{quality}/1.m4s"
-    replace_file(package, relative, (package / relative).read_bytes()[:-30])
-    assert [(f.reason, f.where) for f in validate(package)] == [("bad_picture", relative)]
-
-
-@pytest.mark.parametrize("quality", [0, 1])
-def test_the_positions_of_every_key_quality_are_read(package, quality):
-    relative = f"key/T1/Q{quality}/1.m4s"
-    replace_file(package, relative, with_columns(media_alone((package / relative).read_bytes()), bytes(20)))
-    assert [(f.reason, f.where) for f in validate(package)] == [("bad_sidecar", relative)]
-
-
-@pytest.mark.parametrize("coarser", [0, 2, 3])
-def test_cells_that_the_files_do_not_have_are_refused(package, coarser):
-    assert open_package(package).manifest.qualities[1].coarser == 1
-    on_disk(package, set_value(("qualities", 1, "coarser"), coarser))
-    assert "bad_sidecar" in reasons(package)
-
-
-def test_luma_outside_the_limited_range_is_refused(package):
-    picture = open_package(package).manifest.groups[0].units[0].qualities[0]
-    bright = ClosedGop([np.full((picture.height, picture.width), 240, np.uint8)], 0, 1000)
-    coded = encode_gop(bright, (picture.width, picture.height), Fraction(24), key_codec("veryfast"))
-    columns = read_segment((package / "key/T0/Q0/1.m4s").read_bytes()).columns or b""
-    replace_file(package, "key/T0/Q0/1.m4s", with_columns(coded.media, columns))
-    (finding,) = validate(package)
-    assert finding.reason == "bad_picture" and "16 to 235" in str(finding)
-
-
-def test_more_pictures_than_promised_are_refused(package):
-    key, state = ((package / path).read_bytes() for path in ("key/T0/Q0/1.m4s", "state/L0/1.m4s"))
-    columns = read_segment(key).columns or b""
-    replace_file(package, "key/T0/Q0/1.m4s", with_columns(media_alone(state), columns))
-    assert "bad_picture" in reasons(package)
+def other_columns(data: bytes) -> bytes:
+    """The pictures of a segment behind columns that hold too little."""
+    return with_columns(media_alone(data), bytes(20))
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "reason"),
+    ("relative", "damage", "reason"),
     [
-        ("ssim", [], "bad_value"),
-        ("psnr", [-1e300, 40.0], "bad_value"),
-        ("ssim", [0.9, 7.0], "bad_value"),
-        ("delta_e", [0.5], "bad_value"),
-        ("delta_e", [0.5, 1e300], "bad_value"),
-        ("frame_bytes", [[10**9] * 4], "size_mismatch"),
-        ("frame_bytes", [[-5, 1, 1, 1]], "bad_value"),
+        *[(f"state/L{level}/1.m4s", other_columns, "bad_sidecar") for level in (0, 1)],
+        *[(f"key/T1/Q{quality}/1.m4s", other_columns, "bad_sidecar") for quality in (0, 1)],
+        *[(f"key/T1/Q{quality}/1.m4s", lambda data: data[:-30], "bad_picture") for quality in (0, 1)],
     ],
 )
-def test_what_the_tables_claim_of_a_segment_is_checked(package, field, value, reason):
-    assert open_package(package).manifest.segments[0].levels[0].psnr
-    on_disk(package, set_value(("segments", 0, "levels", 0, field), value, TABLE), reindexed)
-    assert reasons(package) == {reason}
+def test_every_level_and_key_quality_is_decoded_and_its_columns_are_read(relative, damage, reason):
+    found = findings(with_file(MOVING, relative, damage(MOVING[relative])))
+    assert [(f.reason, f.where) for f in found] == [(reason, relative)]
 
 
-def test_steps_that_decode_to_no_finite_number_are_refused(package):
+@pytest.mark.parametrize("coarser", [0, 2, 3])
+def test_cells_that_the_files_do_not_have_are_refused(coarser):
+    assert OPENED.manifest.qualities[1].coarser == 1
+    assert "bad_sidecar" in reasons(apply(MOVING, set_value(("qualities", 1, "coarser"), coarser)))
+
+
+def test_luma_outside_the_limited_range_is_refused():
+    picture = OPENED.manifest.groups[0].units[0].qualities[0]
+    bright = ClosedGop([np.full((picture.height, picture.width), 240, np.uint8)], 0, 1000)
+    coded = encode_gop(bright, (picture.width, picture.height), Fraction(24), key_codec("veryfast"))
+    columns = read_segment(MOVING["key/T0/Q0/1.m4s"]).columns or b""
+    (finding,) = findings(with_file(MOVING, "key/T0/Q0/1.m4s", with_columns(coded.media, columns)))
+    assert finding.reason == "bad_picture" and "16 to 235" in str(finding)
+
+
+def test_more_pictures_than_promised_are_refused():
+    columns = read_segment(MOVING["key/T0/Q0/1.m4s"]).columns or b""
+    more = with_columns(media_alone(MOVING["state/L0/1.m4s"]), columns)
+    assert "bad_picture" in reasons(with_file(MOVING, "key/T0/Q0/1.m4s", more))
+
+
+def test_fewer_pictures_than_frames_are_refused():
+    atlas, path = OPENED.manifest.groups[0].tiles[0].levels[0], "state/L0/1.m4s"
+    grey = ClosedGop([np.full((atlas.height, atlas.width), 128, np.uint8)], 0, 1000)
+    coded = encode_gop(grey, (atlas.width, atlas.height), Fraction(24), key_codec("veryfast"))
+    data = with_columns(coded.media, read_segment(MOVING[path]).columns or b"")
+    package = open_files(MemoryFiles("fewer", with_file(MOVING, path, data)))
+    with pytest.raises(FormatError, match=r"state/L0/1\.m4s: expected 4 pictures, got 1"):
+        list(decode_segment(package, 0, decode_canonical(package, 0, 0), 0, range(4)))
+
+
+def test_frames_of_more_bytes_than_their_file_are_refused():
+    place, file = ("segments", 0, "levels", 0, "frame_bytes"), OPENED.manifest.segments[0].levels[0].files[0]
+    for more in (1, 10**9):
+        sizes = [[1, 1, 1, file.bytes - 3 + more]]
+        assert reasons(apply(MOVING, set_value(place, sizes, TABLE), reindexed)) == {"size_mismatch"}
+
+
+def test_steps_that_decode_to_no_finite_number_are_refused():
     steps = {("key_steps", "log_scales"): 1e30, ("key_steps", "quaternions"): 1e30}
     factors = [set_value(("qualities", q, "factor"), 1e6) for q in (0, 1)]
     coarse = [set_value(place, value, TABLE) for place, value in steps.items()]
-    on_disk(package, *coarse, *factors, set_value(("key_gain",), 1e-3), reindexed)
-    assert reasons(package) == {"bad_value"}
+    assert reasons(apply(MOVING, *coarse, *factors, set_value(("key_gain",), 1e-3), reindexed)) == {"bad_value"}
 
 
-def test_a_number_that_fits_no_array_is_refused(package):
-    on_disk(package, set_value(("tiles", 0, "levels", 1, "centres", 0), 1 << 31, TABLE), reindexed)
-    assert reasons(package) == {"bad_value"}
-
-
-def test_a_group_without_keys_is_refused(package):
+def test_a_group_without_keys_is_refused():
     def forget(table):
         for tier in table["tiles"][0]["tiers"]:
             for entry in (tier["sidecar"], *tier["pictures"]):
                 entry.update(bytes=0, sha256="")
 
-    on_disk(package, edit_tables(forget, TABLE), reindexed)
-    assert reasons(package) == {"missing_entry"}
+    assert reasons(apply(MOVING, edit_tables(forget, TABLE), reindexed)) == {"missing_entry"}
 
 
-def test_one_broken_quality_does_not_hide_another_group(tmp_path):
-    package = shutil.copytree(VALID / "two-groups-sh1", tmp_path / "package")
-    for relative in ("key/T0/1.bin", "key/T0/2.bin"):
-        replace_file(package, relative, b"\0" * 20)
-    assert {f.where for f in validate(package)} == {"key/T0/1.bin", "key/T0/2.bin"}
+def test_one_broken_quality_does_not_hide_another_group():
+    files, paths = base_files("two-groups-sh1"), ["key/T0/1.bin", "key/T0/2.bin"]
+    for relative in paths:
+        files = with_file(files, relative, b"\0" * 20)
+    assert {f.where for f in findings(files)} == set(paths)
 
 
-def test_depths_that_disagree_with_a_level_are_counted(package):
-    opened = open_package(package)
-    group, coarsest = opened.manifest.groups[0], opened.manifest.qualities[-1].coarser
-    sidecar = unpack_key_sidecar(opened.read("key/T0/1.bin"), group.units[0].count, group.grid, coarsest, "")
+def test_depths_that_disagree_with_a_level_are_counted():
+    group, coarsest = OPENED.manifest.groups[0], OPENED.manifest.qualities[-1].coarser
+    sidecar = unpack_key_sidecar(MOVING["key/T0/1.bin"], group.units[0].count, group.grid, coarsest, "")
     lower = dataclasses.replace(sidecar, depths=np.minimum(sidecar.depths, 0))
-    replace_file(package, "key/T0/1.bin", pack_key_sidecar(lower, group.grid, coarsest))
-    assert reasons(package) == {"count_mismatch"}
+    assert reasons(with_file(MOVING, "key/T0/1.bin", pack_key_sidecar(lower, group.grid, coarsest))) == {
+        "count_mismatch"
+    }
 
 
 @pytest.mark.parametrize("name", ["moving", "two-groups-sh1", "one-gaussian"])
-def test_random_damage_is_found_or_harmless_and_never_raises(name, tmp_path):
+def test_random_damage_is_found_or_harmless_and_never_raises(name):
     """Digests are made to agree, so that only decoding stands between the damage and a caller."""
-    chance = random.Random(name)
-    seen = set()
-    for number in range(60):
-        package = shutil.copytree(VALID / name, tmp_path / str(number))
-        seen |= reasons(on_disk(package, by_chance(chance, tables=False), honest))
+    chance, seen = random.Random(name), set()
+    for _ in range(60):
+        seen |= reasons(apply(base_files(name), by_chance(chance, tables=False), honest))
     assert {"bad_picture", "bad_sidecar"} <= seen
 
 
 @pytest.mark.parametrize("table", [JSON_NAME, TABLE])
 @pytest.mark.parametrize("name", ["moving", "two-groups-sh1"])
-def test_random_changes_of_the_tables_never_raise(name, table, tmp_path):
-    package = shutil.copytree(VALID / name, tmp_path / "package")
-    chance = random.Random(name)
-    before, seen = read_files(package), set()
+def test_random_changes_of_the_tables_never_raise(name, table):
+    files, chance, seen = base_files(name), random.Random(name), set()
     for _ in range(100):
-        on_disk(package, lambda _: before | {table: random_tables(chance, table, before[table])}, reindexed)
-        seen |= reasons(package)
+        seen |= reasons(apply(files, rewrite(table, lambda data: random_tables(chance, table, data)), reindexed))
     assert {"bad_value", "wrong_type", "missing_field"} <= seen

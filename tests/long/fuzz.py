@@ -5,8 +5,8 @@
 Files of the packages under manifests/valid are mutated one or two at a time: tables by their structure and by their
 bytes, manifest.mpd, sidecars, init and media segments by their bytes. In most inputs lengths and digests are
 made to agree, so that what lies behind the digests is reached; of the others, those that decode must decode to the
-same codes. Every worker may use MEMORY bytes, every input SECONDS. Prints what was found, with the number that makes it
-again.
+same Gaussians. Every worker may use MEMORY bytes, every input SECONDS. Prints what was found, with the number that
+makes it again.
 """
 
 from __future__ import annotations
@@ -23,14 +23,13 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from types import FrameType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
+from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.mpd_check import check_mpd
@@ -38,6 +37,7 @@ from airgs_codec.package.parse import parse_root
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, FileKind, file_kind
 from airgs_codec.package.store import Package, check_digest, open_manifest
 from airgs_codec.package.tables import FileEntry
+from airgs_codec.scene.gaussians import Gaussians
 from tests.support.mutations import Files, apply, by_chance, honest, read_files
 from tests.support.paths import VALID
 
@@ -76,44 +76,33 @@ def corpus() -> list[Files]:
 
 @cache
 def decoded(index: int) -> bytes:
-    """Digest of everything a package of the corpus decodes to."""
+    """Digest of all that a package of the corpus decodes to."""
     return decode_all(corpus()[index])
 
 
 def decode_all(files: Files) -> bytes:
-    """Open, check and decode a package in memory; the digest of all codes. Raises AirgsError for a bad one."""
+    """Open, check and decode a package in memory; the digest of all Gaussians. Raises AirgsError for a bad one."""
     manifest = open_manifest(parse_root(files[JSON_NAME]), partial(read_from, files))
     check_mpd(files[MPD_NAME], manifest)
     package = Memory(Folder(VALID), manifest, 0, 0, files)
     digest = hashlib.sha256()
     with np.errstate(all="ignore"):
-        for codes in itertools.chain(_key_codes(package), _state_codes(package)):
-            digest.update(codes.tobytes())
+        for gaussians in _decoded(package):
+            for attribute in fields(gaussians):
+                digest.update(getattr(gaussians, attribute.name).tobytes())
     return digest.digest()
 
 
-def _key_codes(package: Package) -> Iterator[NDArray[np.generic]]:
-    """Codes of every key unit; the Gaussians they stand for are made too."""
+def _decoded(package: Package) -> Iterator[Gaussians]:
+    """The Gaussians of every group in every key quality, and of every frame of every segment at every level."""
     m = package.manifest
-    for group, row in enumerate(m.groups):
-        for quality in range(len(m.qualities)):
-            decode_canonical(package, group, quality)
-            for unit in range(m.units):
-                if row.units[unit].count:
-                    yield decode_key(package, group, unit, quality)[0]
-
-
-def _state_codes(package: Package) -> Iterator[NDArray[np.generic]]:
-    """Codes of every frame of every state segment; the Gaussians they stand for are made too."""
-    m = package.manifest
-    for index, segment in enumerate(m.segments):
-        base, frames = decode_canonical(package, m.group_of(index), 0), segment.stop - segment.start
-        for level in range(len(m.levels)):
-            for tile in range(m.tiles):
-                if m.state_files(index, level, [tile]):
-                    yield from decode_state(package, index, level, 0, frames, tile)
-            for _ in decode_segment(package, index, base, level, range(frames)):
-                pass
+    for group in range(len(m.groups)):
+        bases = [decode_canonical(package, group, quality) for quality in range(len(m.qualities))]
+        yield from (base.to_gaussians() for base in bases)
+        for index in m.segments_of(group):
+            for level in range(len(m.levels)):
+                frames = range(m.segments[index].stop - m.segments[index].start)
+                yield from decode_segment(package, index, bases[0], level, frames)
 
 
 def mutant(number: int) -> tuple[int, Files, bool]:
@@ -136,7 +125,7 @@ def try_mutant(number: int) -> str:
         return type(error).__name__
     same = all(files[name] == data for name, data in corpus()[index].items() if name not in (JSON_NAME, MPD_NAME))
     if not agree and same and files[JSON_NAME] == corpus()[index][JSON_NAME] and result != decoded(index):
-        raise AssertionError("the same files decode to other codes")
+        raise AssertionError("the same files decode to other Gaussians")
     return "decodes"
 
 

@@ -1,37 +1,30 @@
-"""Write docs/extremes.md: every case of tests/support/extremes.py with its bound and measured error, or its refusal.
+"""Write docs/results/extremes.csv: every case of tests/support/extremes.py with its bound and error, or its refusal.
 
 python -m tests.makers.extremes
+
+Each sequence is encoded with --keep-all at the default steps, validated, decoded and compared with its original. A row
+has the attribute of the top rung that comes nearest to its bound, in the unit of its channel.
 """
 
 from __future__ import annotations
 
+import csv
 import tempfile
 from pathlib import Path
 
 from tests.support.extremes import CASES, Outcome, measure_case
 from tests.support.paths import REPOSITORY
 
-PAGE = REPOSITORY / "docs" / "extremes.md"
-HEAD = """# Extreme sequences
-
-Each is encoded with `--keep-all` at the default steps, validated, decoded and compared with its original, attribute by
-attribute, against the `max_error` in its package (FORMAT.md, section 4). The column shows the top rung's attribute that
-comes nearest to its bound, in the unit of its channel; no other, nor any other rung, exceeds its own. Written by
-`python -m tests.makers.extremes` from tests/support/extremes.py; tests/encoder/test_extremes.py checks the same.
-
-| sequence | nearest to its bound | measured | bound | bytes a row and frame | what was repaired, or why it is refused |
-|---|---|---|---|---|---|
-"""
+TABLE = REPOSITORY / "docs" / "results" / "extremes.csv"
+COLUMNS = ("sequence", "nearest to its bound", "measured", "bound", "bytes a row and frame", "refused")
 
 
-def line(outcome: Outcome) -> str:
-    """A row of the table."""
+def row(outcome: Outcome) -> list[str]:
+    """A case as a row of the table."""
     if outcome.refusal:
-        return f"| {outcome.name} | refused | | | | {outcome.refusal} |"
-    return (
-        f"| {outcome.name} | {outcome.attribute.replace('group 0 ', '')} | {outcome.error:.3g} | {outcome.bound:.3g} | "
-        f"{outcome.bytes_a_gaussian:.3g} | {outcome.repairs.replace('scene frames', 'frames')} |"
-    )
+        return [outcome.name, "", "", "", "", outcome.refusal]
+    figures = [f"{value:.3g}" for value in (outcome.error, outcome.bound, outcome.bytes_a_gaussian)]
+    return [outcome.name, outcome.attribute.replace("group 0 ", ""), *figures, ""]
 
 
 def main() -> None:
@@ -39,8 +32,9 @@ def main() -> None:
     rows = []
     for case in CASES:
         with tempfile.TemporaryDirectory() as folder:
-            rows.append(line(measure_case(case, Path(folder))))
-    PAGE.write_text(HEAD + "\n".join(rows) + "\n")
+            rows.append(row(measure_case(case, Path(folder))))
+    with TABLE.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
 
 
 if __name__ == "__main__":

@@ -1,26 +1,13 @@
-"""Quality of pictures against their plain float64 definitions."""
+"""Quality of pictures against plain float64 definitions and published pairs of colours."""
+
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
-from airgs_codec.media.metrics import PSNR_CAP, Reference, mse, psnr, ssim
-
-
-def plain_ssim(a, b):
-    """Wang et al. 2004, eq. 13, window by window."""
-    x = np.arange(-5, 6)
-    weights = np.exp(-(x[:, None] ** 2 + x**2) / (2 * 1.5**2))
-    weights /= weights.sum()
-
-    def local_mean(p):
-        padded = np.pad(p, ((5, 5), (5, 5), (0, 0)), mode="reflect")
-        return np.einsum("hwcij,ij->hwc", np.lib.stride_tricks.sliding_window_view(padded, (11, 11), (0, 1)), weights)
-
-    a, b = np.clip(a, 0, 1).astype(np.float64), np.clip(b, 0, 1).astype(np.float64)
-    ma, mb = local_mean(a), local_mean(b)
-    va, vb, covariance = local_mean(a * a) - ma**2, local_mean(b * b) - mb**2, local_mean(a * b) - ma * mb
-    top = (2 * ma * mb + 0.01**2) * (2 * covariance + 0.03**2)
-    return float((top / ((ma**2 + mb**2 + 0.01**2) * (va + vb + 0.03**2))).mean())
+from airgs_codec.media.metrics import MOST_COLOURS, PSNR_CAP, Difference, Picture, Quality, mse, pool, psnr
+from tests.support.plain_metrics import plain_mse, plain_ssim
 
 
 @pytest.fixture(params=[0.002, 0.05, 0.5])
@@ -33,26 +20,25 @@ def pictures(request):
 
 
 def test_similarity_is_that_of_the_definition(pictures):
-    a, b = pictures
-    assert ssim(a, b) == pytest.approx(plain_ssim(a, b), abs=1e-5)
-    assert ssim(b, a) == pytest.approx(ssim(a, b), abs=1e-6)
+    a, b = map(Picture.of, pictures)
+    assert a.ssim(b) == pytest.approx(plain_ssim(*pictures), abs=1e-5)
+    assert b.ssim(a) == pytest.approx(a.ssim(b), abs=1e-6)
 
 
-def test_a_reference_gives_what_comparing_alone_gives(pictures):
-    a, b = pictures
-    kept = a.copy(), b.copy()
-    reference = Reference.of(b)
-    for _ in range(2):  # nothing of one comparison is left for the next
-        assert (reference.mse(a), reference.ssim(a)) == (mse(a, b), ssim(a, b))
-        assert (reference.mse(b), reference.ssim(b)) == (0, pytest.approx(1, abs=1e-6))
-    np.testing.assert_array_equal(a, kept[0])
-    np.testing.assert_array_equal(b, kept[1])
+def test_nothing_of_one_comparison_is_left_for_the_next(pictures):
+    before = [picture.copy() for picture in pictures]
+    a, b = map(Picture.of, pictures)
+    for _ in range(2):
+        for first, second in ((a, b), (b, a), (a, a)):
+            alone = Difference.of(Picture.of(first.rgb), Picture.of(second.rgb))
+            assert Difference.of(first, second) == alone
+    for picture, same in zip(pictures, before, strict=True):
+        np.testing.assert_array_equal(picture, same)
 
 
 def test_the_squared_error_is_of_what_a_screen_shows(pictures):
     a, b = pictures
-    wanted = np.mean((np.clip(a, 0, 1).astype(np.float64) - np.clip(b, 0, 1)) ** 2)
-    assert mse(a, b) == pytest.approx(wanted, rel=1e-6)
+    assert mse(a, b) == pytest.approx(plain_mse(a, b), rel=1e-6)
     assert mse(np.full_like(a, 7), np.full_like(a, 1)) == 0
 
 
@@ -60,3 +46,52 @@ def test_equal_pictures_have_the_largest_psnr(pictures):
     a, _ = pictures
     assert psnr(mse(a, a)) == PSNR_CAP == psnr(1e-30)
     assert psnr(1e-4) == pytest.approx(40)
+
+
+def test_many_pictures_have_the_mean_error_and_the_worst_one():
+    differences = [
+        Difference(error, ssim, colour) for error, ssim, colour in ((1e-4, 0.9, 1), (1e-2, 0.5, 4), (4e-4, 1, 1))
+    ]
+    assert pool(differences) == Quality(psnr(0.0105 / 3), pytest.approx(20), pytest.approx(0.8), pytest.approx(2))
+    assert pool(differences, 0.1) == Quality(psnr(0.00105 / 3), pytest.approx(30), pytest.approx(0.8), pytest.approx(2))
+    assert pool([Difference(0.0, 1.0, 0.0)]) == Quality(PSNR_CAP, PSNR_CAP, 1, 0)
+
+
+def plain(colour, height=8, width=8):
+    return Picture.of(np.full((height, width, 3), colour, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "expected"),
+    [
+        ((0.2, 0.4, 0.6), (0.2, 0.4, 0.6), 0.0),
+        ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), 100.0),  # black and white: L* of 0 and 100
+        ((0.0, 0.0, 0.0), (9.0, 9.0, 9.0), 100.0),  # shown as white
+        ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), 86.615),  # sRGB's red and green, by Sharma's formula
+        ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), 52.881),
+    ],
+)
+def test_plain_colours(a, b, expected):
+    assert plain(a).delta_e(plain(b)) == pytest.approx(expected, abs=0.02)
+
+
+def test_a_part_of_the_pixels_stands_for_a_large_picture():
+    rng = np.random.default_rng(1)
+    a = rng.random((200, 300, 3)).astype(np.float32)
+    b = (a + rng.normal(size=a.shape) * 0.05).astype(np.float32)
+    parts = [slice(i, i + 40) for i in range(0, 280, 40)]  # small enough: all their pixels
+    strips = [Picture.of(a[:, part]).delta_e(Picture.of(b[:, part])) for part in parts]
+    assert 200 * 40 < MOST_COLOURS < 200 * 300
+    whole = Picture.of(a).delta_e(Picture.of(b))
+    assert whole == Picture.of(a[::3, ::3]).delta_e(Picture.of(b[::3, ::3])) == pytest.approx(np.mean(strips), rel=0.02)
+
+
+def test_numbers_print_as_before():
+    """Importing colour-science sets numpy's print options for the whole process."""
+    code = (
+        "import numpy as np; from airgs_codec.media.metrics import Picture;"
+        "before = np.get_printoptions(), str(np.float32(1000001));"
+        "Picture.of(np.zeros((8, 8, 3), 'f4')).delta_e(Picture.of(np.ones((8, 8, 3), 'f4')));"
+        "assert (np.get_printoptions(), str(np.float32(1000001))) == before"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -62,7 +62,7 @@ def index_of(count):
 @example(4095, None)
 @example(4096, None)
 @example(4097, None)
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_every_group_frame_and_segment_is_found_with_a_page_for_each_level(count, seed):
     index, pages = index_of(count)
     assert [len(spans) for spans in index] == digits(count) and sum(len(pack_json(s)) for s in index) < MOST_ROOT_BYTES

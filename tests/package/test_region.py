@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.package.parse import read_region
-from airgs_codec.package.region import departure, draw_views, first_place, place_view, upright, view_from
+from airgs_codec.package.region import departure, draw_views, first_place, place_view, upright
 from airgs_codec.package.tables import Place
 from tests.support.regions import place, region
 
@@ -81,30 +81,6 @@ def test_without_extent_draws_are_the_places():
         np.testing.assert_allclose(view.world_to_camera, same.world_to_camera, atol=1e-12)
         assert (view.width, view.height, view.near) == (32, 24, 0.01)
         assert 2 * np.degrees(np.arctan(12 / view.fy)) == pytest.approx(50) and view.fx == view.fy
-
-
-def test_departures_in_distance_and_degrees():
-    r = region(place(0.0, reach=0.5), turn=10.0)
-    ahead = np.array([0.0, 0.0, 0.0])
-    back = departure(r, view_from(r, np.array([0.0, 0.0, -5.25]), ahead, UP, "back"))
-    assert back.distance == pytest.approx(0.75) and back.degrees == 0 and not back.inside
-    turned = np.array([np.sin(np.radians(25)), 0, np.cos(np.radians(25))])
-    aside = departure(r, view_from(r, np.array([0.0, 0.0, -4.0]), np.array([0, 0, -4.0]) + turned, UP, "aside"))
-    assert aside.distance == 0 and aside.degrees == pytest.approx(15)
-
-
-def test_the_place_counts_for_which_the_departure_is_least():
-    at = np.array([2.9, 0.0, -5.4])
-    beyond = departure(ROW, view_from(ROW, at, np.array([3.0, 0.0, 0.0]), UP, "near the right one"))
-    assert beyond.inside
-    other_way = departure(ROW, view_from(ROW, at, np.array([-3.0, 0.0, 0.0]), UP, "off"))
-    assert other_way.distance == 0 and other_way.degrees > 30
-
-
-def test_from_the_focus_every_direction_is_towards_it():
-    r = region(place(0.0, reach=4.0), turn=1.0)
-    for target in ([0.0, 0.0, 9.0], [9.0, 0.0, 0.0], [0.0, 0.0, -9.0]):
-        assert departure(r, view_from(r, np.zeros(3), np.array(target), UP, "there")).inside
 
 
 def written(tmp_path, text):

@@ -1,11 +1,12 @@
 """A viewer's walk: by all places in their order, smooth, inside the region, never through what he looks at."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from airgs_codec.package.region import departure, departures, draw_views, place_view
+from airgs_codec.package.region import departures, place_view
 from airgs_codec.package.tables import Place
 from airgs_codec.package.viewpath import SPEED, TURNING, path_of_region, walk_cameras, walk_region
 from tests.support.regions import arc, row
@@ -53,6 +54,23 @@ def test_a_ring_is_walked_round_and_an_arc_to_and_fro():
     assert np.ptp(np.unwrap(np.arctan2(round_trip[:, 2], round_trip[:, 0]))) > 2 * np.pi - 0.5
     angles = np.arctan2(*positions(walk_region(arc(180, 9, 0.7), 900, FPS)).T[[2, 0]])
     assert angles.min() > -0.2 and angles.max() < np.pi + 0.2
+
+
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_no_leg_of_a_round_trip_crosses_another(seed):
+    corners = np.random.default_rng(seed).uniform(-5, 5, (8, 2))
+    region = region_of(*[Place([x, y, 0], [x, y, 9], [0, 1, 0], 3.0) for x, y in corners])
+    stops = np.array([stop.position[:2] for stop in path_of_region(region).tour])
+    legs = list(zip(stops, np.roll(stops, -1, axis=0), strict=True))
+
+    def side(leg, point):
+        (ax, ay), (bx, by) = leg[1] - leg[0], point - leg[0]
+        return np.sign(ax * by - ay * bx)
+
+    def cross(one, other):
+        return side(one, other[0]) * side(one, other[1]) < 0 and side(other, one[0]) * side(other, one[1]) < 0
+
+    assert len(legs) > 5 and not any(cross(one, other) for one, other in itertools.combinations(legs, 2))
 
 
 def test_a_walk_bends_out_of_no_narrow_region():
@@ -113,18 +131,6 @@ def test_a_place_whose_up_is_no_direction_across_its_view_still_has_pictures(up)
         region = region_of(Place([0, 0, 0], ahead, up, 1.0))
         walk = walk_region(region, 20, FPS)
         assert all(np.isfinite(camera.world_to_camera).all() for camera in walk.cameras) and not outside(region, walk)
-
-
-def test_departures_are_those_of_the_best_place():
-    """Of two places, the one that is nearer to its ball counts, then the one whose focus is nearer to the axis."""
-    region = row(2, 0.25)
-    camera = place_view(region, replace(region.places[0], position=[0.5, 0.0, -1.0], focus=[1.0, 0.0, 10.0]))
-    found = departure(region, camera)
-    assert found.distance == pytest.approx(np.hypot(0.5, 1) - 0.25) and found.degrees == 0
-    aside = place_view(region, replace(region.places[0], focus=[10.0, 0.0, 10.0]))
-    assert departure(region, aside).distance == 0 and departure(region, aside).degrees == pytest.approx(35)
-    assert departures(region, [camera, aside]) == [found, departure(region, aside)]
-    assert all(d.inside for d in departures(region, draw_views(region, 50, 3)))
 
 
 @pytest.mark.parametrize("region", [arc(180, 7, 0.8), row(1, 0.0)], ids=["arc", "one place"])

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
@@ -37,7 +37,6 @@ def test_axes_turn_as_people_know_them(up, moved):
     assert up_of(world).tolist() == list(parse_up(up)) and not world.metric
 
 
-@settings(deadline=None)
 @given(
     up=st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-3),
     metres=st.sampled_from([None, 1e-6, 0.01, 1.0, 250.0, 1e6]),
@@ -49,7 +48,6 @@ def test_any_direction_goes_up_in_a_right_handed_world(up, metres):
     assert unit_of(world) == (None if metres is None else pytest.approx(metres))
 
 
-@settings(deadline=None)
 @given(tilt=st.floats(-1e-7, 1e-7), sway=st.floats(-1e-7, 1e-7))
 def test_directions_beside_minus_y_turn_alike(tilt, sway):
     np.testing.assert_allclose(

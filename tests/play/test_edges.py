@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import TransportError
-from airgs_codec.play.bound import paper_programme
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import LONGEST_S, Link
 from airgs_codec.play.regret import session_bound
@@ -14,8 +13,8 @@ from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import MOST_BPS, Trace
 from tests.support.manifests import tiny_manifest
-from tools.stiffness.outcome import BOUNDED, CONVERGES, REFUSED
-from tools.stiffness.selector import KINDS, judge_margin, offer, solved
+from tools.lab.numerics.outcome import BOUNDED, CONVERGES, REFUSED
+from tools.lab.numerics.plans import KINDS, judge_margin, offer, solved
 
 CATALOGUE = Catalogue(tiny_manifest(), header_bytes=0)
 
@@ -36,12 +35,6 @@ def test_the_fastest_link_carries_the_best_of_everything() -> None:
         what, capacities = offer(kind, 1e12)
         assert (what.sizes.sum(axis=0)[0] <= capacities[0]).all()
         assert solved(kind, 1e12)[:2] == (CONVERGES, pytest.approx(0, abs=1e-6))
-
-
-def test_the_papers_programme_takes_sizes_over_nine_decades() -> None:
-    sizes = [[10.0**k, 0.5 * 10.0**k] for k in range(10)]
-    total, feasible = paper_programme(sizes, [[40.0, 30.0]] * 10, [10.0**k for k in range(10)])
-    assert feasible.all() and total == pytest.approx(400.0)
 
 
 def test_a_link_that_just_carries_a_session_is_no_fault() -> None:

@@ -1,5 +1,6 @@
 """The player over real HTTP on loopback: the same events, by the clock, also on bad days."""
 
+import asyncio
 import contextlib
 import shutil
 import socket
@@ -29,7 +30,7 @@ from airgs_codec.serve.shaping import Shape
 from tests.support.faulty import FAULTS, Weather, faultily_serving
 from tests.support.paths import GOLDEN, VALID
 from tests.support.servers import plainly_serving, serving
-from tools.check_link import compare
+from tools.lab.bench.link import compare
 
 PACKAGE = VALID / "two-groups-sh1"
 RULES = SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0, loops=1)
@@ -55,6 +56,13 @@ def old_server():
     yield local(server.server_address[1])
     server.shutdown()
     server.server_close()
+
+
+def test_the_round_trip_is_known_once_a_file_came(old_server):
+    with HttpDownloader(old_server, FAST) as downloader:
+        assert downloader.rtt_s == 0
+        downloader.open()
+        assert downloader.rtt_s > 0
 
 
 def check_played_like_a_simulation(url):
@@ -156,15 +164,16 @@ def test_impatience_that_cannot_work_is_refused(wrong):
         HttpSettings(**wrong)
 
 
-def test_waiting_for_room_takes_time_unless_as_fast():
-    rules = replace(RULES, buffer_s=0.3, loops=None)
+def test_waiting_for_room_takes_time_unless_as_fast(monkeypatch):
+    rules, asked, sleep = replace(RULES, buffer_s=0.3, loops=None), [], asyncio.sleep
+    monkeypatch.setattr(asyncio, "sleep", lambda seconds: asked.append(seconds) or sleep(seconds))
     with faultily_serving(PACKAGE, Weather(0.0)) as port:
-        began_s = time.monotonic()
         log = play_url(local(port), rules=rules)
-        assert log.fetches[-1].arrival_s > log.metrics.played_s - 0.5 > time.monotonic() - began_s
+        assert log.fetches[-1].arrival_s > log.metrics.played_s - 0.5 > sum(asked) == 0
         began_s = time.monotonic()
         real = play_url(local(port), rules=replace(rules, loops=2), http=HttpSettings())
         assert time.monotonic() - began_s >= real.fetches[-1].arrival_s > real.metrics.played_s - 0.5
+    assert sum(asked) > 0
 
 
 def test_a_thousand_faults_bring_no_wrong_file():
@@ -223,7 +232,7 @@ def test_a_digest_in_the_headers_covers_airgs_json():
 
 
 def test_the_real_link_is_never_faster_than_the_simulated_one():
-    """Part of a second of play; how close it comes is measured by tools/check_link, not here."""
+    """Part of a second of play; how close it comes is measured by tools/lab/bench/link.py, not here."""
     trace = Trace("t", np.array([0.0, 0.2, 0.4]), np.array([4e5, 0.0, 8e6]), 10.0)
     rules = SessionSettings(loops=1, pipelined=False, abandon=False, startup_s=0.0, buffer_s=2.0)
     with serving(PACKAGE, settings=ServerSettings(Shape(trace, 0.02))) as port:

@@ -142,7 +142,7 @@ def test_the_programme_pays_for_a_base_once():
 
 
 @given(st.lists(st.floats(2e4, 2e5), min_size=2, max_size=6), st.sampled_from([(8, 10), (0, 4), (3, 0)]))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_no_session_beats_the_bound(rates, kept):
     m = keeping(keeping(tiny_manifest(groups=(10, 10, 10, 10)), 2, 1, kept), 4, 1, kept)
     for policy, loops in itertools.product(("throughput", "robust-mpc", "oracle-lp", "fixed:Q1+L1"), (1, 2)):

@@ -167,7 +167,7 @@ def test_the_oracles_know_the_trace():
     assert names(choose_oracle_lp(state(8e9, 3.0, end=4), tight)) != "Q0+L0"  # 8 kB for four segments
 
 
-@settings(deadline=None, max_examples=150)
+@settings(max_examples=150)
 @given(
     rates=st.lists(st.floats(1e2, 1e9), max_size=8),
     buffer_s=st.floats(-5, 12),

@@ -12,7 +12,8 @@ from airgs_codec.package.paths import JSON_NAME, group_path
 from airgs_codec.package.store import open_package, root_of
 from airgs_codec.play.remote import RemoteTables
 from tests.support.long_index import long_index
-from tests.support.paths import INVALID, VALID
+from tests.support.paths import VALID
+from tests.support.refusals import cases
 
 ROOT = root_of(open_package(VALID / "paged").manifest)
 
@@ -71,13 +72,13 @@ def test_a_table_is_checked_with_those_that_keep_its_rows_and_with_no_others(mon
 
 @pytest.mark.parametrize("order", [(2, 3), (3, 2)])
 def test_a_table_that_keeps_rows_of_one_that_keeps_some_is_refused_whichever_comes_first(order):
-    folder, tables = INVALID / "bad_value-keeps-chain", RemoteTables()
-    tables.accept(JSON_NAME, (folder / JSON_NAME).read_bytes())
+    files, tables = cases()["bad_value-keeps-chain"].package(), RemoteTables()
+    tables.accept(JSON_NAME, files[JSON_NAME])
     first, second = (group_path(number) for number in order)
-    tables.accept(first, (folder / first).read_bytes())
+    tables.accept(first, files[first])
     for _ in range(2):
         with pytest.raises(FormatError) as refused:
-            tables.accept(second, (folder / second).read_bytes())
+            tables.accept(second, files[second])
         assert refused.value.reason == "bad_value"
 
 
@@ -100,6 +101,11 @@ def test_a_page_that_is_not_what_the_level_above_says_is_refused():
 def test_another_package_is_no_growth(after):
     with pytest.raises(FormatError, match="expected the package of before with more groups"):
         grown(root(4162), after)
+
+
+def test_a_package_that_was_closed_does_not_grow_again():
+    with pytest.raises(FormatError, match="expected the package of before with more groups"):
+        grown(root(4162).replace(b'"live":true', b'"live":false'), root(4163))
 
 
 def test_growth_may_be_long_in_coming():

@@ -15,7 +15,7 @@ from airgs_codec.train.loss.photometric import photometric
 from airgs_codec.train.quality import mean_psnr
 from tests.support.scenes import random_gaussians
 from tests.support.views import coloured_cloud, moved, ring, views_of
-from tools.compare_devices import compare
+from tools.lab.bench.devices import compare
 
 missing = cuda.missing()
 pytestmark = pytest.mark.skipif(missing is not None, reason=f"gsplat: {missing}")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.camera import look_at, measured_views, training_views
+from airgs_codec.scene.camera import look_at, training_views
 from airgs_codec.scene.cameras.read import read_cameras
 from tests.support.multiview_files import matrix_of
 from tests.support.paths import FOX
@@ -61,15 +61,12 @@ def test_an_entry_that_describes_no_camera_is_refused(tmp_path, fields):
         read_cameras(tmp_path / "t.json")
 
 
-def test_held_out_cameras_are_measured_on_and_never_trained_on():
+def test_held_out_cameras_are_never_trained_on():
     views = ring(8, held_out=2)
-    assert training_views(views) == views[:6] and measured_views(views) == views[6:]
-    for split, held_out in (("train", False), ("test", True)):  # where there is no choice, all serve for both
+    assert training_views(views) == views[:6]
+    for split, held_out in (("train", False), ("test", True)):  # where there is no choice, all are trained on
         alike = [replace(v, split=split) for v in views]
-        assert {v.held_out for v in alike} == {held_out}
-        assert training_views(alike) == alike and [v.name for v in measured_views(alike)] == [
-            views[i].name for i in (0, 2, 5, 7)
-        ]
+        assert {v.held_out for v in alike} == {held_out} and training_views(alike) == alike
 
 
 def test_the_cameras_of_the_embedded_scene():

@@ -67,9 +67,16 @@ def test_a_frame_is_fetched_when_it_is_read(place, fetched, tmp_path):
     assert there.axes == here.axes
 
 
+def test_a_header_longer_than_what_is_fetched_first_is_read(place, tmp_path):
+    folder = write_sequence(tmp_path / "scene", moving_frames(20, 1))
+    path = folder / "000000.ply"
+    path.write_bytes(path.read_bytes().replace(b"element vertex", b"comment long\n" * 4000 + b"element vertex", 1))
+    assert open_sequence(put_folder(folder, place)).headers == open_sequence(folder).headers
+
+
 def test_frames_make_room_for_others(place, fetched, tmp_path, monkeypatch):
     frames = moving_frames(500, 6)
-    here = open_sequence(write_sequence(tmp_path / "scene", frames))
+    here = open_sequence(write_sequence(tmp_path / "scene", frames, cameras=False))
     size = (tmp_path / "scene" / "000000.ply").stat().st_size
     monkeypatch.setattr(mirror.Mirror.__init__, "__kwdefaults__", {"deep": True, "limit": 2 * size})
     sequence = open_sequence(put_folder(tmp_path / "scene", place))
@@ -121,7 +128,7 @@ def test_every_format_is_read_as_from_a_folder(place, tmp_path, kind):
 
 def test_a_file_is_opened_by_its_own_name_with_the_cameras_beside_it(place, fetched, tmp_path):
     shutil.copy(FOX / "transforms.json", tmp_path)
-    write_sequence(tmp_path, moving_frames(40, 2), fps=12)
+    write_sequence(tmp_path, moving_frames(40, 2), cameras=False, fps=12)
     (tmp_path / "a.splatv").write_bytes(splatv_bytes(random_rows(50)))
     put_folder(tmp_path, place)
     frame, clip = open_sequence(f"{place}/000001.ply"), open_sequence(f"{place}/a.splatv", bake_fps=4, duration=1)
@@ -132,7 +139,7 @@ def test_a_file_is_opened_by_its_own_name_with_the_cameras_beside_it(place, fetc
 
 
 def test_an_inria_model_has_its_cameras(place, tmp_path):
-    write_sequence(tmp_path / "point_cloud" / "iteration_7", moving_frames(30, 1))
+    write_sequence(tmp_path / "point_cloud" / "iteration_7", moving_frames(30, 1), cameras=False)
     (tmp_path / "point_cloud" / "iteration_7" / "000000.ply").rename(
         tmp_path / "point_cloud" / "iteration_7" / "point_cloud.ply"
     )

@@ -47,7 +47,7 @@ def table_of(path, names):
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_ascii_little_and_big_endian_give_the_same_table(tmp_path_factory, data):
     """Whatever stands before and after, in any order of properties and types, with comments and CR LF."""
     path = tmp_path_factory.mktemp("ply") / "a.ply"

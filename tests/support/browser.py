@@ -24,6 +24,7 @@ from tests.support.paths import REPOSITORY
 WEB = REPOSITORY / "web"
 CHROMIUMS = ("chromium", "chromium-browser", "google-chrome")
 LEAST_NODE = 20
+OWN = "GPU stall due to ReadPixels"  # Chromium says so of every WebGL canvas where no GPU puts pages together
 TYPES = {".mjs": "text/javascript", ".mpd": "application/dash+xml", ".m4s": "video/iso.segment", ".mp4": "video/mp4"}
 
 
@@ -66,6 +67,10 @@ class Answer:
 
 
 Maker = Callable[[], bytes | Answer | None]  # None: the file as it is
+
+
+class _Server(ThreadingHTTPServer):
+    request_queue_size = 128  # of the usual 5, a browser on a busy machine loses some for a minute
 
 
 @contextmanager
@@ -115,7 +120,7 @@ def serve(folders: Mapping[str, Path], made: Mapping[str, Maker] | None = None) 
         def log_message(self, format: str, *args: object) -> None:
             """Nothing is printed."""
 
-    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+    with _Server(("127.0.0.1", 0), Handler) as server:
         thread = threading.Thread(target=server.serve_forever)
         thread.start()
         try:
@@ -148,15 +153,53 @@ class Visit:
     failed: list[str]  # errors that nothing caught
 
     def complaints(self, known: tuple[str, ...] = ()) -> list[str]:
-        """Errors, and errors and warnings of the console without a `known` part."""
+        """Errors, and errors and warnings of the console without a `known` part or what the browser brings along."""
         said = [m["text"] for m in self.messages if m["type"] in ("error", "warning")]
-        return [*self.failed, *(text for text in said if not any(part in text for part in known))]
+        return [*self.failed, *(text for text in said if not any(part in text for part in (OWN, *known)))]
+
+
+class _Browser:
+    """Chromium at work: pages are opened one after another, each without anything of those before it."""
+
+    def __init__(self) -> None:
+        environment = os.environ | {"CHROMIUM": str(_chromium())}
+        command = ["node", str(WEB / "test" / "open.mjs")]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+
+    def visit(self, url: str, script: str) -> Visit:
+        """What came of a page."""
+        process = self._process
+        assert process.stdin and process.stdout
+        process.stdin.write(json.dumps({"url": url, "script": script or None}).encode() + b"\n")
+        process.stdin.flush()
+        line = process.stdout.readline()  # it gives up by itself where a page does not report
+        assert line, f"the browser ended with status {process.wait()}"
+        return Visit(**json.loads(line))
+
+    def close(self) -> None:
+        """End it."""
+        assert self._process.stdin and self._process.stdout
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+
+
+_browser: _Browser | None = None
 
 
 def visit(url: str, script: str = "") -> Visit:
-    """Open a page, with a script that runs on it before its own where one is given, and wait for its report."""
-    environment = os.environ | {"CHROMIUM": str(_chromium())}
-    command = ["node", str(WEB / "test" / "open.mjs"), url, *filter(None, [script])]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=180, env=environment)
-    assert done.returncode == 0, done.stderr
-    return Visit(**json.loads(done.stdout))
+    """Open a page, with a script that runs on it before its own where one is given, and wait for its report.
+
+    All pages of a process are opened by one browser, which the first one starts and `close_browser` ends.
+    """
+    global _browser
+    _browser = _browser or _Browser()
+    return _browser.visit(url, script)
+
+
+def close_browser() -> None:
+    """End the browser, if a page was opened."""
+    global _browser
+    if _browser:
+        _browser.close()
+    _browser = None

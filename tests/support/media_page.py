@@ -5,11 +5,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from tests.support.browser import WEB, build_pages, serve, visit
-from tests.support.paths import GOLDEN, REPOSITORY, VALID
+from tests.support.paths import GOLDEN, VALID
 
 PAGE = b'<!doctype html><meta charset="utf-8"><script type="module" src="/web/out/pages/media.js"></script>'
-INVALID = REPOSITORY / "manifests" / "invalid"
-FOLDERS = {"golden": GOLDEN, "valid": VALID, "invalid": INVALID}
+FOLDERS = {"golden": GOLDEN, "valid": VALID}
 
 
 def look(

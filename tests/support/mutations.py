@@ -67,19 +67,20 @@ def on_disk(folder: Path, *mutations: Mutation) -> Path:
     after = apply(before, *mutations)
     for name in before.keys() - after.keys():
         (folder / name).unlink()
-    for name, data in after.items():
-        if data != before.get(name):
-            _write(folder / name, data)
+    return write_files(folder, {name: data for name, data in after.items() if data != before.get(name)})
+
+
+def write_files(folder: Path, files: Files) -> Path:
+    """Write these files below `folder`, where others stay as they are."""
+    for name, data in files.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.unlink(missing_ok=True)
+        if isinstance(data, Link):
+            path.symlink_to(data.decode())
+        else:
+            path.write_bytes(data)
     return folder
-
-
-def _write(path: Path, data: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.unlink(missing_ok=True)
-    if isinstance(data, Link):
-        path.symlink_to(data.decode())
-    else:
-        path.write_bytes(data)
 
 
 def edit_tables(change: Callable[[dict[str, Any]], object], name: str = JSON_NAME) -> Mutation:

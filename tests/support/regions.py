@@ -1,9 +1,10 @@
-"""Small viewing regions."""
+"""Small viewing regions, and encodes that look at little."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.tables import Place, Region
 
 
@@ -28,3 +29,9 @@ def arc(degrees: float, count: int, reach: float, radius: float = 3.0) -> Region
 def row(count: int, reach: float) -> Region:
     """Places one unit apart that look the same way, at something ten units away."""
     return region(*[Place([float(i), 0.0, 0.0], [float(i), 0.0, 10.0], [0.0, 1.0, 0.0], reach) for i in range(count)])
+
+
+# For tests of what becomes of packages: two small pictures of a group decide, and nothing is left out for lack of more.
+QUICK = EncodeSettings(
+    calibrate="none", preset="veryfast", measure_pictures=0, decide_pictures=2, keep_all=True, region=region()
+)

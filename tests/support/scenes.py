@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.ply import write_ply
+from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX
 
 
@@ -47,11 +49,13 @@ def moving_frames(count: int, frames: int, degree: int = 0, seed: int = 0) -> li
     return out
 
 
-def write_sequence(folder: Path, frames: list[Gaussians], **settings: object) -> Path:
-    """A sequence on disk."""
+def write_sequence(folder: Path, frames: list[Gaussians], *, cameras: bool = True, **settings: object) -> Path:
+    """A sequence on disk; without cameras an encode searches for places to see it from, which takes a second."""
     folder.mkdir(parents=True, exist_ok=True)
     for i, frame in enumerate(frames):
         write_ply(folder / f"{i:06d}.ply", frame)
+    if cameras:
+        write_cameras(folder / "transforms.json", orbit_views(frames[0], count=4, size=64))
     if settings:
         (folder / "sequence.json").write_text(json.dumps(settings))
     return folder

@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -47,14 +49,9 @@ def scene(blobs):
 
 
 @pytest.fixture(scope="module")
-def compiled(scene, tmp_path_factory):
-    """Another process has compiled the kernels: what it had then may differ in the last bits from what is loaded."""
-    engine = Processes(1)
-    try:
-        folder = tmp_path_factory.mktemp("compiled")
-        train_with(scene, folder / "m", Work(WorkFolder(folder / "work"), engine))
-    finally:
-        engine.close()
+def compiled():
+    """Other processes have compiled the kernels: what one compiles may differ in the last bits from what it loads."""
+    subprocess.run([sys.executable, "-m", "airgs_codec.cli.kernels"], check=True)
 
 
 @pytest.fixture(scope="module")

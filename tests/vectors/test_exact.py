@@ -66,6 +66,7 @@ def test_positions_that_are_refused(case):
         shared = unpack_key_sidecar(data(case["data"]), case["rows"], grid, case["coarsest"], "vector")
         reader = ColumnReader(data(case["detail"]), "vector")
         read_detail(reader, shared, grid, case["coarser"], case["coarsest"])
+        escapes.read_columns(reader, (1, 1, case["rows"]))
         reader.close()
     assert caught.value.reason == "bad_sidecar"
 

@@ -10,7 +10,7 @@ from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.region import departure
+from airgs_codec.package.region import departure, departures
 from airgs_codec.package.tables import Grid, KeySteps, Place, Region, StateSteps, unpack_matrix
 from airgs_codec.render.reference import sh_colours
 from airgs_codec.scene.camera import look_at
@@ -93,10 +93,15 @@ def test_colours_from_directions():
 def test_regions(case):
     places = [Place(p["position"], p["focus"], p["up"], p["reach"]) for p in case["places"]]
     region = Region("file", 32, 24, 50.0, 0.01, case["turn"], places)
-    for viewer in case["viewers"]:
-        position = np.array(viewer["position"])
-        target = position + viewer["forward"]
-        found = departure(region, look_at(position, target, np.array([0.0, -1, 0]), size=8, fov_y=1.0, name="viewer"))
+    cameras = [viewer_of(viewer) for viewer in case["viewers"]]
+    for viewer, camera, found in zip(case["viewers"], cameras, departures(region, cameras), strict=True):
+        assert found == departure(region, camera)
         assert found.inside == viewer["inside"]
         assert found.distance == pytest.approx(viewer["distance"], abs=1e-6)
         assert found.degrees == pytest.approx(viewer["degrees"], abs=1e-3)
+
+
+def viewer_of(viewer):
+    """The camera of a viewer."""
+    position = np.array(viewer["position"])
+    return look_at(position, position + viewer["forward"], np.array([0.0, -1, 0]), size=8, fov_y=1.0, name="viewer")

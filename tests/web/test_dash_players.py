@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.settings import LevelSettings
 from airgs_codec.package.mpd import LiveClock, write_mpd
 from airgs_codec.package.paths import INIT_NAME, MPD_NAME, tile_folder
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import WEB, missing, serve, visit
 from tests.support.paths import GOLDEN
+from tests.support.regions import QUICK
 from tests.support.scenes import moving_frames, write_sequence
 
 PLAYERS = ("dashjs", "shaka")
@@ -152,7 +153,7 @@ def growing(tmp_path_factory):
     folder = tmp_path_factory.mktemp("growing")
     keyframes = [*range(0, 2 * GROUPS, 2)]
     scene = write_sequence(folder / "scene", moving_frames(200, 2 * GROUPS), fps=2, keyframes=keyframes)
-    settings = EncodeSettings(calibrate="none", preset="veryfast", measure_pictures=0, levels=(LevelSettings(0.0),))
+    settings = replace(QUICK, levels=(LevelSettings(0.0),))
     encode(open_sequence(scene), folder / "growing.airgs", settings)
     return open_package(folder / "growing.airgs")
 

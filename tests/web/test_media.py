@@ -13,15 +13,16 @@ from airgs_codec.coding.colour import colours
 from airgs_codec.decoder.decode import Part, decode_frames
 from airgs_codec.encoder import representation
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.store import open_package
 from airgs_codec.play.repr_digest import REPR_DIGEST, repr_digest
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import Answer, missing
 from tests.support.growing import Growing
-from tests.support.media_page import FOLDERS, INVALID, look
-from tests.support.paths import GOLDEN
+from tests.support.media_page import FOLDERS, look
+from tests.support.paths import GOLDEN, VALID
+from tests.support.refusals import cases as cases_of_refusals
+from tests.support.regions import QUICK
 from tests.support.rooms import room_frames
 from tests.support.scenes import moving_frames, write_sequence
 from tests.support.vectors import cases
@@ -48,7 +49,7 @@ def encoded(tmp_path_factory):
     """Folder of packages: `pages`, whose atlases are all cut into pages, `long`, a segment of many frames, and
     `still`, two groups alike."""
     folder = tmp_path_factory.mktemp("encoded")
-    settings = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", segment_s=0.2)
+    settings = replace(QUICK, segment_s=0.2)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(representation, "picture_size", partial(picture_size, macroblocks=16))
         encode(open_sequence(write_sequence(folder / "paged", moving_frames(600, 7))), folder / "pages", settings)
@@ -178,20 +179,38 @@ def sha(picture):
 # Refusals
 
 
-LOCAL = ("bad_mpd", "doctype", "foreign_url", "mpd_mismatch", "foreign_file", "unsafe_path")  # not met over HTTP
-REFUSED = sorted(path.name for path in INVALID.iterdir() if path.name.split("-")[0] not in LOCAL)
+# Every refusal is tested in Node (web/test/unit/packages.test.ts): here those of files that are no tables, and how one
+# of each kind of table comes out of the worker.
+OF_FILES = ("bad_picture", "bad_sidecar", "count_mismatch", "hash_mismatch", "missing_entry", "missing_file")
+OF_TABLES = ("not_json", "not_json-group", "bad_value-page-short", "too_large")
+REFUSED = {
+    name: case
+    for name, case in cases_of_refusals().items()
+    if case.reason in (*OF_FILES, "size_mismatch") or name in OF_TABLES
+}
+
+
+def answer(data):
+    return Answer(b"", 404) if data is None else Answer(data)
 
 
 @pytest.fixture(scope="module")
 def refusals():
-    return look({name: ("luma", {"url": f"invalid/{name}"}) for name in REFUSED})[0]
+    made = {
+        f"/{name}/{path}": partial(answer, files.get(path))
+        for name, case in REFUSED.items()
+        for files in [case.package()]
+        for path in case.files
+    }
+    folders = {name: VALID / case.base for name, case in REFUSED.items()}
+    return look({name: ("luma", {"url": name}) for name in REFUSED}, made, folders)[0]
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_broken_packages_are_refused(refusals, name):
     error = refusals[name].get("error")
     assert error is not None, refusals[name]
-    assert (error["name"], error.get("reason")) == ("FormatError", name.split("-")[0]), error
+    assert (error["name"], error.get("reason")) == ("FormatError", REFUSED[name].reason), error
 
 
 # Faults of servers

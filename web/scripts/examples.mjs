@@ -2,7 +2,6 @@
 import { copyFile } from "node:fs/promises";
 import { fileURLToPath } from "node:url";
 import { bundle } from "./bundle.mjs";
-import "./tables.mjs";
 
 const here = (path) => fileURLToPath(new URL(path, import.meta.url));
 const names = ["spark", "playcanvas"];

@@ -7,7 +7,6 @@
 import { copyFile, mkdir } from "node:fs/promises";
 import { fileURLToPath } from "node:url";
 import { bundleOnce } from "./bundle.mjs";
-import "./tables.mjs";
 
 const here = (path) => fileURLToPath(new URL(path, import.meta.url));
 const folder = process.argv[2] ?? here("../../airgs_codec/serve/page");

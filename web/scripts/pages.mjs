@@ -3,7 +3,6 @@ import { readdirSync } from "node:fs";
 import { basename } from "node:path";
 import { fileURLToPath } from "node:url";
 import { bundle } from "./bundle.mjs";
-import "./tables.mjs";
 
 const here = (path) => fileURLToPath(new URL(path, import.meta.url));
 const files = readdirSync(here("../test/pages")).filter((file) => file.endsWith(".ts"));

@@ -1,23 +1,18 @@
-// Runs the tests in test/unit with Node's own runner: node unit.mjs [NAME …]
+// Runs the tests in test/unit with Node's own runner, all in one process: node unit.mjs [NAME …]
 import { spawnSync } from "node:child_process";
-import { readdirSync } from "node:fs";
+import { mkdirSync, readdirSync, writeFileSync } from "node:fs";
 import { basename } from "node:path";
 import { fileURLToPath } from "node:url";
 import { bundle } from "./bundle.mjs";
-import "./tables.mjs";
 
 const here = (path) => fileURLToPath(new URL(path, import.meta.url));
 const wanted = process.argv.slice(2);
 const all = readdirSync(here("../test/unit")).filter((file) => file.endsWith(".test.ts"));
-const names = all
-  .map((file) => basename(file, ".ts"))
-  .filter((name) => !wanted.length || wanted.includes(name.split(".")[0]));
+const files = all.filter((file) => !wanted.length || wanted.includes(basename(file).split(".")[0]));
 const folder = here("../out/unit");
-await bundle(Object.fromEntries(names.map((name) => [name, here(`../test/unit/${name}.ts`)])), folder, {
-  platform: "node",
-  sourcemap: "inline",
-});
-const files = names.map((name) => `${folder}/${name}.js`);
-process.exit(
-  spawnSync(process.execPath, ["--enable-source-maps", "--test", ...files], { stdio: "inherit" }).status ?? 1,
-);
+mkdirSync(folder, { recursive: true });
+const entry = `${folder}/all.ts`;
+writeFileSync(entry, files.map((file) => `import ${JSON.stringify(here(`../test/unit/${file}`))};\n`).join(""));
+await bundle({ all: entry }, folder, { platform: "node", sourcemap: "inline" });
+const command = ["--enable-source-maps", `${folder}/all.js`];
+process.exit(spawnSync(process.execPath, command, { stdio: "inherit" }).status ?? 1);

@@ -9,7 +9,8 @@ import { Player, type PlayerOptions } from "./play/player.ts";
 export { FormatError, type Reason } from "./format/errors.ts";
 export type { Place, Region, Root, World } from "./format/types.ts";
 export { TransportError, UnsupportedError } from "./media/errors.ts";
-export { Player, type PlayerOptions, type Problem } from "./play/player.ts";
+export type { Problem } from "./play/playback.ts";
+export { Player, type PlayerOptions } from "./play/player.ts";
 export type { PlayerStats } from "./play/statistics.ts";
 export type { ViewState } from "./play/view.ts";
 

@@ -19,8 +19,9 @@ from airgs_codec.encoder.calibration.subject import Subject
 from airgs_codec.encoder.levels import assign_depths
 from airgs_codec.encoder.rank import rank_updates
 from airgs_codec.encoder.settings import LevelSettings, Shares
-from airgs_codec.media.metrics import mse
+from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import STATE
+from airgs_codec.render.compare import compare, draw_ahead, draw_frames
 from airgs_codec.scene.gaussians import Gaussians, mix_rows
 
 # Of each level: the factor on every step, its key quality, its key tiers. A rung costs what a package with only that
@@ -76,15 +77,16 @@ class Withholding:
         frames = [subject.frames[t].take(rows) for t, _ in pictures]
         score, moving = _rank(subject, [canonical, *frames])
         depths = assign_depths(score, moving, SHARES)
-        shown = [(frame, camera) for frame, (_, camera) in zip(frames, pictures, strict=True)]
-        draw = subject.layout.renderer.render
-        full = [draw(frame, camera).rgb for frame, camera in shown]
-        errors = [0.0]
-        for i in range(1, len(SHARES)):
-            updated = (moving & (depths >= i)) | ~moving
-            held = [draw(mix_rows(frame, canonical, updated), camera).rgb for frame, camera in shown]
-            errors.append(pooled_error([mse(a, b) for a, b in zip(held, full, strict=True)]))
-        return Withholding(score, tuple(errors))
+        views = [(i, camera) for i, (_, camera) in enumerate(pictures)]
+        renderer = subject.layout.renderer
+        whole = draw_ahead(draw_frames(frames.__getitem__, renderer), views)
+
+        def error(share: int) -> float:
+            updated = (moving & (depths >= share)) | ~moving
+            held = draw_frames(lambda i: mix_rows(frames[i], canonical, updated), renderer)
+            return pooled_error(list(compare(whole, held, views, Picture.mse)))
+
+        return Withholding(score, (0.0, *(error(share) for share in range(1, len(SHARES)))))
 
     def kept(self, sample: CalibrationSample, share: float) -> NDArray[np.bool_]:
         """(n,) moving rows of a sample whose updates are not among the `share` withheld."""

@@ -13,23 +13,13 @@ import numpy as np
 from airgs_codec._files import to_json, write_json
 from airgs_codec._report import require_matplotlib, table
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.figures import FIGURES, FRAME_FIGURES, headlines, meanings
-from airgs_codec.play.report.study_page import plot_study, programme_lines, study_page
-from airgs_codec.play.study import (
-    FEASIBLE_START_S,
-    PolicySummary,
-    Row,
-    Study,
-    frame_summary,
-    programme_summary,
-    summarise,
-)
+from airgs_codec.play.figures import FIGURES, headlines, meanings
+from airgs_codec.play.report.study_page import plot_study, study_page
+from airgs_codec.play.study import FEASIBLE_START_S, PolicySummary, Row, Study, summarise
 
-PSNR_COLUMNS = {  # headings of the tables of single sessions and runs: which PSNR it is
+PSNR_COLUMNS = {  # headings of the table of single sessions: which PSNR it is
     "psnr_mean": "psnr_mean_over_ticks_db",
     "psnr_p5": "psnr_p5_over_ticks_db",
-    "psnr": "psnr_mean_over_frames_db",
-    "psnr_screen": "psnr_on_screen_mean_over_frames_db",
     "bound": "bound_mean_over_media_time_db",
     "regret": "regret_mean_over_media_time_db",
 }
@@ -40,16 +30,13 @@ def study_record(study: Study) -> dict[str, Any]:
     return {
         "package": study.package,
         "figures": meanings(FIGURES),
-        "frame_figures": meanings(FRAME_FIGURES),
         "all": [asdict(summary) for summary in summarise(study)],
         "feasible": [asdict(summary) for summary in summarise(study, True)],
-        "frame_mode": frame_summary(study.frame_rows),
-        "programme": programme_summary(study),
     }
 
 
 def format_study(study: Study, as_json: bool = False) -> str:
-    """The headline figures on all links, on those whose smallest rungs are feasible, and of frame mode."""
+    """The headline figures on all links, and on those whose smallest rungs are feasible."""
     if as_json:
         return to_json(study_record(study))
     everything, feasible = summarise(study), summarise(study, True)
@@ -58,8 +45,7 @@ def format_study(study: Study, as_json: bool = False) -> str:
     if count := feasible[0].sessions:
         words = f"{count} links whose smallest rungs play without a stall from {FEASIBLE_START_S:g} s on:"
         lines += [words, *_summary_lines(feasible), ""]
-    lines += ["the paper's frame mode, state only (see --mode frames); PSNR: dB, mean over frames sent:"]
-    return "\n".join([*lines, *frame_lines(study.frame_rows), *programme_lines(study)])
+    return "\n".join(lines[:-1])
 
 
 def _summary_lines(summaries: Sequence[PolicySummary]) -> list[str]:
@@ -69,13 +55,6 @@ def _summary_lines(summaries: Sequence[PolicySummary]) -> list[str]:
         for s in summaries
     ]
     return table(["policy", *(figure.heading for figure in shown)], cells)
-
-
-def frame_lines(frame_rows: Sequence[Row]) -> list[str]:
-    """The headline figures of frame mode, ms by the rate of the moment."""
-    shown = headlines(FRAME_FIGURES)
-    cells = [[row["chooser"], *(f.text(row[f.name]) for f in shown)] for row in frame_summary(frame_rows)]
-    return table(["choice", *(figure.heading for figure in shown)], cells)
 
 
 def conditions(study: Study) -> str:
@@ -97,16 +76,14 @@ def conditions(study: Study) -> str:
 def write_study(study: Study, folder: Path) -> Path:
     """Write the page with its picture, and every figure as CSV and JSON; gives the page.
 
-    index.html, study.png, study.json; summary.csv and frame_summary.csv with all figures of the summaries,
-    sessions.csv and frames.csv with every single run. Raises ConfigError.
+    index.html, study.png, study.json; summary.csv with all figures of the summaries, sessions.csv with every session.
+    Raises ConfigError.
     """
     require_matplotlib("the study's page")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _write_csv(folder / "summary.csv", _summary_rows(study))
-        _write_csv(folder / "frame_summary.csv", _frame_summary_rows(study))
-        for name, rows in (("sessions", study.rows), ("frames", study.frame_rows)):
-            _write_csv(folder / f"{name}.csv", [_labelled(row) for row in rows])
+        _write_csv(folder / "sessions.csv", [_labelled(row) for row in study.rows])
         write_json(folder / "study.json", study_record(study))
         plot_study(study, folder / "study.png")
         (folder / "index.html").write_text(study_page(study, conditions(study)), encoding="utf-8")
@@ -141,12 +118,3 @@ def _summary_rows(study: Study) -> list[Row]:
                     | {"meaning": figure.meaning}
                 )
     return out
-
-
-def _frame_summary_rows(study: Study) -> list[Row]:
-    return [
-        {"choice": row["chooser"], "runs": row["runs"], "figure": figure.heading}
-        | {"mean": figure.factor * row[figure.name], "meaning": figure.meaning}
-        for row in frame_summary(study.frame_rows)
-        for figure in FRAME_FIGURES
-    ]

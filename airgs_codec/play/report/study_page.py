@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._report import new_figure, page, plain_log_ticks, save_figure
-from airgs_codec.play.figures import FIGURES, FRAME_FIGURES, Figure, headlines
-from airgs_codec.play.study import FEASIBLE_START_S, Interval, Study, frame_summary, programme_summary, summarise
+from airgs_codec.play.figures import FIGURES, Figure, headlines
+from airgs_codec.play.study import FEASIBLE_START_S, Interval, Study, summarise
 
 STYLE = (
     "table{border-collapse:collapse;font-size:14px}td,th{padding:.25rem .8rem;text-align:right}"
@@ -41,32 +41,7 @@ def study_page(study: Study, conditions: str) -> str:
     parts += [" has these and all other figures, ", _link("sessions.csv"), " every session.</p>"]
     parts += [_definitions(headlines(FIGURES))]
     parts += ['<img src="study.png" alt="quality against stalls, and distributions over sessions">']
-    return page("Policies compared", "".join(parts) + _frame_mode(study), "1100px", STYLE)
-
-
-def _frame_mode(study: Study) -> str:
-    shown = headlines(FRAME_FIGURES)
-    head = "".join(f"<th>{figure.heading}</th>" for figure in shown)
-    body = "".join(
-        f"<tr><th>{row['chooser']}</th>{''.join(f'<td>{f.text(row[f.name])}</td>' for f in shown)}</tr>"
-        for row in frame_summary(study.frame_rows)
-    )
-    return (
-        "<h2>The paper's frame mode</h2><p>State only; a frame is pushed at t / R with the true rate of that moment as "
-        f"B. {_link('frame_summary.csv')} has all figures, {_link('frames.csv')} every run.</p>"
-        f"<table><tr><th></th>{head}</tr>{body}</table>"
-        f"<p>{html.escape(' '.join(programme_lines(study)))}</p>{_definitions(shown)}"
-    )
-
-
-def programme_lines(study: Study) -> list[str]:
-    """What the paper's integer programme reaches in frame mode, and what solving it takes."""
-    p = programme_summary(study)
-    return [
-        f"The paper's integer programme (eq. 13): {p['psnr']:.2f} dB over the frames of which a level fits,",
-        f"paper-no-cliff {p['greedy_psnr']:.2f} dB; solved in {1e3 * p['solve_mean_s']:.0f} ms a link, "
-        f"{1e3 * p['solve_max_s']:.0f} ms at most.",
-    ]
+    return page("Policies compared", "".join(parts), "1100px", STYLE)
 
 
 def _link(name: str) -> str:

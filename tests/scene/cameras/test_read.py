@@ -52,6 +52,12 @@ def test_a_file_is_known_by_what_it_holds(tmp_path, form):
         assert len(read_cameras(other.parent)) == 3
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_pictures_that_are_wider_than_high_are_so_in_every_form(tmp_path, form):
+    wide = [replace(c, width=2 * c.width, cx=c.width) for c in ring(3)]
+    assert_same(read_cameras(FORMS[form](tmp_path, wide)), wide)
+
+
 def test_a_mark_before_the_text_is_no_part_of_it(tmp_path):
     path = write_inria(tmp_path, ring(2))
     path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
@@ -117,11 +123,13 @@ def changed(rig, **fields):
 
 
 STRETCHED = np.diag([1.0, 2.0, 1.0, 1.0])
+MIRRORED = np.diag([1.0, -1.0, 1.0, 1.0])
 WRONG = [
     ({"fx": float("nan"), "fy": float("nan")}, "not finite", ()),
     ({"fx": -5.0, "fy": -5.0}, "above 0", ()),
     ({"width": 10**6}, "pixels", ("inria", "splatv")),  # which show wide pictures at another width
     ({"world_to_camera": STRETCHED}, "rotation", ("colmap text", "colmap binary", "4dgs")),  # quaternions of any norm
+    ({"world_to_camera": MIRRORED}, "rotation", ("colmap text", "colmap binary", "4dgs")),
 ]
 
 
@@ -145,7 +153,7 @@ def test_a_camera_that_is_none_is_refused_in_every_form(tmp_path, form, fields, 
     ],
 )
 def test_cameras_beside_a_scene_are_found(tmp_path, frames, cameras):
-    scene = write_sequence(tmp_path / frames, moving_frames(4, 1))
+    scene = write_sequence(tmp_path / frames, moving_frames(4, 1), cameras=False)
     (tmp_path / "model" / "point_cloud").mkdir(parents=True, exist_ok=True)
     assert find_cameras(scene) is None
     path = write_inria(tmp_path / cameras, ring(3))
@@ -153,7 +161,7 @@ def test_cameras_beside_a_scene_are_found(tmp_path, frames, cameras):
 
 
 def test_cameras_of_another_scene_are_not_taken(tmp_path):
-    scene = write_sequence(tmp_path / "many" / "scene", moving_frames(4, 1))
+    scene = write_sequence(tmp_path / "many" / "scene", moving_frames(4, 1), cameras=False)
     write_inria(tmp_path / "many", ring(3))
     (scene / "notes.json").write_text(json.dumps(as_inria(ring(2))))
     assert find_cameras(scene) is None

@@ -5,8 +5,9 @@ import pytest
 
 from airgs_codec.render import cpu, look_at
 from airgs_codec.render.cpu import Redraw
+from airgs_codec.scene.camera import with_pixels
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.halved import halve
+from airgs_codec.train.data.halved import can_be_halved, halve
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.loss.target import Target
 
@@ -35,6 +36,13 @@ def test_a_halved_camera_sees_what_its_halved_picture_shows(scene: Gaussians) ->
     drawn = cpu.render(scene, half.camera).rgb
     error, beside = (np.abs(picture - half.target.rgb).mean() for picture in (drawn, np.roll(drawn, 1, axis=1)))
     assert error < 0.2 * beside
+
+
+def test_pictures_that_are_small_on_either_side_are_not_halved() -> None:
+    views = [
+        View(with_pixels(CAMERA, *size), Target(np.zeros((1, 1, 3), np.float32))) for size in ((160, 200), (159, 400))
+    ]
+    assert can_be_halved(views[:1]) and not can_be_halved(views)
 
 
 def test_tiles_are_drawn_again_where_one_of_four_was(scene: Gaussians) -> None:

@@ -27,7 +27,7 @@ def test_growing_adds_what_was_asked_and_leaves_kept_rows_in_place():
     p = random_parameters(50)
     parents = strongest(torch.linspace(0, 1, 50), 20)
     keep, added = split_or_clone(p, parents, parents, kept=40, rng=np.random.default_rng(0))
-    assert keep[:40].all()  # splits of kept rows leave the parent
+    assert keep[:40].all() and not keep[40:].any()  # splits of kept rows leave the parent
     assert int(keep.sum()) + len(added["means"]) == 70
     sizes = p["log_scales"][-1]
     assert torch.allclose(added["log_scales"][-1], sizes - math.log(1.6))

@@ -1,4 +1,4 @@
-"""Fits at the edges that docs/stiff.md names: needles, faint rows, rows in one place, quaternions of any length."""
+"""Fits at the edges that docs/results/stiff.md names: needles, faint rows, coincident rows, lengths of quaternions."""
 
 from dataclasses import replace
 

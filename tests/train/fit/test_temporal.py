@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from airgs_codec.coding.steps import StepSettings
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.fit.parameters import ATTRIBUTES
 from airgs_codec.train.fit.temporal import codec_steps, temporal_weights
@@ -21,6 +22,8 @@ def test_codec_steps_are_positive_and_finite_at_extremes():
         assert steps[name].shape == getattr(g, name).shape
         assert torch.isfinite(steps[name]).all() and (steps[name] > 0).all()
     assert steps["opacity_logits"][0] == pytest.approx(0.058 * 4)
+    half = StepSettings().state.quaternions / 2 * np.linalg.norm(g.quaternions, axis=1, keepdims=True)
+    np.testing.assert_allclose(steps["quaternions"], np.broadcast_to(half, (12, 4)), rtol=1e-5)
 
 
 def test_temporal_weights_have_the_unit_they_say():

@@ -1,16 +1,9 @@
 // Where samples lie in pictures: FORMAT.md, section 4. N rows, P planes.
+import { BLOCK, BRIGHTEST, DARKEST, ESCAPE_UNIT, GREY } from "../generated/constants.ts";
 import { FormatError } from "./errors.ts";
 import type { Atlas, BaseChanges } from "./types.ts";
 
-/** Samples, either side of the blocks that a plane is made of. */
-export const BLOCK = 16;
 const CELLS = BLOCK * BLOCK;
-/** Luma of every decoded sample lies between these, both included. */
-export const DARKEST = 16;
-export const BRIGHTEST = 235;
-/** Codes that a base of 1 stands for. */
-const UNIT = 128;
-const GREY = 128;
 
 /** Lines of a plane of `rows` rows. */
 export function planeHeight(rows: number, planeWidth: number): number {
@@ -77,7 +70,7 @@ export function applyBases(bases: Int32Array, changes: BaseChanges | null): void
 }
 
 /**
- * (channels · N) codes of every channel, rows after one another: luma − 128 + 128 · base + centre.
+ * (channels · N) codes of every channel, rows after one another: luma − GREY + ESCAPE_UNIT · base + centre.
  *
  * `luma` are the samples of all pages, `bases` those of the same places, null where all are 0.
  */
@@ -92,7 +85,7 @@ export function readCodes(atlas: Atlas, luma: Uint8Array, bases: Int32Array | nu
     const corner = planeCorner(atlas, plane);
     for (let i = 0; i < rows; i++) {
       const place = corner + offsets[i]!;
-      codes[channel * rows + i]! += luma[place]! - GREY + (bases ? UNIT * bases[place]! : 0);
+      codes[channel * rows + i]! += luma[place]! - GREY + (bases ? ESCAPE_UNIT * bases[place]! : 0);
     }
   });
   return codes;

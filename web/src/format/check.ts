@@ -1,4 +1,4 @@
-// The JSON Schema of the tables (src/generated/schema.ts), checked with no library: exactly the keywords that it uses.
+// The JSON Schema of the tables (generated/schema.ts), checked with no library: exactly the keywords that it uses.
 import { FormatError, type Reason } from "./errors.ts";
 
 type Json = Record<string, unknown>;

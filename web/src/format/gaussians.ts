@@ -1,23 +1,11 @@
 // Codes to Gaussians on the CPU: FORMAT.md, section 5. It is what shaders are tested against, and what adapters to
 // other renderers feed. N rows of a tile of a group, n rows of a key tier or a level, C colour channels.
+import { KEY_AT, OPACITY_MARGIN, SMALL_ANGLE, STATE_AT } from "../generated/constants.ts";
 import { applyBases, atlasSamples, readCodes } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
-import {
-  colourChannels,
-  colourMatrix,
-  colourSteps,
-  KEY_CHANNELS,
-  keySteps,
-  STATE_CHANNELS,
-  stateSteps,
-} from "./steps.ts";
+import { colourChannels, colourMatrix, colourSteps, keySteps, stateSteps } from "./steps.ts";
 import type { BaseChanges, Canonical, Gaussians, Group, Root } from "./types.ts";
 import { levelRows } from "./units.ts";
-
-const LEAST_ALPHA = 2 ** -20;
-const MOST_ALPHA = 1 - 2 ** -20;
-/** Below this angle, in radians, sin(a / 2) / a is 1/2 in float64. */
-const SMALL_ANGLE = 1e-8;
 
 /** What codes of a key or of a state count in. */
 export interface Coding {
@@ -101,11 +89,11 @@ function setKey(gaussians: Gaussians, first: number, codes: Int32Array, { steps,
   const value = (channel: number, i: number) => codes[channel * rows + i]! * steps[channel]!;
   for (let i = 0; i < rows; i++) {
     const row = first + i;
-    for (let axis = 0; axis < 3; axis++) gaussians.logScales[3 * row + axis] = value(KEY_CHANNELS.logScales + axis, i);
-    gaussians.quaternions.set(rotation(value, KEY_CHANNELS.rotation, i), 4 * row);
-    gaussians.alpha[row] = value(KEY_CHANNELS.alpha, i);
+    for (let axis = 0; axis < 3; axis++) gaussians.logScales[3 * row + axis] = value(KEY_AT.log_scales + axis, i);
+    gaussians.quaternions.set(rotation(value, KEY_AT.quaternions, i), 4 * row);
+    gaussians.alpha[row] = value(KEY_AT.opacity, i);
   }
-  addColours(gaussians.colours, (i) => first + i, codes.subarray(KEY_CHANNELS.colours * rows), { colours, rows });
+  addColours(gaussians.colours, (i) => first + i, codes.subarray(KEY_AT.colour * rows), { colours, rows });
 }
 
 /** A state to add: the picture of a frame, and the bases of its samples (null: all 0). */
@@ -142,7 +130,7 @@ export function shownGaussians(
   }
   expectFinite(shown, "frame");
   shown.alpha.forEach((alpha, row) => {
-    shown.alpha[row] = Math.min(Math.max(alpha, LEAST_ALPHA), MOST_ALPHA);
+    shown.alpha[row] = Math.min(Math.max(alpha, OPACITY_MARGIN), 1 - OPACITY_MARGIN);
   });
   return shown;
 }
@@ -159,14 +147,14 @@ function addState(
   const value = (channel: number, i: number) => codes[channel * count + i]! * steps[channel]!;
   rows.forEach((row, i) => {
     for (let axis = 0; axis < 3; axis++) {
-      gaussians.means[3 * row + axis]! += value(STATE_CHANNELS.means + axis, i) * units[row]!;
-      gaussians.logScales[3 * row + axis]! += value(STATE_CHANNELS.logScales + axis, i);
+      gaussians.means[3 * row + axis]! += value(STATE_AT.means + axis, i) * units[row]!;
+      gaussians.logScales[3 * row + axis]! += value(STATE_AT.log_scales + axis, i);
     }
     const quaternion = gaussians.quaternions.subarray(4 * row, 4 * row + 4);
-    quaternion.set(product(rotation(value, STATE_CHANNELS.rotation, i), quaternion));
-    gaussians.alpha[row]! += value(STATE_CHANNELS.alpha, i);
+    quaternion.set(product(rotation(value, STATE_AT.quaternions, i), quaternion));
+    gaussians.alpha[row]! += value(STATE_AT.opacity, i);
   });
-  const colourCodes = codes.subarray(STATE_CHANNELS.colours * count);
+  const colourCodes = codes.subarray(STATE_AT.colour * count);
   addColours(gaussians.colours, (i) => rows[i] ?? null, colourCodes, { colours, rows: count });
 }
 

@@ -1,8 +1,6 @@
 // The text of a group's table: one gzip member (RFC 1952).
+import { MAX_TABLE_BYTES } from "../generated/constants.ts";
 import { FormatError } from "./errors.ts";
-
-/** Bytes of a group's table without gzip. */
-const MAX_TABLE_BYTES = 2 ** 28;
 
 /** The bytes in a gzip member; `where` names the file. Throws FormatError (not_json, too_large). */
 export async function inflate(data: Uint8Array, where: string): Promise<Uint8Array> {

@@ -1,11 +1,7 @@
 // The index of a package at work, where a frame, a segment or a group is: FORMAT.md, section 2. All count from 0.
+import { DIGEST, PAGE } from "../generated/constants.ts";
 import { locate, pagePath } from "./paths.ts";
 import type { FileEntry, Page, Root } from "./types.ts";
-
-/** Groups, or pages of the level below, on a page. */
-export const PAGE = 64;
-/** Characters of a digest. */
-const DIGEST = 32;
 
 /** What the index says of a group, or of the groups on a page. */
 export interface Entry {

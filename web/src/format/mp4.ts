@@ -1,4 +1,17 @@
 // Media segments: FORMAT.md, section 2. Boxes are those of ISO/IEC 14496-12 (8.8: fragments), with sizes of 32 bits.
+import {
+  BOX_HEADER,
+  COLUMNS_UUID,
+  HAS_BASE,
+  HAS_COMPOSITION,
+  HAS_DEFAULT_DURATION,
+  HAS_DEFAULT_SIZE,
+  HAS_DESCRIPTION,
+  HAS_DURATION,
+  HAS_FIRST_FLAGS,
+  HAS_OFFSET,
+  HAS_SIZE,
+} from "../generated/constants.ts";
 import { FormatError } from "./errors.ts";
 
 /** A coded picture. */
@@ -25,20 +38,8 @@ interface Box {
   stop: number;
 }
 
-const HEADER = 8;
-const COLUMNS = "3ecfa94eaae8510889ef0197dc29f025";
-const UUID = 16;
-// Flags of tfhd (8.8.7) and trun (8.8.8).
-const HAS_BASE = 0x1;
-const HAS_DESCRIPTION = 0x2;
-const HAS_DEFAULT_DURATION = 0x8;
-const HAS_DEFAULT_SIZE = 0x10;
-const HAS_OFFSET = 0x1;
-const HAS_FIRST_FLAGS = 0x4;
-const HAS_DURATION = 0x100;
-const HAS_SIZE = 0x200;
-const HAS_FLAGS = 0x400;
-const HAS_COMPOSITION = 0x800;
+const UUID_BYTES = 16;
+const HAS_FLAGS = 0x400; // of a trun box, 8.8.8: the flags of each sample, which are not read
 
 /** The parts of a media segment; `where` names the file. Throws FormatError(bad_picture). */
 export function readMedia(data: Uint8Array, where: string): Media {
@@ -66,10 +67,10 @@ class Reader {
   }
 
   #columns({ start, stop }: Box): Uint8Array {
-    const type = [...this.#data.subarray(start, Math.min(start + UUID, stop))];
+    const type = [...this.#data.subarray(start, Math.min(start + UUID_BYTES, stop))];
     const text = type.map((byte) => byte.toString(16).padStart(2, "0")).join("");
-    if (text !== COLUMNS) throw this.#bad(`expected the uuid ${COLUMNS}, got ${text}`);
-    return this.#data.subarray(start + UUID, stop);
+    if (text !== COLUMNS_UUID) throw this.#bad(`expected the uuid ${COLUMNS_UUID}, got ${text}`);
+    return this.#data.subarray(start + UUID_BYTES, stop);
   }
 
   #samples(moof: Box, mdat: Box): Sample[] {
@@ -107,7 +108,7 @@ class Reader {
   *#run(trun: Box, moof: Box, defaults: { duration: number; size: number }) {
     const flags = this.#u32(trun, 0);
     const count = this.#u32(trun, 4);
-    const expected = moof.stop - moof.start + 2 * HEADER;
+    const expected = moof.stop - moof.start + 2 * BOX_HEADER;
     if (!(flags & HAS_OFFSET) || this.#u32(trun, 8) !== expected) throw this.#bad("the samples do not follow the moof");
     let at = 12 + (flags & HAS_FIRST_FLAGS ? 4 : 0);
     const next = (flag: number, missing: number) => {
@@ -134,10 +135,10 @@ class Reader {
   #boxes(start: number, stop: number): Box[] {
     const boxes: Box[] = [];
     for (let at = start; at < stop; ) {
-      const size = stop - at < HEADER ? 0 : this.#view.getUint32(at);
-      if (size < HEADER || size > stop - at) throw this.#bad(`a box of ${size} bytes at ${at} of ${stop}`);
-      const kind = String.fromCharCode(...this.#data.subarray(at + 4, at + HEADER));
-      boxes.push({ kind, start: at + HEADER, stop: at + size });
+      const size = stop - at < BOX_HEADER ? 0 : this.#view.getUint32(at);
+      if (size < BOX_HEADER || size > stop - at) throw this.#bad(`a box of ${size} bytes at ${at} of ${stop}`);
+      const kind = String.fromCharCode(...this.#data.subarray(at + 4, at + BOX_HEADER));
+      boxes.push({ kind, start: at + BOX_HEADER, stop: at + size });
       at += size;
     }
     return boxes;

@@ -1,26 +1,17 @@
 // The tables of a package as one value, which grows as they are read: FORMAT.md, section 2. Groups, segments, tiles,
 // tiers, qualities, levels and pages count from 0; groups, segments, tiles and pages in paths from 1. A unit is a key tier
 // of a tile: number tile · T + tier, T being the tiers of a tile.
+import { INIT_PATH, PAGE, ROOT_PATH } from "../generated/constants.ts";
 import { group as groupSchema, page as pageSchema } from "../generated/schema.ts";
 import { FormatError } from "./errors.ts";
 import { inflate } from "./gzip.ts";
-import { countPages, GroupIndex, PAGE } from "./index.ts";
+import { countPages, GroupIndex } from "./index.ts";
 import { parseRoot, parseTable } from "./parse.ts";
-import {
-  groupPath,
-  keyMediaPath,
-  keySidecarPath,
-  locate,
-  pagePath,
-  ROOT_PATH,
-  stateMediaPath,
-  tileFolder,
-} from "./paths.ts";
+import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath, tileFolder } from "./paths.ts";
 import { checkGroup, checkKept, checkPage } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment, Tier, Tile } from "./types.ts";
 
 const KEPT = 1024; // tables of groups
-const INIT_PATH = "init.mp4";
 /** What of the root may differ while a package grows. */
 const GROWS = new Set(["frames", "index", "decisions", "live"]);
 

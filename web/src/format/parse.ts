@@ -1,13 +1,10 @@
 // The bytes of tables, parsed and checked against their schema: FORMAT.md, section 2.
+import { MAX_ROOT_BYTES, ROOT_PATH, VERSION } from "../generated/constants.ts";
 import { root as rootSchema } from "../generated/schema.ts";
 import { checkTable } from "./check.ts";
 import { FormatError } from "./errors.ts";
-import { ROOT_PATH } from "./paths.ts";
 import { checkRoot } from "./references.ts";
 import type { Root } from "./types.ts";
-
-const VERSION = 2;
-const MAX_ROOT_BYTES = 2 ** 24;
 
 /** An airgs.json. Throws FormatError. */
 export function parseRoot(bytes: Uint8Array): Root {

@@ -1,10 +1,9 @@
 // The files of a package by their paths: FORMAT.md, section 2. Numbers in paths count from 1.
-
-export const ROOT_PATH = "airgs.json";
+import { PATHS } from "../generated/constants.ts";
 
 /** What a path names, and the numbers in it, as they stand there. */
 export interface Location {
-  what: "sidecar" | "key" | "state" | "group" | "page";
+  what: (typeof PATHS)[number][1];
   /**
    * sidecar: tile, tier, number; key: tile, tier, quality, number; state: tile, level, number; page: level, number; group:
    * number. The tile is 0 in a package that has one.
@@ -12,16 +11,7 @@ export interface Location {
   numbers: number[];
 }
 
-const ORDINAL = "(0|[1-9][0-9]?)";
-const NUMBER = "([1-9][0-9]{0,6})";
-const TILE = "(?:P([1-9][0-9]?)/)?";
-const PATTERNS: [RegExp, Location["what"]][] = [
-  [new RegExp(`^key/${TILE}T${ORDINAL}/${NUMBER}\\.bin$`), "sidecar"],
-  [new RegExp(`^key/${TILE}T${ORDINAL}/Q${ORDINAL}/${NUMBER}\\.m4s$`), "key"],
-  [new RegExp(`^state/${TILE}L${ORDINAL}/${NUMBER}\\.m4s$`), "state"],
-  [new RegExp(`^group/${NUMBER}\\.json\\.gz$`), "group"],
-  [new RegExp(`^index/([1-9])/${NUMBER}\\.json$`), "page"],
-];
+const PATTERNS = PATHS.map(([pattern, what]) => [new RegExp(pattern), what] as const);
 
 /** What a path names; null for a path that is none of these. */
 export function locate(path: string): Location | null {

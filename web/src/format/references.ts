@@ -1,21 +1,28 @@
 // What no single field of the tables can tell: counts, spans, and fields that refer to each other. Each check relies on
 // those before it, and all on the schema. Every function throws FormatError (bad_value, missing_entry).
-import { BLOCK, pages, planeHeight } from "./atlas.ts";
+
+import {
+  BLOCK,
+  DIGEST,
+  KEY_AT,
+  KEY_ATTRIBUTES,
+  MAX_BITS,
+  MAX_MACROBLOCKS,
+  MAX_PAGES,
+  MAX_PICTURE_SIDE,
+  MIN_PICTURE_SIDE,
+  PAGE,
+  ROOT_PATH,
+  STATE_AT,
+  STATE_ATTRIBUTES,
+} from "../generated/constants.ts";
+import { pages, planeHeight } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
-import { type Entry, PAGE } from "./index.ts";
-import { groupPath, ROOT_PATH } from "./paths.ts";
-import { colourChannels, KEY_CHANNELS, STATE_CHANNELS } from "./steps.ts";
+import type { Entry } from "./index.ts";
+import { groupPath } from "./paths.ts";
+import { colourChannels } from "./steps.ts";
 import type { Atlas, FileEntry, Group, Page, Region, Root, Segment, Tier, Tile } from "./types.ts";
 import { isSimilarity } from "./world.ts";
-
-const MAX_BITS = 21;
-const MAX_PICTURE_SIDE = 4096;
-const MIN_PICTURE_SIDE = 64;
-const MAX_MACROBLOCKS = 36_864;
-const MAX_PAGES = 128;
-const DIGEST = 32;
-const KEY_ATTRIBUTES = 4;
-const STATE_ATTRIBUTES = 5;
 
 const bad = (where: string, detail: string) => new FormatError("bad_value", where, detail);
 const sum = (numbers: number[]) => numbers.reduce((total, number) => total + number, 0);
@@ -183,7 +190,7 @@ function checkAtlases(root: Root, group: Group, place: Place): void {
       const at = `${name}.qualities[${q}]`;
       place.exactly(`${at}.rows`, atlas.rows, rows);
       if (rows) place.within(`planes of ${at}`, atlas.planes.length, 1, atlas.centres.length);
-      checkAtlas(new Place(`${place.where}.${at}`), atlas, KEY_CHANNELS.colours + colours, KEY_ATTRIBUTES);
+      checkAtlas(new Place(`${place.where}.${at}`), atlas, KEY_AT.colour + colours, KEY_ATTRIBUTES.length);
     }
   }
   group.tiles.forEach((tile, p) => {
@@ -203,7 +210,7 @@ function checkTile({ low, high, tiers, levels }: Tile, colours: number, place: P
   const rows = sum(tiers.map((tier) => tier.count));
   levels.forEach((atlas, j) => {
     place.within(`levels[${j}].rows`, atlas.rows, 0, rows);
-    checkAtlas(new Place(`${place.where}.levels[${j}]`), atlas, STATE_CHANNELS.colours + colours, STATE_ATTRIBUTES);
+    checkAtlas(new Place(`${place.where}.levels[${j}]`), atlas, STATE_AT.colour + colours, STATE_ATTRIBUTES.length);
   });
 }
 

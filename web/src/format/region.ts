@@ -1,4 +1,12 @@
 // From where a scene may be looked at: FORMAT.md, section 8.
+import {
+  AGREEMENT,
+  FORGIVEN_DEGREES,
+  FORGIVEN_SHARE,
+  GIVE_OR_TAKE,
+  LEVELLING,
+  SLIGHTLY_DOWN,
+} from "../generated/constants.ts";
 import type { Place, Region, Root } from "./types.ts";
 import { across, along, cross, dot, length, minus, scaled, unit, type Vector, vector } from "./vector.ts";
 import { upOf } from "./world.ts";
@@ -19,10 +27,8 @@ export interface Departure {
 }
 
 const DEGREES = 180 / Math.PI;
-const FORGIVEN_DEGREES = 1e-4;
-const FORGIVEN_LENGTH = 1e-9;
 
-const slack = (position: Vector) => FORGIVEN_LENGTH * (1 + Math.max(...position.map(Math.abs)));
+const slack = (position: Vector) => FORGIVEN_SHARE * (1 + Math.max(...position.map(Math.abs)));
 
 /** How far a viewer is outside, as seen from one place. */
 function departureFrom(place: Place, turn: number, { position, forward }: Viewer): Departure {
@@ -81,11 +87,6 @@ export function levelled({ region, world }: Root): Region {
   return { ...region, places: region.places.map((place) => ({ ...place, up })) };
 }
 
-/** Directions whose mean is shorter do not agree on where up is. */
-const AGREEMENT = 0.1;
-/** Steps towards the direction that is level in all pictures: with more, rounding would speak where places say nothing. */
-const LEVELLING = 100;
-
 /**
  * Where up is for all of a region, of length 1: the mean of its places' (where they do not agree, that of the first),
  * levelled: the sides of pictures are at right angles to it.
@@ -101,10 +102,6 @@ export function upright({ places }: Region): Vector {
   }
   return up;
 }
-
-/** Where a viewer looks down so much, give or take, a scene is seen best by most people: degrees. */
-const SLIGHTLY_DOWN = 15;
-const GIVE_OR_TAKE = 10;
 
 /** The place that a viewer begins at: the first one, or, where nobody chose them, the first that looks down slightly. */
 export function firstPlace(region: Region): Place {

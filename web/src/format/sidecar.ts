@@ -1,11 +1,7 @@
 // Positions, motion classes and depths of rows: FORMAT.md, section 3. N rows of a tier.
+import { LEAST_CLASS, MOST_CLASS, STATIC } from "../generated/constants.ts";
 import { type ColumnReader, ColumnReader as Reader, type Wide } from "./rangecoder.ts";
-import type { Group } from "./types.ts";
-
-export type Grid = Group["grid"];
-
-/** Depth of a row whose updates no level carries. */
-export const STATIC = 255;
+import type { Grid } from "./types.ts";
 
 /** The rows of a tier as a sidecar and the detail of a quality give them: K kept ones, then M others. */
 export interface TierRows {
@@ -13,7 +9,7 @@ export interface TierRows {
   kept: Uint32Array;
   /** (M) Morton codes of the corners of cells. */
   codes: Wide;
-  /** (M) motion classes, −128 … 127. */
+  /** (M) motion classes, LEAST_CLASS … MOST_CLASS. */
   classes: Int16Array;
   /** (K + M) deepest level that carries a row; STATIC: none. */
   depths: Uint8Array;
@@ -55,7 +51,7 @@ export function readSidecar(
     rows[i] = next++;
   }
   const others = count - kept;
-  const least = others ? reader.column(1, 0)[0]! - 128 : 0;
+  const least = others ? reader.column(1, 0)[0]! + LEAST_CLASS : 0;
   const above = reader.column(others, 1);
   const codes = reader.wide(others, 0);
   readDepths(reader, depths.subarray(kept));
@@ -63,7 +59,7 @@ export function readSidecar(
   const classes = new Int16Array(others);
   for (let i = 0; i < others; i++) {
     const motionClass = least + above[i]!;
-    if (motionClass > 127) throw reader.refuse("expected motion classes up to 127");
+    if (motionClass > MOST_CLASS) throw reader.refuse(`expected motion classes up to ${MOST_CLASS}`);
     classes[i] = motionClass;
   }
   if (!sumGaps(codes, classes, grid, coarsest)) throw reader.refuse(`Morton codes leave ${3 * grid.bits} bits`);
@@ -72,7 +68,7 @@ export function readSidecar(
 
 function readDepths(reader: ColumnReader, into: Uint8Array): void {
   const carried = reader.column(into.length, 1);
-  if (carried.some((depth) => depth > 255)) throw reader.refuse("expected depths up to 255");
+  if (carried.some((depth) => depth > STATIC)) throw reader.refuse(`expected depths up to ${STATIC}`);
   into.set(carried.map((depth) => depth - 1)); // 0 − 1 is STATIC
 }
 
@@ -162,8 +158,8 @@ export function canonicalMeans({ codes, classes }: TierRows, grid: Grid, coarser
   return means;
 }
 
-/** Motion units of the classes from −128 to 127. */
-const UNITS = Float32Array.from({ length: 256 }, (_, i) => 2 ** (i - 128));
+/** Motion units of all classes. */
+const UNITS = Float32Array.from({ length: MOST_CLASS - LEAST_CLASS + 1 }, (_, i) => 2 ** (i + LEAST_CLASS));
 
 /** (N) motion unit 2^c of each row, world units. */
-export const motionUnits = (classes: Int16Array) => new Float32Array(classes).map((c) => UNITS[c + 128]!);
+export const motionUnits = (classes: Int16Array) => new Float32Array(classes).map((c) => UNITS[c - LEAST_CLASS]!);

@@ -1,28 +1,20 @@
 // What codes count in: FORMAT.md, section 5. C colour channels.
+import { KEY_CHANNELS, STATE_CHANNELS, TRANSFORM_UNITS } from "../generated/constants.ts";
 import { FormatError } from "./errors.ts";
 import type { Group, Root } from "./types.ts";
-
-/** The runs of channels of a key, and how many each has; colour follows. */
-export const KEY_CHANNELS = { logScales: 0, rotation: 3, alpha: 6, colours: 7 };
-/** The same of a state. */
-export const STATE_CHANNELS = { means: 0, logScales: 3, rotation: 6, alpha: 9, colours: 10 };
 
 /** C: r, g, b of SH DC and of each of the coefficients past it. */
 export const colourChannels = (shDegree: number) => 3 * (shDegree + 1) ** 2;
 
-const three = (step: number) => [step, step, step];
-
 /** (7 + C) value of a code of each key channel. */
 export function keySteps(root: Root, group: Group, quality: number): Float32Array {
-  const { log_scales, quaternions, opacity } = group.key_steps;
-  const steps = [...three(log_scales), ...three(quaternions), opacity];
+  const steps = KEY_CHANNELS.map((attribute) => group.key_steps[attribute]);
   return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
 }
 
 /** (10 + C) value of a code of each state channel; of a mean in motion units of its row. */
 export function stateSteps(root: Root, group: Group, level: number): Float32Array {
-  const { means, log_scales, quaternions, opacity } = group.state_steps;
-  const steps = [...three(means), ...three(log_scales), ...three(quaternions), opacity];
+  const steps = STATE_CHANNELS.map((attribute) => group.state_steps[attribute]);
   return scaled(steps, root, root.levels[level]!.factor / root.state_gain);
 }
 
@@ -44,7 +36,7 @@ export function colourMatrix(group: Group, channels: number): Float32Array {
     throw new FormatError("bad_value", "colour_transform", `expected ${channels} × ${channels} int16, got ${got}`);
   }
   const view = new DataView(bytes.buffer);
-  return Float32Array.from({ length: channels * channels }, (_, i) => view.getInt16(2 * i, true) / 32767);
+  return Float32Array.from({ length: channels * channels }, (_, i) => view.getInt16(2 * i, true) / TRANSFORM_UNITS);
 }
 
 function fromBase64(text: string): Uint8Array<ArrayBuffer> | null {

@@ -1,16 +1,20 @@
 // What decoded things look like on their way from files to pictures. N rows of a tile of a group, C colour channels.
-import type { Group, Root } from "../generated/tables.ts";
+import type { Atlas } from "../generated/tables.ts";
 
-export type { Group, Page, Root } from "../generated/tables.ts";
-export type Tile = Group["tiles"][number];
-export type Tier = Tile["tiers"][number];
-export type Atlas = Tile["levels"][number];
-export type Segment = Group["segments"][number];
-export type Region = Root["region"];
-export type World = NonNullable<Root["world"]>;
-export type Place = Region["places"][number];
-/** Length and digest of a file; 0 and "" where there is none. */
-export type FileEntry = Root["init"];
+export type {
+  Atlas,
+  FileEntry,
+  Grid,
+  Group,
+  GroupTier as Tier,
+  GroupTile as Tile,
+  Place,
+  Region,
+  Root,
+  Segment,
+  Spans as Page,
+  World,
+} from "../generated/tables.ts";
 
 /** Samples whose base changes with a picture (FORMAT.md, section 6), and what it is from then on. */
 export interface BaseChanges {

@@ -1,11 +1,12 @@
 // The files of key units and segments, read up to their pictures: FORMAT.md, sections 2, 3 and 6.
+import { STATIC } from "../generated/constants.ts";
 import { pageSamples } from "./avc.ts";
 import { FormatError } from "./errors.ts";
 import { Bases, readEscapes } from "./escapes.ts";
 import { readMedia, type Sample } from "./mp4.ts";
 import { keyMediaPath, keySidecarPath, stateMediaPath, tileFolder } from "./paths.ts";
 import { ColumnReader } from "./rangecoder.ts";
-import { canonicalMeans, motionUnits, readDetail, readSidecar, STATIC } from "./sidecar.ts";
+import { canonicalMeans, motionUnits, readDetail, readSidecar } from "./sidecar.ts";
 import type { Atlas, BaseChanges, Group, Root } from "./types.ts";
 
 /** A key unit but for its picture. K rows of the tier are kept, M are its own. */

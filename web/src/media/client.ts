@@ -2,8 +2,8 @@
 import { start } from "worker:./worker.ts";
 import type { FormatError } from "../format/errors.ts";
 import { Tables } from "../format/package.ts";
-import { ROOT_PATH } from "../format/paths.ts";
 import type { Canonical, StateFrame } from "../format/types.ts";
+import { ATTEMPTS, ROOT_PATH } from "../generated/constants.ts";
 import { Caller } from "./caller.ts";
 import { fromWire, UnsupportedError } from "./errors.ts";
 import type { Retry } from "./http.ts";
@@ -14,7 +14,6 @@ export { TransportError, UnsupportedError } from "./errors.ts";
 export type { Retry } from "./http.ts";
 export type { CanonicalName } from "./messages.ts";
 
-const ATTEMPTS = 4;
 const AHEAD_BYTES = 48 * 2 ** 20;
 
 /** What came of a batch. Times are seconds of performance.now() of the page. */

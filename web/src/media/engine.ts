@@ -2,8 +2,9 @@
 import { FormatError } from "../format/errors.ts";
 import { MissingPageError } from "../format/index.ts";
 import { MissingGroupError, Tables } from "../format/package.ts";
-import { locate, ROOT_PATH } from "../format/paths.ts";
+import { locate } from "../format/paths.ts";
 import type { Canonical, StateFrame } from "../format/types.ts";
+import { ATTEMPTS, MAX_ROOT_BYTES, ROOT_PATH } from "../generated/constants.ts";
 import { Ahead } from "./ahead.ts";
 import { type FileAsk, fetchBatch } from "./batch.ts";
 import { ByteStore } from "./byte-store.ts";
@@ -16,8 +17,6 @@ import { checkReprDigest } from "./repr-digest.ts";
 import { decodeCanonical, type Positions, readPositions } from "./spaces.ts";
 import { decodeStates } from "./states.ts";
 
-const MAX_ROOT_BYTES = 2 ** 24;
-const ATTEMPTS = 4; // to fetch a file again
 const STORED_BYTES = 64 * 2 ** 20;
 const MOST_SEGMENTS = 2; // of which something is decoded and not shown
 const KEPT_SPACES = 4; // of each tile, whose positions are kept for the segments over them

@@ -2,18 +2,12 @@
 //
 // A server that cannot be reached, or says that it is busy, is waited for. Any other fault is the file's: after some of
 // them the file cannot be had, as one with status 404 at once.
-import { FormatError } from "../format/errors.ts";
+import { FormatError, type Reason } from "../format/errors.ts";
+import { BACKOFF_S, BUSY, GARBLED, HEADER_BYTES, LONGEST_PAUSE_S, TIMEOUT_S } from "../generated/constants.ts";
 import { pause } from "./bell.ts";
 import { TransportError } from "./errors.ts";
 
-const BUSY = [429, 502, 503, 504];
-const GARBLED = ["size_mismatch", "hash_mismatch", "not_json"]; // reasons to ask again
-const FIRST_PAUSE_MS = 250;
-const LONGEST_PAUSE_MS = 4000;
-/** Without a byte for so long, an answer is asked for again. */
-const SILENCE_MS = 30_000;
-/** What the headers of an answer are taken to be, which pages are not told. */
-const HEADER_BYTES = 350;
+const TO_ASK_AGAIN: readonly Reason[] = GARBLED;
 
 /** An answer that was not taken. */
 export interface Retry {
@@ -78,7 +72,7 @@ export class FileClient {
       const away = this.#isAway(error, askedMs);
       if (away && !patient) throw new TransportError(`${this.base}${path}: ${error.detail}`);
       if (!away) faults++;
-      const passing = error instanceof PassingError || GARBLED.includes(error.reason);
+      const passing = error instanceof PassingError || TO_ASK_AGAIN.includes(error.reason);
       if (faults === attempts || !passing) return plain(error);
       ask.onRetry({ path, why: error.detail, bytes: answer.bytes });
       await rest(tries, signal);
@@ -124,7 +118,7 @@ class Answer {
     try {
       const response = await this.#head(url, again);
       if (!BUSY.includes(response.status)) onAnswer();
-      this.#count(HEADER_BYTES);
+      this.#count(HEADER_BYTES); // pages are not told how many there were
       if (response.status !== 200) throw refusal(this.ask.path, response.status);
       return { bytes: await this.#body(response), headers: response.headers };
     } finally {
@@ -166,7 +160,7 @@ class Answer {
 
   #listen(): void {
     clearTimeout(this.#silence);
-    this.#silence = setTimeout(() => this.#stop.abort(), SILENCE_MS);
+    this.#silence = setTimeout(() => this.#stop.abort(), 1e3 * TIMEOUT_S);
   }
 
   #count(bytes: number): void {
@@ -187,7 +181,7 @@ function join(parts: Uint8Array[], size: number): Uint8Array {
 
 /** A quarter of a second, longer each time, and not the same for everybody who lost the same server. */
 async function rest(tries: number, signal: AbortSignal): Promise<void> {
-  const longest = Math.min(LONGEST_PAUSE_MS, FIRST_PAUSE_MS * 2 ** tries);
+  const longest = 1e3 * Math.min(LONGEST_PAUSE_S, BACKOFF_S * 2 ** tries);
   const done = new AbortController();
   const over = new Promise<void>((resolve) => {
     signal.addEventListener("abort", () => resolve(), { signal: done.signal });

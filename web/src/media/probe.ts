@@ -1,11 +1,10 @@
 // What this browser makes of H.264: whether luma can be had as it was coded.
-import { BRIGHTEST, DARKEST } from "../format/atlas.ts";
+import { BLOCK, BRIGHTEST, DARKEST } from "../generated/constants.ts";
 import { LumaDecoder } from "./decoder.ts";
 import { UnsupportedError } from "./errors.ts";
 import type { Inverses, Samples } from "./luma.ts";
 import { PROBE_BLOCKS, PROBE_CLIP } from "./probe-clip.ts";
 
-const BLOCK = 16;
 const SIDE = PROBE_BLOCKS * BLOCK;
 const VALUES = 256;
 

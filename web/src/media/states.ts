@@ -1,15 +1,14 @@
 // Segments: a state file over a canonical space -> luma, bases and means of each frame. N rows of a tile, n of a level.
-import { BLOCK, planeCorner, planeHeight, rowOffsets } from "../format/atlas.ts";
+import { planeCorner, planeHeight, rowOffsets } from "../format/atlas.ts";
 import type { Tables } from "../format/package.ts";
 import { stateSteps } from "../format/steps.ts";
 import type { Atlas, BaseChanges, StateFrame } from "../format/types.ts";
 import { checkCount, levelRows, readStateUnit } from "../format/units.ts";
+import { BLOCK, ESCAPE_UNIT, GREY } from "../generated/constants.ts";
 import type { DecodeOptions } from "./decoder.ts";
 import type { PictureDecoder } from "./pictures.ts";
 import type { Positions } from "./spaces.ts";
 
-const GREY = 128;
-const BASE = 128; // codes that a base of 1 stands for
 const AXES = 3; // the first state channels: means
 
 /** A state file and the canonical space that it changes. */
@@ -70,7 +69,8 @@ class Means {
     for (const [e, texel] of changes?.texels.entries() ?? []) this.#change(texel, changes?.bases[e] ?? 0);
     const means = this.#positions.means.slice();
     for (let axis = 0; axis < AXES; axis++) this.#move(means, axis, luma);
-    for (const [sample, base] of this.#bases) this.#add(means, Math.floor(sample / AXES), sample % AXES, BASE * base);
+    for (const [sample, base] of this.#bases)
+      this.#add(means, Math.floor(sample / AXES), sample % AXES, ESCAPE_UNIT * base);
     return means;
   }
 

@@ -3,16 +3,12 @@
 // S segments, G groups, P tiles, U key units, Q key qualities, L levels. A unit is a key tier of a tile. A rung is a key
 // quality with a level; rungs are numbered quality by quality. A position is a segment of a session, which may play the
 // sequence several times.
-import { ROOT_PATH } from "../format/paths.ts";
+import { HEADER_BYTES, OVER_BUDGET, ROOT_PATH, SESSION_S } from "../generated/constants.ts";
 import { Kept } from "./kept.ts";
 import { type Option, savedShares } from "./ladder.ts";
 import type { Offers } from "./offers.ts";
 import { ConfigError } from "./settings.ts";
 
-/** Seconds of play where nobody says how often the sequence is played. */
-export const SESSION_S = 30;
-/** HTTP response headers a file. */
-export const HEADER_BYTES = 350;
 /** Segments whose numbers are kept: more than a buffer holds and a policy looks at. */
 const KEPT_SEGMENTS = 512;
 const KEPT_OPTIONS = 4096;
@@ -22,8 +18,6 @@ const KEPT_PARTS = 16;
 /** Those key units of a group that are decoded: unit k in key quality q is number q U + k. */
 export type KeyUnits = ReadonlySet<number>;
 export const NONE: KeyUnits = new Set();
-/** Bytes of a rung that shows too many Gaussians: more than any link carries. */
-const OVER_BUDGET = 2 ** 50;
 
 /** Paths of the files that are requested together, in the order in which they arrive. */
 export interface Batch {

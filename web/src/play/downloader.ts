@@ -2,9 +2,6 @@
 import type { Arrival, Request } from "./events.ts";
 import type { Playout } from "./playout.ts";
 
-/** A download is looked at so often, seconds, and given so long before the first look. */
-export const CHECK_S = 0.5;
-
 /** A download under way. */
 export interface Partial {
   atS: number;

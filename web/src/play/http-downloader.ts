@@ -1,9 +1,9 @@
 // Batches over a real connection, by the clock of the page: the other Downloader is a simulated link of the tests.
 import { FormatError } from "../format/errors.ts";
-import { ROOT_PATH } from "../format/paths.ts";
+import { CHECK_S, ROOT_PATH } from "../generated/constants.ts";
 import type { Fetched, Media } from "../media/client.ts";
 import { type Catalogue, filesOf } from "./catalogue.ts";
-import { CHECK_S, type Downloader, type GiveUp } from "./downloader.ts";
+import type { Downloader, GiveUp } from "./downloader.ts";
 import type { Arrival, Request } from "./events.ts";
 import type { Playout } from "./playout.ts";
 

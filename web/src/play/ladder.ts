@@ -5,14 +5,8 @@
 // level (6), nothing fits (7, 8), sizes that do not fall (9), one level or none (10), NaN and infinite quality (11),
 // bad budgets (12), units (13: everything here is bytes), the level that sends nothing (14: not in a ladder), key units
 // (15: chosen over the buffer, see the session), level 0 (16: no different from the others).
+import { CLIFF_DB, DEFAULT_BETA, EPS_DB, PSNR_CAP } from "../generated/constants.ts";
 import { ConfigError } from "./settings.ts";
-
-/** The paper's cliff multiplier. */
-export const DEFAULT_BETA = 2;
-/** dB, the least mean drop: with DEFAULT_BETA, half a dB per 10 % is no cliff. */
-const EPS_DB = 0.25;
-/** dB; what equal pictures count as. */
-export const PSNR_CAP = 100;
 
 /** One of the things that can be chosen: its size in bytes on the wire and the quality that it shows. */
 export interface Option {
@@ -52,7 +46,7 @@ export interface Cliff {
  * Throws ConfigError: no options (10), beta ≤ 1 (6), a size or quality that is no number (11).
  */
 export function buildLadder(options: readonly Option[], cliff: Cliff = {}): Option[] {
-  const { beta = DEFAULT_BETA, epsDb = EPS_DB, cliffDb = 3, minQuality = -Infinity } = cliff;
+  const { beta = DEFAULT_BETA, epsDb = EPS_DB, cliffDb = CLIFF_DB, minQuality = -Infinity } = cliff;
   if (!(beta > 1)) throw new ConfigError(`cliff multiplier: expected more than 1, got ${beta}`);
   const front = pareto(options.map(checked));
   const kept = front.slice(0, 1);

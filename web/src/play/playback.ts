@@ -10,7 +10,6 @@ import type { SessionEvent } from "./events.ts";
 import { Feed } from "./feed.ts";
 import { locate } from "./locate.ts";
 import { Pipeline } from "./pipeline.ts";
-import type { Problem } from "./player.ts";
 import { EARLY, Playout } from "./playout.ts";
 import { wishedPolicy } from "./policies/named.ts";
 import { type RungInfo, RungTotals } from "./rungs.ts";
@@ -40,6 +39,14 @@ export interface Wishes {
   /** Fetch the tiles that are expected in sight, where a package has several; without it true. */
   readonly viewAdaptive?: boolean;
   readonly target?: TargetFormat;
+}
+
+/** What the event "problem" tells. */
+export interface Problem {
+  message: string;
+  /** Nothing goes on by itself. */
+  fatal: boolean;
+  error: unknown;
 }
 
 const nowS = () => performance.now() / 1e3;

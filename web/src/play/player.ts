@@ -1,11 +1,12 @@
 // The player as a page sees it: what the viewer wants, what is told of it, and the package that is open.
 import { firstView, levelled } from "../format/region.ts";
 import type { Region, World } from "../format/types.ts";
+import { DEFAULT_POLICY, HEADER_BYTES, SESSION } from "../generated/constants.ts";
 import { Media } from "../media/client.ts";
 import type { TargetFormat } from "../render/target.ts";
-import { Catalogue, HEADER_BYTES } from "./catalogue.ts";
+import { Catalogue } from "./catalogue.ts";
 import { joinNewest } from "./http-downloader.ts";
-import { Playback, type Wishes } from "./playback.ts";
+import { Playback, type Problem, type Wishes } from "./playback.ts";
 import type { RungInfo } from "./rungs.ts";
 import { type PlayerStats, Statistics } from "./statistics.ts";
 import type { ViewState } from "./view.ts";
@@ -26,14 +27,6 @@ export interface PlayerOptions {
   viewAdaptive?: boolean;
   /** What splats are blended into; default: half floats, where the browser has them. */
   target?: TargetFormat;
-}
-
-/** What the event "problem" tells. */
-export interface Problem {
-  message: string;
-  /** Nothing goes on by itself. */
-  fatal: boolean;
-  error: unknown;
 }
 
 /** Where somebody stands who has not opened a package. */
@@ -60,7 +53,7 @@ export class Player extends EventTarget {
     options: PlayerOptions = {},
   ) {
     super();
-    const given = { policy: "robust-mpc", loop: true, bufferS: 10, ...options };
+    const given = { policy: DEFAULT_POLICY, loop: true, bufferS: SESSION.bufferS, ...options };
     this.#wishes = { ...given, quality: "auto", speed: 1, paused: true };
   }
 

@@ -1,5 +1,5 @@
 // The part of a session that fetches: one batch at a time, and what arrives is kept.
-
+import { REMEMBERED, SHORTEST_S } from "../generated/constants.ts";
 import { type Catalogue, filesOf } from "./catalogue.ts";
 import type { Downloader, GiveUp } from "./downloader.ts";
 import type { Arrival, Arrived, Request } from "./events.ts";
@@ -8,11 +8,6 @@ import type { Download, Policy } from "./policies/state.ts";
 import type { SessionSettings } from "./settings.ts";
 import type { Stores } from "./stores.ts";
 import type { TileChoice } from "./tile-choice.ts";
-
-/** Downloads that policies know. */
-const REMEMBERED = 24;
-/** A download that rounds to no time still has a rate: seconds. */
-const SHORTEST_S = 1e-9;
 
 /** What a session is made of. */
 export interface SessionParts {

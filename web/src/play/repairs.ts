@@ -1,5 +1,6 @@
 // What segments turn out to lack soon before they are shown, or while they are: tiles that come into sight. They are
 // fetched beside whatever a session fetches, since nothing is as urgent.
+import { LOOK_S } from "../generated/constants.ts";
 import { TransportError } from "../media/errors.ts";
 import { filesOf } from "./catalogue.ts";
 import type { Downloader, GiveUp } from "./downloader.ts";
@@ -12,8 +13,6 @@ import type { Slot } from "./slot.ts";
 import type { Stores } from "./stores.ts";
 import type { Lack, TileChoice } from "./tile-choice.ts";
 
-/** How often it looks what is lacking, seconds. */
-const LOOK_S = 0.05;
 /** After a link has failed, seconds. */
 const RETRY_S = 1;
 /** As many connections as browsers open to a server over HTTP/1.1. */

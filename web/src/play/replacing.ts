@@ -1,13 +1,11 @@
 // Which buffered segment a better rung would serve best: what a player does when nothing more fits its buffer.
+import { REPLACE_GAIN_DB } from "../generated/constants.ts";
 import type { Batch, Catalogue } from "./catalogue.ts";
 import { filesOf } from "./catalogue.ts";
 import type { Option } from "./ladder.ts";
 import type { Playout } from "./playout.ts";
 import type { Slot } from "./slot.ts";
 import type { Stores } from "./stores.ts";
-
-/** Least gain in dB that a replacement must bring. */
-const REPLACE_GAIN_DB = 0.5;
 
 /** A better rung of a buffered segment. */
 export interface Replacement {

@@ -12,24 +12,20 @@
 // The sequence may be played several times, as if it were longer: keys and states are fetched again, tables are not.
 // One that grows is played as it grows: airgs.json is fetched again a group's length after the last time, until it says
 // that nothing will follow, or nothing has followed for SILENCE_S.
-import { ROOT_PATH } from "../format/paths.ts";
+import { POLL_S, ROOT_PATH, SAFETY, SILENCE_S } from "../generated/constants.ts";
 import { TransportError } from "../media/errors.ts";
 import { filesOf } from "./catalogue.ts";
 import type { GiveUp } from "./downloader.ts";
 import { type Arrival, type Arrived, isComplete, type Request, type SessionEvent, type Shown } from "./events.ts";
 import type { Decision, Option } from "./ladder.ts";
-import { budgetBytes, estimateThroughput, type PlayerState, SAFETY } from "./policies/state.ts";
+import { budgetBytes, estimateThroughput, type PlayerState } from "./policies/state.ts";
 import { Receiver, type SessionParts } from "./receiver.ts";
 import { bestReplacement, obtainable, replacing, slotQuality, usable } from "./replacing.ts";
 import { ConfigError } from "./settings.ts";
 import type { Slot } from "./slot.ts";
 
-/** airgs.json of a growing package is fetched no more often, seconds. */
-const POLL_S = 0.2;
 /** After files that a repair fetches it looks again, seconds, where nothing changes before. */
 const REPAIR_S = 0.05;
-/** Without a new group: whoever added groups has gone. */
-const SILENCE_S = 60;
 
 type Events<Result = void> = AsyncGenerator<SessionEvent, Result>;
 

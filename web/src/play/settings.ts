@@ -1,4 +1,5 @@
 // The rules of a player: how much it buffers, when it begins, what it may do beside fetching segment after segment.
+import { SESSION, VIEW_BUFFER_S } from "../generated/constants.ts";
 
 /** Settings that cannot work, or a policy that does not exist. */
 export class ConfigError extends Error {
@@ -29,9 +30,6 @@ export interface SessionSettings {
   loops: number | null;
 }
 
-/** Most media time ahead of the playhead where tiles are fetched by view, seconds; two segments always fit. */
-const VIEW_BUFFER_S = 1;
-
 /** The rules where tiles are fetched by view: what is buffered is soon shown, and not replaced. */
 export const byView = (settings: SessionSettings): SessionSettings => ({
   ...settings,
@@ -40,17 +38,7 @@ export const byView = (settings: SessionSettings): SessionSettings => ({
   replace: false,
 });
 
-const DEFAULTS: SessionSettings = {
-  bufferS: 10,
-  roomForTwo: false,
-  startupS: 1,
-  resumeS: 0.5,
-  decodeFrameS: 0.004,
-  replace: true,
-  abandon: true,
-  pipelined: true,
-  loops: null,
-};
+const DEFAULTS: SessionSettings = { ...SESSION, roomForTwo: false };
 
 /** Settings with defaults for what is not given. Throws ConfigError for rules that cannot work. */
 export function sessionSettings(given: Partial<SessionSettings> = {}): SessionSettings {

@@ -1,17 +1,12 @@
 // What a viewer sees and is expected to see: airgs_codec/play/sight.py, number by number.
 //
 // A player knows how its viewer stands and moved until now. It expects the movement to go on and to die down, so that
-// after t seconds DECAY_S · (1 − exp(−t / DECAY_S)) seconds of it have passed. docs/tiles.md has how good that is.
+// after t seconds DECAY_S · (1 − exp(−t / DECAY_S)) seconds of it have passed. Measured in docs/results/tiles.md.
 import type { Camera, Tile } from "../format/types.ts";
 import { along, length, minus, scaled, type Vector } from "../format/vector.ts";
+import { BEFORE_S, CORNERS, DECAY_S, SMALL_TURN } from "../generated/constants.ts";
 import { cameraOf, type ViewState } from "./view.ts";
 
-/** Seconds over which a viewer's movement is measured. */
-export const BEFORE_S = 0.1;
-/** Seconds in which a movement is expected to have died down to 1 / e. */
-const DECAY_S = 0.5;
-/** Points on each axis of a box that are looked for in a picture. */
-const CORNERS = 6;
 const DEGREES = 180 / Math.PI;
 
 type Matrix = Float64Array; // of a camera: (16) row by row
@@ -39,7 +34,7 @@ export function velocityOf(before: Camera, here: Camera, seconds = BEFORE_S): Ve
   const cosine = (entry(0, 0) + entry(1, 1) + entry(2, 2) - 1) / 2;
   const angle = Math.acos(Math.max(-1, Math.min(1, cosine)));
   const axis: Vector = [entry(2, 1) - entry(1, 2), entry(0, 2) - entry(2, 0), entry(1, 0) - entry(0, 1)];
-  const turn = scaled(axis, angle < 1e-6 ? 0.5 : angle / (2 * Math.sin(angle)));
+  const turn = scaled(axis, angle < SMALL_TURN ? 0.5 : angle / (2 * Math.sin(angle)));
   return { turn: scaled(turn, 1 / seconds), shift: scaled(minus(positionOf(b), positionOf(a)), 1 / seconds) };
 }
 

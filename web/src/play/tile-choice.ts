@@ -2,21 +2,15 @@
 //
 // Early, when a segment is asked for, those that the picture is expected to show while the segment is shown. Nobody can
 // tell more than a second ahead how a viewer turns, so that tiles will be lacking; what a wider picture is expected to
-// show soon before it is shown is fetched then. Measured in docs/tiles.md.
+// show soon before it is shown is fetched then. Measured in docs/results/tiles.md.
 import type { Camera } from "../format/types.ts";
+import { BEFORE_S, EARLY_MARGIN, FURTHEST_S, LATE_MARGIN, SOON_S } from "../generated/constants.ts";
 import type { Catalogue } from "./catalogue.ts";
 import { Kept } from "./kept.ts";
 import type { Playout } from "./playout.ts";
-import { BEFORE_S, Boxes, expected, velocityOf, type Watcher } from "./sight.ts";
+import { Boxes, expected, velocityOf, type Watcher } from "./sight.ts";
 import type { Slot } from "./slot.ts";
 
-/** Degrees beside the expected picture. */
-const EARLY_MARGIN = 0;
-const LATE_MARGIN = 30;
-/** No picture is expected further ahead, seconds. */
-const FURTHEST_S = 1;
-/** Before its start, seconds, a segment is looked at again. */
-const SOON_S = 0.3;
 const KEPT_GROUPS = 64;
 
 /** A tile that a segment lacks. */

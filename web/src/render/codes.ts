@@ -1,6 +1,7 @@
 // What the shaders need to know of an atlas to read codes: see CODES in shaders.ts.
-import { BLOCK, planeCorner } from "../format/atlas.ts";
+import { planeCorner } from "../format/atlas.ts";
 import type { Atlas } from "../format/types.ts";
+import { BLOCK } from "../generated/constants.ts";
 
 /** Uniforms of an atlas. C colour channels, of which T may differ from 0. */
 export interface CodeTable {

@@ -1,12 +1,22 @@
 // The passes that make the canonical space of a group: key pictures -> row textures, once. C colour channels.
-import { colourChannels, KEY_CHANNELS } from "../format/steps.ts";
+import { colourChannels } from "../format/steps.ts";
 import type { KeyPart } from "../format/types.ts";
+import { KEY_AT } from "../generated/constants.ts";
 import { type CodeTable, codeTable } from "./codes.ts";
 import type { InUse, Programs } from "./programs.ts";
 import { Samples } from "./samples.ts";
-import type { Scene } from "./scene.ts";
 import { KEY_GEOMETRY, keyColours, LAYERS_A_PASS, ROW_WIDTH, WHOLE } from "./shaders.ts";
 import { framebuffer, type Texture, texture, writeRows } from "./textures.ts";
+
+/** The canonical space of a group as row textures, into which the passes draw. */
+export interface RowTextures {
+  readonly rows: number;
+  readonly degree: number;
+  readonly places: Texture;
+  readonly rotations: Texture;
+  readonly sizes: Texture;
+  readonly layers: Texture;
+}
 
 /** What the key channels of a group count in: their steps, those of SH DC and SH rest, and the colour transform. */
 export interface KeyCoding {
@@ -51,28 +61,34 @@ export function prepareKeys(programs: Programs, degree: number): string[] {
 /** Uploads key pictures when it is made, and draws the canonical space from them when the programs are there. */
 export class KeyPasses {
   readonly #gl: WebGL2RenderingContext;
-  readonly #scene: Scene;
+  readonly #into: RowTextures;
   readonly #parts: Part[] = [];
   readonly #base: KeyCoding | null;
   readonly #picked: Texture;
 
   /** `base` is the coding of the group whose rows are kept, and is let go of with the pictures. */
-  constructor(gl: WebGL2RenderingContext, scene: Scene, parts: KeyPart[], own: KeyCoding, base: KeyCoding | null) {
-    [this.#gl, this.#scene, this.#base] = [gl, scene, base];
-    const picked = new Uint32Array(scene.rows);
+  constructor(gl: WebGL2RenderingContext, into: RowTextures, parts: KeyPart[], own: KeyCoding, base: KeyCoding | null) {
+    [this.#gl, this.#into, this.#base] = [gl, into, base];
+    const picked = new Uint32Array(into.rows);
     let first = 0;
     for (const { atlas, kept, luma, bases } of parts) {
       const samples = new Samples(gl, atlas);
       samples.setLuma(luma);
       if (bases) samples.change(bases);
       samples.upload();
-      const rows = Math.min(kept ? kept.length : atlas.rows, scene.rows - first);
+      const rows = Math.min(kept ? kept.length : atlas.rows, into.rows - first);
       const coding = (kept && base) ?? own;
-      this.#parts.push({ samples, codes: codeTable(atlas, coding.steps, KEY_CHANNELS.colours), coding, first, rows });
+      this.#parts.push({
+        samples,
+        codes: codeTable(atlas, coding.steps, KEY_AT.colour),
+        coding,
+        first,
+        rows,
+      });
       for (let i = 0; i < rows; i++) picked[first + i] = kept ? kept[i] : i;
       first += rows;
     }
-    const { width, height } = scene.places;
+    const { width, height } = into.places;
     this.#picked = texture(gl, "R32UI", [width, height]);
     writeRows(gl, this.#picked, picked);
   }
@@ -80,7 +96,7 @@ export class KeyPasses {
   /** Draws the row textures and lets go of the pictures. `noBases` stands in where a tier has none. */
   run(programs: Programs, noBases: Texture): void {
     const gl = this.#gl;
-    const { rotations, sizes, layers, degree } = this.#scene;
+    const { rotations, sizes, layers, degree } = this.#into;
     const textures = ({ samples, coding }: Part) => [
       samples.luma,
       samples.bases ?? noBases,
@@ -93,8 +109,8 @@ export class KeyPasses {
     this.#pass(framebuffer(gl, [rotations, sizes]), (part) => programs.use("key geometry", textures(part)));
     for (const { name, first, count } of layerRuns(degree)) {
       const run = Array.from({ length: count }, (_, l) => first + l);
-      const into = framebuffer(gl, new Array<Texture>(count).fill(layers), run);
-      this.#pass(into, (part) => programs.use(name, textures(part)));
+      const target = framebuffer(gl, new Array<Texture>(count).fill(layers), run);
+      this.#pass(target, (part) => programs.use(name, textures(part)));
     }
     gl.disable(gl.SCISSOR_TEST);
     this.free();
@@ -110,7 +126,7 @@ export class KeyPasses {
   #pass(into: WebGLFramebuffer, use: (part: Part) => InUse): void {
     const gl = this.#gl;
     gl.bindFramebuffer(gl.FRAMEBUFFER, into);
-    gl.viewport(0, 0, ROW_WIDTH, this.#scene.places.height);
+    gl.viewport(0, 0, ROW_WIDTH, this.#into.places.height);
     for (const part of this.#parts) {
       const { at } = use(part);
       const { samples, codes, coding, first, rows } = part;

@@ -2,27 +2,28 @@
 //
 // The arithmetic is that of airgs_codec/render/cpu_kernels.py. The covariance of the picture is [[xx, xy], [xy, yy]]
 // px²; its determinant is taken by Cauchy-Binet, whose terms do not cancel.
-import { CODES, colours, each, HEAD, layerSteps, ROW_WIDTH } from "./shaders.ts";
+import { DILATION, OPACITY_MARGIN, SH_C0, SH_C1, SH_C2, SH_C3, STATE_AT } from "../generated/constants.ts";
+import { CODES, colours, each, HEAD, layerSteps, ROW_WIDTH, three } from "./shaders.ts";
 
 // The signs are those of INRIA's files; FORMAT.md, section 5. d: direction from the viewer, dd: its squares.
 const BASIS = [
-  ["0.28209479177387814"],
-  ["-0.4886025119029199 * d.y", "0.4886025119029199 * d.z", "-0.4886025119029199 * d.x"],
+  [`${SH_C0}`],
+  [`-${SH_C1} * d.y`, `${SH_C1} * d.z`, `-${SH_C1} * d.x`],
   [
-    "1.0925484305920792 * d.x * d.y",
-    "-1.0925484305920792 * d.y * d.z",
-    "0.31539156525252005 * (2.0 * dd.z - dd.x - dd.y)",
-    "-1.0925484305920792 * d.x * d.z",
-    "0.5462742152960396 * (dd.x - dd.y)",
+    `${SH_C2[0]} * d.x * d.y`,
+    `${SH_C2[1]} * d.y * d.z`,
+    `${SH_C2[2]} * (2.0 * dd.z - dd.x - dd.y)`,
+    `${SH_C2[3]} * d.x * d.z`,
+    `${SH_C2[4]} * (dd.x - dd.y)`,
   ],
   [
-    "-0.5900435899266435 * d.y * (3.0 * dd.x - dd.y)",
-    "2.890611442640554 * d.x * d.y * d.z",
-    "-0.4570457994644658 * d.y * (4.0 * dd.z - dd.x - dd.y)",
-    "0.3731763325901154 * d.z * (2.0 * dd.z - 3.0 * dd.x - 3.0 * dd.y)",
-    "-0.4570457994644658 * d.x * (4.0 * dd.z - dd.x - dd.y)",
-    "1.445305721320277 * d.z * (dd.x - dd.y)",
-    "-0.5900435899266435 * d.x * (dd.x - 3.0 * dd.y)",
+    `${SH_C3[0]} * d.y * (3.0 * dd.x - dd.y)`,
+    `${SH_C3[1]} * d.x * d.y * d.z`,
+    `${SH_C3[2]} * d.y * (4.0 * dd.z - dd.x - dd.y)`,
+    `${SH_C3[3]} * d.z * (2.0 * dd.z - 3.0 * dd.x - 3.0 * dd.y)`,
+    `${SH_C3[4]} * d.x * (4.0 * dd.z - dd.x - dd.y)`,
+    `${SH_C3[5]} * d.z * (dd.x - dd.y)`,
+    `${SH_C3[6]} * d.x * (dd.x - 3.0 * dd.y)`,
   ],
 ];
 
@@ -31,7 +32,7 @@ uniform usampler2D places, rotations, sizes, ranks;
 uniform usampler2DArray layers;
 uniform int rows;
 uniform bool moving; // else the canonical space is shown
-uniform ivec4 entries[10];
+uniform ivec4 entries[${STATE_AT.colour}];
 `;
 
 // What is nearer than `near` is not drawn. The Jacobian is taken inside `bounds`: x, then y, of z = 1.
@@ -50,9 +51,6 @@ mat3 axes(vec4 q) { // columns of the rotation
 }
 vec4 product(vec4 p, vec4 q) { // turns by q first
   return vec4(p.x * q.x - dot(p.yzw, q.yzw), p.x * q.yzw + q.x * p.yzw + cross(p.yzw, q.yzw));
-}
-vec3 entry3(int first, ivec2 at) {
-  return vec3(decode(entries[first], at), decode(entries[first + 1], at), decode(entries[first + 2], at));
 }
 `;
 
@@ -106,14 +104,14 @@ void main() {
   bool moved = rank != 0xffffffffu;
   if (moved) {
     at = place(int(rank));
-    away += entry3(0, at) * p.w;
-    s += vec4(entry3(3, at), decode(entries[9], at));
+    away += ${three(STATE_AT.means)} * p.w;
+    s += vec4(${three(STATE_AT.log_scales)}, decode(entries[${STATE_AT.opacity}], at));
   }
-  float alpha = clamp(s.w, 9.5367431640625e-7, 0.99999904632568359375); // FORMAT.md, section 5
+  float alpha = clamp(s.w, ${OPACITY_MARGIN}, ${1 - OPACITY_MARGIN}); // FORMAT.md, section 5
   vec3 seen = vec3(dot(right, away), dot(down, away), dot(ahead, away));
   if (!(seen.z > near) || !(alpha * 255.0 > 1.0)) return;
   vec4 q = uintBitsToFloat(texelFetch(rotations, t, 0));
-  if (moved) q = normalize(product(turn(entry3(6, at)), q));
+  if (moved) q = normalize(product(turn(${three(STATE_AT.quaternions)}), q));
   vec2 uv = seen.xy / seen.z, inside = clamp(uv, bounds.xz, bounds.yw);
   mat3 R = axes(q);
   vec3 scale = exp(s.xyz);
@@ -121,9 +119,9 @@ void main() {
   vec3 my = (lens.y / seen.z * (down - inside.y * ahead)) * R * scale;
   vec3 minors = cross(mx, my);
   float xx = dot(mx, mx), yy = dot(my, my), xy = dot(mx, my);
-  float det = dot(minors, minors) + 0.3 * (xx + yy) + 0.09; // 0.3 px² are added to the covariance
-  xx += 0.3;
-  yy += 0.3;
+  float det = dot(minors, minors) + ${DILATION} * (xx + yy) + ${DILATION ** 2}; // as the covariance is dilated
+  xx += ${DILATION};
+  yy += ${DILATION};
   if (!(det > 0.0 && det < 1e30)) return;
   float reach = log(255.0 * alpha);
   vec2 centre = lens.xy * uv + lens.zw, extent = sqrt(2.0 * reach * vec2(xx, yy));

@@ -1,6 +1,7 @@
 // The samples of an atlas on the GPU: luma, a layer a page, and bases where any is not 0 (FORMAT.md, sections 4 and 6).
-import { BLOCK, pages } from "../format/atlas.ts";
+import { pages } from "../format/atlas.ts";
 import type { Atlas, BaseChanges } from "../format/types.ts";
+import { BLOCK } from "../generated/constants.ts";
 import { RenderError, type Texture, texture, write } from "./textures.ts";
 
 /**

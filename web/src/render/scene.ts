@@ -2,8 +2,9 @@
 // channels.
 //
 // A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
-import { colourChannels, colourMatrix, colourSteps, keySteps, STATE_CHANNELS, stateSteps } from "../format/steps.ts";
+import { colourChannels, colourMatrix, colourSteps, keySteps, stateSteps } from "../format/steps.ts";
 import type { Atlas, Canonical, Group, Root } from "../format/types.ts";
+import { STATE_AT, STATIC } from "../generated/constants.ts";
 import { type CodeTable, codeTable } from "./codes.ts";
 import { KeyPasses } from "./key-passes.ts";
 import { Samples } from "./samples.ts";
@@ -11,7 +12,6 @@ import { ROW_WIDTH } from "./shaders.ts";
 import { framebuffer, RenderError, type Texture, texture, write, writeRows } from "./textures.ts";
 
 const NO_RANK = 0xffffffff;
-const STATIC = 255;
 
 /** How the states of a level are read. */
 export interface LevelView {
@@ -95,7 +95,7 @@ export class Scene {
     }
     this.#drop();
     const atlas = this.#group.tiles[this.#tile].levels[level];
-    const codes = codeTable(atlas, stateSteps(this.#root, this.#group, level), STATE_CHANNELS.colours);
+    const codes = codeTable(atlas, stateSteps(this.#root, this.#group, level), STATE_AT.colour);
     this.#next = { level, atlas, codes, samples: new Samples(this.#gl, atlas) };
   }
 

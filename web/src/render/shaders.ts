@@ -3,6 +3,7 @@
 //
 // A pass over rows draws one triangle over the row textures: each fragment is a row. Attributes are kept as the bits of
 // floats in RGBA32UI textures, which core WebGL2 can draw into.
+import { BLOCK, ESCAPE_UNIT, GREY, KEY_AT, SMALL_ANGLE } from "../generated/constants.ts";
 
 /** Rows a line of the row textures. With as many lines, which every WebGL2 of today has, they hold 2^24 rows. */
 export const ROW_WIDTH = 4096;
@@ -13,6 +14,10 @@ export const HEAD = `#version 300 es
 precision highp float; precision highp int; precision highp sampler2D;
 precision highp usampler2D; precision highp usampler2DArray; precision highp isampler2DArray;
 `;
+
+/** GLSL of three channels of a code table, `first` and those after it, at a sample. */
+export const three = (first: number) =>
+  `vec3(${[0, 1, 2].map((axis) => `decode(entries[${first + axis}], at)`).join(", ")})`;
 
 /** A triangle that covers the target. */
 export const WHOLE = `#version 300 es
@@ -32,21 +37,21 @@ ivec2 place(int row) {
   int block = row >> 8, cell = row & 255;
   ivec2 at = ivec2((cell & 1) | (cell >> 1 & 2) | (cell >> 2 & 4) | (cell >> 3 & 8),
                    (cell >> 1 & 1) | (cell >> 2 & 2) | (cell >> 3 & 4) | (cell >> 4 & 8));
-  return ivec2(block % layout_.x, block / layout_.x) * 16 + at;
+  return ivec2(block % layout_.x, block / layout_.x) * ${BLOCK} + at;
 }
 float decode(ivec4 entry, ivec2 at) {
   int code = entry.z;
   if (entry.x >= 0) {
     ivec2 t = at + entry.xy;
     ivec3 s = ivec3(t.x, t.y % layout_.y, t.y / layout_.y);
-    code += int(texelFetch(luma, s, 0).r) - 128;
-    if (escaped) code += 128 * texelFetch(bases, s, 0).r;
+    code += int(texelFetch(luma, s, 0).r) - ${GREY};
+    if (escaped) code += ${ESCAPE_UNIT} * texelFetch(bases, s, 0).r;
   }
   return float(code) * intBitsToFloat(entry.w);
 }
 vec4 turn(vec3 v) { // rotation vector -> quaternion w x y z
   float angle = length(v);
-  return vec4(cos(0.5 * angle), v * (angle > 1e-8 ? sin(0.5 * angle) / angle : 0.5)); // below, both are 1/2 in float32
+  return vec4(cos(0.5 * angle), v * (angle > ${SMALL_ANGLE} ? sin(0.5 * angle) / angle : 0.5)); // below, both are 1/2 in float32
 }
 `;
 
@@ -62,16 +67,15 @@ int row() {
 `;
 
 export const KEY_GEOMETRY = `${HEAD}${CODES}${ROW}
-uniform ivec4 entries[7];
+uniform ivec4 entries[${KEY_AT.colour}];
 layout(location = 0) out uvec4 rotation;
 layout(location = 1) out uvec4 size;
 void main() {
   int i = row();
   if (i < 0) discard;
   ivec2 at = place(i);
-  rotation = floatBitsToUint(turn(vec3(decode(entries[3], at), decode(entries[4], at), decode(entries[5], at))));
-  vec3 scales = vec3(decode(entries[0], at), decode(entries[1], at), decode(entries[2], at));
-  size = floatBitsToUint(vec4(scales, decode(entries[6], at)));
+  rotation = floatBitsToUint(turn(${three(KEY_AT.quaternions)}));
+  size = floatBitsToUint(vec4(${three(KEY_AT.log_scales)}, decode(entries[${KEY_AT.opacity}], at)));
 }`;
 
 /** Colour channels that may differ from 0: their code table, and which line of the transform each is. */

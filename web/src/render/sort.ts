@@ -1,5 +1,6 @@
 // The order in which Gaussians are blended. N rows of a group, V of them in front of the viewer.
 import type { Camera } from "../format/types.ts";
+import { FAR } from "../generated/constants.ts";
 
 /** What an order depends on besides the means: the plane in which depth is 0, and what is too near to be drawn. */
 export interface DepthView {
@@ -8,8 +9,6 @@ export interface DepthView {
   near: number;
 }
 
-// Nothing beyond is drawn (airgs_codec.render.cpu has the same limit): it keeps infinite depths out of the order.
-const FAR = 1e10;
 const DIGIT = 16;
 const BUCKETS = 1 << DIGIT;
 
@@ -60,7 +59,7 @@ export class DepthSorter {
     let visible = 0;
     for (let row = means.length / 3 - 1; row >= 0; row--) {
       const depth = x * means[3 * row] + y * means[3 * row + 1] + z * means[3 * row + 2] + w;
-      if (!(depth > near && depth < FAR)) continue;
+      if (!(depth > near && depth < FAR)) continue; // so that no depth is infinite
       one[0] = depth;
       const key = ~bits[0] >>> 0; // positive floats are in the order of their bits
       keys[visible] = key;

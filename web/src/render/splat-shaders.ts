@@ -1,4 +1,5 @@
 // The passes that draw: projected rows as parallelograms, blended far to near, and the picture on the canvas.
+import { ALPHA_MAX } from "../generated/constants.ts";
 import { HEAD, ROW_WIDTH } from "./shaders.ts";
 
 /** Parallelograms an instance: a GPU starves on four vertices each, and SwiftShader takes 13 µs an instance. */
@@ -44,7 +45,7 @@ void main() {
   vec2 uv = vec2(d.x - shear * d.y, d.y) * ellipse.zw;
   float far = dot(uv, uv);
   if (far > 1.0) discard; // less than 1/255
-  float alpha = min(0.999, exp(look.w * (1.0 - far)) / 255.0);
+  float alpha = min(${ALPHA_MAX}, exp(look.w * (1.0 - far)) / 255.0);
   colour = vec4(look.rgb * (alpha / brightest), alpha);
 }`;
 

@@ -1,9 +1,7 @@
 // A camera as the projection pass takes it.
 import type { Camera } from "../format/types.ts";
+import { MARGIN } from "../generated/constants.ts";
 import type { InUse } from "./programs.ts";
-
-// The projection is linearised at most 15 % of the picture outside it, as in gsplat: it blows up at grazing angles.
-const MARGIN = 0.15;
 
 /** Sets the uniforms of VIEW in project-shader.ts, for a picture of `size` pixels instead of the camera's. */
 export function setView(gl: WebGL2RenderingContext, at: InUse["at"], camera: Camera, size: [number, number]): void {

@@ -1,5 +1,5 @@
 // What is heard of the player and the network, and what is shown of it.
-import type { Problem } from "../play/player.ts";
+import type { Problem } from "../play/playback.ts";
 import type { Shell } from "./shell.ts";
 
 const OFFLINE = "There is no network. Trying again …";

@@ -1,4 +1,5 @@
 // Figures in words for people.
+import type { POLICY_NAMES } from "../generated/constants.ts";
 import type { RungInfo } from "../play/rungs.ts";
 
 const MINUTE = 60;
@@ -52,7 +53,7 @@ export const decibels = (psnr: number | null): string => (psnr === null ? "–" 
 /** What a rung is called: what it looks like, else its name. */
 export const rungTitle = (rung: RungInfo): string => (rung.psnr === null ? rung.name : decibels(rung.psnr));
 
-export const POLICIES: ReadonlyMap<string, string> = new Map([
+export const POLICIES: ReadonlyMap<string, string> = new Map<(typeof POLICY_NAMES)[number], string>([
   ["paper", "As in the paper"],
   ["paper-no-cliff", "As in the paper, no cliff"],
   ["paper-literal", "The paper to the letter"],

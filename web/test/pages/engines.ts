@@ -1,5 +1,5 @@
 // Pictures of one frame from several cameras, drawn by spark or PlayCanvas through the adapters of examples/, for
-// tools/bench_engines.py to compare, and how long the adapters take to hand a frame over.
+// tools/lab/bench/engines.py to compare, and how long the adapters take to hand a frame over.
 //
 //     ?scene=FOLDER&engine=spark|playcanvas&variant=NAME      in FOLDER views.json, and rows.bin, float32 arrays
 import { SparkRenderer } from "@sparkjsdev/spark";

@@ -1,6 +1,6 @@
 // A player that only pretends: a ring of coloured balls, seen from its camera on a 2D canvas, and a network that can fail.
 import type { Region } from "../../src/format/types.ts";
-import type { Problem } from "../../src/play/player.ts";
+import type { Problem } from "../../src/play/playback.ts";
 import type { RungInfo } from "../../src/play/rungs.ts";
 import type { PlayerStats } from "../../src/play/statistics.ts";
 import type { ViewState } from "../../src/play/view.ts";

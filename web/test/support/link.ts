@@ -1,7 +1,8 @@
 // A link that replays a trace: airgs_codec/play/trace.py, link.py and SimulatedDownloader, number by number.
 import { FormatError, type Reason } from "../../src/format/errors.ts";
+import { CHECK_S } from "../../src/generated/constants.ts";
 import { type Catalogue, filesOf, roundHalfEven } from "../../src/play/catalogue.ts";
-import { CHECK_S, type Downloader, type GiveUp, type Partial } from "../../src/play/downloader.ts";
+import type { Downloader, GiveUp, Partial } from "../../src/play/downloader.ts";
 import type { Arrival, Request } from "../../src/play/events.ts";
 
 /** Rates that hold from their starts on; after the last second comes the first one. */

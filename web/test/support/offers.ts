@@ -1,6 +1,7 @@
 // What a package offers a player, from numbers alone: `Offers` without files or tables. All count from 0.
-import { GroupIndex, PAGE } from "../../src/format/index.ts";
+import { GroupIndex } from "../../src/format/index.ts";
 import { keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath, tileFolder } from "../../src/format/paths.ts";
+import { PAGE } from "../../src/generated/constants.ts";
 import type { Offers } from "../../src/play/offers.ts";
 
 export interface SegmentNumbers {

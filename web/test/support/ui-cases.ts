@@ -82,6 +82,33 @@ async function until(condition: () => boolean): Promise<boolean> {
   return condition();
 }
 
+/** The same within some pictures, such as those of a transition, whatever timers do. */
+async function soon(condition: () => boolean): Promise<boolean> {
+  for (let i = 0; i < 600 && !condition(); i++) await pictures(1);
+  return condition();
+}
+
+/** From now on timers of the page wait for the function that is returned, which lets milliseconds pass. */
+function holdTimers(): (ms: number) => void {
+  const waiting = new Map<number, { atMs: number; run: () => void }>();
+  let [nowMs, last] = [0, 1e9];
+  const hold = (run: () => void, ms = 0) => {
+    waiting.set(++last, { atMs: nowMs + ms, run });
+    return last;
+  };
+  const { clearTimeout } = window;
+  Object.assign(window, {
+    setTimeout: hold,
+    clearTimeout: (id?: number) => waiting.delete(id ?? 0) || clearTimeout(id),
+  });
+  return (ms) => {
+    nowMs += ms;
+    for (const [id, { atMs, run }] of [...waiting].sort(([, a], [, b]) => a.atMs - b.atMs)) {
+      if (atMs <= nowMs && waiting.delete(id)) run();
+    }
+  };
+}
+
 /** Until nothing moves by itself. */
 async function rest(node: FakeElement): Promise<void> {
   let before = "";
@@ -269,14 +296,17 @@ export const cases: Record<string, () => Promise<object>> = {
 
   async hide() {
     const node = await element({ autoplay: "" });
+    const pass = holdTimers();
     await window.drive("mouse.move", 320, 150);
+    pass(2700);
     const there = shown(find(node, ".bar"));
-    const gone = await until(() => !shown(find(node, ".bar")));
+    pass(100);
+    const gone = await soon(() => !shown(find(node, ".bar")));
     await window.drive("mouse.move", 330, 150);
-    const back = await until(() => shown(find(node, ".bar")));
+    const back = await soon(() => shown(find(node, ".bar")));
     node.pause();
-    await wait(3600);
-    return { there, gone, back, paused: shown(find(node, ".bar")) };
+    pass(3600);
+    return { there, gone, back, paused: !find(node, ".frame").classList.contains("idle") };
   },
 
   async life() {

@@ -1,5 +1,5 @@
 // The files of the repository, for tests.
-import { readdirSync, readFileSync } from "node:fs";
+import { readdirSync, readFileSync, statSync } from "node:fs";
 
 /** The repository: tests run from web/out/unit. */
 const ROOT = new URL("../../../", import.meta.url);
@@ -13,6 +13,14 @@ export const folders = (path: string) =>
   readdirSync(new URL(path, ROOT), { withFileTypes: true })
     .filter((entry) => entry.isDirectory())
     .map((entry) => `${path}/${entry.name}`);
+/** The files of a package by their paths. */
+export type Files = ReadonlyMap<string, Uint8Array>;
+export const readFiles = (folder: string): Files =>
+  new Map(
+    readdirSync(pathOf(folder), { recursive: true, encoding: "utf8" })
+      .filter((path) => statSync(pathOf(`${folder}/${path}`)).isFile())
+      .map((path) => [path, readBytes(`${folder}/${path}`)]),
+  );
 export const fromBase64 = (text: string) => new Uint8Array(Buffer.from(text, "base64"));
 
 /** A number of two halves, as text. */

@@ -1,10 +1,11 @@
 // The index of long packages: numbers in base 64, and what happens where a level is carried.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { GroupIndex, MissingPageError, PAGE } from "../../src/format/index.ts";
+import { GroupIndex, MissingPageError } from "../../src/format/index.ts";
 import { Tables } from "../../src/format/package.ts";
 import { groupPath, locate, pagePath } from "../../src/format/paths.ts";
 import type { Page } from "../../src/format/types.ts";
+import { PAGE } from "../../src/generated/constants.ts";
 import { readJson, readVectors } from "./files.ts";
 
 const sum = (numbers: number[]) => numbers.reduce((a, b) => a + b, 0);

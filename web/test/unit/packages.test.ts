@@ -1,48 +1,53 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
-import { folders } from "./files.ts";
+import { folders, readFiles } from "./files.ts";
+import { refusals } from "./refusals.ts";
 import { walk } from "./walk.ts";
 
 for (const folder of [...folders("manifests/valid"), ...folders("tests/golden")]) {
   test(`${folder} is read`, async () => {
-    assert.ok((await walk(folder)) > 1);
+    assert.ok((await walk(readFiles(folder))) > 1);
   });
 }
 
-/** What only the folder or the MPD shows, which a player does not read: what it finds in the package instead. */
-const OUT_OF_SIGHT: Record<string, string | null> = {
-  bad_mpd: null,
-  doctype: null,
-  foreign_file: null,
-  "foreign_file-page": null,
-  "foreign_file-tile": null,
-  foreign_url: null,
-  mpd_mismatch: null,
-  "mpd_mismatch-live": null,
-  unsafe_path: "size_mismatch", // the link leads to another file of the package
+/** What only the folder or the MPD shows, which a player does not read. */
+const OUT_OF_SIGHT = ["bad_mpd", "doctype", "foreign_file", "foreign_url", "mpd_mismatch"];
+
+/** What the player says elsewhere, or otherwise. */
+const OTHERWISE: Record<string, { reason?: string; where?: string }> = {
+  unsafe_path: { reason: "size_mismatch" }, // the link leads to another file of the package
+  "bad_value-index-level": { where: "airgs.json.entries of the last level of the index" },
+  count_mismatch: { where: "tiles[0].levels[0]" }, // found before the states are read
 };
 
-for (const folder of folders("manifests/invalid")) {
-  const name = folder.split("/").at(-1)!;
-  const reason = name in OUT_OF_SIGHT ? OUT_OF_SIGHT[name]! : name.split("-")[0]!;
-  test(`${folder}: ${reason ?? "nothing that a player sees"}`, async () => {
-    if (reason === null) {
-      await walk(folder);
-      return;
-    }
-    await assert.rejects(walk(folder), (error) => {
+const CASES = refusals();
+
+for (const [{ name, ...told }, files] of CASES) {
+  if (OUT_OF_SIGHT.includes(told.reason)) {
+    test(`${name}: nothing that a player sees`, async () => {
+      assert.ok((await walk(files)) > 1);
+    });
+    continue;
+  }
+  const { reason, where } = { ...told, ...OTHERWISE[name] };
+  test(`${name}: ${reason} at ${where}`, async () => {
+    await assert.rejects(walk(files), (error) => {
       assert.ok(error instanceof FormatError, String(error));
       assert.equal(error.reason, reason, error.message);
+      assert.ok(error.where.startsWith(where), error.message);
       return true;
     });
   });
 }
 
-test("every package out of sight is there", () => {
-  const names = folders("manifests/invalid").map((folder) => folder.split("/").at(-1)!);
+test("every package that is refused otherwise is there", () => {
+  const [names, reasons] = [CASES.map(([{ name }]) => name), CASES.map(([{ reason }]) => reason)];
   assert.deepEqual(
-    Object.keys(OUT_OF_SIGHT).filter((name) => !names.includes(name)),
+    [
+      ...Object.keys(OTHERWISE).filter((name) => !names.includes(name)),
+      ...OUT_OF_SIGHT.filter((reason) => !reasons.includes(reason)),
+    ],
     [],
   );
 });

@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Reason } from "../../src/format/errors.ts";
-import { ROOT_PATH } from "../../src/format/paths.ts";
+import { ROOT_PATH } from "../../src/generated/constants.ts";
 import { Catalogue } from "../../src/play/catalogue.ts";
 import type { GiveUp } from "../../src/play/downloader.ts";
 import type { Request, SessionEvent } from "../../src/play/events.ts";

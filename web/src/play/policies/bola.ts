@@ -1,8 +1,9 @@
 // BOLA-BASIC: Lyapunov optimisation of the buffer (Spiteri et al., INFOCOM 2016).
 //
 // Utilities come from measured quality, sizes are those of each segment.
+import { RESERVE_S } from "../../generated/constants.ts";
 import type { Decision } from "../ladder.ts";
-import { bufferS, fullLadder, limitS, type PlayerState, RESERVE_S, segmentS } from "./state.ts";
+import { bufferS, fullLadder, limitS, type PlayerState, segmentS } from "./state.ts";
 
 /** The rung with the largest (V (u + g) − Q) / size.
  *

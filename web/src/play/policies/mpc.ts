@@ -3,31 +3,18 @@
 // It knows the true sizes and qualities of what comes (as Puffer, NSDI 2020). R rungs, P rungs of the segment before
 // (or 1, where they do not matter), B points of the buffer's grid. Values are in dB times seconds; the coefficients
 // were chosen on the Ghent 4G traces, none of which is in the studies of the documentation.
-import { type Decision, select } from "../ladder.ts";
 import {
-  bufferS,
-  type Download,
-  fullLadder,
-  knownKeys,
-  limitS,
-  type PlayerState,
+  GRID_POINTS,
+  HORIZON_S,
+  HORIZON_SEGMENTS,
+  LOW_BUFFER_DB,
+  PAST_DOWNLOADS,
   RESERVE_S,
   STALL_DB,
-  segmentS,
-  shownS,
-} from "./state.ts";
-
-/** Cost of a change of quality by 1 dB from one segment to the next. */
-const SWITCH_DB = 0.25;
-/** Cost of every second that the buffer is short of RESERVE_S, while it is. */
-const LOW_BUFFER_DB = 1;
-/** How far it looks, in time and in segments at most. */
-const HORIZON_S = 8;
-export const HORIZON_SEGMENTS = 12;
-/** Of the buffer. */
-const GRID_POINTS = 80;
-/** Whose worst error discounts the estimate. */
-const PAST_DOWNLOADS = 3;
+  SWITCH_DB,
+} from "../../generated/constants.ts";
+import { type Decision, select } from "../ladder.ts";
+import { bufferS, type Download, fullLadder, knownKeys, limitS, type PlayerState, segmentS, shownS } from "./state.ts";
 
 /** bit/s: harmonic mean of the last downloads over 1 + the worst relative error of predicting them so. */
 export function discountedThroughput(history: readonly Download[]): number {

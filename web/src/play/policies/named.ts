@@ -1,27 +1,32 @@
 // The table of policies by name.
+import { HORIZON_SEGMENTS, type POLICY_NAMES } from "../../generated/constants.ts";
 import type { Catalogue } from "../catalogue.ts";
 import { ConfigError } from "../settings.ts";
 import { chooseBola } from "./bola.ts";
 import { chooseFixed } from "./fixed.ts";
-import { chooseRobustMpc, HORIZON_SEGMENTS } from "./mpc.ts";
+import { chooseRobustMpc } from "./mpc.ts";
 import { choosePaper, choosePaperLiteral, choosePaperNoCliff } from "./paper.ts";
 import type { Policy } from "./state.ts";
 import { chooseThroughput } from "./throughput.ts";
 
-const adaptive = (name: string, choose: Policy["choose"], horizon = 1): [string, Policy] => [
-  name,
-  { name, choose, mayAbandon: true, mayReplace: true, needsQuality: true, horizon },
-];
+type Name = (typeof POLICY_NAMES)[number];
 
-export const ADAPTIVE: ReadonlyMap<string, Policy> = new Map([
-  adaptive("paper", choosePaper),
-  adaptive("paper-no-cliff", choosePaperNoCliff),
-  adaptive("paper-literal", (state) => choosePaperLiteral(state)),
-  adaptive("paper-literal-no-cliff", (state) => choosePaperLiteral(state, Infinity)),
-  adaptive("throughput", chooseThroughput),
-  adaptive("bola", chooseBola),
-  adaptive("robust-mpc", chooseRobustMpc, HORIZON_SEGMENTS),
-]);
+const CHOOSE: Record<Name, Policy["choose"]> = {
+  paper: choosePaper,
+  "paper-no-cliff": choosePaperNoCliff,
+  "paper-literal": (state) => choosePaperLiteral(state),
+  "paper-literal-no-cliff": (state) => choosePaperLiteral(state, Infinity),
+  throughput: chooseThroughput,
+  bola: chooseBola,
+  "robust-mpc": chooseRobustMpc,
+};
+
+export const ADAPTIVE: ReadonlyMap<string, Policy> = new Map(
+  Object.entries(CHOOSE).map(([name, choose]) => {
+    const horizon = choose === chooseRobustMpc ? HORIZON_SEGMENTS : 1;
+    return [name, { name, choose, mayAbandon: true, mayReplace: true, needsQuality: true, horizon }];
+  }),
+);
 
 /** Name of the policy that plays what is wished for; "auto" is the best rung where no quality was measured to weigh. */
 export function wishedPolicy(wishes: { quality: string; policy: string }, { measured }: Catalogue): string {

@@ -1,5 +1,6 @@
 // Algorithm 1 of the paper (arXiv 2512.20943) with its cases defined, and as printed; each with and without the cliff.
-import { DEFAULT_BETA, type Decision, frameBudget, select, selectLiteral } from "../ladder.ts";
+import { DEFAULT_BETA } from "../../generated/constants.ts";
+import { type Decision, frameBudget, select, selectLiteral } from "../ladder.ts";
 import { beforeCliff, budgetBytes, estimateThroughput, fullLadder, type PlayerState, segmentS } from "./state.ts";
 
 /** Algorithm 1 over the measured sizes and qualities of this very segment. */

@@ -1,17 +1,7 @@
 // What a policy is, what it knows, and the estimates that several policies share.
+import { BUFFER_SHARE, HALF_LIVES_S, SAFETY } from "../../generated/constants.ts";
 import type { Catalogue, KeyUnits } from "../catalogue.ts";
 import { buildLadder, type Decision, type Option } from "../ladder.ts";
-
-/** Share of the estimated throughput that is spent. */
-export const SAFETY = 0.9;
-/** Of the two throughput averages, seconds; the smaller one counts (as in dash.js). */
-const HALF_LIVES_S = [3, 8];
-/** Of the buffered time that one segment may use. */
-const BUFFER_SHARE = 0.5;
-/** Seconds of media time that BOLA and the model-predictive controller keep. */
-export const RESERVE_S = 3;
-/** Quality in dB that a second of waiting is worth (Puffer's coefficient). */
-export const STALL_DB = 20;
 
 /** A finished batch, as the throughput estimate sees it. */
 export interface Download {

@@ -1,0 +1,267 @@
+"""Write the cases of manifests/invalid: packages with one thing broken, each refused for one reason.
+
+    python -m tests.makers.refusals
+
+A case is a package of manifests/valid with changes: `moving`, or `paged` for what concerns a page, `kept` for kept
+rows, `tiled` for tiles. Its name begins with the reason; where a reader finds it is what `validate` says. How cases are
+written is told in manifests/invalid/README.md.
+"""
+
+from __future__ import annotations
+
+import base64
+import difflib
+import gzip
+import json
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
+from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
+from airgs_codec.media.fragments import box, with_columns
+from airgs_codec.media.mp4 import read_boxes
+from airgs_codec.package.packing import MAX_ROOT_BYTES
+from airgs_codec.package.parse import parse_root
+from airgs_codec.package.paths import JSON_NAME, MPD_NAME
+from airgs_codec.package.tables import Grid, digest
+from tests.support.mutations import (
+    Files,
+    Link,
+    Mutation,
+    add_file,
+    apply,
+    drop_value,
+    edit_tables,
+    edit_text,
+    honest,
+    link_file,
+    pack_table,
+    parse_table,
+    reindexed,
+    remove_file,
+    rewrite,
+    set_value,
+)
+from tests.support.paths import INVALID
+from tests.support.refusals import Case, base_files, findings
+
+KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1/1.json"
+TILE_PICTURE = "key/P2/T0/Q0/1.m4s"
+KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE = "key/T0/2.bin", "group/2.json.gz", "group/3.json.gz"
+NO_SPANS = {"frames": [], "segments": [], "bytes": [], "sha256": ""}
+
+
+def without_moving_rows(files: Files) -> Files:
+    """Say in a sidecar that its rows are static, while the tables count them."""
+    root = parse_root(files[JSON_NAME])
+    group, coarsest = parse_table(files[TABLE]), root.qualities[-1].coarser
+    grid = Grid(**group["grid"])
+    sidecar = unpack_key_sidecar(
+        files[KEY_SIDECAR], group["tiles"][0]["tiers"][0]["count"], grid, coarsest, KEY_SIDECAR
+    )
+    still = replace(sidecar, depths=np.full_like(sidecar.depths, 255))
+    return files | {KEY_SIDECAR: pack_key_sidecar(still, grid, coarsest)}
+
+
+def kept_sidecar(index: int, depth: int) -> Mutation:
+    """A sidecar of the second group whose first kept row has this index, and all of them this depth."""
+
+    def mutate(files: Files) -> Files:
+        tier = parse_table(files[KEPT_TABLE])["tiles"][0]["tiers"][0]
+        others, kept = tier["count"] - tier["kept"], tier["kept"]
+        reader = ColumnReader(files[KEPT_SIDECAR], KEPT_SIDECAR)
+        gaps, _ = (reader.column(kept, 1) for _ in range(2))
+        rest = [
+            (reader.column(count, order), order) for count, order in ((1, 0), (others, 1), (others, 0), (others, 1))
+        ]
+        columns = [(np.array([index, *gaps[1:]]), 1), (np.full(kept, depth + 1), 1), *(rest if others else [])]
+        return files | {KEPT_SIDECAR: encode_columns(columns)}
+
+    return mutate
+
+
+def flip(data: bytes) -> bytes:
+    """Change the last byte."""
+    return data[:-1] + bytes([data[-1] ^ 1])
+
+
+def in_table(*mutations: Mutation) -> tuple[Mutation, ...]:
+    """Changes to the table of the first group, of which the index knows."""
+    return (*mutations, reindexed)
+
+
+def inflated(data: bytes) -> bytes:
+    """What is in a table, without gzip."""
+    return gzip.decompress(data)
+
+
+def media_alone(data: bytes) -> bytes:
+    """A media segment without the uuid box in front of it."""
+    return b"".join(whole for kind, whole in read_boxes(data) if kind != b"uuid")
+
+
+def repaged(files: Files) -> Files:
+    """Make airgs.json agree with the length and digest of the first page."""
+    page = files[PAGE_TABLE]
+    return apply(files, set_value(("index", 1, "bytes"), [len(page)]), set_value(("index", 1, "sha256"), digest(page)))
+
+
+def unpaged(files: Files) -> Files:
+    """Put the groups of the first page into airgs.json, before those that are there."""
+    page, index = parse_table(files[PAGE_TABLE]), parse_table(files[JSON_NAME])["index"]
+    groups = {name: page[name] + index[0][name] for name in page}
+    return apply(files, set_value(("index",), [groups]), remove_file(PAGE_TABLE))
+
+
+def raised(files: Files) -> Files:
+    """Say of the first page that it is one of the second level."""
+    groups, pages = parse_table(files[JSON_NAME])["index"]
+    page = add_file("index/2/1.json", files[PAGE_TABLE])
+    return apply(files, set_value(("index",), [groups, NO_SPANS, pages]), remove_file(PAGE_TABLE), page)
+
+
+def shortened(files: Files) -> Files:
+    """Make one group of the first two on the first page, whose sums stay as they are."""
+    page = parse_table(files[PAGE_TABLE])
+    sums = {name: [sum(page[name][:2]), *page[name][2:]] for name in ("frames", "segments")}
+    entries = {"bytes": page["bytes"][1:], "sha256": page["sha256"][32:]}
+    return repaged(files | {PAGE_TABLE: pack_table(PAGE_TABLE, sums | entries)})
+
+
+BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what breaks the valid package
+    "too_large": (rewrite(JSON_NAME, lambda text: text.ljust(MAX_ROOT_BYTES + 1)),),
+    "not_json": (rewrite(JSON_NAME, lambda text: text[:-1]),),
+    "not_json-group": in_table(rewrite(TABLE, inflated)),
+    "not_json-group-tail": in_table(rewrite(TABLE, lambda data: data + data)),
+    "unknown_version": (set_value(("version",), 1),),
+    "unknown_field": (set_value(("colour",), "red"),),
+    "unknown_field-group": in_table(set_value(("colour",), "red", TABLE)),
+    "missing_field": (drop_value(("frames",)),),
+    "missing_field-world": (set_value(("world",), {"transform": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]}),),
+    "missing_field-group": in_table(drop_value(("grid",), TABLE)),
+    "wrong_type": (set_value(("frames",), "4"),),
+    "wrong_type-world": (set_value(("world",), None),),
+    "wrong_type-index": (edit_tables(lambda root: root.update(index={"groups": root["index"][0]})),),
+    "wrong_type-live": (set_value(("live",), 1),),
+    "wrong_type-group": in_table(set_value(("count",), None, TABLE)),
+    "bad_value": (set_value(("sh_degree",), 4),),
+    "bad_value-world": (set_value(("world",), {"transform": [1, 0, 0, 0, 0, 2, 0, 0, 0, 0, 1, 0], "metric": True}),),
+    "bad_value-world-mirror": (
+        set_value(("world",), {"transform": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], "metric": False}),
+    ),
+    "bad_value-background": (set_value(("region", "background"), [1, 1, 1.5]),),
+    "bad_value-background-length": (set_value(("region", "background"), [1, 1]),),
+    "bad_value-columns": (set_value(("index", 0, "frames"), [2, 2]),),
+    "bad_value-index": (set_value(("index",), []),),
+    "bad_value-index-level": (edit_tables(lambda root: root["index"].append(NO_SPANS)),),
+    "bad_value-cover": (set_value(("frames",), 5),),
+    "bad_value-page-root": (set_value(("index", 0), NO_SPANS),),
+    "bad_value-page-full": (unpaged,),
+    "bad_value-page-level": (raised,),
+    "bad_value-page-short": (shortened,),
+    "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
+    "bad_value-tiles": (set_value(("tiles",), 2),),
+    "bad_value-tile-levels": in_table(set_value(("tiles", 1, "levels"), [], TABLE)),
+    "bad_value-tile-box": in_table(set_value(("tiles", 1, "low"), [0, 1e9, 0], TABLE)),
+    "bad_value-tile-files": in_table(set_value(("segments", 0, "levels", 0, "files"), [], TABLE)),
+    "missing_file-tile": (remove_file(TILE_PICTURE),),
+    "foreign_file-tile": (add_file(KEY_PICTURE, b"a tile has a folder\n"),),
+    "bad_value-segments": in_table(set_value(("segments", 0, "stop"), 3, TABLE)),
+    "bad_value-page-sum": (set_value(("frames", 0), 2, PAGE_TABLE), repaged),
+    "bad_value-keeps": in_table(set_value(("keeps",), 2, KEPT_TABLE)),
+    "bad_value-keeps-chain": in_table(set_value(("keeps",), 2, LAST_TABLE)),
+    "bad_value-keeps-none": in_table(drop_value(("keeps",), KEPT_TABLE)),
+    "bad_value-kept": in_table(set_value(("tiles", 0, "tiers", 0, "kept"), 1 << 24, KEPT_TABLE)),
+    "missing_field-kept": in_table(drop_value(("tiles", 0, "tiers", 0, "kept"), KEPT_TABLE)),
+    "bad_sidecar-kept": (kept_sidecar(1 << 20, 0), honest),
+    "bad_sidecar-kept-depth": (kept_sidecar(0, 255), honest),
+    "unsafe_path": (link_file(KEY_SIDECAR, "Q0/1.m4s"),),
+    "missing_entry": in_table(
+        set_value(("tiles", 0, "tiers", 0, "pictures", 0), {"bytes": 0, "sha256": ""}, TABLE), remove_file(KEY_PICTURE)
+    ),
+    "missing_file": (remove_file(KEY_PICTURE),),
+    "missing_file-group": (remove_file(TABLE),),
+    "missing_file-page": (remove_file(PAGE_TABLE),),
+    "foreign_file-page": (add_file("index/2/1.json", b"nothing leads to it\n"),),
+    "foreign_file": (add_file("notes.txt", b"not part of the package\n"),),
+    "size_mismatch": (rewrite(KEY_SIDECAR, lambda b: b + b"\0"),),
+    "size_mismatch-group": (rewrite(TABLE, lambda b: b + b"\0"),),
+    "hash_mismatch": (rewrite(KEY_SIDECAR, flip),),
+    "hash_mismatch-group": (rewrite(TABLE, flip),),
+    "hash_mismatch-page": (rewrite(PAGE_TABLE, lambda b: b[:-3] + b"x" + b[-2:]),),
+    "bad_sidecar": (rewrite(KEY_SIDECAR, lambda b: b[: len(b) // 2]), honest),
+    "bad_sidecar-detail": (rewrite(KEY_PICTURE, lambda b: with_columns(media_alone(b), bytes(20))), honest),
+    "count_mismatch": (without_moving_rows, honest),
+    "bad_picture": (rewrite(KEY_PICTURE, lambda b: b[:-40] + bytes(20)), honest),
+    "bad_picture-uuid": (rewrite(KEY_PICTURE, lambda b: box(b"uuid", bytes(20)) + media_alone(b)), honest),
+    "bad_value-picture-width": in_table(set_value(("tiles", 0, "tiers", 0, "qualities", 0, "width"), 4096, TABLE)),
+    "bad_picture-size": in_table(set_value(("tiles", 0, "tiers", 0, "qualities", 0, "height"), 4096, TABLE)),
+    "doctype": (edit_text(MPD_NAME, "<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD'),),
+    "bad_mpd": (edit_text(MPD_NAME, "</MPD>", ""),),
+    "foreign_url": (edit_text(MPD_NAME, 'media="state/', 'media="http://example.com/state/'),),
+    "mpd_mismatch": (edit_text(MPD_NAME, '<S t="0"', '<S t="1"'),),
+    "mpd_mismatch-live": (set_value(("live",), True),),
+}
+
+
+def source_of(name: str) -> str:
+    """The valid package that a broken one is made of."""
+    return "tiled" if "-tile" in name else "paged" if "-page" in name else "kept" if "-ke" in name else "moving"
+
+
+def changes(name: str) -> dict[str, dict[str, Any] | None]:
+    """Path -> what becomes of the file, of every file that a case changes."""
+    before = base_files(source_of(name))
+    after = apply(before, *BREAKS[name])
+    paths = sorted(path for path in before.keys() | after.keys() if before.get(path) != after.get(path))
+    return {path: change(before.get(path), after.get(path)) for path in paths}
+
+
+def change(before: bytes | None, after: bytes | None) -> dict[str, Any] | None:
+    """What a case says of a file: whole, if it is not text that was there."""
+    if after is None:
+        return None
+    if isinstance(after, Link):
+        return {"link": after.decode()}
+    if before is None or not before.isascii():
+        return {"data": base64.b64encode(after).decode()}
+    if after == before.ljust(len(after)):
+        return {"spaces_to": len(after)}
+    return {"replace": replacements(before.decode(), after.decode())}
+
+
+def replacements(before: str, after: str) -> list[list[str]]:
+    """Texts and what takes their places, one after the other; each is there once when its turn comes."""
+    old, new = (re.findall(r'"[^"]*"|[\w.+-]+|.|\n', text) for text in (before, after))
+    found, text = [], before
+    for kind, i, i_end, j, j_end in difflib.SequenceMatcher(None, old, new, autojunk=False).get_opcodes():
+        if kind == "equal":
+            continue
+        was, becomes = "".join(old[i:i_end]), "".join(new[j:j_end])
+        while was[:1] != '"' or text.count(was) != 1:  # from a name on; all before it is as in `new` by now
+            j -= 1
+            was, becomes = new[j] + was, new[j] + becomes
+        found.append([was, becomes])
+        text = text.replace(was, becomes)
+    return found
+
+
+def main() -> None:
+    """Write the cases anew, those of a base package in one file, a line each."""
+    for path in INVALID.glob("*.json"):
+        path.unlink()
+    lines: dict[str, list[str]] = {}
+    for name in BREAKS:
+        case = Case(source_of(name), name, name.split("-")[0], "", changes(name))
+        where = findings(case.package())[0].where.removeprefix("package/")
+        table = {"name": name, "reason": case.reason, "where": where, "files": case.files}
+        lines.setdefault(case.base, []).append(json.dumps(table, separators=(",", ":")))
+    for base, cases in lines.items():
+        (INVALID / f"{base}.json").write_text('{"cases": [\n' + ",\n".join(cases) + "\n]}\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,83 @@
+"""The cases of manifests/invalid, whose README.md says how they are written: packages that are to be refused."""
+
+from __future__ import annotations
+
+import base64
+import json
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from airgs_codec.inspect.validate import Finding, validate, validate_files
+from airgs_codec.package.memory import MemoryFiles
+from tests.support.mutations import Files, Link, read_files, write_files
+from tests.support.paths import INVALID, VALID
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A package, as the changes to a valid one, and why it is refused."""
+
+    base: str  # a folder of manifests/valid
+    name: str
+    reason: str
+    where: str
+    files: Mapping[str, Any]  # path -> what becomes of the file
+
+    def package(self) -> Files:
+        """The files of the package."""
+        files = dict(base_files(self.base))
+        for path, change in self.files.items():
+            if change is None:
+                del files[path]
+            else:
+                files[path] = changed(files.get(path, b""), **change)
+        return files
+
+
+@cache
+def base_files(name: str) -> Files:
+    """The files of a valid package; not to be changed."""
+    return read_files(VALID / name)
+
+
+def changed(
+    before: bytes,
+    *,
+    replace: list[tuple[str, str]] | None = None,
+    data: str | None = None,
+    link: str | None = None,
+    spaces_to: int = 0,
+) -> bytes:
+    """A file after one of the changes of a case. Raises ValueError where a text to replace is not there once."""
+    if link is not None:
+        return Link(link.encode())
+    if data is not None:
+        return base64.b64decode(data, validate=True)
+    text = before.decode()
+    for old, new in replace or []:
+        if text.count(old) != 1:
+            raise ValueError(f"expected {old!r} once, got it {text.count(old)} times")
+        text = text.replace(old, new)
+    return text.ljust(spaces_to).encode()
+
+
+@cache
+def cases() -> dict[str, Case]:
+    """Every case by its name."""
+    found = {}
+    for path in sorted(INVALID.glob("*.json")):
+        for case in json.loads(path.read_text())["cases"]:
+            found[case["name"]] = Case(path.stem, **case)
+    return found
+
+
+def findings(files: Files) -> list[Finding]:
+    """What is wrong with a package; links are there on disk alone."""
+    if any(isinstance(data, Link) for data in files.values()):
+        with tempfile.TemporaryDirectory() as folder:
+            return validate(write_files(Path(folder), files))
+    return validate_files(MemoryFiles("package", files))

@@ -1,0 +1,128 @@
+"""The benchmark of claims: what it measures is what a viewer sees, and it says which claims fail."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.inspect.compare import compare_streams
+from airgs_codec.inspect.sides import rung_streams
+from airgs_codec.media.metrics import Picture, psnr
+from airgs_codec.package.region import draw_views
+from airgs_codec.package.store import open_package
+from airgs_codec.scene.camera import resized
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX
+from tests.support.temporal import write_temporal
+from tools.lab.bench.claims import (
+    Bench,
+    Measured,
+    Options,
+    Row,
+    bought,
+    is_beaten,
+    measure,
+    run,
+    verdict,
+    with_single,
+)
+from tools.lab.command import Lab
+from tools.lab.options import with_fields
+
+FOUND = Measured(40.0, 35.0)
+
+
+def row(kilobytes, found, claimed=40.0, ladder=True, single=None):
+    return Row("fox", "40", f"{kilobytes:g}", kilobytes, 0.5, claimed, 33.0, replace(FOUND, mean=found), ladder, single)
+
+
+def test_it_measures_what_the_comparison_does(demo_package):
+    package, sequence = open_package(demo_package), open_sequence(FOX)
+    cameras = [resized(camera, 0.2) for camera in draw_views(package.manifest.region, 2, seed=3)]
+    found = measure(package, sequence, cameras[:1], pictures=2)
+    frames = range(2, 10, 5)
+    views = [(number, cameras[0]) for number in frames]
+    compared = compare_streams(rung_streams(package, frames), sequence, views, Picture.mse)
+    assert {name: m.mean for name, m in found.items()} == {n: round(psnr(np.mean(e)), 3) for n, e in compared.items()}
+    assert all(m.worst < m.mean for m in found.values())
+
+
+def test_cameras_take_turns_with_frames(demo_package):
+    package, sequence = open_package(demo_package), open_sequence(FOX)
+    near, far = (resized(camera, 0.2) for camera in draw_views(package.manifest.region, 2, seed=3))
+    both = measure(package, sequence, [near, far], pictures=20)
+    alone = [measure(package, sequence, [camera], pictures=10) for camera in (near, far)]
+    for name, found in both.items():
+        errors = [10 ** (-one[name].mean / 10) for one in alone]
+        assert found.mean == pytest.approx(psnr(sum(errors) / 2), abs=0.002)
+        assert found.worst == min(one[name].worst for one in alone)
+
+
+def test_a_size_buys_what_lies_between_its_neighbours():
+    curve = [(4.0, 36.0), (1.0, 30.0), (2.0, 34.0)]
+    assert bought(curve, 2.0) == 34.0
+    assert bought(curve, 2 * np.sqrt(2)) == pytest.approx(35.0)
+    assert bought(curve, 4.1) is None and bought(curve, 0.9) is None and bought([], 1.0) is None
+
+
+def test_larger_manifests_are_no_loss_of_the_media():
+    curve = [replace(row(4.0, 36.0), manifests=0.0), replace(row(1.0, 30.0), manifests=0.0)]
+    compared = with_single(replace(row(3.0, 32.0), manifests=1.0), curve)
+    assert compared.single_media == pytest.approx(33.0) and compared.single > 33.0
+
+
+def test_the_verdict_names_the_largest_error_and_what_is_beaten():
+    rows = [row(4.0, 39.0), row(3.0, 39.5, 39.6, single=40.5), row(2.0, 35.0, 35.5, ladder=False, single=37.0)]
+    rows.append(row(1.0, 36.0, 36.0))
+    assert [is_beaten(r, rows) for r in rows] == [True, False, True, False]
+    (line,) = verdict(rows)
+    assert "-1.00 dB at most" in line and "1.00 dB below" in line and line.endswith("rung: 4")
+
+
+def test_settings_are_read_as_what_they_are():
+    read = with_fields("--set", EncodeSettings(), ["group_frames=7", "keep_all=True", "preset=medium", "segment_s=0.5"])
+    assert (read.group_frames, read.keep_all, read.preset, read.segment_s) == (7, True, "medium", 0.5)
+    for wrong in ("levels=3", "nothing=3", "group_frames=x", "keep_all=yes", "group_frames=0", "segment_s"):
+        with pytest.raises(ConfigError):
+            with_fields("--set", EncodeSettings(), [wrong])
+
+
+def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):
+    scene = write_temporal(tmp_path / "clip", count=120, frames=3, size=24)
+    options = Options(
+        (str(scene),),
+        targets=("99.9", "default"),
+        single_rungs=(0.2, 8.0),
+        pictures=2,
+        set=("margin=0.1", "preset=ultrafast", "threads=1"),
+    )
+    (section,) = run(options, Lab.at(tmp_path / "out")).sections
+    assert "clip 99.9: target: 99.9 PSNR is out of reach" in capsys.readouterr().err
+    assert "clip default: claims off by" in section.answer
+    rows = section.tables[0].rows
+    (fine, coarse), top = rows[:2], rows[2]
+    manifest = open_package(tmp_path / "out" / "clip-default.airgs").manifest
+    assert top["claimed"] == pytest.approx(manifest.segments[0].levels[0].psnr[0], abs=1e-3)
+    assert top["claimed_worst"] == manifest.segments[0].levels[0].worst[0]
+    assert top["off"] == pytest.approx(top["measured"] - top["claimed"], abs=1e-3)
+    assert (fine["target"], coarse["target"], top["target"]) == ("x0.2", "x8", "default")
+    assert fine["kilobytes"] > coarse["kilobytes"]
+
+
+def test_a_region_without_other_views_needs_cameras(demo_package):
+    package = open_package(demo_package)
+    region = package.manifest.region
+    point = replace(region, turn=0.0, places=[replace(place, reach=0.0) for place in region.places])
+    bench = Bench(EncodeSettings(), 3, 1000, (), demo_package)
+    assert len(bench.looks(package)) == 3
+    with pytest.raises(ConfigError, match="--held-views"):
+        bench.looks(replace(package, manifest=replace(package.manifest, region=point)))
+
+
+def test_what_cannot_be_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="nowhere"):
+        run(Options(("nowhere",)), Lab.at(tmp_path))
+    with pytest.raises(ConfigError, match="--targets: expected dB or default, got much"):
+        Options(("nowhere",), targets=("much",))

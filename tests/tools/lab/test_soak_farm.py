@@ -1,0 +1,31 @@
+"""The tools that measure and torment shared work, on very little of it."""
+
+import pytest
+
+pytest.importorskip("distributed", reason="Dask, the extra `farm`, is not installed")
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.jobs.engines import Processes
+from tools.lab.bench import jobs
+from tools.lab.command import Lab
+from tools.lab.soak import farm
+
+
+def test_two_workers_four_jobs_and_a_few_failures_end_with_the_same_bytes(tmp_path, monkeypatch):
+    monkeypatch.setattr(farm, "PAUSE_S", 0.5)
+    monkeypatch.setattr(farm, "ROWS", 200)
+    lab = Lab.at(tmp_path / "out")
+    page = farm.run(farm.Options(groups=1, kills=2, seed=1), lab)
+    (row,) = page.sections[0].tables[0].rows
+    assert row["same bytes"] and not page.failed and row["jobs"] >= 4 and row["made"] >= 2
+    assert "Traceback" not in (tmp_path / "out" / "runs.log").read_text()
+    assert "<svg" in (tmp_path / "out" / "jobs.html").read_text()
+    with pytest.raises(ConfigError, match="expected a new folder"):
+        farm.run(farm.Options(), lab)
+
+
+def test_ways_to_share_work_are_timed(tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs.DaskEngine, "local", Processes)  # tests/jobs and the test above have clusters of Dask
+    page = jobs.run(jobs.Options(frames=2, rows=100, jobs=2, seconds=0.1), Lab.at(tmp_path))
+    rows = page.sections[0].tables[0].rows
+    assert len(rows) == 3 + 2 and rows[-1]["way"] == "Dask, two workers" and all(row["seconds"] > 0 for row in rows)

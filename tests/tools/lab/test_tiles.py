@@ -1,0 +1,128 @@
+"""Scenes in tiles: viewers, what was on the screen, and what tiles save."""
+
+import math
+
+import numpy as np
+import pytest
+
+from airgs_codec.play.session import simulate
+from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.trace import open_trace
+from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX
+from tests.support.regions import region
+from tools.lab.command import Lab
+from tools.lab.tiles.borders import border_pixels, border_rows
+from tools.lab.tiles.experiment import Options, packages, run
+from tools.lab.tiles.runs import BY_VIEW, TILED, WHOLE, add_savings, links_of
+from tools.lab.tiles.screen import Screen, Seen, touches
+from tools.lab.tiles.viewer import HELD_OUT, VIEWERS, Watcher, drawn_swings
+from tools.make_wide_scene import main as make_wide_scene
+from tools.make_wide_scene import to_and_fro
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory):
+    """Four small foxes in a ring."""
+    folder = tmp_path_factory.mktemp("wide")
+    fox = open_sequence(FOX)
+    rows = np.sort(np.random.default_rng(0).permutation(5000)[:400])
+    (folder / "fox").mkdir()
+    for frame in range(3):
+        write_ply(folder / "fox" / f"{frame:02d}.ply", fox.read(frame).take(rows))
+    assert make_wide_scene([str(folder / "fox"), "-o", str(folder / "ring"), "--copies", "4", "--length", "4"]) == 0
+    return open_sequence(folder / "ring")
+
+
+def test_copies_go_to_and_fro_each_from_another_frame():
+    assert [to_and_fro(t, 0, 2, 3) for t in range(6)] == [0, 1, 2, 1, 0, 1]
+    assert [to_and_fro(t, 1, 2, 3) for t in range(3)] == [2, 1, 0]
+    assert to_and_fro(5, 3, 4, 1) == 0
+
+
+def test_the_scene_is_a_ring_that_is_seen_from_its_middle(wide):
+    assert len(wide) == 4 and wide.headers[0].count == 1600 and wide.keyframes == (0,)
+    frame = wide.read(0)
+    away = [np.median(frame.means[400 * k : 400 * (k + 1), [0, 2]], axis=0) for k in range(4)]
+    assert np.linalg.norm(away[1]) > 1.3 * np.linalg.norm(away[0])
+    assert sum(camera.held_out for camera in wide.cameras) == 6
+    for camera in wide.cameras:
+        out = camera.world_to_camera[2, [0, 2]]
+        assert out @ camera.position[[0, 2]] > 0
+        assert np.linalg.norm(camera.position[[0, 2]]) < 0.2 * np.linalg.norm(away[0])
+
+
+def test_viewers_turn_as_their_names_say():
+    pace = {name: Watcher.of(region(), name).turning(6.0) for name in (*VIEWERS, HELD_OUT)}
+    assert pace["lively"] > pace["calm"] > pace["even"] > 0 and pace[HELD_OUT] > pace["even"]
+    assert drawn_swings(1) == drawn_swings(1) != drawn_swings(2)
+
+
+def test_borders_are_where_neighbours_are_in_another_tile(wide):
+    frame = wide.read(0)
+    left = frame.means[:, 0] < np.median(frame.means[:, 0])
+    tiles = [frame.take(np.flatnonzero(side)) for side in (left, ~left)]
+    border = border_rows(tiles)
+    assert 0 < border.mean() < 0.2
+    nothing = border_rows([frame])
+    assert not nothing.any()
+    at, elsewhere = border_pixels([frame], nothing, wide.cameras[0])
+    assert not at.any() and elsewhere.any()
+
+
+def test_what_touches_a_picture(wide):
+    frame, camera = wide.read(0), wide.cameras[0]
+    ahead = (frame.means - camera.position) @ camera.world_to_camera[2, :3]
+    assert touches(frame, camera)
+    assert not touches(frame.take(np.flatnonzero(ahead < 0)), camera)
+
+
+def test_savings_are_at_equal_quality():
+    rows = [
+        {"how": WHOLE, "psnr": 40.0, "bytes": 4000, "stalls": 0},
+        {"how": WHOLE, "psnr": 30.0, "bytes": 1000, "stalls": 0},
+        {"how": BY_VIEW, "psnr": 35.0, "bytes": 1000, "stalls": 0},
+        {"how": BY_VIEW, "psnr": 29.0, "bytes": 100, "stalls": 0},
+    ]
+    add_savings(rows)
+    assert [row["saved"] for row in rows] == [pytest.approx(0), pytest.approx(0), pytest.approx(0.5), None]
+
+
+def test_links_are_scaled_to_the_rate():
+    links = links_of(2e6, [1.5, 3.0], "markov:1", 20.0)
+    carried = [8 * link.bytes_between(0.0, 20.0) / 20.0 for link in links.values()]
+    assert carried == pytest.approx([3e6, 6e6, 3e6, 6e6], rel=1e-6)
+
+
+def test_errors_are_pooled():
+    seen = Seen()
+    assert math.isnan(seen.psnr)
+    seen.add(np.full((2, 2), 1e-2, np.float32))
+    seen.add(np.full((2, 2), 1e-4, np.float32))
+    assert seen.worst_psnr == pytest.approx(20) and seen.psnr == pytest.approx(-10 * math.log10((1e-2 + 1e-4) / 2))
+
+
+def test_the_bench_runs_and_says_what_was_seen(wide, tmp_path):
+    options = Options(
+        wide.folder, tiles=2, seconds=0.4, segment=0.1, viewers=("lively",), rungs=(0,), times=(2.0,), ticks=1,
+        trace="markov:1", view_buffer=1.0,
+    )  # fmt: skip
+    played, borders = (table.rows for table in run(options, Lab.at(tmp_path)).sections[0].tables)
+    assert {row["how"] for row in played} == {WHOLE, TILED, BY_VIEW}
+    assert len({row["link"] for row in played}) == 3
+    best = {row["how"]: row["psnr"] for row in played if row["rung"] == 0 and row["link"] == "ample"}
+    assert best[WHOLE] > 30 and abs(best[WHOLE] - best[TILED]) < 2 and best[BY_VIEW] <= best[TILED] + 1e-6
+    assert all(row["missing_s"] >= 0 and 0 < row["fetched"] <= 1 for row in played if row["how"] == BY_VIEW)
+    assert len(borders) == 2
+
+
+def test_what_was_lacking_is_drawn_as_lacking(wide, tmp_path):
+    """The same session with nothing fetched but one tile is no better than with all."""
+    _, tiled = packages(wide, Options(wide.folder, tiles=4, segment=0.1), tmp_path)
+    view = Watcher.of(tiled.manifest.region, "even")
+    log = simulate(tiled, open_trace("const:100"), "fixed:0", SessionSettings(loops=1))
+    screen = Screen(wide, tiled, view, 1, {})
+    (moment,) = screen.moments(log)[:1]
+    alone = [screen.squares(log, type(moment)(moment.frame, moment.at_s, (pair,))).mean() for pair in moment.tiles]
+    assert screen.squares(log, moment).mean() < min(alone)

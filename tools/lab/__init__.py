@@ -1,0 +1,18 @@
+"""The laboratory: every experiment of this project, run by one command, `python -m tools.lab`.
+
+An experiment answers a question: a module with `Options`, a frozen dataclass, and `run(options, lab)`, which gives a
+`Page`. `experiments` lists all of them, `figures` says which command makes which figure of which document. What
+experiments are made of is named here.
+"""
+
+from tools.lab.command import Lab, main
+from tools.lab.options import expect_names, required, setting, with_fields
+from tools.lab.page import COLOURS, Page, Picture, Row, Section, Table, rows_of
+from tools.lab.results import Results, content
+from tools.lab.timing import Took, alone, memory_of, middle, seconds_of, timed
+
+__all__ = [
+    "COLOURS", "Lab", "Page", "Picture", "Results", "Row", "Section", "Table", "Took", "alone", "content",
+    "expect_names", "main", "memory_of", "middle", "required", "rows_of", "seconds_of", "setting", "timed",
+    "with_fields",
+]  # fmt: skip

@@ -1,0 +1,260 @@
+"""V^3 (Wang et al., SIGGRAPH Asia 2024): groups of one length, moved in two stages, sent as one video an attribute.
+
+A keyframe is trained from scratch and pruned. Every later frame of its group is the one before, first moved by a hash
+grid that gives a displacement at every place, then fine-tuned with losses that hold the residual to the frame before.
+Written from the paper; docs/results/baselines.md says what is simplified. N Gaussians, C channels, T frames of a group.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from airgs_codec._files import write_json
+from airgs_codec.errors import ConfigError
+from airgs_codec.progress import Progress
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.morton import morton_encode
+from airgs_codec.scene.ply import read_ply, write_ply
+from airgs_codec.train.fit.adam import BETAS
+from airgs_codec.train.fit.optimise import Schedule, optimise
+from airgs_codec.train.fit.parameters import Parameters, from_gaussians, to_gaussians
+from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates
+from airgs_codec.train.settings import TrainSettings
+from airgs_codec.train.stages import FIRST_REGULARISERS, FrameViews, Trainer, make_trainer
+from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
+from tools.lab.baselines.method import Footage, Shown
+from tools.lab.baselines.residual import ResidualLoss
+from tools.lab.rd.layouts import v3_layout
+
+FIELD_RATE, FIELD_LAST = 1e-2, 0.1  # learning rate of the hash grid, and the share of it that is left at the end
+DISPLACEMENT = 0.01  # of the scene's extent: what an output of 1 of the hash grid means
+BOX_SHARE, BOX_MARGIN = 0.01, 0.02  # rows left out at each side of the field's box; its margin, of the scene's extent
+RATES = Rates(factor=3.0, means=5.0 / 3, last=0.1, means_last=0.1)  # of fine-tuning
+GRID_BITS = 10  # of each axis, for the order of rows
+
+
+@dataclass(frozen=True, slots=True)
+class V3Settings:
+    """What decides a run. Raises ConfigError for values that cannot work."""
+
+    group_frames: int = 20
+    rows: int = 8_000  # Gaussians of a keyframe after pruning, at most
+    pruned: float = 0.5  # share of a keyframe's Gaussians that is removed, those of lowest opacity
+    sh_degree: int = 1
+    key_iterations: int = 2_000
+    finetune_iterations: int = 700  # of a keyframe, after pruning
+    field_iterations: int = 80  # of the hash grid, a frame
+    frame_iterations: int = 300  # of all attributes, a frame
+    coarse: float = 0.4  # share of a frame's iterations, the first ones, that see pictures of half the size
+    temporal: float = 1e-3  # weight of the temporal loss
+    entropy: float = 1e-4  # weight of the residual entropy loss
+    qp: int = 14  # of the attribute videos
+    preset: str = "medium"  # of x264
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.group_frames < 1 or self.rows < 1 or not 0 <= self.pruned < 1:
+            raise ConfigError(f"expected groups of a frame, a Gaussian and a share below 1 to prune, got {self}")
+
+    def training(self) -> TrainSettings:
+        """The settings of the fit of a keyframe before it is pruned."""
+        budget = round(self.rows / (1 - self.pruned))
+        return TrainSettings(
+            budget=budget,
+            capacity=budget,
+            sh_degree=self.sh_degree,
+            first_iterations=self.key_iterations,
+            coarse=self.coarse,
+            seed=self.seed,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class V3:
+    """V^3 as a method."""
+
+    chosen: V3Settings = field(default_factory=V3Settings)
+    name: str = "v3"
+
+    @property
+    def settings(self) -> dict[str, object]:
+        """All of `V3Settings`."""
+        return asdict(self.chosen)
+
+    def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
+        """The frames from number `done` on: a group is trained, then coded, then shown as it decodes.
+
+        Frames of the group that is trained are kept in `footage.folder` until the next one begins.
+        """
+        s = self.chosen
+        trainer = make_trainer(s.training(), footage.pictures.train(0), footage.points, "cpu")
+        for start in range(done - done % s.group_frames, footage.frames, s.group_frames):
+            group = _TrainedGroup(footage.folder / "group", start)
+            stop = min(start + s.group_frames, footage.frames)
+            for t in range(start + len(group.seconds), stop):
+                began = time.perf_counter()
+                g = self._trained(trainer, footage, t, group, progress)
+                group.append(g, time.perf_counter() - began)
+            began = time.perf_counter()
+            coded = v3_layout([group.read(t) for t in range(start, stop)], s.qp, s.preset)
+            coding_s = (time.perf_counter() - began) / (stop - start)
+            for t in range(max(start, done), stop):
+                i = t - start
+                kind = "frame" if i else "key"
+                yield Shown(kind, coded.frames[i], coded.frame_bytes[i], group.seconds[i] + coding_s)
+        shutil.rmtree(footage.folder / "group", ignore_errors=True)
+
+    def _trained(
+        self, trainer: Trainer, footage: Footage, t: int, group: _TrainedGroup, progress: Progress
+    ) -> Gaussians:
+        target = FrameViews(t, footage.pictures.train(t))
+
+        def named(stage: str, done: int, total: int) -> None:
+            progress(f"frame {t} of {footage.frames} ({stage})", done, total)
+
+        if t == group.start:
+            return fit_key(trainer, target, footage, self.chosen, named)
+        return fit_frame(trainer, target, group.read(t - 1), self.chosen, named)
+
+
+class _TrainedGroup:
+    """The trained frames of the group that is not coded yet, in a folder."""
+
+    def __init__(self, folder: Path, start: int) -> None:
+        """The group whose first frame is `start`; frames of another one are forgotten."""
+        self.start = start
+        self.seconds: list[float] = []  # of training each frame that is there
+        self._folder, self._record = folder, folder / "group.json"
+        if self._record.exists():
+            kept = json.loads(self._record.read_text())
+            if kept["start"] == start:
+                self.seconds = kept["seconds"]
+            else:
+                shutil.rmtree(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def append(self, g: Gaussians, seconds: float) -> None:
+        """Keep the next frame."""
+        write_ply(self._path(self.start + len(self.seconds)), g)
+        self.seconds.append(seconds)
+        write_json(self._record, {"start": self.start, "seconds": self.seconds})
+
+    def read(self, t: int) -> Gaussians:
+        """A frame that was kept."""
+        return read_ply(self._path(t))
+
+    def _path(self, t: int) -> Path:
+        return self._folder / f"{t:06d}.ply"
+
+
+@dataclass(slots=True, eq=False)
+class FieldDriven:
+    """Gaussians that a field over space displaces: stage 1, means alone."""
+
+    base: Parameters
+    extent: float  # of the scene in world units
+    seed: int
+    settings: FieldSettings = field(default_factory=FieldSettings)
+    _field: HashField = field(init=False)
+    _places: Places = field(init=False)
+    _adam: torch.optim.Adam = field(init=False)
+
+    def __post_init__(self) -> None:
+        means = self.base["means"].numpy()
+        box = np.quantile(means, [BOX_SHARE, 1 - BOX_SHARE], axis=0) + np.array([[-1], [1]]) * BOX_MARGIN * self.extent
+        self._field = HashField(self.settings, box, 3, zero=True, seed=self.seed)
+        self._places = self._field.places(means)
+        self._adam = torch.optim.Adam(self._field.parameters(), lr=FIELD_RATE, betas=BETAS)
+
+    def current(self) -> Parameters:
+        """The Gaussians where the field puts them, differentiable by its weights."""
+        moved = self.base["means"] + DISPLACEMENT * self.extent * self._field(self._places)
+        return self.base | {"means": moved}
+
+    def detached(self) -> Parameters:
+        """The Gaussians where the field puts them."""
+        with torch.no_grad():
+            return self.current()
+
+    def watch(self) -> None:
+        """None: rows are not added."""
+
+    def penalty(self) -> float:
+        """0: nothing holds the field."""
+        return 0.0
+
+    def step(self, iteration: int, iterations: int) -> None:
+        """Move the field's weights along the gradients, by Adam."""
+        for group in self._adam.param_groups:
+            group["lr"] = FIELD_RATE * FIELD_LAST ** (iteration / iterations)
+        self._adam.step()
+        self._adam.zero_grad(set_to_none=True)
+
+
+@dataclass(slots=True, eq=False)
+class Finetuned(PerGaussian):
+    """All attributes of the frame before and a residual to it, which its losses hold: stage 2."""
+
+    losses: ResidualLoss | None = None
+
+    def penalty(self) -> torch.Tensor | float:
+        """The losses of the residual."""
+        return self.losses(self.adam.parameters) if self.losses else 0.0
+
+
+def fit_key(
+    trainer: Trainer, target: FrameViews, footage: Footage, settings: V3Settings, progress: Progress
+) -> Gaussians:
+    """A keyframe from scratch, without its Gaussians of lowest opacity, fine-tuned; rows in Morton order."""
+    points = footage.points if target.frame == 0 else None  # they are of the first frame
+    g = trainer.fit_first(target, points, progress=progress)
+    kept = np.sort(np.argsort(-g.opacity_logits, kind="stable")[: max(1, round((1 - settings.pruned) * len(g)))])
+    fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, RATES, regularisers=FIRST_REGULARISERS)
+    schedule = _schedule(trainer, "after pruning", settings.finetune_iterations)
+    optimise(fitted, target.views, schedule, _rng(settings, target.frame, 0), progress=progress)
+    g = to_gaussians(fitted.detached())
+    return g.take(morton_order(g.means))
+
+
+def fit_frame(
+    trainer: Trainer, target: FrameViews, before: Gaussians, settings: V3Settings, progress: Progress
+) -> Gaussians:
+    """The Gaussians of the frame before, moved by a field and then fine-tuned. The rows stay."""
+    base = from_gaussians(before)
+    rng = _rng(settings, target.frame, 1)
+    field_driven = FieldDriven(base, trainer.extent, int(rng.integers(2**31)))
+    stage = _schedule(trainer, "field", settings.field_iterations, 1.0)
+    optimise(field_driven, target.views, stage, rng, progress=progress)
+    start = {name: value - base[name] for name, value in field_driven.detached().items()}
+    losses = ResidualLoss(base, settings.temporal, settings.entropy, int(rng.integers(2**31)))
+    tuned = Finetuned(base, trainer.extent, RATES, start, losses=losses)
+    stage = _schedule(trainer, "fine-tuning", settings.frame_iterations, settings.coarse)
+    optimise(tuned, target.views, stage, rng, progress=progress)
+    return to_gaussians(tuned.detached())
+
+
+def morton_order(means: NDArray[np.float32]) -> NDArray[np.intp]:
+    """(N,) rows along a Z-order curve through the box of `means` (N, 3)."""
+    low = means.min(axis=0)
+    span = np.maximum((means.max(axis=0) - low).max(), np.finfo(np.float32).tiny)  # all in one place: 0 / 0
+    cells = ((means - low) / span * (2**GRID_BITS - 1)).astype(np.int64)
+    return np.argsort(morton_encode(cells), kind="stable")
+
+
+def _schedule(trainer: Trainer, stage: str, iterations: int, coarse: float = 0.0) -> Schedule:
+    s = trainer.settings
+    return Schedule(stage, iterations, lambda _: s.sh_degree, ssim_weight=s.ssim_weight, coarse=coarse)
+
+
+def _rng(settings: V3Settings, frame: int, stage: int) -> np.random.Generator:
+    """Its own random numbers for every fit, so that a run can go on anywhere."""
+    return np.random.default_rng([settings.seed, frame, stage])

@@ -1,0 +1,1 @@
+"""Benchmarks: a case a module."""

@@ -1,0 +1,126 @@
+"""A keyframe from the frame before against one from scratch (SIFT tracks of that frame): seconds to equal PSNR.
+
+MODEL is the folder that `airgs-train SCENE` made. Both fits run with the settings of the model in several lengths, each
+a whole fit. PSNR is the mean over held-out views of each view's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.train.data.multiview import with_held_out
+from airgs_codec.train.data.pictures import View, pictures_for
+from airgs_codec.train.data.plates import find_plates
+from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.fit.parameters import Parameters
+from airgs_codec.train.frames import Capture
+from airgs_codec.train.quality import mean_psnr
+from airgs_codec.train.record import Model, read_model
+from airgs_codec.train.run import frame_before
+from airgs_codec.train.settings import settings_from_table
+from airgs_codec.train.stages import FrameBefore, FrameViews, Trainer
+from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of, setting
+
+WARM = (25, 50, 100, 200, 400, 800, 1500)  # iterations
+SCRATCH = (200, 300, 400, 500, 600, 800, 1200, 2500)
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What is fitted."""
+
+    scene: Path = required("what was trained on, as airgs-train reads it")
+    model: Path = required("the model")
+    frame: int | None = setting(None, "from 1 on (default: the first keyframe after frame 0)")
+    max_size: int | None = setting(None, "longest side of pictures, pixels (default: as the model was trained)")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A frame that both fits are made of."""
+
+    trainer: Trainer
+    target: FrameViews
+    before: FrameBefore
+    steps: Parameters  # codec steps of the frame before
+    held_out: Sequence[View]
+
+    def warm(self, iterations: int) -> Gaussians:
+        """A keyframe from the frame before."""
+        short = replace(self.trainer, settings=replace(self.trainer.settings, key_iterations=iterations))
+        return short.fit_keyframe(self.target, self.before, self.steps)
+
+    def scratch(self, iterations: int) -> Gaussians:
+        """A keyframe from points found in its pictures."""
+        short = replace(self.trainer, settings=replace(self.trainer.settings, first_iterations=iterations))
+        return short.fit_first(self.target, None)
+
+
+def run(options: Options, lab: Lab) -> Page:
+    """Both curves, and how much sooner the warm start reaches what the other does."""
+    torch.set_num_threads(1)
+    case = open_case(options.scene, options.model, options.frame, options.max_size)
+    case.warm(1)  # compiles
+    fast = follow("from the frame before", case.warm, WARM, case.held_out)
+    slow = follow("from scratch", case.scratch, SCRATCH, case.held_out)
+    rows = len(case.before.gaussians)
+    words = [f"U = {rows:,}; at most {100 * (max(row['Gaussians'] for row in fast) / rows - 1):.1f} % added."]
+    for row in slow:
+        first = next((one["seconds"] for one in fast if one["PSNR, dB"] >= row["PSNR, dB"]), None)
+        if first is not None:
+            times = f"{row['seconds'] / first:.1f} times faster"
+            words.append(f"{row['PSNR, dB']:.2f} dB: {first:.1f} s against {row['seconds']:.1f} s, {times}.")
+    return Page([Section(" ".join(words), tables=[Table("keyframe", [*fast, *slow])])])
+
+
+def open_case(scene_folder: Path, model_folder: Path, frame: int | None, max_size: int | None) -> Case:
+    """The frame of a model; None stands for its first keyframe after frame 0, and for the model's size of pictures.
+
+    Raises ConfigError for a frame that the model does not have or that nothing comes before.
+    """
+    model = read_model(model_folder)
+    frame = chosen_frame(model, frame)
+    settings = settings_from_table(model.record.settings)
+    if max_size is not None:
+        settings = replace(settings, max_size=max_size)
+    scene = with_held_out(open_scene(scene_folder), None)
+    capture = Capture.of(scene, pictures_for(scene, settings), settings, "cpu")
+    plates = find_plates(scene, capture.pictures) if settings.knows_rest else {}
+    capture = replace(capture.with_exposure(model.record.exposure), plates=plates)
+    before, pictures = frame_before(model, frame), capture.pictures
+    steps = capture.trainer.steps(before.gaussians, pictures.train(frame - 1))
+    return Case(capture.trainer, capture.target(frame, frame - 1), before, steps, pictures.held_out(frame))
+
+
+def chosen_frame(model: Model, frame: int | None) -> int:
+    """The frame, or the first keyframe after frame 0. Raises ConfigError when the model does not have it."""
+    count, keys = len(model.record.frames), model.record.keyframes()[1:]
+    if frame is None:
+        if not keys:
+            raise ConfigError(f"{model.folder}: expected a keyframe after frame 0, got none; name a frame with --frame")
+        return keys[0]
+    if not 1 <= frame < count:
+        raise ConfigError(f"--frame: expected a frame from 1 to {count - 1}, got {frame}")
+    return frame
+
+
+def follow(name: str, fit: Callable[[int], Gaussians], counts: Sequence[int], held_out: Sequence[View]) -> list[Row]:
+    """A row for each of whole fits of several lengths."""
+    curve = []
+    for count in counts:
+        took, g = seconds_of(lambda n=count: fit(n))  # type: ignore[misc]
+        row = {
+            "fitted": name,
+            "iterations": count,
+            "seconds": took.wall,
+            "PSNR, dB": mean_psnr(g, held_out),
+            "Gaussians": len(g),
+        }
+        curve.append(row)
+    return curve

@@ -1,0 +1,72 @@
+"""Simulated sessions against the same player over real HTTP on loopback, shaped by the same trace.
+
+`airgs-serve --trace` in a process of its own holds requests back for a round trip, and writes no byte of its answers
+earlier than the trace lets it pass. The player runs against it by the real clock, then over the simulated link with the
+same settings; neither pipelines batches. Arrivals are compared as long as both asked for the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from airgs_codec.package.store import open_package
+from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.http import HttpDownloader
+from airgs_codec.play.link import Link
+from airgs_codec.play.session import SessionLog, play, simulate
+from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.trace import open_trace
+from tools.lab import Lab, Page, Row, Section, Table, required, setting
+from tools.lab.serving import airgs_serve
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What is played."""
+
+    package: Path = required("a package")
+    traces: tuple[str, ...] = required("traces, as airgs-play takes them")
+    seconds: float = setting(20.0, "of play")
+    policy: str = setting("robust-mpc", "a policy of airgs-play")
+
+
+def run(options: Options, lab: Lab) -> Page:
+    """A row for each trace."""
+    catalogue = Catalogue.of(open_package(options.package))
+    rows = [row_of(options, catalogue, trace) for trace in options.traces]
+    most = max(row["arrivals off, mean"] for row in rows)
+    answer = f"Arrivals are {100 * most:.1f} % off on average over the worst trace."
+    return Page([Section(answer, tables=[Table("link", rows)])])
+
+
+def row_of(options: Options, catalogue: Catalogue, trace: str) -> Row:
+    """Play both ways over a trace."""
+    loops = max(1, round(options.seconds / catalogue.duration_s))
+    settings = SessionSettings(loops=loops, pipelined=False)
+    with airgs_serve(options.package, "--trace", trace) as (_, url):
+        real = play_really(f"{url}/{options.package.resolve().name}/", options.policy, settings)
+    simulated = simulate(catalogue, Link.over(open_trace(trace)), options.policy, settings)
+    same, mean, worst = compare(real, simulated)
+    return {
+        "trace": Path(trace).name, "same batches": same, "of": len(simulated.fetches),
+        "arrivals off, mean": mean, "worst": worst,
+        "PSNR, dB": real.metrics.psnr_mean, "simulated, dB": simulated.metrics.psnr_mean,
+        "stalled, s": real.metrics.stall_s, "simulated, s": simulated.metrics.stall_s,
+    }  # fmt: skip
+
+
+def play_really(url: str, policy: str, settings: SessionSettings) -> SessionLog:
+    """A session over HTTP, by the clock."""
+    with HttpDownloader(url) as downloader:
+        return play(downloader.open(), downloader, policy, settings)
+
+
+def compare(real: SessionLog, simulated: SessionLog) -> tuple[int, float, float]:
+    """Batches until the two asked for something different, and mean and worst relative error of their arrivals."""
+    pairs = list(zip(real.fetches, simulated.fetches, strict=False))
+    same = next((i for i, (a, b) in enumerate(pairs) if (a.position, a.rung) != (b.position, b.rung)), len(pairs))
+    errors = [abs(a.arrival_s - b.arrival_s) / b.arrival_s for a, b in pairs[:same]]
+    return same, float(np.mean(errors)), max(errors)

@@ -1,0 +1,179 @@
+"""How good is a training where nobody trained it? Several splits of a scene's cameras, and judges for each.
+
+The cameras of the scene are shuffled with a fixed seed and dealt out: split i holds out cameras i * hold to
+i * hold + hold - 1 of that order. Every split is an `airgs-train` of its own into FOLDER/split-I (one that is there
+goes on), with the options given. For every held-out camera:
+
+    psnr      mean over frames of its PSNR in dB, in the look of the model
+    matched   the same after a gain and an offset for each colour, found for that camera over all frames: no camera that
+              nobody trained on can tell how it was exposed
+    haze      from half-way to the middle of the scene, with a near plane of 0.01 units: share of the picture's light
+              paths that end in Gaussians nearer than a tenth of the way that is left (0: clear, 1: fog)
+    light     mean of that picture over the mean of what the camera filmed (near 0: black)
+
+The gap is the training PSNR less the held-out one, both matched; half-way.png shows what is seen half-way.
+"""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.cli.common import parse_frames
+from airgs_codec.errors import ConfigError
+from airgs_codec.media.image import contact_sheet, to_bytes, write_png
+from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.render import Camera, cpu, read_cameras
+from airgs_codec.scene.camera import BLACK, NEAR
+from airgs_codec.scene.gaussians import SH_C0, Gaussians
+from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
+from airgs_codec.train.data.pictures import Pictures, View, pictures_for
+from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.fit.points import looked_at
+from airgs_codec.train.record import Model, read_model
+from airgs_codec.train.settings import settings_from_table
+from tools.lab import Lab, Page, Section, Table, required, rows_of, setting
+
+SEED = 1  # of the order in which cameras are dealt out
+WAY = 0.5  # to the middle of the scene
+NEAR_SHARE = 0.1  # of the way that is left: what is nearer than this there is fog
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What is trained."""
+
+    scene: Path = required("what airgs-train reads")
+    splits: int = setting(4, "how many")
+    hold: int = setting(4, "cameras that each holds out")
+    only: tuple[int, ...] = setting((), "numbers of the splits to do")
+    frames: str = setting(":", "A:B, as airgs-train has it")
+    train: str = setting("", "further options of airgs-train, in one word")
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A held-out camera of one split."""
+
+    split: int
+    camera: str
+    psnr: float
+    matched: float
+    haze: float
+    light: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """A split: its cameras, its training views, and what is seen half-way from each of its cameras."""
+
+    rows: list[Row]
+    training: float  # dB, matched
+    half_way: list[NDArray[np.uint8]]  # a picture for each of the rows
+
+
+def run(options: Options, lab: Lab) -> Page:
+    """All splits one after the other. Raises ConfigError for splits that the scene has no cameras for."""
+    names = [camera.name for camera in open_scene(options.scene).cameras]
+    if options.splits * options.hold > len(names) or options.hold < 1:
+        asked = f"{options.splits} splits of {options.hold}"
+        raise ConfigError(f"{options.scene}: {asked} need more than its {len(names)} cameras")
+    order = np.random.default_rng(SEED).permutation(len(names))
+    judged = []
+    for number in options.only or range(options.splits):
+        held_out = [names[i] for i in order[number * options.hold : (number + 1) * options.hold]]
+        folder = lab.folder / f"split-{number}"
+        train(options.scene, folder, held_out, ["--frames", options.frames, *shlex.split(options.train)])
+        scene = with_held_out(open_scene(options.scene, frames=parse_frames(options.frames)), held_out)
+        judged.append(judge(number, scene, folder))
+        lab.tell(summary(judged))
+    rows = [row for split in judged for row in split.rows]
+    captions = [f"split {row.split} {row.camera}, haze {row.haze:.3f}" for row in rows]
+    sheet = contact_sheet([picture for split in judged for picture in split.half_way], captions)
+    write_png(lab.folder / "half-way.png", sheet)
+    return Page([Section(summary(judged), tables=[Table("splits", rows_of(rows))])])
+
+
+def summary(judged: Sequence[Judged]) -> str:
+    """The means so far."""
+    rows = [row for split in judged for row in split.rows]
+    mean, matched = (float(np.mean([getattr(row, name) for row in rows])) for name in ("psnr", "matched"))
+    gap = float(np.mean([split.training for split in judged])) - matched
+    worst, haze = min(row.matched for row in rows), max(row.haze for row in rows)
+    quality = f"{mean:.2f} dB, matched {matched:.2f} (worst camera {worst:.2f}), gap {gap:.2f}"
+    return f"{len(judged)} splits: {quality}, most haze {haze:.3f}."
+
+
+def train(scene: Path, folder: Path, held_out: Sequence[str], options: Sequence[str]) -> None:
+    """`airgs-train` with these options. Raises ConfigError when it fails."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    program = [sys.executable, "-c", "import sys; from airgs_codec.cli.train import main; sys.exit(main())"]
+    named = ["-o", str(folder), "--hold-out", ",".join(held_out), "--resume", *options]
+    if subprocess.run([*program, str(scene), *named], check=False, stdout=subprocess.DEVNULL).returncode:
+        raise ConfigError(f"{folder}: airgs-train failed")
+
+
+def judge(number: int, scene: MultiviewScene, folder: Path) -> Judged:
+    """A trained split by the cameras that it has not seen."""
+    model = read_model(folder)
+    pictures = open_pictures(scene, model)
+    frames = range(len(model.record.frames))
+    shown = [model.read(frame) for frame in frames]
+    views = [pictures.held_out(frame) for frame in frames]
+    cameras = [view.camera for view in (*pictures.train(0), *pictures.held_out(0))]
+    middle = looked_at(cameras)
+    rows, half_way = [], []
+    for i, name in enumerate(view.camera.name for view in views[0]):
+        plain, matched = compare(shown, [of_frame[i] for of_frame in views])
+        picture, haze = from_half_way(shown[0], views[0][i].camera, middle)
+        light = float(picture.mean() / views[0][i].target.rgb.mean())
+        rows.append(Row(number, name, plain, matched, haze, light))
+        half_way.append(to_bytes(picture))
+    every = [pictures.train(frame) for frame in frames]
+    training = [compare(shown, [of_frame[i] for of_frame in every])[1] for i in range(len(every[0]))]
+    return Judged(rows, float(np.mean(training)), half_way)
+
+
+def open_pictures(scene: MultiviewScene, model: Model) -> Pictures:
+    """The pictures that a model was trained on, and those of its held-out cameras, in the look of the model."""
+    settings = settings_from_table(model.record.settings)
+    near = min(camera.near for camera in read_cameras(model.folder))
+    pictures = pictures_for(with_near(scene, near), settings)
+    return pictures.with_exposure(model.record.exposure) if model.record.exposure else pictures
+
+
+def compare(shown: Sequence[Gaussians], views: Sequence[View]) -> tuple[float, float]:
+    """PSNR in dB of one camera, mean over frames: as it is, and with the gain and offset that fit all frames best."""
+    pairs = [
+        (cpu.render(g, view.camera).rgb.reshape(-1, 3), view.target.rgb.reshape(-1, 3))
+        for g, view in zip(shown, views, strict=True)
+    ]
+    plain = float(np.mean([psnr(mse(a, b)) for a, b in pairs]))
+    matched = [np.empty_like(a) for a, _ in pairs]
+    for channel in range(3):
+        x = np.concatenate([a[:, channel] for a, _ in pairs]).astype(np.float64)
+        y = np.concatenate([b[:, channel] for _, b in pairs]).astype(np.float64)
+        gain, offset = np.polyfit(x, y, 1)
+        for (a, _), out in zip(pairs, matched, strict=True):
+            out[:, channel] = gain * a[:, channel] + offset
+    return plain, float(np.mean([psnr(mse(m, b)) for m, (_, b) in zip(matched, pairs, strict=True)]))
+
+
+def from_half_way(g: Gaussians, camera: Camera, middle: NDArray[np.float64]) -> tuple[NDArray[np.float32], float]:
+    """The picture (H, W, 3) that the camera would see half-way to the middle, and the haze in it."""
+    step = WAY * (middle - camera.position)
+    view = camera.world_to_camera.copy()
+    view[:3, 3] -= view[:3, :3] @ step
+    moved = replace(camera, world_to_camera=view, near=NEAR)
+    near = np.linalg.norm(g.means - (camera.position + step), axis=1) < NEAR_SHARE * np.linalg.norm(step)
+    white = np.where(near, 0.5, -0.5).astype(np.float32) / np.float32(SH_C0)
+    marked = replace(g.with_degree(0), sh_dc=np.repeat(white[:, None], 3, axis=1))
+    haze = float(cpu.render(marked, replace(moved, background=BLACK)).rgb.mean())
+    return np.clip(cpu.render(g, moved).rgb, 0, 1), haze

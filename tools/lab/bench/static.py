@@ -1,0 +1,89 @@
+"""Static splats as packages and as SPZ: bytes of both at equal quality, by the same cameras.
+
+Each file is written as SPZ and encoded twice: first for its viewing region, from which cameras are drawn that no
+decision of the encoder sees; then with the PSNR that SPZ has by these cameras, and --above more, as its target. Bytes
+of a package are those of everything that a viewer of its top rung fetches, both manifests counted; those of SPZ are
+its file's. PSNR is of the error of all pictures together, against the file as it came. The files stay in the folder.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from pathlib import Path
+
+from airgs_codec import EncodeSettings
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.rate_target import PSNR, Goal, OutOfReachError
+from airgs_codec.encoder.settings import as_preview
+from airgs_codec.inspect.compare import compare_two
+from airgs_codec.inspect.sides import Side, open_side, region_views
+from airgs_codec.jobs.work import temporary_work
+from airgs_codec.package.region import CHECKING
+from airgs_codec.package.tables import Region
+from airgs_codec.render import Camera
+from airgs_codec.scene.formats.write import choose_target, write_frames
+from airgs_codec.scene.sequence import open_sequence
+from tools.lab import Lab, Page, Row, Section, Table, required, setting
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What is encoded and looked at."""
+
+    files: tuple[Path, ...] = required("static splats, or sequences, of which the first frame")
+    above: float = setting(0.5, "dB that packages have to be better than SPZ")
+    draws: int = setting(12, "cameras")
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One file in one form."""
+
+    kb: float
+    psnr: float  # dB
+    worst: float  # dB, of the worst picture
+
+
+def run(options: Options, lab: Lab) -> Page:
+    """A row for each file."""
+    rows = [measure(path, lab, options) for path in options.files]
+    answer = f"Packages take {100 * min(r['share'] for r in rows):.0f} to {100 * max(r['share'] for r in rows):.0f} % "
+    return Page([Section(f"{answer}of the bytes of SPZ at its PSNR and more.", tables=[Table("static", rows)])])
+
+
+def measure(path: Path, lab: Lab, options: Options) -> Row:
+    """Write a file's first frame both ways into a folder of its name, and look at them."""
+    folder = lab.folder / path.stem
+    folder.mkdir(exist_ok=True)
+    sequence = open_sequence(path)
+    original, spz = open_side(str(path)), folder / "frame.spz"
+    write_frames(choose_target(str(spz), None, 1), [(0, sequence.load([0]).frames[0])], Fraction(1))
+    first, final = folder / "first.airgs", folder / "final.airgs"
+    encode(sequence, first, as_preview(EncodeSettings()))
+    cameras = region_views(_region(first), options.draws, CHECKING)
+    theirs = _look(original, open_side(str(spz)), cameras)
+    with temporary_work(lab.progress) as work:
+        try:
+            encode(sequence, final, EncodeSettings(), goal=Goal(PSNR, theirs.psnr + options.above), work=work)
+        except OutOfReachError as error:  # files that are rounded like SPZ already: as near as it comes
+            encode(sequence, final, EncodeSettings(quality=error.factor), work=work)
+    ours = _look(original, open_side(str(final)), cameras)
+    row = {"file": _name(path), "rows": sequence.headers[0].count, "sh_degree": sequence.sh_degree}
+    row |= {f"{name}_{key}": v for name, m in (("spz", theirs), ("airgs", ours)) for key, v in asdict(m).items()}
+    return row | {"share": ours.kb / theirs.kb}
+
+
+def _region(package: Path) -> Region:
+    region = open_side(str(package)).region
+    assert region is not None, "the encoder finds a region for every scene"
+    return region
+
+
+def _look(original: Side, other: Side, cameras: list[Camera]) -> Measured:
+    result = compare_two(original, other, range(1), cameras)
+    return Measured(other.bytes_per_frame / 1e3, result.quality.psnr, result.worst.psnr)
+
+
+def _name(path: Path) -> str:
+    return f"{path.parent.name}/{path.name}" if path.is_dir() else path.name

@@ -1,0 +1,47 @@
+"""Scenes that are made, for experiments that need many Gaussians or frames and no meaning in them."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.ply import read_ply, write_ply
+from airgs_codec.scene.sequence import open_sequence
+
+
+def make_scene(rows: int, frames: int, folder: Path) -> None:
+    """A ball of Gaussians of which a tenth swings, written to a new folder."""
+    random = np.random.default_rng(0)
+    means = random.normal(size=(rows, 3))
+    size = math.log(1.5 / rows ** (1 / 3))
+    columns = [random.normal(size=(rows, 4)), size + 0.3 * random.normal(size=(rows, 3))]
+    columns += [2 * random.normal(size=rows), 0.5 * random.normal(size=(rows, 3)), np.zeros((rows, 0, 3))]
+    moves = (np.arange(rows) % 10 == 0)[:, None] * np.array([0.1, 0.02, 0.0])
+    folder.mkdir()
+    for t in range(frames):
+        moved = [means + math.sin(0.6 * t) * moves, *columns]
+        write_ply(folder / f"{t:06d}.ply", Gaussians(*(np.asarray(c, np.float32) for c in moved)))
+
+
+def make_swinging(rows: int, frames: int, swing: float, folder: Path) -> None:
+    """A ball of Gaussians with the standard deviation 1, each of which swings by `swing` in a phase of its own."""
+    make_scene(rows, 1, folder)
+    first = read_ply(folder / "000000.ply")
+    phases = np.random.default_rng(1).uniform(0, 6.28, (rows, 1))
+    for t in range(frames):
+        means = first.means + swing * np.sin(phases + 0.4 * t)
+        write_ply(folder / f"{t:06d}.ply", replace(first, means=means.astype(np.float32)))
+
+
+def forth_and_back(source: Path, frames: int, folder: Path) -> None:
+    """A sequence of links in a new folder: 0 1 2 … n-1 n-2 … 1 0 1 …"""
+    paths = open_sequence(source).paths
+    turn = [*range(len(paths)), *range(len(paths) - 2, 0, -1)]
+    folder.mkdir()
+    for number, frame in enumerate(itertools.islice(itertools.cycle(turn), frames)):
+        (folder / f"{number:06d}.ply").symlink_to(paths[frame].resolve())

@@ -1,0 +1,99 @@
+"""Bytes of a frame at 43 dB against seconds of the encoder: presets of x264, `--quick`, with and without calibration.
+
+The quality factor is interpolated between two encodes near the target. PSNR is that of the package, from views by
+which nothing was decided. Seconds are those of the whole encode but for measuring, with an empty cache of calibrations.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, as_preview
+from airgs_codec.package.manifest import Manifest, pooled_quality
+from airgs_codec.scene.sequence import GaussianSequence
+from tools.lab.numerics.rows import Bench, Place, Point, Row
+from tools.lab.timing import Took, seconds_of
+
+TARGET = 43.0  # dB
+MEASURED = 8  # pictures of a segment, at least
+PRESETS = ("ultrafast", "veryfast", "medium", "veryslow")
+FEW_PRESETS = ("ultrafast", "veryslow")  # of every scene but the first, of quick runs, and where it is calibrated
+ONE_RUNG = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), key_factors=(1.0,), measure_pictures=MEASURED)
+PLAIN, CALIBRATED, PREVIEW = "default steps", "calibrated", "--quick"
+UNIT = "kB a frame at 43 dB"
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """An encode at a quality factor."""
+
+    psnr: float  # dB, of the package; NaN if it was not measured
+    bytes: float  # a frame, of all that a viewer fetches but manifests
+
+
+def measure(bench: Bench) -> Iterator[Point]:
+    """A row for each preset, calibrated and not, and one for `--quick`."""
+    repeats = 1 if bench.quick else 2
+    for scene in bench.scenes:
+        presets = FEW_PRESETS if bench.quick or scene is not bench.scenes[0] else PRESETS
+        for curve, setting, settings in variants(presets):
+            place = Place("encode", "presets", scene.name, curve, setting)
+
+            make = partial(_row, place, scene.sequence, settings, repeats)
+            yield Point("encode", scene, {"place": place, "repeats": repeats}, make)
+
+
+def _row(place: Place, sequence: GaussianSequence, settings: EncodeSettings, repeats: int) -> list[Row]:
+    size, took = at_target(sequence, settings, repeats)
+    return [Row.of(place, took, [size / 1e3], UNIT, size)]
+
+
+def variants(presets: Sequence[str]) -> Iterator[tuple[str, str, EncodeSettings]]:
+    """(curve, setting, settings) of every point."""
+    for preset in presets:
+        yield PLAIN, preset, replace(ONE_RUNG, preset=preset)
+    for preset in FEW_PRESETS:
+        yield CALIBRATED, preset, replace(ONE_RUNG, preset=preset, calibrate="steps")
+    yield PREVIEW, PREVIEW, replace(as_preview(ONE_RUNG), measure_pictures=MEASURED)
+
+
+def at_target(sequence: GaussianSequence, settings: EncodeSettings, repeats: int) -> tuple[float, list[Took]]:
+    """Bytes of a frame at TARGET, and what encodes near it take without measuring."""
+    first, _ = run(sequence, settings)
+    factor = float(np.clip(10 ** ((first.psnr - TARGET) / 20), 0.05, 20.0))
+    if 0.8 < factor < 1.25:  # too near for a slope
+        factor = 1.25 if first.psnr > TARGET else 0.8
+    second, _ = run(sequence, settings, factor)
+    near = 1.0 if abs(first.psnr - TARGET) < abs(second.psnr - TARGET) else factor
+    alone = replace(settings, measure_pictures=0)
+    return bytes_at(TARGET, first, second), [run(sequence, alone, near)[1] for _ in range(repeats)]
+
+
+def bytes_at(psnr: float, a: Trial, b: Trial) -> float:
+    """Bytes of a frame at a PSNR, linear in dB and the logarithm of bytes through two trials of different PSNR."""
+    share = (psnr - a.psnr) / (b.psnr - a.psnr)
+    return float(a.bytes * (b.bytes / a.bytes) ** share)
+
+
+def run(sequence: GaussianSequence, settings: EncodeSettings, factor: float = 1.0) -> tuple[Trial, Took]:
+    """Encode once, to a folder that is forgotten."""
+    with tempfile.TemporaryDirectory() as name, patch.dict(os.environ, {"XDG_CACHE_HOME": name}):
+        target, finer = Path(name) / "package", replace(settings, quality=factor)
+        took, report = seconds_of(lambda: encode(sequence, target, finer))
+        return trial_of(report.manifest), took
+
+
+def trial_of(m: Manifest) -> Trial:
+    """The figures of the top rung."""
+    quality = pooled_quality(m, 0, 0)
+    size = m.bytes_of(m.rung_files(0, 0)) / m.frames
+    return Trial(float("nan") if quality is None else quality.psnr, size)

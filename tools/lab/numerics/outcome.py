@@ -1,0 +1,112 @@
+"""Cases of `stiff`: experiments along one or two axes, and how each of them ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from airgs_codec.errors import AirgsError
+
+CONVERGES, BOUNDED, REFUSED = "converges", "is bounded", "is refused"
+UNFIT, DIVERGES, NOT_FINITE = "does not fit", "diverges", "is not finite"
+ENDS = (CONVERGES, BOUNDED, REFUSED, UNFIT, DIVERGES, NOT_FINITE)
+FAULTS = (DIVERGES, NOT_FINITE)  # ends that the code as it is may not have
+HALVED = 0.5  # of the loss at the start: a fit that ends below converges
+GROWN = 1.05  # of the loss at the start: a fit that ends above diverges
+INVISIBLE = 1e-4  # loss: a tenth of the mean error of rounding pictures to 8 bits; what stays below does not diverge
+
+Judged = tuple[str, float, str]  # end, what was measured, the message of a refusal or what bounds
+At = tuple[str, str, float]  # panel of the map (the method), its row, its column
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One experiment."""
+
+    case: str
+    panel: str
+    row: str
+    x: float
+    end: str  # of ENDS
+    value: float
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """Experiments along one or two axes, and which of them are the code as it is."""
+
+    part: str
+    name: str
+    title: str
+    label: str  # of the axis; "" where there is none
+    value: str  # what is measured
+    own: tuple[str, str]  # panel and row of the code as it is; "" stands for all of them
+    points: tuple[At, ...]
+    judge: Callable[[str, str, float], Judged]
+    why: str = ""  # what limits it
+
+    def run(self, quick: bool = False) -> list[Cell]:
+        """All experiments; `quick`: a third of the axis. An AirgsError is a refusal, other errors are raised."""
+        chosen = sorted({x for _, _, x in self.points})[:: 3 if quick else 1]
+        return [Cell(self.name, *at, *attempt(self.judge, at)) for at in self.points if at[2] in chosen]
+
+    def shipped(self, cells: Iterable[Cell]) -> list[Cell]:
+        """Those of the case and of the code as it is, along x."""
+        panel, row = self.own
+        own = [c for c in cells if c.case == self.name and panel in ("", c.panel) and row in ("", c.row)]
+        return sorted(own, key=lambda c: c.x)
+
+
+def attempt(judge: Callable[[str, str, float], Judged], at: At) -> Judged:
+    """What an experiment gives."""
+    try:
+        return judge(*at)
+    except AirgsError as error:
+        return REFUSED, math.nan, str(error)
+
+
+def grid(panels: Iterable[str], rows: Iterable[str], xs: Iterable[float]) -> tuple[At, ...]:
+    """All combinations, panel by panel."""
+    rows, xs = list(rows), list(xs)
+    return tuple((panel, row, x) for panel in panels for row in rows for x in xs)
+
+
+def fit_end(before: float, after: float, finite: bool) -> str:
+    """How a fit ended, from its loss before and after and whether all that it fitted is finite."""
+    if not (finite and math.isfinite(before) and math.isfinite(after)):
+        return NOT_FINITE
+    if after > max(GROWN * before, INVISIBLE):
+        return DIVERGES
+    return CONVERGES if after <= HALVED * before and before > 0 else BOUNDED
+
+
+def error_end(error: float, close: float) -> str:
+    """How a comparison ended: an error of at most `close` converges, a larger one is bounded by what it is."""
+    if not math.isfinite(error):
+        return NOT_FINITE
+    return CONVERGES if error <= close else BOUNDED
+
+
+def count_ends(cells: Sequence[Cell]) -> dict[str, int]:
+    """How many cells end in each way, those that none does left out."""
+    return {end: sum(cell.end == end for cell in cells) for end in ENDS if any(cell.end == end for cell in cells)}
+
+
+def ranges(cells: Sequence[Cell], end: str) -> str:
+    """Where along x neighbouring cells of one row end so."""
+    found: list[list[float]] = []
+    inside = False
+    for cell in cells:
+        if cell.end == end and inside:
+            found[-1][1] = cell.x
+        elif cell.end == end:
+            found.append([cell.x, cell.x])
+        inside = cell.end == end
+    return ", ".join(number(a) if a == b else f"{number(a)} to {number(b)}" for a, b in found)
+
+
+def number(value: float) -> str:
+    """A number in three digits."""
+    return f"{value:.3g}"

@@ -1,0 +1,151 @@
+"""What every part of `work_precision` is given and what it gives: scenes, points to measure, rows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from airgs_codec.decoder.decode import decode_frames
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.errors import ConfigError
+from airgs_codec.media.metrics import mse
+from airgs_codec.package.store import Package, open_package
+from airgs_codec.render import Camera, render
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from tools.lab.timing import Took
+
+DATA = Path(__file__).parents[3] / "tests" / "data"
+FOX, FOX_VIEWS = DATA / "fox", DATA / "fox_views"
+FOX_FPS = 24
+SPINACH_VIEWS = "spinach_views.json"  # beside the clip
+SPINACH_FRAMES = 8  # of the clip, the first ones
+
+
+class Place(NamedTuple):
+    """Where in the report a row stands."""
+
+    section: str
+    panel: str
+    scene: str
+    curve: str
+    setting: str  # a point of the curve
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One measurement: medians of repeated runs, with their quartiles."""
+
+    section: str
+    panel: str
+    scene: str
+    curve: str
+    setting: str
+    seconds: float  # of CPU time, all threads together
+    seconds_low: float  # lower quartile
+    seconds_high: float  # upper quartile
+    error: float  # in `unit`; NaN where nothing can err
+    error_low: float
+    error_high: float
+    unit: str
+    wall: float  # seconds by the clock on the wall, median
+    bytes: float = math.nan  # a frame; NaN where there are none
+    runs: int = 1
+
+    @staticmethod
+    def of(place: Place, took: Sequence[Took], errors: Sequence[float], unit: str = "", size: float = math.nan) -> Row:
+        """The row of some runs, at least one; `errors` are of runs, too, and none where nothing can err."""
+        spread = quartiles([t.cpu for t in took])
+        wall = quartiles([t.wall for t in took])[0]
+        return Row(*place, *spread, *quartiles(errors or [math.nan]), unit, wall, size, len(took))
+
+
+def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
+    """Median, lower and upper quartile."""
+    low, middle, high = np.percentile(np.asarray(values, np.float64), [25, 50, 75])
+    return float(middle), float(low), float(high)
+
+
+def read_row(fields: Mapping[str, str]) -> Row:
+    """A row of a CSV. Raises TypeError, ValueError."""
+    words = {name: fields[name] for name in (*Place._fields, "unit")}
+    numbers = {name: float(text or "nan") for name, text in fields.items() if name not in (*words, "runs")}
+    return Row(**words, **numbers, runs=int(fields["runs"]))  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A sequence by a name."""
+
+    name: str
+    sequence: GaussianSequence
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What tells it from other scenes of that name."""
+        return {"name": self.name, "frames": len(self.sequence), "rows": [h.count for h in self.sequence.headers]}
+
+
+class Point(NamedTuple):
+    """Something to measure once."""
+
+    name: str
+    scene: Scene | None
+    reads: Mapping[str, Any]  # what decides the rows beside the scene
+    make: Callable[[], Iterable[Row]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bench:
+    """What all parts share."""
+
+    scenes: tuple[Scene, ...]  # the first is the fox
+    folder: Path  # of packages and models
+    quick: bool = False
+
+    def package(self, scene: Scene, settings: EncodeSettings, name: str) -> Package:
+        """A package of a scene, encoded once; `name` tells it from others of the scene."""
+        folder = self.folder / f"{scene.name}-{len(scene.sequence)}-{name}.airgs"
+        if not (folder / "manifest.mpd").is_file():
+            encode(scene.sequence, folder, settings)
+        return open_package(folder)
+
+    def ladder(self, scene: Scene) -> Package:
+        """The package that the default settings make."""
+        return self.package(scene, EncodeSettings(), "ladder")
+
+
+def open_scene(spec: str) -> Scene:
+    """The scene that NAME=FOLDER or NAME=FOLDER=VIEWS names. Raises ConfigError, SceneError."""
+    name, _, rest = spec.partition("=")
+    folder, _, views = rest.partition("=")
+    if not (name and folder):
+        raise ConfigError(f"--scene: expected NAME=FOLDER or NAME=FOLDER=VIEWS, got {spec!r}")
+    scene = Scene(name, open_sequence(folder, views=views or None, fps=FOX_FPS))
+    if not scene.sequence.cameras:
+        raise ConfigError(f"--scene {spec}: expected cameras beside the frames, or NAME=FOLDER=VIEWS")
+    return scene
+
+
+def open_spinach(path: Path) -> Scene:
+    """The first frames of the clip, with the cameras beside it. Raises SceneError."""
+    sequence = open_sequence(path, views=path.parent / SPINACH_VIEWS)
+    some = slice(0, SPINACH_FRAMES)
+    return Scene("spinach", replace(sequence, paths=sequence.paths[some], headers=sequence.headers[some]))
+
+
+def picture_error(shown: Gaussians, original: Gaussians, camera: Camera) -> float:
+    """Mean squared error of one picture."""
+    return mse(render(shown, camera).rgb, render(original, camera).rgb)
+
+
+def shown_frames(package: Package, frames: Sequence[int]) -> dict[int, Gaussians]:
+    """Some frames of the top rung, decoded."""
+    wanted = set(frames)
+    return {f.number: f.gaussians for f in decode_frames(package, 0, package.manifest.frames) if f.number in wanted}

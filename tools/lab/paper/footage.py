@@ -1,0 +1,106 @@
+"""Multi-view pictures of a Gaussian sequence: a scene to train on where only a model of it may be had.
+
+Writes transforms.json, a PNG for every frame and camera, whose splits are kept, and points3d.npy: the means of some
+opaque Gaussians of the first frame, moved by NOISE of their distance to the nearest camera, as triangulated points are
+off. What is trained on such pictures is judged against a model, not against the world.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec._settings import setting
+from airgs_codec.cli.common import parse_frames
+from airgs_codec.errors import SceneError
+from airgs_codec.media.image import to_bytes, write_png
+from airgs_codec.progress import Progress
+from airgs_codec.render import render
+from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, resized
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from tools.lab.options import required
+from tools.lab.page import Page, Section
+
+if TYPE_CHECKING:
+    from tools.lab.command import Lab
+
+OPAQUE = 0.5  # opacity from which a Gaussian may lend its mean to the points
+NOISE = 2e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What is drawn."""
+
+    sequence: Path = required("a Gaussian sequence")
+    views: Path | None = setting(None, "its cameras, where they do not lie beside it")
+    frames: str | None = setting(None, "A:B, frames A to B - 1; all of them where not told")
+    max_size: int = setting(160, "longest side of a picture in pixels")
+    points: int = setting(2_500, "means that are written, at most")
+
+
+def run(options: Options, lab: Lab) -> Page:
+    """Draw all pictures into footage/. Raises SceneError."""
+    sequence = open_sequence(options.sequence, views=options.views)
+    cameras = [resized(c, options.max_size / max(c.width, c.height)) for c in sequence.cameras]
+    numbers = range(len(sequence))[slice(*parse_frames(options.frames))]
+    folder = lab.folder / "footage"
+    write_scene(replace(sequence, cameras=tuple(cameras)), folder, numbers, options.points, lab.progress)
+    return Page([Section(f"{len(numbers)} frames from {len(cameras)} cameras are in {folder}.")])
+
+
+def write_scene(
+    sequence: GaussianSequence, folder: Path, numbers: Sequence[int], points: int, progress: Progress
+) -> None:
+    """The pictures from its cameras, the cameras and points of some frames. Raises SceneError without cameras."""
+    cameras = sequence.cameras
+    if not cameras:
+        raise SceneError(f"{sequence.folder}: expected cameras beside the sequence or with --views, got none")
+    folder.mkdir(parents=True)
+    entries = []
+    for time, number in enumerate(numbers):
+        shown = sequence.load([number]).frames[0]
+        if time == 0:
+            np.save(folder / "points3d.npy", some_points(shown, cameras, points))
+        for camera in cameras:
+            name = f"{camera.name}/{time:04d}.png"
+            (folder / camera.name).mkdir(exist_ok=True)
+            write_png(folder / name, to_bytes(render(shown, camera).rgb))
+            entries.append(entry(camera, name, time))
+        progress("frames rendered", time + 1, len(numbers))
+    data = {"camera_model": "OPENCV", "fps": float(sequence.fps), "frames": entries}
+    (folder / "transforms.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+
+def entry(camera: Camera, picture: str, time: int) -> dict[str, object]:
+    """A picture as transforms.json has it."""
+    pose = np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV
+    return {
+        "file_path": picture, "camera": camera.name, "split": camera.split, "time_index": time,
+        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": camera.width, "h": camera.height,
+        "transform_matrix": pose.tolist(),
+    }  # fmt: skip
+
+
+def some_points(shown: Gaussians, cameras: Sequence[Camera], most: int) -> NDArray[np.float32]:
+    """(at most `most`, 3) means of opaque Gaussians that a camera has in its picture, with noise."""
+    means = shown.means.astype(np.float64)
+    opaque = shown.opacities() > OPAQUE
+    seen = np.zeros(len(means), bool)
+    for camera in cameras:
+        x, y, z = (means @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]).T
+        front = np.where(z > camera.near, z, np.inf)
+        u, v = camera.fx * x / front + camera.cx, camera.fy * y / front + camera.cy
+        seen |= (z > camera.near) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+    rows = np.flatnonzero(opaque & seen)
+    random = np.random.default_rng(0)
+    rows = rows[np.sort(random.permutation(len(rows))[:most])]
+    away = np.min([np.linalg.norm(means[rows] - camera.position, axis=1) for camera in cameras], axis=0)
+    return (means[rows] + NOISE * away[:, None] * random.normal(size=(len(rows), 3))).astype(np.float32)

@@ -1,0 +1,112 @@
+"""What all coders are measured on: the same rows, views and frames of one sequence."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from airgs_codec._sampling import evenly_spaced
+from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.errors import SceneError
+from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.render import Camera, render
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.morton import morton_encode
+from airgs_codec.scene.sequence import GaussianSequence
+from tools.lab.rd.points import RdPoint
+
+Pictures = dict[int, list[np.ndarray]]  # frame -> (H, W, 3) of each camera, 0..1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coded:
+    """What a coder made of a sequence: bytes of everything fetched, and at least the measured frames, decoded."""
+
+    bytes_per_frame: float
+    frames: dict[int, Gaussians]
+    encode_s: float
+    decode_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subject:
+    """The sequence, its repaired groups in Morton order, and what is measured on."""
+
+    sequence: GaussianSequence
+    groups: list[tuple[int, list[Gaussians]]]  # first frame, frames
+    cameras: list[Camera]
+    measured: list[int]  # frames
+    references: Pictures
+    truth: Pictures  # empty: no pictures were taken
+
+    def frame(self, number: int) -> Gaussians:
+        """A frame as every other coder than airgs is given it."""
+        return next(frames[number - start] for start, frames in self.groups if start <= number < start + len(frames))
+
+    def point(self, trial: Trial) -> RdPoint:
+        """Run a coder and measure what it decodes to."""
+        coded = trial.code(self)
+        shown = {n: [render(coded.frames[n], camera).rgb for camera in self.cameras] for n in self.measured}
+        true = pooled_psnr(shown, self.truth) if self.truth else None
+        figures = coded.bytes_per_frame / 1e3, pooled_psnr(shown, self.references), true
+        return RdPoint(trial.coder, trial.setting, *figures, coded.encode_s, coded.decode_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A coder at a setting. `code` may raise AirgsError where the setting cannot be met."""
+
+    coder: str
+    setting: str
+    code: Callable[[Subject], Coded]
+
+
+def open_subject(sequence: GaussianSequence, cameras: list[Camera], count: int, views: Path) -> Subject:
+    """Read everything once; `count` frames are measured, first and last among them."""
+    groups = []
+    for start, stop in plan_groups(sequence).spans:
+        frames = sequence.load(range(start, stop)).frames
+        order = _morton_order(frames[len(frames) // 2].means.astype(np.float64))
+        groups.append((start, [frame.take(order) for frame in frames]))
+    measured = evenly_spaced(len(sequence), count)
+    truth = read_truth(views, cameras, measured)
+    subject = Subject(sequence, groups, cameras, measured, {}, truth)
+    subject.references.update({n: [render(subject.frame(n), c).rgb for c in cameras] for n in measured})
+    return subject
+
+
+def _morton_order(means: np.ndarray) -> np.ndarray:
+    low, extent = means.min(axis=0), float(np.ptp(means, axis=0).max()) or 1.0
+    codes = morton_encode(((means - low) / extent * (2**16 - 1)).astype(np.int64))
+    return np.argsort(codes, kind="stable")
+
+
+def pooled_psnr(shown: Pictures, wanted: Pictures) -> float:
+    """PSNR in dB of the squared error pooled over frames and cameras."""
+    pairs = [zip(pictures, wanted[number], strict=True) for number, pictures in shown.items()]
+    return psnr(float(np.mean([mse(a, b) for pair in pairs for a, b in pair])))
+
+
+def read_truth(views: Path, cameras: Sequence[Camera], frames: Sequence[int]) -> Pictures:
+    """Pictures of each frame seen by each camera; empty unless transforms.json names all of them.
+
+    Raises SceneError for a file that is no picture.
+    """
+    entries = json.loads(views.read_text(encoding="utf-8"))["frames"]
+    paths = {(e.get("camera"), e.get("time_index")): views.parent / e.get("file_path", "") for e in entries}
+    wanted = {number: [paths.get((camera.name, number)) for camera in cameras] for number in frames}
+    if not all(path and path.is_file() for row in wanted.values() for path in row):
+        return {}
+    return {number: [_read_picture(path) for path in row if path] for number, row in wanted.items()}
+
+
+def _read_picture(path: Path) -> np.ndarray:
+    picture = cv2.imread(str(path))
+    if picture is None:
+        raise SceneError(f"{path}: expected a picture")
+    return picture[..., ::-1].astype(np.float32) / 255

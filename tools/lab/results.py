@@ -1,0 +1,86 @@
+"""The one store of results: what an experiment has measured is not measured again, whoever was interrupted.
+
+A result is a job of `airgs_codec.jobs` in a folder. Its name is a digest of what it reads, of the code of the package,
+of the versions of its libraries, and of the module that measures: a result of other code is never taken.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from airgs_codec.jobs.digest import code_digest, digest
+from airgs_codec.jobs.engines import Engine, InProcess
+from airgs_codec.jobs.job import Job, read_record
+from airgs_codec.jobs.store import Store, WorkFolder
+from airgs_codec.jobs.work import Work
+from airgs_codec.progress import Progress, silent
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Results:
+    """Results in a store."""
+
+    store: Store
+    engine: Engine = field(default_factory=InProcess)  # does what is missing
+    progress: Progress = silent
+
+    @staticmethod
+    def at(folder: Path, progress: Progress = silent) -> Results:
+        """Those of a folder, which is made when it is needed."""
+        return Results(WorkFolder(folder, lasting=False), progress=progress)
+
+    def once(self, name: str, reads: Any, make: Callable[[], T]) -> T:
+        """The result of this name that was made of `reads`, made now where it is not there.
+
+        `reads`: plain values, arrays, dataclasses and mappings of them, as `digest` takes them; of files `content`.
+        The result must be picklable. Raises what `make` raises, TypeError for other `reads`.
+        """
+        job = Job(name, "", _entry(name, make, reads), make)
+        return Work(self.store, progress=self.progress).result(job)
+
+    def seconds(self, name: str, reads: Any, make: Callable[[], Any]) -> float | None:
+        """How long the result of `once` took when it was made; None where it is not there."""
+        record = read_record(self.store, _entry(name, make, reads))
+        return None if record is None else record.seconds
+
+    def map(
+        self, name: str, function: Callable[..., T], calls: Sequence[tuple[Any, ...]], reads: Any = None
+    ) -> list[T]:
+        """The results of a function of a module for each tuple of arguments, missing ones made by the engine.
+
+        `reads` is what all of them read beside their arguments.
+        """
+        work = Work(self.store, self.engine, progress=self.progress)
+        jobs = [
+            Job(name, str(n), _entry(name, function, (reads, call)), function, call) for n, call in enumerate(calls)
+        ]
+        work.run(jobs)
+        return [work.result(job) for job in jobs]
+
+
+def _entry(name: str, function: Callable[..., Any], reads: Any) -> str:
+    source = sys.modules[function.__module__].__file__
+    return digest(name, code_digest(), Path(source).read_bytes() if source else b"", _plain(reads))
+
+
+def _plain(value: Any) -> Any:
+    """`value` with paths as text, which `digest` takes."""
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, tuple | list):
+        return [_plain(part) for part in value]
+    return {name: _plain(part) for name, part in value.items()} if isinstance(value, dict) else value
+
+
+def content(path: Path) -> str:
+    """A digest of a file, or of all files of a folder with their names. Raises OSError."""
+    if path.is_file():
+        return digest(path.read_bytes())
+    files = sorted(p for p in path.rglob("*") if p.is_file())
+    return digest({p.relative_to(path).as_posix(): digest(p.read_bytes()) for p in files})

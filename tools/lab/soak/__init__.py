@@ -1,0 +1,1 @@
+"""Long runs in which much fails or much time goes by."""

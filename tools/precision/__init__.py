@@ -1,1 +1,0 @@
-"""The sections of the report on error against run time: a module each, whose `measure` is a generator of rows."""

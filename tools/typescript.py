@@ -1,0 +1,201 @@
+"""What the browser player in web/src knows from Python: constants, and the tables of a package as types and as schema.
+
+python -m tools.typescript
+
+writes web/src/generated/, which is committed, so that a clone builds the player without Python; a test compares. What
+a constant means, and why it has its value, stands where it belongs in airgs_codec; here it has the name that TypeScript
+imports. What only one side has, such as the sizes of its caches, is not here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import typing
+from pathlib import Path
+from types import ModuleType
+from typing import Annotated, Any
+
+import numpy as np
+
+from airgs_codec.coding import atlas, attributes, escapes, rangecoder
+from airgs_codec.media import h264, metrics, mp4
+from airgs_codec.package import layout, packing, paths, region, tables, world
+from airgs_codec.package.constraints import OneOf, as_required
+from airgs_codec.package.schema import manifest_schema
+from airgs_codec.play import catalogue, downloader, http_files, ladder, player, sight, tile_choice, view_player
+from airgs_codec.play.policies import mpc, named, state
+from airgs_codec.play.settings import SessionSettings
+from airgs_codec.render import cpu, cpu_kernels
+from airgs_codec.scene import gaussians, rotations
+
+FOLDER = Path(__file__).parents[1] / "web" / "src" / "generated"
+MADE = "// Made by python -m tools.typescript from airgs_codec"
+ROOTS = (tables.Root, tables.Spans, tables.Group)
+SETTINGS = ("buffer_s", "startup_s", "resume_s", "decode_frame_s", "replace", "abandon", "pipelined", "loops")
+_PLAIN = {bool: "boolean", int: "number", float: "number", str: "string"}
+
+
+def main() -> None:
+    """Write all files."""
+    FOLDER.mkdir(exist_ok=True)
+    for name, text in files().items():
+        (FOLDER / name).write_text(text, encoding="utf-8")
+
+
+def files() -> dict[str, str]:
+    """The text of each file of the folder, by its name."""
+    return {"constants.ts": _constants_file(), "tables.ts": _tables_file(), "schema.ts": _schema_file()}
+
+
+def constants() -> dict[ModuleType, dict[str, Any]]:
+    """The name and the value of each constant in TypeScript, by the module that has it."""
+    return {
+        tables: _same(
+            tables, "VERSION", "PAGE", "DIGEST", "BLOCK", "STATIC", "LEAST_CLASS", "MOST_CLASS", "TRANSFORM_UNITS"
+        )
+        | _same(tables, "MAX_BITS", "MAX_PICTURE_SIDE", "MIN_PICTURE_SIDE", "MAX_MACROBLOCKS", "MAX_PAGES"),
+        packing: _same(packing, "MAX_ROOT_BYTES", "MAX_TABLE_BYTES"),
+        paths: {"ROOT_PATH": paths.JSON_NAME, "INIT_PATH": paths.INIT_NAME}
+        | {"PATHS": [[f"^{pattern}$", what] for pattern, what in paths.PATTERNS.items()]},
+        layout: _channels(layout.KEY) | _channels(layout.STATE),
+        world: _same(world, "LEAST_SCALE", "MOST_SCALE") | {"WORLD_TOLERANCE": world.TOLERANCE},
+        region: _same(region, "AGREEMENT", "LEVELLING", "SLIGHTLY_DOWN", "GIVE_OR_TAKE")
+        | _same(region, "FORGIVEN_DEGREES", "FORGIVEN_SHARE"),
+        rotations: _same(rotations, "SMALL_ANGLE"),
+        gaussians: _same(gaussians, "SH_C0"),
+        atlas: _same(atlas, "GREY"),
+        attributes: _same(attributes, "OPACITY_MARGIN"),
+        escapes: {"ESCAPE_UNIT": escapes.UNIT},
+        rangecoder: _same(rangecoder, "RANGE_START", "RANGE_LEAST", "CHANCE_HALF", "CHANCE_LEAST", "END_BYTES")
+        | _same(rangecoder, "MODEL_MEMORY", "MODEL_CONTEXTS", "LENGTH_BITS", "MODELLED_BITS"),
+        mp4: {"BOX_HEADER": mp4.HEADER, "COLUMNS_UUID": mp4.COLUMNS.hex()}
+        | {"HAS_OFFSET": mp4.DATA_OFFSET, "HAS_FIRST_FLAGS": mp4.FIRST_SAMPLE_FLAGS, "HAS_DURATION": mp4.DURATION}
+        | {"HAS_SIZE": mp4.SIZE, "HAS_COMPOSITION": mp4.COMPOSITION_OFFSET, "HAS_BASE": mp4.BASE_DATA_OFFSET}
+        | {"HAS_DESCRIPTION": mp4.DESCRIPTION_INDEX, "HAS_DEFAULT_DURATION": mp4.DEFAULT_DURATION}
+        | {"HAS_DEFAULT_SIZE": mp4.DEFAULT_SIZE},
+        h264: _same(h264, "DARKEST", "BRIGHTEST"),
+        metrics: _same(metrics, "PSNR_CAP"),
+        cpu: _same(cpu, "FAR", "DILATION"),
+        cpu_kernels: _same(cpu_kernels, "MARGIN", "ALPHA_MAX", "SH_C1", "SH_C2", "SH_C3"),
+        **_of_players(),
+    }
+
+
+def _of_players() -> dict[ModuleType, dict[str, Any]]:
+    settings, patience = SessionSettings(), http_files.HttpSettings()
+    return {
+        named: _same(named, "DEFAULT_POLICY") | {"POLICY_NAMES": list(named.ADAPTIVE)},
+        state: _same(state, "SAFETY", "HALF_LIVES_S", "BUFFER_SHARE", "RESERVE_S", "STALL_DB"),
+        mpc: _same(mpc, "SWITCH_DB", "LOW_BUFFER_DB", "HORIZON_S", "HORIZON_SEGMENTS", "GRID_POINTS", "PAST_DOWNLOADS"),
+        ladder: _same(ladder, "DEFAULT_BETA", "EPS_DB", "CLIFF_DB"),
+        catalogue: _same(catalogue, "SESSION_S", "HEADER_BYTES", "OVER_BUDGET"),
+        downloader: _same(downloader, "CHECK_S"),
+        player: _same(player, "REPLACE_GAIN_DB", "REMEMBERED", "SHORTEST_S", "POLL_S", "SILENCE_S")
+        | {"SESSION": {_camel(name): getattr(settings, name) for name in SETTINGS}}
+        | {"VIEW_BUFFER_S": settings.view_buffer_s},
+        view_player: _same(view_player, "LOOK_S"),
+        tile_choice: _same(tile_choice, "EARLY_MARGIN", "LATE_MARGIN", "FURTHEST_S", "SOON_S"),
+        sight: _same(sight, "BEFORE_S", "DECAY_S", "CORNERS", "SMALL_TURN"),
+        http_files: _same(http_files, "BUSY", "GARBLED", "LONGEST_PAUSE_S")
+        | {"TIMEOUT_S": patience.timeout_s, "ATTEMPTS": patience.attempts, "BACKOFF_S": patience.backoff_s},
+    }
+
+
+def _same(module: ModuleType, *names: str) -> dict[str, Any]:
+    """Constants of a module that have the same name in TypeScript."""
+    return {name: getattr(module, name) for name in names}
+
+
+def _camel(name: str) -> str:
+    return re.sub("_(.)", lambda match: match[1].upper(), name)
+
+
+def _channels(kind: layout.Layout) -> dict[str, Any]:
+    """Attributes in order, where the channels of each begin, and the attribute of each channel before colour."""
+    values = {
+        "ATTRIBUTES": kind.attributes,
+        "AT": {name: kind.slice(name).start for name in kind.attributes},
+        "CHANNELS": [run.attribute for run in kind.runs for _ in run.axes],
+    }
+    return {f"{kind.kind.upper()}_{name}": value for name, value in values.items()}
+
+
+def _constants_file() -> str:
+    parts = [f"{MADE}: the modules named below say what each is.\n"]
+    seen: set[str] = set()
+    for module, values in constants().items():
+        assert seen.isdisjoint(values), f"{module.__name__}: {seen & set(values)} stand there already"
+        seen |= set(values)
+        lines = [f"export const {name}{_declared(value)};\n" for name, value in values.items()]
+        parts.append(f"\n// {module.__name__}\n{''.join(lines)}")
+    return "".join(parts)
+
+
+def _declared(value: Any) -> str:
+    """The rest of a declaration, from its colon on. Lists of numbers may have any number, others are as they are."""
+    if isinstance(value, list | tuple) and all(isinstance(item, int | float) for item in value):
+        return f": readonly number[] = {json.dumps(value)}"
+    if isinstance(value, dict | list | tuple):
+        return f" = {json.dumps(value)} as const"
+    return f" = {float(value)!r}" if isinstance(value, float | np.floating) else f" = {json.dumps(value)}"
+
+
+def _tables_file() -> str:
+    """Every dataclass of the tables as an interface, those that others are made of after them."""
+    parts, waiting, seen = [f"{MADE}.package.tables, which says what each field is.\n"], list(ROOTS), set()
+    while waiting:
+        kind = waiting.pop(0)
+        if kind in seen:
+            continue
+        seen.add(kind)
+        fields = []
+        for name, hint in typing.get_type_hints(kind, include_extras=True).items():
+            needed = as_required(hint)
+            fields.append(f"  {name}{'' if needed is hint else '?'}: {_type(needed, waiting)};\n")
+        summary = (kind.__doc__ or "").split("\n")[0]
+        parts.append(f"\n/** {summary} */\nexport interface {kind.__name__} {{\n{''.join(fields)}}}\n")
+    return "".join(parts)
+
+
+def _type(hint: Any, used: list[Any]) -> str:
+    """The TypeScript of a type; dataclasses that it names are added to `used`."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Annotated:
+        words = next((one.words for one in arguments if isinstance(one, OneOf)), ())
+        return " | ".join(map(json.dumps, words)) or _type(arguments[0], used)
+    if origin is list:
+        return f"{_type(arguments[0], used)}[]"
+    if origin is dict:
+        return "Record<{}, {}>".format(*(_type(argument, used) for argument in arguments))
+    if dataclasses.is_dataclass(hint):
+        used.append(hint)
+        return str(hint.__name__)  # type: ignore[union-attr]
+    return _PLAIN[hint]
+
+
+def _schema_file() -> str:
+    """The JSON Schemas of the tables without their words for people, which the player checks tables against."""
+    schema = manifest_schema()
+    kinds = {"root": {name: value for name, value in schema.items() if name != "$defs"}, **schema["$defs"]}
+    lines = [f"export const {name} = {json.dumps(_bare(kind))};\n" for name, kind in kinds.items()]
+    return f"{MADE}.package.schema.\n" + "".join(lines)
+
+
+def _bare(node: Any, of_properties: bool = False) -> Any:
+    """A schema without titles and descriptions; properties of a table may have such names, which stay."""
+    if isinstance(node, list):
+        return [_bare(item) for item in node]
+    if not isinstance(node, dict):
+        return node
+    words = () if of_properties else ("title", "description", "$schema")
+    return {
+        name: _bare(value, not of_properties and name == "properties")
+        for name, value in node.items()
+        if name not in words
+    }
+
+
+if __name__ == "__main__":
+    main()
