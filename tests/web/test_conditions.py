@@ -176,6 +176,7 @@ def test_speed_and_loop_may_change_at_any_time(fox):
 def test_the_last_of_many_seeks_counts(fox):
     report = look(fox(12), "seeks")
     assert report["problems"] == []
+    assert all(abs(one["time"] - one["wanted"]) < 1 for one in report["landed"])  # not where it played before
     assert report["last"] == report["wanted"]
     assert report["times"] == [0.5] and report["paused"]
 

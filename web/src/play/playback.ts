@@ -279,7 +279,7 @@ export class Playback {
     this.statistics.shown(this.#passedOver(position, frame));
     this.#shown = { clip, frame };
     this.#next = { position, frame: frame + 1 };
-    this.#sought = null;
+    if (!this.#locating) this.#sought = null; // until then, what is shown is from before the seek
     this.#pipeline.shown(clip, frame);
     if (before?.clip.rung !== clip.rung) this.tell("rung");
     if (nowS() - this.#timeTold >= TIME_EVENT_S) {

@@ -162,6 +162,12 @@ const checks: Record<string, () => Promise<unknown>> = {
   async seeks() {
     const log = await started({ loop: false });
     const { player } = log;
+    const landed = [];
+    for (const wanted of [9, 2, 7, 4]) {
+      player.seek(wanted);
+      await until("one seek", () => !player.seeking);
+      landed.push({ wanted, time: player.currentTime });
+    }
     const wild = [9, 1, 7, 3, 11, 0, 5, 10, 2, 6];
     for (const seconds of wild) player.seek(seconds);
     player.pause();
@@ -185,7 +191,7 @@ const checks: Record<string, () => Promise<unknown>> = {
     const paused = player.currentTime === still;
     player.play();
     await passes(log, 1);
-    return { ...report(log), wanted: wild.at(-1), last, times, paused };
+    return { ...report(log), landed, wanted: wild.at(-1), last, times, paused };
   },
 
   /** Pause and seek while playing waits for files. */
