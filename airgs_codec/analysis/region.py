@@ -1,4 +1,7 @@
-"""The viewing region that cameras and a scene suggest. C cameras, P places."""
+"""The viewing region that cameras and a scene suggest, and the floor that an object stands on, if it has one.
+
+C cameras, P places; N rows, n of them looked at. A floor is a plane with all else on one side.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.analysis.viewpoint_score import flatness, row_areas, row_axes
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import MAX_PLACES, Place, Region
 from airgs_codec.render import Camera, measure_contribution
 from airgs_codec.scene.camera import resized
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.orbits import spiral
+
+Vectors = NDArray[np.float64]
+
+ROWS = 10_000  # looked at
+TRIED = 400  # directions all around; neighbours are 10 degrees apart
+CONE = np.cos(np.radians(15))  # rows lie in a plane when their normals differ less from its own
+THICKNESS = 0.03  # of a floor, in extents of the scene
+FLOOR_SHARE = 0.15  # of the area of all rows lies in a floor, at least
+ROUGH = 2.0  # thicknesses about a floor in which rows are on no side of it
+SIDES = 3.0  # times as much lies above a floor as below it, at least
 
 RIG_SHARE = 0.25  # of the largest distance between two cameras: the margin, where it is the larger one
 DISTANCE_SHARE = 0.1  # of the distance to the content: the other one
@@ -21,6 +36,54 @@ CLEARANCE_SHARE = 0.5  # of the distance to the nearest content that is visible:
 NEAREST = 0.02  # share of what a picture shows that may lie nearer than the clearance
 TURN = 5.0  # degrees that a viewer may look off the focus
 LOOK_PIXELS = 128  # on the longer side, enough to see how far away the content is
+
+
+def find_floor(gaussians: Gaussians) -> Vectors | None:
+    """The direction (3,) that is up where rows stand on a floor, of length 1; None without a floor.
+
+    The thin axis of a flat row is the normal of the surface that it lies in. `gaussians` are repaired.
+    """
+    rows = np.random.default_rng(0).permutation(len(gaussians))[:ROWS]
+    g = gaussians.take(np.sort(rows))
+    areas = row_areas(g)
+    areas = np.minimum(areas, np.quantile(areas, 0.99))  # a haze is no floor
+    total = max(float(areas.sum()), np.finfo(np.float64).tiny)
+    normals, weights = _normals(g), areas * flatness(g)
+    up = _commonest(normals, weights)
+    heights = g.means.astype(np.float64) @ up
+    lying = np.abs(normals @ up) > CONE
+    low, high = _heaviest_slab(heights[lying], weights[lying], heights)
+    floor = float(weights[lying & (heights >= low) & (heights < high)].sum()) / total
+    margin = ROUGH * (high - low)
+    below, above = float(areas[heights < low - margin].sum()), float(areas[heights >= high + margin].sum())
+    if floor < FLOOR_SHARE or max(below, above) < SIDES * min(below, above):
+        return None
+    return up if above > below else -up
+
+
+def _normals(g: Gaussians) -> Vectors:
+    """(n, 3) thin axes of rows, length 1."""
+    thin = np.argmin(g.log_scales, axis=1)
+    return np.take_along_axis(row_axes(g), thin[:, None, None], axis=2)[:, :, 0]
+
+
+def _commonest(normals: Vectors, weights: Vectors) -> Vectors:
+    """The direction (3,) along which most of the weight of normals lies, of either sign."""
+    tried = spiral(TRIED)
+    votes = (np.abs(normals @ tried.T) > CONE).T @ weights
+    near = np.abs(normals @ tried[np.argmax(votes)]) > CONE
+    axes = np.linalg.eigh((normals[near] * weights[near, None]).T @ normals[near])[1]
+    return np.asarray(axes[:, -1])
+
+
+def _heaviest_slab(values: Vectors, weights: Vectors, heights: Vectors) -> tuple[float, float]:
+    """The interval THICKNESS of the extent of `heights` wide with the most weight of `values`."""
+    low, high = np.quantile(heights, [0.001, 0.999])
+    step = max(THICKNESS * (high - low), np.finfo(np.float32).tiny) / 2
+    edges = np.arange(low - 2 * step, high + 3 * step, step)
+    halves = np.histogram(values, edges, weights=weights)[0]
+    best = int(np.argmax(halves[:-1] + halves[1:]))
+    return float(edges[best]), float(edges[best + 2])
 
 
 @dataclass(frozen=True, slots=True)

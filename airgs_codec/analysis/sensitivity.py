@@ -1,4 +1,7 @@
-"""How much a picture changes when an attribute of one Gaussian does; usage with it, in one pass. N Gaussians."""
+"""How much single Gaussians contribute to pictures, and how much a picture changes when an attribute of one does.
+
+Both come from one pass over the pictures. N Gaussians.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +12,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.usage import UsageSums
-from airgs_codec.render import Camera
+from airgs_codec.render import Camera, Contribution
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 
 Floats = NDArray[np.float32]
-
 MAX_VIEWS = 8  # rendered for each frame; more views change the estimate little
 CODING_VARIANCE = 0.1  # steps^2: 1/12 of the quantiser and some of H.264
 LEAK = 0.3  # share of CODING_VARIANCE that a channel gets from its neighbours when nothing in it is worth coding
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
+
+
+class UsageSums:
+    """Adds up what single pictures say about N rows."""
+
+    def __init__(self, rows: int) -> None:
+        self._total, self._peak, self._hits = np.zeros(rows), np.zeros(rows), np.zeros(rows, np.int64)
+
+    def add(self, seen: Contribution) -> None:
+        """One more picture."""
+        self._total += seen.total
+        self._peak = np.maximum(self._peak, seen.peak)
+        self._hits += seen.hits
+
+    def usage(self) -> Usage:
+        """Over all pictures added so far."""
+        return Usage(self._total, self._peak, self._hits)
+
+
+def measure_usage(frames: Sequence[Gaussians], cameras: Sequence[Camera], renderer: Renderer = CPU) -> Usage:
+    """Usage over some frames of one group, seen by all cameras."""
+    sums = UsageSums(len(frames[0]))
+    for frame in frames:
+        loaded = renderer.load(frame)
+        for camera in cameras:
+            sums.add(loaded.contribution(camera))
+    return sums.usage()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

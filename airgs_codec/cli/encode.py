@@ -18,9 +18,9 @@ from airgs_codec.cli.kernels import prepare
 from airgs_codec.cli.training import train_by_default
 from airgs_codec.cli.work import add_work, told_work
 from airgs_codec.cli.world import add_world, with_signs
-from airgs_codec.encoder.follow import follow
+from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.publish import EncodeReport, encode, encode_part
-from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal
+from airgs_codec.encoder.search import PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import (
     EncodeSettings,
 )

@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 
-from airgs_codec.encoder.follow import PublishedGroup
+from airgs_codec.encoder.live import PublishedGroup
 
 
 def frames_may_come(idle_s: float) -> Callable[[int], bool]:

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 from airgs_codec.encoder.group import CodedKey, GroupFiles
 from airgs_codec.encoder.group_jobs import GroupJobs
+from airgs_codec.encoder.measure import Measured, Round, RoundErrors, Rounds, measure_groups
 from airgs_codec.encoder.plan import split_segments
-from airgs_codec.encoder.quality import Measured, Round, RoundErrors, Rounds, measure_groups
 from airgs_codec.encoder.representation import Clock
 from airgs_codec.encoder.settings import KEPT, EncodeSettings
 from airgs_codec.encoder.tables import Provenance, build_manifest

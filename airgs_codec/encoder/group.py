@@ -14,15 +14,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.encoder.kept import BaseGroup, keep_known
-from airgs_codec.encoder.keys import CodedKeys, DecodedKeys, code_keys, decode_base, encode_keys, key_bytes
-from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
+from airgs_codec.encoder.keys import (
+    BaseGroup,
+    CodedKeys,
+    DecodedKeys,
+    code_keys,
+    decode_base,
+    encode_keys,
+    keep_known,
+    key_bytes,
+)
+from airgs_codec.encoder.plan import GroupLayout, find_box, keep_rows, lay_out
 from airgs_codec.encoder.representation import Clock, Representation
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.tables import CodedGroup, finish_group
-from airgs_codec.encoder.tiles import find_box
 from airgs_codec.package.tables import Group
 from airgs_codec.scene.sequence import GaussianSequence
 

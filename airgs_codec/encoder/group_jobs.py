@@ -11,11 +11,10 @@ from functools import cached_property
 
 from airgs_codec._settings import available_cores
 from airgs_codec.encoder.group import GroupFiles, code_group, code_key, keep_key
-from airgs_codec.encoder.group_length import compare_lengths
-from airgs_codec.encoder.quality import Round, RoundErrors, measure_round
+from airgs_codec.encoder.measure import Round, RoundErrors, measure_round
+from airgs_codec.encoder.sample import compare_lengths
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, survey_group
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.jobs.digest import code_digest, digest
 from airgs_codec.jobs.job import Job
 from airgs_codec.package.memory import MemoryFiles

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from airgs_codec.analysis.grouping import count_runs
-from airgs_codec.analysis.matching import IN_ORDER, compare_order
+from airgs_codec.analysis.rows import IN_ORDER, compare_order
 from airgs_codec.jobs.digest import digest
 from airgs_codec.jobs.work import Work
 from airgs_codec.scene.sequence import GaussianSequence

@@ -1,7 +1,7 @@
 """How a group is coded, before anything of it is: rows, tiles, tiers, order, steps, grid, colour transform, segments.
 
-N rows of a group that are written, n rows of a unit, C colour channels. A unit is a key tier of a tile: number
-tile * tiers + tier.
+T frames and N rows of a group that are written, n rows of a unit, C colour channels, P tiles. A unit is a key tier of a
+tile: number tile * tiers + tier.
 """
 
 from __future__ import annotations
@@ -15,26 +15,146 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import KeptRows, RowPruning
-from airgs_codec.analysis.sensitivity import Sensitivity
+from airgs_codec.analysis.sensitivity import CODING_VARIANCE, LEAK, Sensitivity
 from airgs_codec.coding.channels import Canonical, dequantise_key, key_channels
 from airgs_codec.coding.colour import colour_transform
 from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import classify_motion
 from airgs_codec.coding.sidecar import KeySidecar
-from airgs_codec.coding.weights import channel_weights
-from airgs_codec.encoder.levels import assign_tiers
-from airgs_codec.encoder.rank import RowUsage
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, ShownPictures, Survey
-from airgs_codec.encoder.tiles import assign_tiles
-from airgs_codec.encoder.views import Pictures
+from airgs_codec.coding.weights import channel_weights, withheld_error
+from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
+from airgs_codec.encoder.survey import GroupSpan, Pictures, ShownPictures, Survey
 from airgs_codec.package.layout import STATE
-from airgs_codec.package.tables import KEY_ATTRIBUTES, Grid, KeySteps, StateSteps, unpack_matrix
+from airgs_codec.package.tables import KEY_ATTRIBUTES, STATIC, Grid, KeySteps, StateSteps, unpack_matrix
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
 from airgs_codec.scene.repair import Repaired
 
+INSIDE = 1.0  # per cent of the rows, at either end of an axis, that may lie outside of a box: a few are far off
 CODED_HERE = -1  # in place of a row of an earlier group
+
+
+def assign_tiers(usage: NDArray[np.float64], shares: Sequence[float] = DEFAULT_TIERS) -> NDArray[np.uint8]:
+    """(N,) tier of each row: the rows with the highest `usage` (N,) are in the first tier, ties by row.
+
+    Tiers hold `shares` of the rows, which sum to 1. The first has at least one row, since some levels have no other.
+    """
+    order = np.argsort(-usage, kind="stable")
+    bounds = np.maximum(np.rint(np.cumsum(shares) * len(usage)), 1).astype(np.intp)
+    tiers = np.empty(len(usage), np.uint8)
+    tiers[order] = np.searchsorted(bounds[:-1], np.arange(len(usage)), side="right")
+    return tiers
+
+
+def assign_depths(
+    score: NDArray[np.float64],
+    moving: NDArray[np.bool_],
+    pruned: Sequence[float],
+    tiers: NDArray[np.uint8] | None = None,
+    level_tiers: Sequence[int] = (),
+) -> NDArray[np.uint8]:
+    """(N,) deepest level that carries each row; STATIC for rows that no level carries.
+
+    Level j withholds the share `pruned[j]` of the `moving` rows, those with the lowest `score` (the paper prunes by
+    usage frequency). Where `tiers`, the (N,) tier of each row, is given, it also withholds all rows outside of the
+    first `level_tiers[j]` tiers. Shares that ascend and tiers that descend make levels nested.
+    """
+    rows = np.flatnonzero(moving)
+    ranked = rows[np.argsort(-score[rows], kind="stable")]
+    depths = np.full(len(score), STATIC, np.uint8)
+    for level, share in enumerate(pruned):
+        kept = ranked[: round((1 - share) * len(ranked))]
+        depths[kept if tiers is None else kept[tiers[kept] < level_tiers[level]]] = level
+    return depths
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowUsage:
+    """How much views use the rows of a group, for ranking updates by it."""
+
+    score: NDArray[np.float64]  # (N,) usage, by the measure that ranks rows for key tiers
+    hits: NDArray[np.float64]  # (N,) pixels where a row is blended: the paper's usage frequency
+    moved: NDArray[np.float64] | None  # (N,) `Usage.moved`, where the trainer left it and `score` is max: max x change
+
+    def take(self, rows: NDArray[np.intp] | slice) -> RowUsage:
+        """The usage of some rows, in the order of `rows`."""
+        return RowUsage(self.score[rows], self.hits[rows], None if self.moved is None else self.moved[rows])
+
+    def rank(self, name: str, changes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(N,) score of updates: "hits" alone as in the paper, or "usage" x size of the change.
+
+        `changes` (T, 10 + C, N) are differences to the canonical frame, in steps.
+        """
+        if name == "hits":
+            return self.hits
+        if self.moved is not None:
+            return self.moved
+        return self.score * np.sqrt(np.einsum("tcn,tcn->n", changes, changes) / len(changes))
+
+
+def find_moving(
+    states: NDArray[np.float64], changes: NDArray[np.float64], weights: NDArray[np.float64], keep_all: bool
+) -> NDArray[np.bool_]:
+    """(N,) rows whose states are worth coding; the others are static. Arguments as in `rank_updates`.
+
+    A row is static if it never changes by more than half a step, or, without `keep_all`, if coding its states is
+    expected to add more error than it repairs.
+    """
+    moving: NDArray[np.bool_] = np.abs(changes).max(axis=(0, 1)) > 0.5
+    if keep_all:
+        return moving
+    variance = np.square(states).mean(axis=0, keepdims=True)
+    coded = np.minimum(variance + LEAK * np.maximum(CODING_VARIANCE - variance, 0), CODING_VARIANCE)
+    return moving & (withheld_error(states, weights) > withheld_error(np.sqrt(coded), weights))
+
+
+def rank_updates(
+    states: NDArray[np.float64],
+    changes: NDArray[np.float64],
+    weights: NDArray[np.float64],
+    usage: RowUsage | None = None,
+    rank: str = "error",
+    keep_all: bool = False,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """(N,) scores that rank updates for pruning, and (N,) whether any level carries a row.
+
+    `states` (T, 10 + C, N) are differences to the canonical frame as decoded, `changes` to the original one, both in
+    steps; `weights` (10 + C, N) are the squared error of pictures for a squared step. The score is the error expected
+    of withholding the updates of a row, or, where `rank` is another one than "error", that of its `usage`.
+    """
+    score = withheld_error(changes, weights) if usage is None or rank == "error" else usage.rank(rank, changes)
+    return score, find_moving(states, changes, weights, keep_all)
+
+
+def assign_tiles(means: NDArray[np.floating], count: int) -> NDArray[np.uint8]:
+    """(N,) tile of each row, by its mean (N, 3): tiles hold about equally many rows; ties go by row."""
+    tiles = np.zeros(len(means), np.uint8)
+
+    def halve(rows: NDArray[np.intp], first: int, parts: int) -> None:
+        if parts == 1 or not len(rows):
+            tiles[rows] = first
+            return
+        low, high = np.percentile(means[rows], [INSIDE, 100 - INSIDE], axis=0)
+        order = rows[np.argsort(means[rows, int(np.argmax(high - low))], kind="stable")]
+        few = parts // 2
+        middle = len(order) * few // parts
+        halve(order[:middle], first, few)
+        halve(order[middle:], first + few, parts - few)
+
+    halve(np.arange(len(means)), 0, count)
+    return tiles
+
+
+def find_box(frames: Sequence[Gaussians], rows: NDArray[np.intp]) -> tuple[list[float], list[float]]:
+    """Two opposite corners, world units, of a box that holds nearly all means of some rows in every frame.
+
+    At either end of an axis INSIDE per cent of the rows of a frame may lie outside. Of no rows it is the origin.
+    """
+    if not len(rows):
+        return [0.0] * 3, [0.0] * 3
+    corners = np.array([np.percentile(frame.means[rows], [INSIDE, 100 - INSIDE], axis=0) for frame in frames])
+    low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+    return [float(f"{v:.6g}") for v in low], [float(f"{v:.6g}") for v in high]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,19 +11,18 @@ from pathlib import Path
 from airgs_codec._settings import available_cores
 from airgs_codec.analysis.grouping import Grouping, plan_groups
 from airgs_codec.analysis.rows import Restored, restore_rows
+from airgs_codec.encoder.calibrate import Calibration, calibrate
 from airgs_codec.encoder.calibration import cache
-from airgs_codec.encoder.calibration.calibrate import Calibration, calibrate
 from airgs_codec.encoder.encoder import EncodeJob
 from airgs_codec.encoder.group import GroupFiles
 from airgs_codec.encoder.group_jobs import GroupJobs, length_job
-from airgs_codec.encoder.leave_out import omit_bands
 from airgs_codec.encoder.look import look_at_frames
-from airgs_codec.encoder.quality import Rounds
-from airgs_codec.encoder.rate_target import Goal
-from airgs_codec.encoder.search import search_quality
+from airgs_codec.encoder.measure import Rounds
+from airgs_codec.encoder.omit import omit_bands
+from airgs_codec.encoder.search import Goal, search_quality
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
+from airgs_codec.encoder.survey import ViewPlan, plan_views
 from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
-from airgs_codec.encoder.views import ViewPlan, plan_views
 from airgs_codec.errors import WorkError
 from airgs_codec.jobs.digest import code_digest, digest
 from airgs_codec.jobs.job import Job, Record, Stored, read_result

@@ -1,23 +1,144 @@
-"""Trial encodes of the top rung, until it has a PSNR or a size."""
+"""The quality factor at which the top rung reaches a PSNR or a size, and what keeps it from a better one. N rows."""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 
-from airgs_codec.encoder.encoder import EncodeJob, encode_sequence, measure_quality
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec._sampling import evenly_spaced
+from airgs_codec.decoder.decode import decode
+from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence, measure_quality
 from airgs_codec.encoder.group_jobs import GroupJobs
-from airgs_codec.encoder.limits import find_limit
-from airgs_codec.encoder.quality import Rounds
-from airgs_codec.encoder.rate_target import PSNR, Goal, OutOfReachError, find_quality
+from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.errors import ConfigError
+from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.packing import pack_json
 from airgs_codec.package.store import root_of
 from airgs_codec.package.tables import FileEntry, Group, SegmentLevel, digest
+from airgs_codec.render.compare import compare, draw_ahead, draw_still
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 
+PSNR, SIZE = "PSNR", "kB/frame"
+TOLERANCES = {PSNR: 0.1, SIZE: 0.01}  # of a search, in dB and as a share; finished packages differ by a little
+# How PSNR and the logarithm of the size change with the logarithm of the factor, before two trials say it better:
+# error grows with the square of the steps; sizes were seen to fall by 0.6 to 1.
+SLOPES = {PSNR: -20 / math.log(10), SIZE: -0.75}
+TRIALS = 8
+ENOUGH = 2.5  # tolerances by which the best of all trials may miss
+FACTORS = 0.01, 100.0  # least and largest quality factor that is tried
+
+FRAMES = 6  # of the sequence, each looked at from a view of its own
+PARTS = {
+    "positions": ("means",),
+    "rotations": ("quaternions",),
+    "sizes": ("log_scales",),
+    "opacities": ("opacity_logits",),
+    "colours": ("sh_dc", "sh_rest"),
+}
+LEFT_OUT = "Gaussians left out"
 TRIAL_PICTURES = 12  # measured in each segment for a PSNR, where the package itself is not measured
+
+
+class OutOfReachError(ConfigError):
+    """A goal that no quality factor meets."""
+
+    def __init__(self, goal: Goal, got: float, factor: float, why: str = "") -> None:
+        near = f"{got:.4g} at quality factor {factor:.3g}"
+        super().__init__(f"target: {goal.value:g} {goal.kind} is out of reach, the nearest was {near}{why}")
+        self.got = got
+        self.factor = factor
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """What the top rung is to reach."""
+
+    kind: str  # PSNR or SIZE
+    value: float  # dB, or kB a frame
+
+    def __post_init__(self) -> None:
+        if not 0 < self.value < math.inf:
+            raise ConfigError(f"target: expected a positive {self.kind}, got {self.value:g}")
+
+    def misses(self, got: float) -> float:
+        """By how many tolerances `got` misses the goal; positive: it is above."""
+        wide = TOLERANCES[self.kind]
+        return (got - self.value) / wide if self.kind == PSNR else math.log(got / self.value) / wide
+
+
+def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> float:
+    """A quality factor at which `trial` gives what the goal asks for; the search begins at `start`.
+
+    It is met to TOLERANCES, or to ENOUGH of them after TRIALS trials. The search steps by SLOPES until two trials lie
+    on both sides of the goal, then by regula falsi between the nearest two: trials are noisy by about a tolerance, so
+    no slope between two of them can be trusted. Raises OutOfReachError.
+    """
+    slope = SLOPES[goal.kind] / TOLERANCES[goal.kind]
+    seen: dict[float, float] = {}
+    factor = start
+    for _ in range(TRIALS):
+        seen[factor] = goal.misses(trial(factor))
+        if abs(seen[factor]) <= 1:
+            return factor
+        factor = min(max(_next_factor(seen, slope), FACTORS[0]), FACTORS[1])
+        if factor in seen:
+            break
+    best = min(seen, key=lambda f: abs(seen[f]))
+    if abs(seen[best]) <= ENOUGH:
+        return best
+    wide = TOLERANCES[goal.kind]
+    got = goal.value + seen[best] * wide if goal.kind == PSNR else goal.value * math.exp(seen[best] * wide)
+    raise OutOfReachError(goal, got, best)
+
+
+def _next_factor(seen: dict[float, float], slope: float) -> float:
+    """The next factor to try, from the misses of those tried; a positive miss asks for a larger factor."""
+    above = [f for f in seen if seen[f] > 0]
+    below = [f for f in seen if seen[f] < 0]
+    if above and below:
+        fine, coarse = max(above), min(below)
+        share = seen[fine] / (seen[fine] - seen[coarse])
+        return fine * (coarse / fine) ** min(max(share, 0.1), 0.9)
+    factor = max(above) if above else min(below)
+    return factor * min(max(math.exp(-seen[factor] / slope), 0.25), 4.0)
+
+
+def find_limit(encoded: Encoded, original: GroupJobs) -> tuple[str, float]:
+    """The part of the top rung without whose error pictures gain most, and the PSNR in dB that they would have then.
+
+    The part is a name of PARTS or LEFT_OUT.
+    """
+    errors: dict[str, list[float]] = {}
+    package, renderer = encoded.package(), original.views.renderer
+    numbers = evenly_spaced(package.manifest.frames, FRAMES)
+    for view in zip(numbers, original.views.measuring, strict=False):
+        number, _ = view
+        whole = original.sequence.load([number]).frames[0]
+        group = next(span.index for span in original.spans if number < span.stop)
+        reference = draw_ahead(draw_still(whole, renderer), [view])
+        for name, shown in _made_exact(whole, decode(package, number), encoded.group(group).rows):
+            found = compare(reference, draw_still(shown, renderer), [view], Picture.mse)
+            errors.setdefault(name, []).extend(found)
+    means = {name: float(np.mean(found)) for name, found in errors.items()}
+    best = min(means, key=lambda name: means[name])
+    return best, psnr(means[best])
+
+
+def _made_exact(whole: Gaussians, shown: Gaussians, rows: NDArray[np.intp]) -> Iterator[tuple[str, Gaussians]]:
+    """A decoded frame, N of the original's rows, with each part of it in turn as in the original."""
+    exact = whole.take(rows)
+    for name, attributes in PARTS.items():
+        yield name, replace(shown, **{attribute: getattr(exact, attribute) for attribute in attributes})
+    others = whole.with_degree(shown.sh_degree).take(np.setdiff1d(np.arange(len(whole)), rows))
+    yield LEFT_OUT, join_rows([shown, others])
 
 
 def search_quality(job: EncodeJob, original: GroupJobs, settings: EncodeSettings, goal: Goal) -> tuple[float, Rounds]:

@@ -12,7 +12,6 @@ from airgs_codec._settings import available_cores, computed_setting, documented,
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.analysis.rows import AUTO, ROWS
 from airgs_codec.coding.steps import StepSettings
-from airgs_codec.encoder.levels import DEFAULT_TIERS
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
 from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, MAX_TILES, Region, World
@@ -50,6 +49,7 @@ UPDATE_RANKS = ("error", "usage", "hits")
 CELL_GROWTH = 0.75  # cells of positions grow with this power of the key factor: ever fewer rows are updated
 KEYS = ("kept", "apart")
 KEPT, APART = KEYS
+DEFAULT_TIERS = (0.8, 0.2)  # core, rest
 CALIBRATIONS = ("ladder", "steps", "none")
 
 

@@ -20,21 +20,18 @@ from airgs_codec.coding.atlas import fit_centre, make_atlas
 from airgs_codec.coding.channels import Canonical, state_channels
 from airgs_codec.coding.escapes import Escapes
 from airgs_codec.coding.quantize import to_codes
-from airgs_codec.encoder.error_bounds import ErrorModel
-from airgs_codec.encoder.leave_out import StateOmissions, note_static
-from airgs_codec.encoder.levels import assign_depths
-from airgs_codec.encoder.plan import GroupLayout
-from airgs_codec.encoder.rank import rank_updates
+from airgs_codec.encoder.omit import StateOmissions, StateValues, note_static
+from airgs_codec.encoder.plan import GroupLayout, assign_depths, rank_updates
 from airgs_codec.encoder.representation import (
     EMPTY,
     AtlasPictures,
     Clock,
+    ErrorModel,
     Representation,
     encode_checked,
     encode_parallel,
 )
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.state_values import StateValues
 from airgs_codec.media.h264 import STATE_QP, ClosedGop, qp_step, state_codec
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut

@@ -1,21 +1,158 @@
-"""What the views of a scene say about its groups, before any setting matters. N rows of a group after repairs."""
+"""Which pictures of a scene decide and measure, and what the deciding ones say about its groups before settings do.
+
+Both kinds are drawn from the viewing region, with different seeds, so that no picture judges what it has decided. N
+rows of a group after repairs.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.analysis.importance import importance
+from airgs_codec.analysis.region import region_around
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
-from airgs_codec.encoder.views import Pictures, ViewPlan
+from airgs_codec.analysis.viewpoints import find_viewpoints
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.package.region import DECIDING, MEASURING, draw_views, with_background
+from airgs_codec.package.tables import Region, Views, World
+from airgs_codec.package.world import up_of, world_from, world_words
 from airgs_codec.render import Camera
-from airgs_codec.render.backend import CPU, Renderer
+from airgs_codec.render.backend import CPU, Renderer, open_renderer
+from airgs_codec.render.compare import View
+from airgs_codec.scene.camera import resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 from airgs_codec.scene.usage import Usage
+
+CHECKED = 8  # further ones, which show what leaving out would do
+DECISION_PIXELS = 200_000  # of a picture that decides: larger ones are made smaller
+SMALL_PIXELS = 110_000  # of a picture, at most: of small ones twice as many decide and measure
+LOOKED_AT = 3  # frames, where no camera is given
+DRAWS = 240  # views that are drawn; groups and segments take them in turn
+
+Pictures = list[View]  # a frame is its place in its group, or its number in the sequence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewPlan:
+    """Where a scene is looked at from while it is encoded."""
+
+    region: Region
+    trusted: bool  # what no view of the region shows may be left out
+    deciding: Sequence[Camera]
+    measuring: Sequence[Camera]
+    decided: int  # pictures of a group that decide: the first of `deciding`
+    small: bool  # pictures are small, so that twice as many decide and measure
+    notes: tuple[str, ...] = ()  # how the region was found, for people
+    world: World | None = None  # which way is up, where it is told
+    renderer: Renderer = CPU  # draws all pictures
+
+    @staticmethod
+    def of(
+        sequence: GaussianSequence,
+        pictures: int,
+        *,
+        margin: float | None = None,
+        region: Region | None = None,
+        world: World | None = None,
+        renderer: Renderer = CPU,
+    ) -> ViewPlan:
+        """The region that is given, else the one about the scene's cameras, else about places that were found.
+
+        `pictures` of each group decide, at least. Which way is up, `world` tells, else the format of the frames, else
+        nobody. `renderer` draws all pictures.
+        """
+        axes, notes = sequence.axes, []
+        if world is None and axes:
+            world = world_from(axes.up, axes.metres)
+            source = "the file" if sequence.clip else f"the specification of {sequence.format.name}"
+            notes.append(f"{world_words(world)}; {source} says so")
+        plan = _plan(sequence, pictures, margin, region, None if world is None else up_of(world))
+        return replace(plan, world=world, renderer=renderer, notes=(*plan.notes, *notes))
+
+    def decide(self, frames: int) -> Pictures:
+        """Pictures of a group of so many frames: all frames or evenly many of them, each from a view of its own."""
+        return _spread(frames, self.deciding[: self.decided])
+
+    def check(self, frames: int) -> Pictures:
+        """Pictures of a group from other views, which show what leaving out would do.
+
+        The views that rank rows make the errors of leaving out the lowest ones look smaller than they are.
+        """
+        return _spread(frames, self.deciding[self.decided : self.decided + CHECKED])
+
+    def measure(self, index: int, start: int, stop: int, least: int) -> Pictures:
+        """Pictures of segment number `index`, the frames [start, stop): (number of the frame, view)."""
+        count = self.measured(least)
+        numbers = middle_frames(start, stop, count)
+        rounds = -(-count // len(numbers))
+        first = index * count % len(self.measuring)
+        views = itertools.islice(itertools.cycle(self.measuring), first, first + count)
+        return list(zip(sorted((numbers * rounds)[:count]), views, strict=True))
+
+    def measured(self, least: int) -> int:
+        """How many pictures measure a segment, where `least` do of large pictures."""
+        return 2 * least if self.small else least
+
+    def table(self, measured: int) -> Views:
+        """The record in airgs.json; `measured` pictures of each segment at least, 0 for none."""
+        return Views(self.decided + CHECKED, self.measured(measured), "original" if measured else "none")
+
+
+def plan_views(sequence: GaussianSequence, settings: EncodeSettings) -> ViewPlan:
+    """The views that an encode with these settings takes. Raises ConfigError for a device that cannot be had."""
+    return ViewPlan.of(
+        sequence,
+        settings.decide_pictures,
+        margin=settings.margin,
+        region=settings.region,
+        world=settings.world,
+        renderer=open_renderer(settings.device),
+    )
+
+
+def _plan(
+    sequence: GaussianSequence,
+    pictures: int,
+    margin: float | None,
+    region: Region | None,
+    up: NDArray[np.float64] | None,
+) -> ViewPlan:
+    """The plan without a world; `up` (3,), where it is told, matters to views that are found alone."""
+    behind = sequence.background
+    if region is not None:
+        return _draw(region if region.background else with_background(region, behind), pictures)
+    middle = sequence.load([len(sequence) // 2]).frames[0]
+    if sequence.cameras:
+        held_out = [c for c in sequence.cameras if c.held_out]
+        around = region_around(training_views(sequence.cameras), middle, margin=margin)
+        return _draw(with_background(around, behind), pictures, held_out)
+    found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), LOOKED_AT)], up)
+    source = "found" if found.confident else "orbit"
+    around = region_around(found.cameras, middle, margin=margin, source=source)
+    return replace(_draw(with_background(around, behind), pictures), trusted=found.confident, notes=(found.story,))
+
+
+def _draw(region: Region, pictures: int, held_out: Sequence[Camera] = ()) -> ViewPlan:
+    """Draws from a region; where it has no extent, every draw is a place, and held-out cameras measure instead."""
+    point = all(place.reach == 0 for place in region.places) and region.turn == 0
+    share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
+    deciding = [resized(camera, share) for camera in draw_views(region, DRAWS, DECIDING)]
+    measuring = list(held_out) if point and held_out else draw_views(region, DRAWS, MEASURING)
+    small = region.width * region.height <= SMALL_PIXELS
+    return ViewPlan(region, True, deciding, measuring, 2 * pictures if small else pictures, small)
+
+
+def _spread(frames: int, cameras: Sequence[Camera]) -> Pictures:
+    """Each camera with a frame, the frames evenly spaced and taking turns."""
+    picked = evenly_spaced(frames, len(cameras))
+    return list(zip(itertools.cycle(picked), cameras, strict=False))
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,11 +8,9 @@ from dataclasses import dataclass, replace
 
 from airgs_codec import __version__
 from airgs_codec.coding.sidecar import pack_key_sidecar
-from airgs_codec.encoder.error_bounds import ErrorModel, widen, with_bounds
-from airgs_codec.encoder.kept import BaseGroup, kept_errors
-from airgs_codec.encoder.keys import CodedKeys, key_sidecar
+from airgs_codec.encoder.keys import BaseGroup, CodedKeys, kept_errors, key_sidecar
 from airgs_codec.encoder.plan import GroupLayout
-from airgs_codec.encoder.representation import Clock, Representation
+from airgs_codec.encoder.representation import Clock, ErrorModel, Representation, widen, with_bounds
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import CodedStates
 from airgs_codec.media.fragments import with_columns

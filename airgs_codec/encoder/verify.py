@@ -16,7 +16,7 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence, measure_quality
 from airgs_codec.encoder.group import GroupFiles
 from airgs_codec.encoder.group_jobs import GroupJobs
-from airgs_codec.encoder.quality import Rounds
+from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.manifest import Manifest, pooled_quality

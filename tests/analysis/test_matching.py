@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from airgs_codec.analysis import matching
-from airgs_codec.analysis.matching import IN_ORDER, LOST, UNRELATED, compare_order, match_rows
+from airgs_codec.analysis import rows as matching
+from airgs_codec.analysis.rows import IN_ORDER, LOST, UNRELATED, compare_order, match_rows
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.ply import read_ply
 from tests.support.paths import FOX

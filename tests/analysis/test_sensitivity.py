@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.sensitivity import measure_sensitivity, measure_views
-from airgs_codec.analysis.usage import measure_usage
+from airgs_codec.analysis.sensitivity import measure_sensitivity, measure_usage, measure_views
 from airgs_codec.coding.motion import motion_classes, motion_units
 from airgs_codec.coding.weights import channel_weights, withheld_error
 from airgs_codec.media.metrics import mse

@@ -8,7 +8,7 @@ import pytest
 
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.views import DRAWS, ViewPlan
+from airgs_codec.encoder.survey import DRAWS, ViewPlan
 from airgs_codec.errors import SceneError
 from airgs_codec.inspect.compare import claimed_quality, compare_streams
 from airgs_codec.inspect.sides import rung_streams

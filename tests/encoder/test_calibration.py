@@ -8,13 +8,10 @@ import pytest
 
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.coding.steps import StepSettings
+from airgs_codec.encoder.calibrate import STEPS, Subject, calibrate, get_step, solve_steps, with_step
 from airgs_codec.encoder.calibration import cache
-from airgs_codec.encoder.calibration.calibrate import calibrate
-from airgs_codec.encoder.calibration.solve import STEPS, get_step, solve_steps, with_step
-from airgs_codec.encoder.calibration.subject import Subject
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import GroupSpan, survey_group
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.scene.ply import write_ply
 from airgs_codec.scene.sequence import USAGE_NAME, open_sequence

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.encoder import follow as module
-from airgs_codec.encoder.follow import follow
+from airgs_codec.encoder import live as module
+from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import SceneError

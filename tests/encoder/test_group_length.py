@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.group_length import SHORTEST, LengthCost, compare_lengths
 from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.sample import SHORTEST, LengthCost, compare_lengths
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.regions import place, region
 from tests.support.scenes import frozen, random_gaussians, write_sequence

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_segment
-from airgs_codec.encoder.levels import assign_depths, assign_tiers
+from airgs_codec.encoder.plan import assign_depths, assign_tiers
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.inspect.validate import validate

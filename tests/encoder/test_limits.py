@@ -6,9 +6,9 @@ import pytest
 
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.encoder import encode_sequence
-from airgs_codec.encoder.limits import LEFT_OUT, find_limit
+from airgs_codec.encoder.search import LEFT_OUT, find_limit
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.jobs import encode_job

@@ -8,10 +8,10 @@ import pytest
 
 from airgs_codec.decoder.decode import decode_canonical, decode_frames
 from airgs_codec.encoder.encoder import encode_sequence
+from airgs_codec.encoder.plan import RowUsage, rank_updates
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.rank import RowUsage, rank_updates
 from airgs_codec.encoder.settings import EncodeSettings, as_in_paper, as_preview
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import STATIC

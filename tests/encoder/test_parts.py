@@ -9,7 +9,7 @@ from airgs_codec import _stores
 from airgs_codec.cli import encode as command
 from airgs_codec.cli import manifest
 from airgs_codec.encoder.publish import encode, encode_part, merge
-from airgs_codec.encoder.rate_target import PSNR, Goal
+from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import WorkError
 from airgs_codec.inspect.validate import validate

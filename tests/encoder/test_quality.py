@@ -5,11 +5,11 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from airgs_codec.encoder import quality
+from airgs_codec.encoder import measure as quality
+from airgs_codec.encoder.measure import OFF_LADDER, ROUNDS, Rounds, measure_package, measure_round
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.quality import OFF_LADDER, ROUNDS, Rounds, measure_package, measure_round
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.sequence import open_sequence

@@ -12,8 +12,7 @@ from airgs_codec.decoder.decode import Part, decode, decode_canonical, decode_fr
 from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import GroupSpan, survey_group
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.errors import ConfigError, FormatError, SceneError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import open_segment

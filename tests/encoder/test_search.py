@@ -7,7 +7,7 @@ from fractions import Fraction
 import pytest
 
 from airgs_codec.cli import encode as command
-from airgs_codec.encoder.rate_target import PSNR, SIZE, Goal, find_quality
+from airgs_codec.encoder.search import PSNR, SIZE, Goal, find_quality
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.manifest import pooled_quality

@@ -7,12 +7,11 @@ import pytest
 
 from airgs_codec.coding import chunks
 from airgs_codec.coding.channels import state_channels
+from airgs_codec.encoder.omit import StateValues
 from airgs_codec.encoder.plan import keep_rows, lay_out
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.state_values import StateValues
 from airgs_codec.encoder.states import code_states
-from airgs_codec.encoder.survey import GroupSpan, survey_group
-from airgs_codec.encoder.views import plan_views
+from airgs_codec.encoder.survey import GroupSpan, plan_views, survey_group
 from airgs_codec.package.tables import STATIC
 from airgs_codec.scene import sequence as sequences
 from airgs_codec.scene.sequence import open_sequence

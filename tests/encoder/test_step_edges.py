@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from airgs_codec.encoder.calibration.solve import PRIOR, STEPS, balance
+from airgs_codec.encoder.calibrate import PRIOR, STEPS, balance
 from airgs_codec.errors import SceneError
 
 LARGEST = math.sqrt((1 + PRIOR) / PRIOR)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.rate_target import PSNR, Goal
+from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.inspect.compare import compare_streams
 from airgs_codec.inspect.sides import rung_streams

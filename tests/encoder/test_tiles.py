@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames
+from airgs_codec.encoder.plan import assign_tiles, find_box
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.tiles import assign_tiles, find_box
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.validate import exceeded, validate

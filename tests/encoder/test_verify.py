@@ -7,11 +7,11 @@ import pytest
 
 from airgs_codec.encoder import verify
 from airgs_codec.encoder.encoder import Encoded, encode_sequence
+from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.quality import Rounds
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.encoder.verify import Attempt, encode_verified, find_repair
-from airgs_codec.encoder.views import ViewPlan
 from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import pooled_quality

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.views import CHECKED, DECISION_PIXELS, ViewPlan
+from airgs_codec.encoder.survey import CHECKED, DECISION_PIXELS, ViewPlan
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.region import departure
 from airgs_codec.package.tables import World

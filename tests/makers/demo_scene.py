@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.analysis.usage import measure_usage
+from airgs_codec.analysis.sensitivity import measure_usage
 from airgs_codec.render import read_cameras
 from airgs_codec.scene.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence

@@ -6,7 +6,7 @@ from pathlib import Path
 from airgs_codec.encoder.encoder import EncodeJob
 from airgs_codec.encoder.group_jobs import GroupJobs
 from airgs_codec.encoder.look import look_at_frames
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.errors import FormatError
 from airgs_codec.jobs.work import Work
 from airgs_codec.scene.sequence import GaussianSequence

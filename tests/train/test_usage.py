@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.analysis.usage import measure_usage
-from airgs_codec.encoder.survey import GroupSpan, survey_group
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.analysis.sensitivity import measure_usage
+from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.errors import SceneError
 from airgs_codec.render import measure_contribution
 from airgs_codec.scene.sequence import open_sequence

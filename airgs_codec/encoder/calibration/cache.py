@@ -13,9 +13,9 @@ from typing import Any
 from airgs_codec import __version__
 from airgs_codec._files import write_bytes
 from airgs_codec.coding.steps import StepSettings
-from airgs_codec.encoder.calibration.calibrate import REVISION, Calibration
+from airgs_codec.encoder.calibrate import REVISION, Calibration
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.views import ViewPlan
+from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.errors import AirgsError
 from airgs_codec.jobs.digest import digest
 from airgs_codec.media.h264 import library_versions

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec import EncodeSettings, encode, open_package, open_sequence
-from airgs_codec.encoder.rate_target import PSNR, Goal
+from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import DEFAULT_LEVELS
 from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.inspect.sides import compared_views, rung_streams

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from airgs_codec import EncodeSettings
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.rate_target import PSNR, Goal, OutOfReachError
+from airgs_codec.encoder.search import PSNR, Goal, OutOfReachError
 from airgs_codec.encoder.settings import as_preview
 from airgs_codec.inspect.compare import compare_two
 from airgs_codec.inspect.sides import Side, open_side, region_views

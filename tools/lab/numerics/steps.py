@@ -20,10 +20,9 @@ from airgs_codec.coding.grid import fit_grid
 from airgs_codec.coding.motion import classify_motion, motion_classes, motion_units
 from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.coding.steps import StepSettings
-from airgs_codec.encoder.calibration.sample import PRESET, CalibrationSample
-from airgs_codec.encoder.calibration.solve import PRIOR, STEPS, Slope, balance, get_step, measure_slopes, solve_steps
-from airgs_codec.encoder.calibration.subject import Subject
-from airgs_codec.encoder.error_bounds import ROUNDING
+from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, get_step, measure_slopes, solve_steps
+from airgs_codec.encoder.representation import ROUNDING
+from airgs_codec.encoder.sample import PRESET, CalibrationSample
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.h264 import CodecSettings, key_codec, qp_step, state_codec
 from airgs_codec.package.layout import KEY

@@ -13,9 +13,8 @@ from itertools import cycle, islice
 
 import numpy as np
 
-from airgs_codec.encoder.quality import Rounds, measure_package
-from airgs_codec.encoder.survey import GroupSpan, survey_group
-from airgs_codec.encoder.views import Pictures, plan_views
+from airgs_codec.encoder.measure import Rounds, measure_package
+from airgs_codec.encoder.survey import GroupSpan, Pictures, plan_views, survey_group
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.region import draw_views

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.usage import measure_usage
+from airgs_codec.analysis.sensitivity import measure_usage
 from airgs_codec.coding.channels import Canonical, StateApplier
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.decoder.decode import decode_canonical, decode_state

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.rate_target import PSNR, Goal
+from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.gaussians import Gaussians

@@ -14,11 +14,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from airgs_codec._settings import about
-from airgs_codec.encoder.calibration.calibrate import calibrate
+from airgs_codec.encoder.calibrate import calibrate
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, survey_group
-from airgs_codec.encoder.views import plan_views
+from airgs_codec.encoder.survey import GroupSpan, plan_views, survey_group
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.play.link import Link
 from airgs_codec.play.session import SessionLog

@@ -14,12 +14,11 @@ from airgs_codec.encoder.encoder import EncodeJob
 from airgs_codec.encoder.group import CodedKey, code_group, code_key, keep_key
 from airgs_codec.encoder.group_jobs import GroupJobs
 from airgs_codec.encoder.look import look_at_frames
+from airgs_codec.encoder.measure import Rounds, measure_package
 from airgs_codec.encoder.publish import calibrate_job, finish
-from airgs_codec.encoder.quality import Rounds, measure_package
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, KEPT, EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, survey_group
+from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views, survey_group
 from airgs_codec.encoder.verify import Attempt, encode_verified
-from airgs_codec.encoder.views import ViewPlan, plan_views
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest

@@ -10,7 +10,7 @@ import numpy as np
 
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment, fewer_tiers
-from airgs_codec.encoder.views import Pictures, ViewPlan
+from airgs_codec.encoder.survey import Pictures, ViewPlan
 from airgs_codec.media.metrics import Difference, pool
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.store import Package

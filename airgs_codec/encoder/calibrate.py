@@ -1,0 +1,356 @@
+"""The quantiser steps and the ladder that one scene asks for, found by small encodes of a sample of one of its groups.
+
+A step is worth halving while that lowers the error of pictures by more than its bytes would elsewhere: Lagrange's
+condition with one multiplier for all choices (Everett 1963), here the price of a byte in squared error. N rows of the
+group, n rows of the sample.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.analysis.importance import RowPruning, pooled_error
+from airgs_codec.coding.channels import key_channels, state_channels
+from airgs_codec.coding.chunks import row_chunks
+from airgs_codec.coding.steps import StepSettings
+from airgs_codec.coding.weights import channel_weights
+from airgs_codec.encoder.plan import (
+    GroupLayout,
+    assign_depths,
+    find_moving,
+    keep_rows,
+    lay_out,
+    prune_rows,
+    rank_updates,
+)
+from airgs_codec.encoder.sample import CalibrationSample, Cost, block_rows
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, Shares
+from airgs_codec.encoder.survey import Survey
+from airgs_codec.errors import SceneError
+from airgs_codec.media.metrics import Picture
+from airgs_codec.package.layout import STATE
+from airgs_codec.render.compare import compare, draw_ahead, draw_frames
+from airgs_codec.scene.gaussians import Gaussians, mix_rows
+from airgs_codec.scene.sequence import GaussianSequence
+
+SAMPLE_BLOCKS = 150  # of rows, over all frames of the sample together
+FEWEST_BLOCKS = 5  # in a frame
+MOST_FRAMES = 32
+
+SLOPE = 0.5  # of the bytes: what steps e times as large save, of fox and spinach
+TRIAL = 1.5  # factor between the two steps at which bytes and error are measured
+PRIOR = 0.02  # share of all bytes and error that every step has at least: a step without effect hardly moves
+# The attribute whose planes are coded anew when a step changes.
+STEPS = {
+    "key.quaternions": "quaternions",
+    "key.log_scales": "log_scales",
+    "key.opacity": "opacity",
+    "key.sh_dc": "colour",
+    "key.sh_rest": "colour",
+    "grid": "means",
+    "state.means": "means",
+    "state.quaternions": "quaternions",
+    "state.log_scales": "log_scales",
+    "state.opacity": "opacity",
+    "state.sh_dc": "colour",
+    "state.sh_rest": "colour",
+}
+# m: bytes saved by a step e times as large; b: the error of a step f times as large is b f^2
+Slope = tuple[float, float]
+# Of each level: the factor on every step, its key quality, its key tiers. A rung costs what a package with only that
+# rung would: all steps grow alike, and with their square the price of a byte.
+LEVELS = ((1.0, 0, 3), (1.6, 1, 3), (2.3, 1, 2), (3.4, 2, 2), (4.8, 2, 1))
+FACTORS = (0.1, 0.2, 0.35, 0.6, 1.0, 1.6, 2.4, 3.5, 5.0, 8.0)  # on the steps, for which a share is chosen
+SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withholds, tried
+CORES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.42, 0.35, 0.28)  # of the rows, in the first key tiers together, tried
+REVISION = 6  # of this method, for the cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Subject:
+    """The group that is calibrated on."""
+
+    frames: Sequence[Gaussians]  # all of the group, with all input rows
+    layout: GroupLayout
+    pruning: RowPruning
+    settings: EncodeSettings
+
+    @staticmethod
+    def of(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Subject:
+        """Lay out the group at `settings`."""
+        loaded = sequence.load(range(survey.span.start, survey.span.stop))
+        layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
+        return Subject(loaded.frames, layout, prune_rows(loaded.frames, survey), settings)
+
+    def canonical(self) -> Gaussians:
+        """The canonical frame, N rows in file order."""
+        return self.layout.key
+
+    def sample(self, fps: float) -> CalibrationSample:
+        """Blocks spread over all rows, and the frames of the first segment: enough to see P and B pictures settle."""
+        layout, settings = self.layout, self.settings
+        segment = min(len(self.frames), MOST_FRAMES, max(1, int(settings.segment_s * fps)))
+        index = block_rows(len(layout.rows), max(FEWEST_BLOCKS, SAMPLE_BLOCKS // segment))
+        sample = CalibrationSample(
+            index=index,
+            key=layout.key.take(index),
+            frames=[frame.take(layout.rows[index]) for frame in self.frames[:segment]],
+            classes=layout.classes[index],
+            sensitivity=layout.sensitivity.take(index),
+            moving=np.ones(len(index), bool),
+            row_ratio=len(layout.rows) / len(index),
+            group_frames=len(self.frames),
+            segment_frames=segment,
+        )
+        states = sample.states(sample.code_key(settings.steps, 1.0)[1], settings.steps)
+        weights = channel_weights(sample.classes, sample.sensitivity, layout.state_steps, layout.transform)
+        moving = find_moving(states[1:], states[1:] - states[0], weights, settings.keep_all)
+        return replace(sample, moving=moving)
+
+
+def get_step(steps: StepSettings, name: str) -> float:
+    """A step by its name in STEPS, or "rows"."""
+    side, _, attribute = name.partition(".")
+    return float(getattr(getattr(steps, side), attribute) if attribute else getattr(steps, side))
+
+
+def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
+    """The same steps but one."""
+    side, _, attribute = name.partition(".")
+    changed: Any = replace(getattr(steps, side), **{attribute: value}) if attribute else value
+    return replace(steps, **{side: changed})
+
+
+def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float]:
+    """Steps of one price that together make the error that `subject.settings.steps` make, and the price.
+
+    Raises SceneError as `balance`.
+    """
+    steps = subject.settings.steps
+    factors, price = balance(measure_slopes(sample, subject))
+    for name, factor in factors.items():
+        steps = with_step(steps, name, float(f"{get_step(steps, name) * factor:.4g}"))
+    return steps, price
+
+
+def balance(slopes: Mapping[str, Slope]) -> tuple[dict[str, float], float]:
+    """A factor on every step, and the price of a byte; no factors and 0 where no bytes or no error depend on steps.
+
+    Bytes fall with the logarithm of a step, at m; its error is b times its square. With factors f, sum b f^2 stays and
+    bytes are least where f^2 = (m / sum m) / (b / sum b); a byte then costs 2 sum b / sum m. PRIOR keeps factors
+    within sqrt((1 + PRIOR) / PRIOR), 7.1, of 1. Raises SceneError for slopes that are not finite.
+    """
+    for name, slope in slopes.items():
+        if not np.isfinite(slope).all():
+            raise SceneError(f"calibration: expected finite bytes and errors of {name}, got {slope[0]:g}, {slope[1]:g}")
+    known = {name: (max(m, 0.0), max(b, 0.0)) for name, (m, b) in slopes.items()}
+    rate, error = sum(m for m, _ in known.values()), sum(b for _, b in known.values())
+    if rate == 0 or error == 0:
+        return {}, 0.0
+    shares = {name: (m / rate + PRIOR, b / error + PRIOR) for name, (m, b) in known.items()}
+    return {name: (m / b) ** 0.5 for name, (m, b) in shares.items()}, 2 * error / rate
+
+
+def guess_price(sample: CalibrationSample, subject: Subject) -> float:
+    """The price of a byte at the steps of `subject.settings`, from one trial encode.
+
+    Error grows with the square of the steps, bytes fall with their logarithm at about SLOPE of what they are.
+    """
+    cost = sample.cost(subject.settings.steps)
+    return 2 * (cost.key_error + cost.state_error + subject.layout.removal_error) / (SLOPE * cost.bytes)
+
+
+def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slope]:
+    """Slopes of every step, from trial encodes a factor TRIAL finer and coarser."""
+    steps = subject.settings.steps
+    names = [n for n in STEPS if subject.frames[0].sh_rest.shape[1] or not n.endswith("sh_rest")]
+
+    def trial(name: str, factor: float) -> Cost:
+        return sample.cost(with_step(steps, name, get_step(steps, name) * factor), (STEPS[name],))
+
+    with ThreadPoolExecutor(subject.settings.threads) as pool:
+        finer = list(pool.map(trial, names, itertools.repeat(1 / TRIAL)))
+        coarser = list(pool.map(trial, names, itertools.repeat(TRIAL)))
+    slopes: dict[str, Slope] = {}
+    for name, was, now in zip(names, finer, coarser, strict=True):
+        grows = now.state_error - was.state_error + now.key_error - was.key_error
+        slopes[name] = (was.bytes - now.bytes) / np.log(TRIAL**2), grows / (TRIAL**2 - TRIAL**-2)
+    if subject.layout.removal_error > 0:
+        slopes["rows"] = _row_slope(sample, subject)
+    return slopes
+
+
+def _row_slope(sample: CalibrationSample, subject: Subject) -> Slope:
+    """The same for the error that leaving out rows may make: what TRIAL times as much would save."""
+    steps = subject.settings.steps
+    kept = subject.pruning.within(steps.rows * TRIAL)
+    fewer = sample.take(np.isin(subject.layout.rows[sample.index], kept.rows)).cost(steps)
+    saved = sample.cost(steps).bytes - fewer.bytes
+    return saved / np.log(TRIAL), (kept.error - subject.layout.removal_error) / (TRIAL**2 - 1)
+
+
+def choose_tiers(sample: CalibrationSample, subject: Subject, steps: StepSettings, price: float) -> tuple[float, ...]:
+    """Share of the rows in each key tier, from the price of a byte at the top level.
+
+    The first tiers have the rows whose keys are worth their bytes at the levels that fetch no others; what pictures
+    miss without the others is rendered for some of CORES.
+    """
+    most = max(tiers for _, _, tiers in LEVELS)
+    if subject.layout.removal_error == 0:
+        return (1.0,)
+    rows = len(subject.pruning.within(steps.rows).rows)
+    bounds = [0.0]
+    for count in range(1, most):
+        factor = float(np.exp(np.mean([np.log(f) for f, _, tiers in LEVELS if tiers == count])))
+        size = factor**2 * price * sample.code_key(steps, factor)[0]
+        shares = [share for share in CORES if share > bounds[-1]]
+        bounds.append(min(shares, key=lambda s: subject.pruning.error_of(round(s * rows)) + size * s, default=1.0))
+    return tuple(stop - start for start, stop in itertools.pairwise([*bounds, 1.0]))
+
+
+def make_levels(tiers: int) -> tuple[LevelSettings, ...]:
+    """The levels of LEVELS, which withhold nothing yet, where there are `tiers` key tiers."""
+    return tuple(LevelSettings(0.0, factor, min(count, tiers), quality) for factor, quality, count in LEVELS)
+
+
+def key_factors() -> tuple[float, ...]:
+    """Factors on the key steps: of each key quality the geometric mean of its levels' factors, to four digits."""
+    qualities = sorted({quality for _, quality, _ in LEVELS})
+    means = [np.exp(np.mean([np.log(f) for f, q, _ in LEVELS if q == quality])) for quality in qualities]
+    return tuple(float(f"{mean:.4g}") for mean in means)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Withholding:
+    """What withholding updates would do to the pictures of a group."""
+
+    score: NDArray[np.float64]  # (N,) of updates, the least one is withheld first
+    errors: tuple[float, ...]  # rendered, of withholding each of SHARES of the updates
+
+    @staticmethod
+    def of(subject: Subject) -> Withholding:
+        """Rank the updates of all rows and render without the lowest ones."""
+        canonical, rows, pictures = subject.canonical(), subject.layout.rows, subject.layout.pictures
+        frames = [subject.frames[t].take(rows) for t, _ in pictures]
+        score, moving = _rank(subject, [canonical, *frames])
+        depths = assign_depths(score, moving, SHARES)
+        views = [(i, camera) for i, (_, camera) in enumerate(pictures)]
+        renderer = subject.layout.renderer
+        whole = draw_ahead(draw_frames(frames.__getitem__, renderer), views)
+
+        def error(share: int) -> float:
+            updated = (moving & (depths >= share)) | ~moving
+            held = draw_frames(lambda i: mix_rows(frames[i], canonical, updated), renderer)
+            return pooled_error(list(compare(whole, held, views, Picture.mse)))
+
+        return Withholding(score, (0.0, *(error(share) for share in range(1, len(SHARES)))))
+
+    def kept(self, sample: CalibrationSample, share: float) -> NDArray[np.bool_]:
+        """(n,) moving rows of a sample whose updates are not among the `share` withheld."""
+        kept: NDArray[np.bool_] = sample.moving & (assign_depths(self.score[sample.index], sample.moving, [share]) == 0)
+        return kept
+
+
+def choose_shares(
+    sample: CalibrationSample,
+    withholding: Withholding,
+    steps: StepSettings,
+    price: float,
+    factors: Sequence[float],
+    jobs: int,
+) -> tuple[Shares, float]:
+    """The cheapest share of the updates to withhold at each of `factors` on `steps`; empty if nothing moves.
+
+    `price` is that of a byte a frame at factor 1, in squared error. Also gives the mean squared error that factor 1
+    is expected to make, but for rows that are left out. `jobs` trial encodes run at a time.
+    """
+    states = sample.states(sample.code_key(steps, 1.0)[1], steps)
+    still = sample.error(states[0][None], steps)
+    if not sample.moving.any():
+        return (), float(still.sum())
+    tried = sorted({1.0, *factors})
+    kept = [withholding.kept(sample, share) for share in SHARES]
+    with ThreadPoolExecutor(jobs) as pool:
+        coded = dict(zip(tried, pool.map(lambda factor: sample.code_states(states, factor), tried), strict=True))
+        whole, error = coded[1.0]
+        if whole == 0:  # no channel has a plane
+            return (), float(sample.error(error, steps).sum())
+        fewer = pool.map(lambda rows: replace(sample, moving=rows).code_states(states, 1.0)[0], kept)
+        parts = [size / whole for size in fewer]
+    shares: dict[float, float] = {}
+    expected, least = 0.0, 0.0
+    for factor in sorted(coded):
+        size, error = coded[factor]
+        shown = [float(np.where(rows, sample.error(error, steps), still * factor**2).sum()) for rows in kept]
+        errors = [held + e for held, e in zip(withholding.errors, shown, strict=True)]
+        costs = [e + factor**2 * price * part * size for e, part in zip(errors, parts, strict=True)]
+        best = int(np.argmin(costs))
+        expected = errors[best] if factor == 1 else expected
+        least = max(least, SHARES[best])
+        shares[factor] = least
+    return tuple((factor, shares[factor]) for factor in sorted(factors)), expected
+
+
+def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """`rank_updates` of all N rows; `frames` are the canonical one and those that are ranked."""
+    layout, settings = subject.layout, subject.settings
+    channels = key_channels(frames[0], layout.transform, layout.key_steps).astype(np.float32)
+    base = layout.canonical_space(channels, np.zeros(len(layout.codes), np.uint8))
+    steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
+    score, moving = np.empty(len(layout.rows)), np.empty(len(layout.rows), bool)
+    for rows in row_chunks(len(layout.rows), len(frames) * len(steps)):
+        states = state_channels([frame.take(rows) for frame in frames], base.part(rows), layout.state_steps) / steps
+        weights, usage, rank = layout.state_weights(rows), layout.usage.take(rows), settings.update_rank
+        changes = states[1:] - states[0]
+        score[rows], moving[rows] = rank_updates(states[1:], changes, weights, usage, rank, settings.keep_all)
+    return score, moving
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What a scene asks for at quality 1; the fields are those of EncodeSettings."""
+
+    steps: StepSettings
+    levels: tuple[LevelSettings, ...]
+    tiers: tuple[float, ...]
+    key_factors: tuple[float, ...]
+    shares: Shares
+    byte_price: float
+    expected: float  # mean squared error of pictures of the top rung
+
+    def apply(self, settings: EncodeSettings) -> EncodeSettings:
+        """Settings of an encode: what `settings.calibrate` asks for is replaced, and nothing is left to calibrate."""
+        chosen = replace(settings, calibrate="none", steps=self.steps, byte_price=self.byte_price)
+        if settings.calibrate != "ladder":
+            return chosen
+        ladder = replace(chosen, levels=self.levels, tiers=self.tiers, key_factors=self.key_factors, shares=self.shares)
+        return ladder.at(settings.quality)
+
+
+def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Calibration:
+    """Calibrate on the group of `survey`, starting at `settings.steps`, at quality 1.
+
+    Which updates the top level withholds decides what states cost, so that it is guessed before steps are solved for.
+    """
+    subject = Subject.of(sequence, survey, replace(settings, quality=1.0, tiles=1))
+    sample, withholding = subject.sample(float(sequence.fps)), Withholding.of(subject)
+    top = sample
+    if settings.calibrate == "ladder":
+        guess = guess_price(sample, subject)
+        shares, _ = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.threads)
+        top = replace(sample, moving=withholding.kept(sample, shares[0][1])) if shares else sample
+    steps, price = solve_steps(top, subject)
+    shares, expected = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
+    if subject.layout.removal_error > 0:
+        expected += subject.pruning.within(steps.rows).error
+    if not shares:
+        return Calibration(steps, (LevelSettings(0.0),), (1.0,), (1.0,), (), price, expected)
+    tiers = choose_tiers(top, subject, steps, price)
+    return Calibration(steps, make_levels(len(tiers)), tiers, key_factors(), shares, price, expected)
