@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from airgs_codec.cli.common import Bar, parse_frames, run_command
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, look_at
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians, join_rows
-from airgs_codec.scene.ply import write_ply
 from airgs_codec.scene.sequence import ATTRIBUTION_NAME, GaussianSequence, open_sequence, read_attribution
 from airgs_codec.scene.sequence_json import write_settings
 

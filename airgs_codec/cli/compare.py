@@ -24,7 +24,7 @@ from airgs_codec.inspect.sides import (
 )
 from airgs_codec.media.image import write_png
 from airgs_codec.render import Camera, read_cameras
-from airgs_codec.scene.formats.clips import is_clip
+from airgs_codec.scene.formats.table import is_clip
 
 
 def add_compare(parser: argparse.ArgumentParser) -> None:

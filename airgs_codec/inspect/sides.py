@@ -21,7 +21,7 @@ from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
 from airgs_codec.scene.camera import BLACK, Background
-from airgs_codec.scene.formats.axes import Axes
+from airgs_codec.scene.formats.form import Axes
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.orbits import UP, orbit_views
 from airgs_codec.scene.rates import DEFAULT_FPS

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import World
-from airgs_codec.scene.formats.axes import Axes
+from airgs_codec.scene.formats.form import Axes
 
 Vector = NDArray[np.float64]
 

@@ -5,6 +5,7 @@ N Gaussians, K = (degree + 1)^2 - 1 SH coefficients past DC.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -15,6 +16,8 @@ SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), real SH band 0
 LEAST_SHARE = 1e-9
 ALPHA_LIMIT = 2.0**-20  # of a mean alpha, whose logit would be infinite at 0 and 1
 SH_REST = (0, 3, 8, 15)  # SH coefficients past DC for degree 0..3
+SATURATED_LOGIT = np.float32(math.log(1019))  # a quarter of a step of 1/255 off 0 and 1, whose logits are infinite
+_LEAST_SIZE = np.float32(1e-9)  # in place of 0, whose logarithm is infinite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,3 +97,20 @@ def sigmoid(x: NDArray[np.floating]) -> NDArray:
     """1 / (1 + e^-x) without overflow; -inf gives 0 and inf gives 1."""
     z = np.exp(-np.abs(x))
     return np.where(x >= 0, 1 / (1 + z), z / (1 + z)).astype(np.asarray(x).dtype)
+
+
+def logits_of(alpha: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Logits of opacities in [0, 1], NaN of NaN.
+
+    What is nearer to 0 or 1 than a quarter of a step of 1/255 becomes that, so that no logit is infinite.
+    """
+    alpha = alpha.astype(np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logits = np.log(alpha / (1 - alpha))
+    return np.clip(logits, -SATURATED_LOGIT, SATURATED_LOGIT).astype(np.float32)
+
+
+def logs_of(sizes: NDArray[np.floating]) -> NDArray[np.float32]:
+    """Logarithms of sizes; NaN of NaN and of what is negative, which is no size."""
+    with np.errstate(invalid="ignore"):
+        return np.log(np.where(sizes == 0, _LEAST_SIZE, sizes)).astype(np.float32)

@@ -7,8 +7,9 @@ from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.find import natural_key
-from airgs_codec.scene.ply import PlyHeader, is_whole, read_ply, read_ply_header
+from airgs_codec.scene.formats.form import FrameHeader
+from airgs_codec.scene.formats.ply import is_whole, read_ply, read_ply_header
+from airgs_codec.scene.formats.table import natural_key
 from airgs_codec.scene.sequence import GaussianSequence, sequence_of
 from airgs_codec.scene.sequence_json import SETTINGS_NAME
 
@@ -22,7 +23,7 @@ class GrowingFolder:
         """The arguments are those of `open_sequence`; the folder need not be there yet."""
         self._folder = Path(folder)
         self._views, self._fps = views, fps
-        self._frames: list[tuple[Path, PlyHeader]] = []
+        self._frames: list[tuple[Path, FrameHeader]] = []
         self._sequence: GaussianSequence | None = None
         self._read_at = 0  # when the sequence.json of that was written
 

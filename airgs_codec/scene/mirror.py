@@ -24,8 +24,8 @@ from airgs_codec.scene.cameras import colmap
 from airgs_codec.scene.cameras.read import NAMES as CAMERA_NAMES
 from airgs_codec.scene.files import Files, Read
 from airgs_codec.scene.formats.gltf import external_buffers
+from airgs_codec.scene.formats.ply_elements import HEADER_END, MAX_HEADER
 from airgs_codec.scene.formats.sog import META_NAME
-from airgs_codec.scene.ply_elements import HEADER_END, MAX_HEADER
 from airgs_codec.scene.sequence_json import SETTINGS_NAME
 
 LIMIT = 2 << 30  # bytes of frames on the disk, beside those that are held

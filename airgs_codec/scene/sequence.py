@@ -16,15 +16,19 @@ from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
 from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
 from airgs_codec.scene.files import LOCAL, Files
-from airgs_codec.scene.formats.axes import Axes
-from airgs_codec.scene.formats.clip import Bake, Clip
-from airgs_codec.scene.formats.clips import SUFFIXES, clip_format
-from airgs_codec.scene.formats.find import Found, find_frames
-from airgs_codec.scene.formats.table import Format, format_of, read_frame, read_frame_header
+from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
+from airgs_codec.scene.formats.table import (
+    CLIP_SUFFIXES,
+    Found,
+    clip_format,
+    find_frames,
+    format_of,
+    read_frame,
+    read_frame_header,
+)
 from airgs_codec.scene.frames import LazyFrames
-from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.mirror import Mirror
-from airgs_codec.scene.ply import PlyHeader
 from airgs_codec.scene.rates import frame_rate
 from airgs_codec.scene.repair import Repaired, repair
 from airgs_codec.scene.sequence_json import DEFAULTS, read_settings
@@ -44,7 +48,7 @@ class GaussianSequence:
 
     folder: Path
     paths: tuple[Path, ...]  # of the frames
-    headers: tuple[PlyHeader, ...]  # of the frames
+    headers: tuple[FrameHeader, ...]  # of the frames
     fps: Fraction  # frames a second
     keyframes: tuple[int, ...] | None  # first frames of groups, where sequence.json names them
     cameras: tuple[Camera, ...]  # empty where none are given
@@ -68,7 +72,7 @@ class GaussianSequence:
         return self.clip.axes if self.clip else self.format.axes
 
     @property
-    def format(self) -> Format:
+    def format(self) -> FrameFormat:
         """The format of the frames, where they are no clip. Raises SceneError."""
         with self.files.hold(self.paths[:1]) as [path]:
             return format_of(path)
@@ -110,15 +114,11 @@ class GaussianSequence:
         numbers = list(wanted)
         span = f"frame {numbers[0]}" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}"
         where = f"{(self.paths[0] if self.alone else self.folder).name} {span}"
-        kept = sum(self._bytes(number) for number in numbers) <= KEPT_BYTES
+        kept = sum(replace(self.headers[n], sh_degree=self.sh_degree).bytes for n in numbers) <= KEPT_BYTES
         stored = LazyFrames(self.read, numbers)
         with self.files.hold(dict.fromkeys(self.paths[number] for number in numbers)):
             done = repair(list(stored) if kept else stored, where)
         return replace(done, frames=list(done.frames)) if kept else done
-
-    def _bytes(self, frame: int) -> int:
-        """What a frame takes in memory."""
-        return 4 * self.headers[frame].count * (14 + 3 * SH_REST[self.sh_degree])
 
 
 def read_attribution(folder: Path) -> str:
@@ -142,7 +142,7 @@ def open_sequence(
 
     It may be at an address, s3://, gs:// or az://: then files are fetched when they are read (`scene.mirror`).
 
-    Frames are of any format in `scene.formats.table.FORMATS`, all of the same, in natural order of their names (frame2
+    Frames are of any format in `scene.formats.table.FRAMES`, all of the same, in natural order of their names (frame2
     before frame10); of an INRIA model the newest iteration is taken. Beside them may lie
 
     - sequence.json: `{"fps": number, "keyframes": [first frame of each group, ...], "background": [r, g, b]}`; without
@@ -155,7 +155,7 @@ def open_sequence(
     folder of cameras (`scene.cameras.read.read_cameras`), `fps` (frames a second, above 0 and at most 1000) another
     frame rate; both take precedence over what the folder says.
 
-    A clip is a file of a format in `scene.formats.clips.CLIP_FORMATS`, which holds many frames; `clip.note` says how
+    A clip is a file of a format in `scene.formats.table.CLIPS`, which holds many frames; `clip.note` says how
     they came about. Moving Gaussians are baked at `bake_fps` frames a second, which are played at `fps` (default: the
     same); `duration` (seconds) is the length of a clip whose file states none. Its own cameras go before those beside
     it, where they are of the scene.
@@ -179,7 +179,7 @@ def _open(
         with files.hold(found.paths) as [path]:
             return _sequence_of_clip(found, form.open(path, bake), views, fps)
     if bake != Bake():
-        raise SceneError(f"{place}: expected a clip to bake ({', '.join(SUFFIXES)}), got frames")
+        raise SceneError(f"{place}: expected a clip to bake ({', '.join(CLIP_SUFFIXES)}), got frames")
     headers = files.read_headers(found.paths, read_frame_header)
     frames = list(zip(found.paths, headers, strict=True))
     return sequence_of(found.folder, frames, views=views, fps=fps, alone=found.alone)
@@ -204,7 +204,7 @@ def _sequence_of_clip(
 
 def sequence_of(
     folder: Path,
-    frames: Sequence[tuple[Path, PlyHeader]],
+    frames: Sequence[tuple[Path, FrameHeader]],
     *,
     views: str | Path | None = None,
     fps: Fraction | float | None = None,

@@ -23,8 +23,8 @@ import numpy as np
 from airgs_codec._files import PART_SUFFIX, atomic_path, to_json, write_json
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.scene.camera import BLACK
+from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import read_ply, write_ply
 from airgs_codec.scene.sequence import USAGE_NAME
 from airgs_codec.scene.sequence_json import write_settings
 from airgs_codec.scene.usage import Usage, save_usage

@@ -8,8 +8,8 @@ from scipy.spatial import cKDTree
 
 from airgs_codec.analysis import rows as matching
 from airgs_codec.analysis.rows import IN_ORDER, LOST, UNRELATED, compare_order, match_rows
+from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import read_ply
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians
 

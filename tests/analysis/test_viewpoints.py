@@ -8,7 +8,7 @@ import pytest
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.errors import SceneError
 from airgs_codec.render import render
-from airgs_codec.scene.ply import read_ply
+from airgs_codec.scene.formats.ply import read_ply
 from tests.support.paths import FOX
 from tests.support.places import ball, filmed_room, floor, needles
 from tests.support.scenes import random_gaussians

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.cli import decode, encode, manifest, play
-from airgs_codec.scene.ply import read_ply, write_ply
+from airgs_codec.scene.formats.ply import read_ply, write_ply
 from tests.support.camera_files import write_colmap_binary, write_inria
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence

@@ -5,6 +5,7 @@ import json
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,12 +15,12 @@ from airgs_codec.cli import decode
 from airgs_codec.decoder.decode import decode as decode_frame
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.formats import write
-from airgs_codec.scene.formats.table import FORMATS, read_frame
+from airgs_codec.scene.formats.table import FRAMES, read_frame
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import GOLDEN, VALID
 
 FOX = GOLDEN / "fox"
-KEYS = [form.key for form in FORMATS]
+KEYS = [form.key for form in FRAMES]
 
 
 def run(*options):
@@ -132,15 +133,14 @@ def test_a_missing_library_is_said_first(tmp_path, monkeypatch, capsys):
 def test_after_a_failure_everything_is_as_it_was(tmp_path, monkeypatch, place, capsys):
     """The disk is full at the last frame."""
     options = ("-o", f"{tmp_path}/{place}", "--format", "splat", "--frames", "0:3" if place == "frames/" else "2")
-    written = FORMATS[KEYS.index("splat")].write
+    written = FRAMES[KEYS.index("splat")].write
 
     def full(path, gaussians):
         written(path, gaussians)
         if path.name != "000000.splat":
             raise OSError(28, "No space left on device", str(path))
 
-    broken = [type(f)(*(full if n == "write" and f.key == "splat" else getattr(f, n) for n in f.__slots__))
-              for f in FORMATS]  # fmt: skip
+    broken = [replace(form, write=full) if form.key == "splat" else form for form in FRAMES]
     with monkeypatch.context() as patched:
         patched.setattr(write, "WRITERS", broken)
         assert "No space left" in refusal(capsys, *options)

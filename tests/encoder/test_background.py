@@ -16,7 +16,7 @@ from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.region import MEASURING, before_background, draw_views
 from airgs_codec.package.store import open_package
 from airgs_codec.render import render
-from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.multiview_files import write_cameras
 from tests.support.views import coloured_cloud, ring

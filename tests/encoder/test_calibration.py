@@ -13,7 +13,7 @@ from airgs_codec.encoder.calibration import cache
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.jobs.work import temporary_work
-from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
 from airgs_codec.scene.usage import Usage, save_usage
 from tests.support.jobs import encode_job

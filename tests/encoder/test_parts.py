@@ -17,7 +17,7 @@ from airgs_codec.jobs import work as work_module
 from airgs_codec.jobs.engines import Processes
 from airgs_codec.jobs.store import WorkFolder, open_store
 from airgs_codec.jobs.work import Part, Work
-from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.mutations import read_files
 from tests.support.scenes import moving_frames, write_sequence

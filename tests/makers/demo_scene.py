@@ -16,7 +16,7 @@ import numpy as np
 
 from airgs_codec.analysis.sensitivity import measure_usage
 from airgs_codec.render import read_cameras
-from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 
 FIRST, KEYFRAME, LAST = 7, 12, 16  # frames of the full sequence, last included

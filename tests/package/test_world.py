@@ -16,7 +16,7 @@ from airgs_codec.package.region import first_place, levelled, upright
 from airgs_codec.package.store import open_package, root_of
 from airgs_codec.package.tables import World
 from airgs_codec.package.world import fault_of, misread, parse_up, read_world, unit_of, up_of, world_from, world_words
-from airgs_codec.scene.formats.axes import Axes
+from airgs_codec.scene.formats.form import Axes
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 

@@ -11,8 +11,8 @@ from airgs_codec.render.cpu import Redraw, activate, blend, contribution_and_gra
 from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.render.reference import blending_weights, render_reference
+from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import read_ply
 from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
 

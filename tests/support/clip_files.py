@@ -14,11 +14,11 @@ from fourdgs.keyframe_delta_file import write_sequence
 from fourdgs.keyframe_delta_writer import Sample
 from numpy.typing import NDArray
 
-from airgs_codec.scene.formats.holds import Losses
+from airgs_codec.scene.formats.form import Losses
+from airgs_codec.scene.formats.ply_elements import write_floats
+from airgs_codec.scene.formats.spacetime import ROW
 from airgs_codec.scene.formats.splat import SPLAT, write_splat
-from airgs_codec.scene.formats.splatv import ROW
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
-from airgs_codec.scene.ply_elements import write_floats
 
 WIDTH = 64  # texels of a .splatv, where splaTV has 4096
 
@@ -76,7 +76,7 @@ def write_splat4d(path: Path, frames: Sequence[Gaussians], fps: int) -> NDArray[
     folder = path.with_suffix("")
     folder.mkdir()
     for number, g in enumerate(frames):
-        write_splat(folder / f"frame_{number:04d}.splat", Losses(SPLAT, ".splat").fit(g, "frame"))
+        write_splat(folder / f"frame_{number:04d}.splat", Losses(SPLAT.holds, ".splat").fit(g, "frame"))
     command = str(Path(sys.executable).with_name("splat4d"))
     words = ["encode", "-i", folder, "-o", path, "--fps", fps, "--gop", 3, "--perm-out", folder / "order"]
     subprocess.run([command, *map(str, words)], check=True, capture_output=True)

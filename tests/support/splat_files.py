@@ -12,8 +12,8 @@ import pygltflib
 from gaussforge import GaussForge
 
 from airgs_codec.scene.formats.gltf import EXTENSION
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import write_ply
 
 KINDS = {  # suffix of a file: what the library calls its format, and its version of .spz
     ".compressed.ply": ("compressed.ply", 3),

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import read_ply, write_ply
 from airgs_codec.scene.sequence import open_sequence
 
 

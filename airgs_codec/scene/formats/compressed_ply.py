@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.holds import Holds
+from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds
 from airgs_codec.scene.formats.library import read_with_library
+from airgs_codec.scene.formats.ply_elements import Header, read_header
 from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
 from airgs_codec.scene.morton import morton_encode
-from airgs_codec.scene.ply import PlyHeader
-from airgs_codec.scene.ply_elements import Header, read_header
 
 _CHUNK = 256  # rows
 _WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
@@ -22,11 +21,6 @@ _BOUNDS = tuple(f"{end}_{what}{axis}" for what in ("", "scale_") for end in ("mi
 _COLOURS = tuple(f"{end}_{c}" for end in ("min", "max") for c in "rgb")
 _GRID = (1 << 16) - 1  # cells an axis, by which rows are sorted
 _SH_RANGE = 4.0
-COMPRESSED_PLY = Holds(
-    rounding="positions and sizes to 10 or 11 bits of the range of 256 neighbours, rotations to 10, all else to 8",
-    keeps_rows=False,
-    ranges=(("log_scales", -20, 20), ("sh_rest", -_SH_RANGE, _SH_RANGE)),
-)
 
 
 def is_compressed(header: Header) -> bool:
@@ -35,7 +29,7 @@ def is_compressed(header: Header) -> bool:
     return vertex is not None and any(p.name in _WORDS for p in vertex.properties)
 
 
-def read_compressed_header(path: Path) -> PlyHeader:
+def read_compressed_header(path: Path) -> FrameHeader:
     """Count and SH degree. Raises SceneError for a header or a length that is not this format's."""
     header = read_header(path)
     vertex, chunk, sh = (header.element(name) for name in ("vertex", "chunk", "sh"))
@@ -52,7 +46,7 @@ def read_compressed_header(path: Path) -> PlyHeader:
         raise SceneError(f"{path}: expected {vertex.count} SH rows of bytes, got {sh.count}")
     if (size := path.stat().st_size) < header.least_size:
         raise SceneError(f"{path}: expected {header.least_size} bytes, got a truncated file of {size}")
-    return PlyHeader(vertex.count, SH_REST.index(coefficients // 3))
+    return FrameHeader(vertex.count, SH_REST.index(coefficients // 3))
 
 
 def read_compressed(path: Path) -> Gaussians:
@@ -62,7 +56,7 @@ def read_compressed(path: Path) -> Gaussians:
 
 
 def write_compressed(path: Path, gaussians: Gaussians) -> None:
-    """Write one frame of unit quaternions, within COMPRESSED_PLY's ranges, in Morton order.
+    """Write one frame of unit quaternions, within COMPRESSED's ranges, in Morton order.
 
     Neighbours share a chunk, whose bounds are as tight as that makes them. Layout: PlayCanvas' splat-transform.
     """
@@ -123,3 +117,19 @@ def _pack_rotations(quaternions: NDArray[np.float32]) -> NDArray[np.uint32]:
     others = np.array([[j for j in range(4) if j != i] for i in range(4)])[largest]
     rest = np.take_along_axis(q, others, 1) * np.sqrt(0.5) + 0.5
     return largest.astype(np.uint32) << np.uint32(30) | _pack(rest, (10, 10, 10))
+
+
+COMPRESSED = FrameFormat(
+    name="compressed .ply",
+    key="compressed.ply",
+    suffixes=(".ply",),
+    fits=is_compressed,
+    read_header=read_compressed_header,
+    read=read_compressed,
+    write=write_compressed,
+    holds=Holds(
+        rounding="positions and sizes to 10 or 11 bits of the range of 256 neighbours, rotations to 10, all else to 8",
+        keeps_rows=False,
+        ranges=(("log_scales", -20, 20), ("sh_rest", -_SH_RANGE, _SH_RANGE)),
+    ),
+)

@@ -11,6 +11,7 @@ import json
 import math
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.holds import Holds
-from airgs_codec.scene.formats.linear import SIZES, logits_of, logs_of
-from airgs_codec.scene.formats.nodes import Placed, placed
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
-from airgs_codec.scene.ply import PlyHeader
+from airgs_codec.scene.formats.form import SIZES, Axes, FrameFormat, FrameHeader, Holds
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, logits_of, logs_of
 from airgs_codec.scene.rotations import multiply
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -33,7 +31,9 @@ _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
 _MOST_JSON = 1 << 24  # bytes
 _MOST_BYTES = 1 << 32  # of a .glb, whose length is a word of 32 bits
-GLB = Holds(ranges=(SIZES,))
+_MOST_NODES = 10_000  # that are walked through, and primitives of splats in them
+_TOLERANCE = 1e-3  # of a matrix that turns and scales alike, relative
+_POINTS = 0
 _BROKEN = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
 
 
@@ -46,65 +46,70 @@ class _Document:
     chunk: bytes
 
 
-def read_gltf_header(path: Path) -> PlyHeader:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Placed:
+    """A primitive of splats with the transform of its node: x -> matrix x + translation."""
+
+    attributes: dict[str, int]  # numbers of accessors
+    extension: dict[str, Any]
+    matrix: NDArray[np.float64]  # (3, 3), `scale` times the rotation
+    translation: NDArray[np.float64]  # (3,)
+    scale: float
+    rotation: NDArray[np.float64]  # (4,) w, x, y, z
+
+
+def read_gltf_header(path: Path) -> FrameHeader:
     """Count and SH degree of all splats together. Raises SceneError."""
-    document = _open(path, only_json=True)
-    try:
-        return _header(document, list(placed(document.json, EXTENSION)))
-    except _BROKEN as error:
-        raise _refusal(path, error) from error
+    with _expecting(path):
+        document = _open(path, only_json=True)
+        return _header(document, list(_splats(document.json)))
 
 
 def read_gltf(path: Path) -> Gaussians:
     """The splats of all nodes of the scene, one after another. Raises SceneError."""
-    document = _open(path)
-    try:
-        primitives = list(placed(document.json, EXTENSION))
+    with _expecting(path):
+        document = _open(path)
+        primitives = list(_splats(document.json))
         degree = _header(document, primitives).sh_degree
         buffers = _buffers(document)
-        parts = [_read(document.json, buffers, p, degree) for p in primitives]
-    except SceneError:
-        raise
-    except _BROKEN as error:
-        raise _refusal(path, error) from error
-    return join_rows(parts)
+        return join_rows([_read(document.json, buffers, p, degree) for p in primitives])
 
 
 def external_buffers(path: Path) -> list[str]:
     """Names of the files beside it that its buffers are in. Raises SceneError."""
-    try:
+    with _expecting(path):
         uris = [buffer.get("uri") for buffer in _open(path, only_json=True).json.get("buffers", [])]
         return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
+
+
+@contextmanager
+def _expecting(path: Path) -> Iterator[None]:
+    """Turns what goes wrong while a file is read into a SceneError of one line; an OSError passes."""
+    try:
+        yield
     except _BROKEN as error:
-        raise _refusal(path, error) from error
-
-
-def _refusal(path: Path, error: Exception) -> SceneError:
-    words = f"no {error}" if isinstance(error, KeyError) else str(error)
-    return SceneError(f"{path}: expected glTF with {EXTENSION}: {words[:160]}")
+        words = f"no {error}" if isinstance(error, KeyError) else str(error)
+        raise SceneError(f"{path}: expected glTF with {EXTENSION}: {words[:160]}") from error
 
 
 def _open(path: Path, *, only_json: bool = False) -> _Document:
-    """The JSON and, unless only that is asked for, the binary chunk."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(20)
-            if head[:4] != b"glTF":
-                text, chunk = head + file.read(_MOST_JSON), b""
-                if len(text) > _MOST_JSON:
-                    raise ValueError(f"JSON of at most {_MOST_JSON} bytes; put the buffer in a file, or write a .glb")
-            else:
-                length = int.from_bytes(head[12:16], "little")
-                if head[4:8] != b"\2\0\0\0" or head[16:20] != b"JSON" or length > _MOST_JSON:
-                    raise ValueError(f"a header of GLB 2, got {head!r}")
-                text = file.read(length)
-                chunk = b"" if only_json else file.read()[8:]
-        return _Document(path, json.loads(text), chunk)
-    except (ValueError, RecursionError) as error:
-        raise _refusal(path, error) from error
+    """Read the JSON and, unless only that is asked for, the binary chunk. Raises OSError, or one of _BROKEN."""
+    with path.open("rb") as file:
+        head = file.read(20)
+        if head[:4] != b"glTF":
+            text, chunk = head + file.read(_MOST_JSON), b""
+            if len(text) > _MOST_JSON:
+                raise ValueError(f"JSON of at most {_MOST_JSON} bytes; put the buffer in a file, or write a .glb")
+        else:
+            length = int.from_bytes(head[12:16], "little")
+            if head[4:8] != b"\2\0\0\0" or head[16:20] != b"JSON" or length > _MOST_JSON:
+                raise ValueError(f"a header of GLB 2, got {head!r}")
+            text = file.read(length)
+            chunk = b"" if only_json else file.read()[8:]
+    return _Document(path, json.loads(text), chunk)
 
 
-def _header(document: _Document, primitives: list[Placed]) -> PlyHeader:
+def _header(document: _Document, primitives: list[_Placed]) -> FrameHeader:
     """What the JSON promises. Raises SceneError, or one of _BROKEN."""
     if not primitives:
         raise ValueError("no node of its scene has splats")
@@ -126,7 +131,78 @@ def _header(document: _Document, primitives: list[Placed]) -> PlyHeader:
         raise ValueError("splats with SH in a node that turns them")
     if count > (most := sum(_whole(buffer["byteLength"]) for buffer in document.json["buffers"])):
         raise ValueError(f"as many Gaussians as {most} bytes can hold, got {count}")
-    return PlyHeader(count, degrees.pop())
+    return FrameHeader(count, degrees.pop())
+
+
+def _splats(document: dict[str, Any]) -> Iterator[_Placed]:
+    """The primitives of splats of all nodes of the scene, in their order.
+
+    Raises ValueError for nodes that are too many, or scale splats differently in different directions; KeyError,
+    IndexError and TypeError where the document is broken.
+    """
+    nodes = document["nodes"]
+    roots = document["scenes"][document.get("scene", 0)]["nodes"] if document.get("scenes") else range(len(nodes))
+    waiting: list[tuple[int, NDArray[np.float64]]] = []
+    seen = _put(waiting, roots, np.eye(4))
+    while waiting:
+        number, above = waiting.pop()
+        node = nodes[number]
+        matrix = above @ _local(node)
+        primitives = document["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ()
+        if (seen := seen + _put(waiting, node.get("children", ()), matrix) + len(primitives)) > _MOST_NODES:
+            raise ValueError(f"at most {_MOST_NODES} nodes and primitives")
+        for primitive in primitives:
+            if (found := primitive.get("extensions", {}).get(EXTENSION)) is not None:
+                if primitive.get("mode", 4) != _POINTS:
+                    raise ValueError(f"splats as points, got mode {primitive.get('mode', 4)}")
+                yield _placed(primitive["attributes"], found, matrix)
+
+
+def _put(waiting: list[tuple[int, NDArray[np.float64]]], numbers: Any, matrix: NDArray[np.float64]) -> int:
+    """Append nodes below a matrix, so that the first is the next to be taken; how many they are."""
+    waiting += [(number, matrix) for number in reversed(numbers[: _MOST_NODES + 1])]
+    return len(numbers)
+
+
+def _local(node: dict[str, Any]) -> NDArray[np.float64]:
+    """(4, 4) the transform of a node."""
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    out = np.eye(4)
+    out[:3, :3] = _matrix(node.get("rotation", (0, 0, 0, 1))) * np.array(node.get("scale", (1, 1, 1)), np.float64)
+    out[:3, 3] = node.get("translation", (0, 0, 0))
+    return out
+
+
+def _matrix(quaternion: Any) -> NDArray[np.float64]:
+    """(3, 3) of a unit quaternion x, y, z, w."""
+    x, y, z, w = np.array(quaternion, np.float64)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _placed(attributes: dict[str, int], extension: dict[str, Any], matrix: NDArray[np.float64]) -> _Placed:
+    turn = matrix[:3, :3]
+    determinant = float(np.linalg.det(turn)) if np.isfinite(matrix).all() else 0.0
+    scale = max(determinant, 0.0) ** (1 / 3)
+    if not scale > 0 or np.abs(turn @ turn.T / scale**2 - np.eye(3)).max() > _TOLERANCE:
+        raise ValueError("a node that moves, turns and scales alike in all directions")
+    return _Placed(attributes, extension, turn, matrix[:3, 3], scale, _quaternion(turn / scale))
+
+
+def _quaternion(r: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(4,) w, x, y, z of a rotation: the eigenvector of the largest eigenvalue (Bar-Itzhack 2000)."""
+    k = np.zeros((4, 4))
+    k[0, 0] = np.trace(r)
+    k[0, 1:] = k[1:, 0] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    k[1:, 1:] = r + r.T - np.trace(r) * np.eye(3)
+    q = np.linalg.eigh(k)[1][:, -1]
+    return np.asarray(-q if q[0] < 0 else q, np.float64)
 
 
 def _harmonics(degree: int) -> Iterator[str]:
@@ -188,7 +264,7 @@ def _column(document: dict[str, Any], buffers: list[bytes], accessor: int, width
     return values
 
 
-def _read(document: dict[str, Any], buffers: list[bytes], primitive: Placed, degree: int) -> Gaussians:
+def _read(document: dict[str, Any], buffers: list[bytes], primitive: _Placed, degree: int) -> Gaussians:
     names = primitive.attributes
 
     def column(name: str, width: int) -> NDArray[np.float32]:
@@ -265,3 +341,15 @@ def _document_of(columns: dict[str, NDArray[np.float32]], size: int) -> dict[str
         "bufferViews": views,
         "accessors": accessors,
     }
+
+
+GLTF = FrameFormat(
+    name="glTF",
+    key="glb",
+    suffixes=(".glb", ".gltf"),
+    read_header=read_gltf_header,
+    read=read_gltf,
+    write=write_glb,
+    holds=Holds(ranges=(SIZES,)),
+    axes=Axes((0, 1, 0), metres=1.0),
+)

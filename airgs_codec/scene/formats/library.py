@@ -13,23 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.linear import SATURATED_LOGIT
-from airgs_codec.scene.formats.process import run_limited
-from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.ply import PlyHeader, read_ply, write_ply
+from airgs_codec.scene.formats.form import FrameHeader
+from airgs_codec.scene.formats.ply import read_ply, write_ply
+from airgs_codec.scene.formats.sandbox import CONVERT, run_limited
+from airgs_codec.scene.gaussians import SATURATED_LOGIT, Gaussians
 
 LIBRARY = "gaussforge"
-SPARE_ROWS = 1 << 16  # that a file may have beyond one a byte: no format stores a Gaussian in less
-_PROGRAM = Path(__file__).with_name("convert.py")
-_ROW_COPIES = 16  # of a row in float32, as input, in the library, as .ply
-
-
-def check_count(path: Path, header: PlyHeader) -> PlyHeader:
-    """The header, if a file of this size can hold so many rows. Raises SceneError, before memory is taken."""
-    size = path.stat().st_size
-    if header.count > size + SPARE_ROWS:
-        raise SceneError(f"{path}: expected as many Gaussians as {size} bytes can hold, got {header.count}")
-    return header
+_COPIES = 16  # of a frame in float32, as input, in the library, as .ply
 
 
 def expect_library(path: Path, form: str, library: str) -> None:
@@ -43,7 +33,7 @@ def find_command(name: str) -> str | None:
     return shutil.which(name, path=os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]))
 
 
-def read_with_library(path: Path, form: str, data: bytes, header: PlyHeader) -> Gaussians:
+def read_with_library(path: Path, form: str, data: bytes, header: FrameHeader) -> Gaussians:
     """The Gaussians in the bytes of a file whose header has been read; `form` is the library's name of the format.
 
     Raises SceneError when the library is not there, cannot read them, or finds others than the header promises.
@@ -51,7 +41,7 @@ def read_with_library(path: Path, form: str, data: bytes, header: PlyHeader) -> 
     expect_library(path, form, LIBRARY)
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "frame.ply"
-        reason = run_limited(_PROGRAM, [form, "ply", str(target)], _more(header), data)
+        reason = run_limited(CONVERT, [form, "ply", str(target)], _COPIES * header.bytes, data)
         try:
             found = read_ply(target)
         except SceneError:
@@ -73,12 +63,7 @@ def write_with_library(path: Path, form: str, gaussians: Gaussians) -> None:
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "frame.ply"
         write_ply(source, gaussians)
-        more = _more(PlyHeader(len(gaussians), gaussians.sh_degree))
-        reason = run_limited(_PROGRAM, ["ply", form, str(path.absolute())], more, source.read_bytes(), seconds=None)
+        more = _COPIES * FrameHeader(len(gaussians), gaussians.sh_degree).bytes
+        reason = run_limited(CONVERT, ["ply", form, str(path.absolute())], more, source.read_bytes(), seconds=None)
     if reason or not path.is_file():
         raise SceneError(f"{path}: gaussforge cannot write {len(gaussians)} Gaussians as {form}: {reason}")
-
-
-def _more(header: PlyHeader) -> int:
-    """Bytes that the library may take for so many rows."""
-    return header.count * _ROW_COPIES * 4 * (14 + 3 * SH_REST[header.sh_degree])

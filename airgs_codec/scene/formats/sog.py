@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.holds import Holds
-from airgs_codec.scene.formats.library import check_count, read_with_library, write_with_library
+from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds, check_count
+from airgs_codec.scene.formats.library import LIBRARY, read_with_library, write_with_library
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.ply import PlyHeader
 
 META_NAME = "meta.json"
 # What zipfile raises; a RuntimeError is that of an encrypted archive or of an unknown method of compression.
@@ -25,10 +24,6 @@ _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # zipfile unpacks others p
 _LEVELS = 256  # of a codebook
 _PICTURES = {"means": 2, "quats": 1, "scales": 1, "sh0": 1, "shN": 2}
 Meta = dict[str, Any]
-SOG = Holds(
-    rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette",
-    keeps_rows=False,
-)
 
 
 def is_sog_folder(folder: Path) -> bool:
@@ -39,7 +34,7 @@ def is_sog_folder(folder: Path) -> bool:
         return False
 
 
-def read_sog_header(path: Path) -> PlyHeader:
+def read_sog_header(path: Path) -> FrameHeader:
     """Count and SH degree, from meta.json. Raises SceneError."""
     return _header(path, _files(path, only_meta=True)[META_NAME])[0]
 
@@ -73,7 +68,7 @@ def write_sog_folder(folder: Path, gaussians: Gaussians) -> None:
     archive.unlink()
 
 
-def _header(path: Path, text: bytes) -> tuple[PlyHeader, list[str]]:
+def _header(path: Path, text: bytes) -> tuple[FrameHeader, list[str]]:
     """What meta.json says, and the pictures that it names."""
     try:
         meta = json.loads(text)
@@ -91,7 +86,7 @@ def _header(path: Path, text: bytes) -> tuple[PlyHeader, list[str]]:
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
         reason = f"{type(error).__name__} {error}"[:120]
         raise SceneError(f"{path}: expected {META_NAME} of a SOG file: {reason}") from error
-    return check_count(path / names[0] if path.is_dir() else path, PlyHeader(count, bands)), names
+    return check_count(path / names[0] if path.is_dir() else path, FrameHeader(count, bands)), names
 
 
 def _names(meta: Meta, part: str, number: int) -> list[str]:
@@ -150,3 +145,18 @@ def _check_picture(path: Path, name: str, data: bytes, count: int) -> None:
         raise SceneError(f"{path}: expected {name} to be lossless WebP, got {data[12:16]!r}")
     if width * height > 2 * count + _MOST_SPARE:
         raise SceneError(f"{path}: expected {name} for {count} Gaussians, got {width} x {height} pixels")
+
+
+SOG = FrameFormat(
+    name="SOG",
+    key="sog",
+    suffixes=(".sog", ".zip"),
+    read_header=read_sog_header,
+    read=read_sog,
+    write=write_sog,
+    holds=Holds(
+        rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette",
+        keeps_rows=False,
+    ),
+    writer=LIBRARY,
+)

@@ -2,29 +2,72 @@
 
 At the normalised time t of [0, 1], with d = t - centre (Li et al., Spacetime Gaussian Feature Splatting, CVPR 2024,
 equations 5 to 8): the mean is mean + motion_1 d + motion_2 d^2 + motion_3 d^3, the quaternion is quaternion + turn d,
-alpha is alpha exp(-(d / width)^2). Sizes and the colour, plain RGB without SH, stay. N Gaussians.
+alpha is alpha exp(-(d / width)^2). Sizes and the colour, plain RGB without SH, stay. N Gaussians. Two files hold it.
+
+The .ply that Spacetime Gaussians saves has INRIA's properties with motion, turns and temporal widths, and is told from
+INRIA's by trbf_center. f_dc_0 to 2 are plain RGB here, motion_0 to 2 the first power of time, and trbf_scale is a
+logarithm. The full model has further features, whose colours only its network knows: it is refused.
+
+splaTV's .splatv, 64 bytes a row, is read from the format's description by splaTV's shader: the magic 0x674b and the
+length of a JSON header, both 32 bits little-endian; the header, a list whose chunk of type "splat" has the size of a
+texture of 16 bytes a texel; then rows. Means are float32, colour and alpha bytes, all else float16; sizes and temporal
+widths are stored as they are, without logarithm.
 """
 
 from __future__ import annotations
 
 import functools
+import json
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.clip import Bake, Clip, count_frames, rate_words
-from airgs_codec.scene.formats.linear import logits_of
-from airgs_codec.scene.gaussians import SH_C0, Gaussians
-from airgs_codec.scene.ply import PlyHeader
+from airgs_codec.scene.formats.form import Bake, Clip, ClipFormat, FrameHeader, count_frames, rate_words, reading
+from airgs_codec.scene.formats.ply_elements import Header, read_columns, read_header
+from airgs_codec.scene.gaussians import SH_C0, Gaussians, logits_of, logs_of, sigmoid
 from airgs_codec.scene.rates import DEFAULT_FPS
 
 DEFAULT_SECONDS = Fraction(50, 30)  # no file states it; the models of the paper are trained on 50 frames of 30 fps
-_KEPT = 2  # models that a process keeps
+_CACHED = 2  # models of a process
+
+_SIGN = "trbf_center"
+_GROUPS = (
+    ("x", "y", "z"),
+    tuple(f"motion_{i}" for i in range(9)),
+    tuple(f"rot_{i}" for i in range(4)),
+    tuple(f"omega_{i}" for i in range(4)),
+    tuple(f"scale_{i}" for i in range(3)),
+    ("opacity",),
+    tuple(f"f_dc_{i}" for i in range(3)),
+    (_SIGN,),
+    ("trbf_scale",),
+)
+_NETWORK = ("f_t_0", "f_dc_3")
+
+_MAGIC = 0x674B
+_HEAD = struct.Struct("<II")  # magic, length of the JSON
+_TEXEL = 16  # bytes
+ROW = np.dtype(
+    [
+        ("mean", "<f4", 3),
+        ("quaternion", "<f2", 4),
+        ("scale", "<f2", 3),
+        ("unused_1", "<f2"),
+        ("rgba", "u1", 4),
+        ("motion", "<f2", (3, 3)),
+        ("unused_2", "<f2"),
+        ("turn", "<f2", 4),
+        ("centre", "<f2"),
+        ("width", "<f2"),
+    ]
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,17 +99,17 @@ class Spacetime:
             )
 
 
-Load = Callable[[Path], Spacetime]  # reads a file; raises SceneError
+Load = Callable[[Path], Spacetime]  # reads a file; raises SceneError, OSError
 
 
-def open_spacetime(path: Path, load: Load, name: str, bake: Bake) -> Clip:
+def _open(load: Load, name: str, path: Path, bake: Bake) -> Clip:
     """A model baked to frames, frame i of F at t = i / F. Raises SceneError."""
     fps, seconds = bake.fps or DEFAULT_FPS, bake.seconds if bake.seconds is not None else DEFAULT_SECONDS
     frames = count_frames(path, fps, seconds)
     count = len(_model(load, path).means)
     default = " by default, no length is stated" if bake.seconds is None else ""
     note = f"{name}, {count} Gaussians baked to {frames} frames at {rate_words(fps)}: {float(seconds):.4g} s{default}"
-    return Clip((PlyHeader(count, 0),) * frames, fps, functools.partial(_frame, load, frames), note)
+    return Clip((FrameHeader(count, 0),) * frames, fps, functools.partial(_frame, load, frames), note)
 
 
 def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
@@ -75,12 +118,98 @@ def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
 
 def _model(load: Load, path: Path) -> Spacetime:
     """The model of a file as it is now."""
-    try:
-        return _kept(load, path, path.stat().st_mtime_ns)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
+    with reading(path):
+        return _cached(load, path, path.stat().st_mtime_ns)
 
 
-@functools.lru_cache(maxsize=_KEPT)
-def _kept(load: Load, path: Path, _written: int) -> Spacetime:
+@functools.lru_cache(maxsize=_CACHED)
+def _cached(load: Load, path: Path, _written: int) -> Spacetime:
     return load(path)
+
+
+def is_spacetime_ply(header: Header) -> bool:
+    """Whether a .ply is of this format."""
+    vertex = header.element("vertex")
+    return vertex is not None and any(p.name == _SIGN for p in vertex.properties)
+
+
+def read_spacetime_ply(path: Path) -> Spacetime:
+    """The model of a file. Raises SceneError."""
+    header = read_header(path)
+    vertex = header.element("vertex")
+    names = {p.name for p in vertex.properties} if vertex else set()
+    if missing := [name for group in _GROUPS for name in group if name not in names]:
+        raise SceneError(f"{path}: expected the properties of Spacetime Gaussians, missing {', '.join(missing)}")
+    if not names.isdisjoint(_NETWORK):
+        raise SceneError(f"{path}: expected Spacetime Gaussians of the lite model, got colours of a network")
+    if vertex is None or not vertex.count:
+        raise SceneError(f"{path}: expected at least one Gaussian, got none")
+    columns = read_columns(path, header, vertex, _GROUPS)
+    means, motion, quaternions, turns, log_scales, logits, rgb, centres, log_widths = columns
+    with np.errstate(over="ignore"):
+        widths = np.exp(log_widths[:, 0])
+    alpha = sigmoid(logits[:, 0])
+    return Spacetime(means, motion.reshape(-1, 3, 3), quaternions, turns, log_scales, alpha, rgb, centres[:, 0], widths)
+
+
+def read_splatv(path: Path) -> Spacetime:
+    """The model of a file; rows of zeros at its end, which pad the texture, are left out. Raises SceneError."""
+    rows = _rows(path, path.read_bytes())
+    rgba = rows["rgba"].astype(np.float32) / np.float32(255)
+    return Spacetime(
+        np.ascontiguousarray(rows["mean"]),
+        rows["motion"].astype(np.float32),
+        rows["quaternion"].astype(np.float32),
+        rows["turn"].astype(np.float32),
+        logs_of(rows["scale"].astype(np.float32)),
+        rgba[:, 3],
+        rgba[:, :3],
+        rows["centre"].astype(np.float32),
+        rows["width"].astype(np.float32),
+    )
+
+
+def _rows(path: Path, data: bytes) -> np.ndarray:
+    """The rows, (N,) of ROW, as many as the texture in the header is high. Raises SceneError."""
+    if len(data) < _HEAD.size or _HEAD.unpack_from(data)[0] != _MAGIC:
+        raise SceneError(f"{path}: expected a .splatv file, got {data[:8]!r}")
+    start = _HEAD.size + _HEAD.unpack_from(data)[1]
+    width, height = _texture(path, data[_HEAD.size : start])
+    count, rest = divmod(len(data) - start, ROW.itemsize)
+    row_texels = ROW.itemsize // _TEXEL
+    if count <= 0 or rest or -(-count * row_texels // width) != height:
+        expected = f"rows of {ROW.itemsize} bytes that fill a texture of {width} x {height}"
+        raise SceneError(f"{path}: expected {expected}, got {len(data) - start} bytes, a broken or truncated file")
+    rows = np.frombuffer(data, ROW, count, start)
+    used = np.flatnonzero(np.frombuffer(data, np.uint8, offset=start).reshape(count, -1).any(axis=1))
+    if not len(used):
+        raise SceneError(f"{path}: expected Gaussians, got rows of zeros")
+    return rows[: used[-1] + 1]
+
+
+def _texture(path: Path, text: bytes) -> tuple[int, int]:
+    """Texels across and down, from the JSON."""
+    try:
+        [chunk] = [chunk for chunk in json.loads(text) if chunk["type"] == "splat"]
+        return _positive(chunk["texwidth"]), _positive(chunk["texheight"])
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        reason = f"{type(error).__name__} {error}"[:120]
+        raise SceneError(f"{path}: expected a .splatv header with one chunk of type splat: {reason}") from error
+
+
+def _positive(value: Any) -> int:
+    if not isinstance(value, int) or value < 1:
+        raise ValueError(f"expected a number of at least 1, got {value!r}"[:80])
+    return value
+
+
+SPACETIME_PLY = ClipFormat(
+    name="Spacetime Gaussians .ply",
+    key="spacetime.ply",
+    suffixes=(".ply",),
+    fits=is_spacetime_ply,
+    open=functools.partial(_open, read_spacetime_ply, "Spacetime Gaussians .ply"),
+)
+SPLATV = ClipFormat(
+    name=".splatv", key="splatv", suffixes=(".splatv",), open=functools.partial(_open, read_splatv, ".splatv")
+)

@@ -10,29 +10,20 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.holds import Holds
-from airgs_codec.scene.formats.linear import SIZES, logits_of, logs_of
-from airgs_codec.scene.gaussians import SH_C0, Gaussians
-from airgs_codec.scene.ply import PlyHeader
+from airgs_codec.scene.formats.form import SIZES, FrameFormat, FrameHeader, Holds
+from airgs_codec.scene.gaussians import SH_C0, Gaussians, logits_of, logs_of
 
 _ROW = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 ROW_BYTES = _ROW.itemsize
-SPLAT = Holds(
-    sh_degree=0,
-    rounding="colours, opacities and rotations to 8 bits",
-    ranges=(
-        SIZES,
-        ("sh_dc", -0.5 / SH_C0, 0.5 / SH_C0),
-    ),
-)
+RANGES = (SIZES, ("sh_dc", -0.5 / SH_C0, 0.5 / SH_C0))  # of a frame
 
 
-def read_splat_header(path: Path) -> PlyHeader:
+def read_splat_header(path: Path) -> FrameHeader:
     """The count, from the length. Raises SceneError when it is not of whole rows."""
     size = path.stat().st_size
     if not size or size % ROW_BYTES:
         raise SceneError(f"{path}: expected .splat rows of {ROW_BYTES} bytes, got a file of {size}")
-    return PlyHeader(size // ROW_BYTES, 0)
+    return FrameHeader(size // ROW_BYTES, 0)
 
 
 def read_splat(path: Path) -> Gaussians:
@@ -59,3 +50,14 @@ def write_splat(path: Path, gaussians: Gaussians) -> None:
     rows["rgba"][:, 3] = np.rint(gaussians.opacities() * 255)
     rows["rotation"] = np.clip(np.rint(gaussians.quaternions * 128 + 128), 0, 255)
     rows.tofile(path)
+
+
+SPLAT = FrameFormat(
+    name=".splat",
+    key="splat",
+    suffixes=(".splat",),
+    read_header=read_splat_header,
+    read=read_splat,
+    write=write_splat,
+    holds=Holds(sh_degree=0, rounding="colours, opacities and rotations to 8 bits", ranges=RANGES),
+)

@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.holds import Holds
-from airgs_codec.scene.formats.library import check_count, expect_library, read_with_library
+from airgs_codec.scene.formats.form import Axes, FrameFormat, FrameHeader, Holds, check_count
+from airgs_codec.scene.formats.library import expect_library, read_with_library
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.ply import PlyHeader
 
 _MAGIC = b"NGSP"
 _GZIP = b"\x1f\x8b"
@@ -22,20 +21,16 @@ _MAX_BITS = 24  # of a position
 _EXTENSIONS = 1 << 20  # bytes after the rows that are let pass
 _USUAL_BITS = 12  # of a fraction of a position, which Niantic's writer takes
 _LARGEST = (1 << 23) - 1  # of a position in steps
-WRITER = "gsply"
-SPZ = Holds(
-    rounding="positions to 24 bits, rotations to 10, all else to 8",
-    ranges=(("log_scales", -10, -10 + 255 / 16), ("sh_dc", -0.5 / 0.15, 0.5 / 0.15), ("sh_rest", -1, 127 / 128)),
-)
+_WRITER = "gsply"
 
 
-def read_spz_header(path: Path) -> PlyHeader:
+def read_spz_header(path: Path) -> FrameHeader:
     """Count and SH degree, from the first bytes. Raises SceneError."""
     with path.open("rb") as file:
         return _header(path, file.read(1 << 12))[0]
 
 
-def _header(path: Path, data: bytes) -> tuple[PlyHeader, int]:
+def _header(path: Path, data: bytes) -> tuple[FrameHeader, int]:
     """The header of a file of which at least the beginning is there, and the version."""
     head = data[: _HEADER.size]
     if data[:2] == _GZIP:
@@ -47,7 +42,7 @@ def _header(path: Path, data: bytes) -> tuple[PlyHeader, int]:
         raise SceneError(f"{path}: expected .spz of version 2 to 4, got {version}")
     if degree >= len(SH_REST) or not 1 <= bits <= _MAX_BITS:
         raise SceneError(f"{path}: expected SH degree 0 to 3 and 1 to {_MAX_BITS} bits, got {degree} and {bits}")
-    return check_count(path, PlyHeader(count, degree)), version
+    return check_count(path, FrameHeader(count, degree)), version
 
 
 def read_spz(path: Path) -> Gaussians:
@@ -68,7 +63,7 @@ def write_spz(path: Path, gaussians: Gaussians) -> None:
     gsply writes it: gaussforge keeps 4 or 5 bits of SH. A step of a position is 2^-12, or as large as it must be for
     the farthest Gaussian. Raises SceneError when the library is not there or a position is too far away.
     """
-    expect_library(path, ".spz", WRITER)
+    expect_library(path, ".spz", _WRITER)
     from gsply import GSData, write_spz
 
     far = float(np.abs(gaussians.means).max(initial=0))
@@ -97,3 +92,19 @@ def _table_size(path: Path, data: bytes) -> int:
     if (end := start + streams * _TABLE.size + sum(stored for stored, _ in rows)) > len(data):
         raise SceneError(f"{path}: expected {end} bytes, got a truncated file of {len(data)}")
     return sum(size for _, size in rows)
+
+
+SPZ = FrameFormat(
+    name=".spz",
+    key="spz",
+    suffixes=(".spz",),
+    read_header=read_spz_header,
+    read=read_spz,
+    write=write_spz,
+    holds=Holds(
+        rounding="positions to 24 bits, rotations to 10, all else to 8",
+        ranges=(("log_scales", -10, -10 + 255 / 16), ("sh_dc", -0.5 / 0.15, 0.5 / 0.15), ("sh_rest", -1, 127 / 128)),
+    ),
+    writer=_WRITER,
+    axes=Axes((0, 1, 0)),
+)

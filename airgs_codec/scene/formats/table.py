@@ -1,100 +1,145 @@
-"""The formats of a frame: which files are theirs, and what reads a header and the rows."""
+"""The formats of files with Gaussians, which of them a file is of, and the files of a scene.
+
+To add a format, write its module, which ends in its `Format`, and list it here.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats import clips, compressed_ply, gltf, library, sog, splat, spz
-from airgs_codec.scene.formats.axes import Axes
-from airgs_codec.scene.formats.holds import Holds
+from airgs_codec.scene.formats.compressed_ply import COMPRESSED
+from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, FrameHeader, reading
+from airgs_codec.scene.formats.fourdgs import FOUR_DGS
+from airgs_codec.scene.formats.gltf import GLTF
+from airgs_codec.scene.formats.ply import INRIA
+from airgs_codec.scene.formats.ply_elements import read_header
+from airgs_codec.scene.formats.sog import META_NAME, SOG, is_sog_folder
+from airgs_codec.scene.formats.spacetime import SPACETIME_PLY, SPLATV
+from airgs_codec.scene.formats.splat import SPLAT
+from airgs_codec.scene.formats.splat4d import SPLAT4D
+from airgs_codec.scene.formats.spz import SPZ
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import PlyHeader, read_ply, read_ply_header, write_ply
-from airgs_codec.scene.ply_elements import read_header
+
+FRAMES = (INRIA, COMPRESSED, SPZ, SOG, SPLAT, GLTF)
+CLIPS = (SPLATV, FOUR_DGS, SPLAT4D, SPACETIME_PLY)
+FORMATS = (*FRAMES, *CLIPS)
+FRAME_SUFFIXES = tuple(dict.fromkeys(suffix for form in FRAMES for suffix in form.suffixes))
+CLIP_SUFFIXES = tuple(suffix for form in CLIPS for suffix in form.suffixes if suffix not in FRAME_SUFFIXES)
+POINT_CLOUD = "point_cloud"  # of an INRIA model: point_cloud/iteration_7000/point_cloud.ply
+LEVELS = "lod-meta.json"  # of a scene whose folders are pieces of it in levels of detail
+INPUT = "input.ply"  # the points that such a model began with
+_ARCHIVES = (".zip",)  # of a data set rather
 
 
 @dataclass(frozen=True, slots=True)
-class Format:
-    """A format of files that hold one frame; its functions raise SceneError."""
+class Found:
+    """Frames in display order, and the folder that cameras are looked for in."""
 
-    name: str
-    key: str  # in options; written files end in it, after a dot
-    suffixes: tuple[str, ...]  # of files that are read
-    read_header: Callable[[Path], PlyHeader]
-    read: Callable[[Path], Gaussians]
-    write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
-    holds: Holds
-    writer: str = ""  # the library that `write` needs
-    axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
+    folder: Path
+    paths: tuple[Path, ...]
+    alone: bool  # one file, named itself
 
 
-INRIA = Format("INRIA .ply", "ply", (".ply",), read_ply_header, read_ply, write_ply, Holds())
-COMPRESSED = Format(
-    "compressed .ply",
-    "compressed.ply",
-    (".ply",),
-    compressed_ply.read_compressed_header,
-    compressed_ply.read_compressed,
-    compressed_ply.write_compressed,
-    compressed_ply.COMPRESSED_PLY,
-)
-SPZ = Format(
-    ".spz", "spz", (".spz",), spz.read_spz_header, spz.read_spz, spz.write_spz, spz.SPZ, spz.WRITER, Axes((0, 1, 0))
-)
-SOG = Format("SOG", "sog", (".sog", ".zip"), sog.read_sog_header, sog.read_sog, sog.write_sog, sog.SOG, library.LIBRARY)
-SPLAT = Format(
-    ".splat", "splat", (".splat",), splat.read_splat_header, splat.read_splat, splat.write_splat, splat.SPLAT
-)
-GLTF = Format(
-    "glTF",
-    "glb",
-    (".glb", ".gltf"),
-    gltf.read_gltf_header,
-    gltf.read_gltf,
-    gltf.write_glb,
-    gltf.GLB,
-    axes=Axes((0, 1, 0), metres=1.0),
-)
-FORMATS = (INRIA, COMPRESSED, SPZ, SOG, SPLAT, GLTF)
-_BY_SUFFIX = {suffix: form for form in FORMATS for suffix in form.suffixes}
-SUFFIXES = tuple(dict.fromkeys(suffix for form in FORMATS for suffix in form.suffixes))
+def clip_format(path: Path) -> ClipFormat | None:
+    """The format of a file that is a clip, None for a frame. Raises SceneError where a .ply has no header."""
+    form = _told(path)
+    return form if isinstance(form, ClipFormat) else None
+
+
+def is_clip(path: Path) -> bool:
+    """Whether a file is there that is a clip. Raises SceneError where a .ply has no header."""
+    return path.is_file() and clip_format(path) is not None
+
+
+def format_of(path: Path) -> FrameFormat:
+    """The format of a file or folder that is a frame. Raises SceneError when it is none of the table's."""
+    form = _told(path)
+    if isinstance(form, ClipFormat):
+        raise SceneError(f"{path}: expected one frame, got {form.name}, which holds many: give it by its own name")
+    if form is None:
+        known = ", ".join((*FRAME_SUFFIXES, *CLIP_SUFFIXES))
+        raise SceneError(f"{path}: expected one of {known}, got {path.suffix or 'no suffix'}")
+    return form
+
+
+def _told(path: Path) -> FrameFormat | ClipFormat | None:
+    """The format that the name of a file and, of a .ply, its header tell; None for a name that no format has."""
+    if path.is_dir():
+        return SOG
+    named = [form for form in FORMATS if path.suffix.lower() in form.suffixes]
+    if len(named) < 2:
+        return named[0] if named else None
+    header = read_header(path)
+    told = (form for form in named if form.fits and form.fits(header))
+    return next(told, next(form for form in named if form.fits is None))
+
+
+def read_frame_header(path: Path) -> FrameHeader:
+    """Count and SH degree of a frame of any format, without its rows. Raises SceneError."""
+    with reading(path):
+        return format_of(path).read_header(path)
+
+
+def read_frame(path: Path) -> Gaussians:
+    """A frame of any format, as its file has it. Raises SceneError."""
+    with reading(path):
+        return format_of(path).read(path)
 
 
 def is_frame(path: Path) -> bool:
     """Whether a name is that of a frame, or a folder is one (SOG). Hidden files are none, such as ._1.ply of macOS."""
     if path.name.startswith("."):
         return False
-    return sog.is_sog_folder(path) if path.is_dir() else path.suffix.lower() in _BY_SUFFIX
+    return is_sog_folder(path) if path.is_dir() else path.suffix.lower() in FRAME_SUFFIXES
 
 
-def format_of(path: Path) -> Format:
-    """The format of a file or folder. Raises SceneError when it is none of the table's."""
-    if path.is_dir():
-        return SOG
-    if clip := clips.clip_format(path):
-        raise SceneError(f"{path}: expected one frame, got {clip.name}, which holds many: give it by its own name")
-    form = _BY_SUFFIX.get(path.suffix.lower())
-    if form is None:
-        known = ", ".join((*SUFFIXES, *clips.SUFFIXES))
-        raise SceneError(f"{path}: expected one of {known}, got {path.suffix or 'no suffix'}")
-    if form.suffixes == INRIA.suffixes:
-        return COMPRESSED if compressed_ply.is_compressed(read_header(path)) else INRIA
-    return form
+def find_frames(place: Path) -> Found:
+    """The frames at a place: a file, a folder of frames, an INRIA model, a SOG folder or its meta.json.
+
+    Frames of a folder have one suffix; where some are .ply, other files are left alone. Raises SceneError.
+    """
+    if place.name == META_NAME and is_sog_folder(place.parent):
+        place = place.parent
+    if place.is_file() or is_sog_folder(place):
+        return Found(place.parent, (place,), True)
+    if not place.is_dir():
+        raise SceneError(f"{place}: expected a folder of frames or a file, got nothing")
+    if (place / LEVELS).exists():
+        raise SceneError(f"{place}: expected frames, got levels of detail ({LEVELS}): splat-transform converts them")
+    paths = sorted(filter(is_frame, place.iterdir()), key=lambda path: (natural_key(path), path.name))
+    paths = [path for path in paths if path.suffix.lower() in INRIA.suffixes] or paths
+    if {path.name for path in paths} <= {INPUT} and (newest := _newest_iteration(place)):
+        return Found(newest.parent, (newest,), False)
+    if not paths:
+        if clip := next((path for path in sorted(place.iterdir()) if path.suffix.lower() in CLIP_SUFFIXES), None):
+            raise SceneError(f"{place}: expected frames, got a clip: give {clip} by its own name")
+        raise SceneError(f"{place}: expected at least one .ply frame, or one of another format, got none")
+    if len(suffixes := sorted({_kind(path) for path in paths})) > 1:
+        raise SceneError(f"{place}: expected frames of one format, got {', '.join(suffixes)}")
+    return Found(place, tuple(paths), False)
 
 
-def read_frame_header(path: Path) -> PlyHeader:
-    """Count and SH degree of a frame of any format, without its rows. Raises SceneError."""
-    try:
-        return format_of(path).read_header(path)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
+def has_frames(folder: Path, *, apart_from: Collection[str]) -> bool:
+    """Whether frames of some format lie in a folder, or it is one; files of some names do not count."""
+    return is_sog_folder(folder) or any(
+        is_frame(path) and path.name not in apart_from and path.suffix not in _ARCHIVES for path in folder.iterdir()
+    )
 
 
-def read_frame(path: Path) -> Gaussians:
-    """A frame of any format, as its file has it. Raises SceneError."""
-    try:
-        return format_of(path).read(path)
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
+def _kind(path: Path) -> str:
+    return "folders" if path.is_dir() else path.suffix.lower()
+
+
+def _newest_iteration(place: Path) -> Path | None:
+    """The .ply of the largest iteration of an INRIA model, which is named itself or by its point_cloud/."""
+    found = [*place.glob(f"{POINT_CLOUD}/iteration_*/point_cloud.ply"), *place.glob("iteration_*/point_cloud.ply")]
+    return max(found, key=lambda path: natural_key(path.parent), default=None)
+
+
+def natural_key(path: Path) -> list[tuple[int, str]]:
+    """Sort key that puts frame2 before frame10."""
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.stem) if part]

@@ -13,16 +13,16 @@ from pathlib import Path
 from airgs_codec._files import atomic_path, staged_files
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK, Background
-from airgs_codec.scene.formats.holds import Losses
+from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, Losses
 from airgs_codec.scene.formats.library import find_command
-from airgs_codec.scene.formats.sog import META_NAME, write_sog_folder
-from airgs_codec.scene.formats.table import FORMATS, INRIA, SOG, Format
-from airgs_codec.scene.formats.write_clips import CLIP_WRITERS, ClipWriter
+from airgs_codec.scene.formats.ply import INRIA
+from airgs_codec.scene.formats.sog import META_NAME, SOG, write_sog_folder
+from airgs_codec.scene.formats.table import CLIPS, FRAMES
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence_json import SETTINGS_NAME, write_settings
 
 SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
-WRITERS: tuple[Format | ClipWriter, ...] = (*FORMATS, *CLIP_WRITERS)
+WRITERS: tuple[FrameFormat | ClipFormat, ...] = (*FRAMES, *(form for form in CLIPS if form.writer))
 Numbered = tuple[int, Gaussians]  # a frame and its number
 
 
@@ -31,7 +31,7 @@ class Target:
     """Where frames go: a file, a folder of files 000000.spz and on, or one frame that is a folder."""
 
     path: Path
-    form: Format | ClipWriter
+    form: FrameFormat | ClipFormat
     folder: bool
 
 
@@ -64,7 +64,7 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
     return target
 
 
-def _length(form: Format | ClipWriter) -> int:
+def _length(form: FrameFormat | ClipFormat) -> int:
     return len(form.key)
 
 
@@ -74,7 +74,7 @@ def _check(place: str, target: Target, frames: int) -> None:
         raise ConfigError(f"{target.path}: expected a folder, got a file")
     if not target.folder and target.path.is_dir():
         raise ConfigError(f"{place}: expected a file, got a folder: end it in / to write frames into it")
-    if isinstance(target.form, ClipWriter):
+    if isinstance(target.form, ClipFormat):
         if target.folder:
             raise ConfigError(f"{place}: expected a file whose name ends in .{target.form.key}, which holds all frames")
     elif frames != 1 and (not target.folder or target.form is SOG_FOLDER):
@@ -97,7 +97,7 @@ def write_frames(
     losses = Losses(target.form.holds, target.form.name)
     fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
     with _made_folders(target.path), (staged_files if target.folder else atomic_path)(target.path) as temporary:
-        if isinstance(target.form, ClipWriter):
+        if isinstance(target.form, ClipFormat):
             target.form.write(temporary, (g for _, g in fitted), float(fps))
         elif target.folder and target.form is not SOG_FOLDER:
             _write_all(temporary, target.form, fitted)
@@ -122,6 +122,6 @@ def _made_folders(path: Path) -> Iterator[None]:
         raise
 
 
-def _write_all(folder: Path, form: Format, frames: Iterator[Numbered]) -> None:
+def _write_all(folder: Path, form: FrameFormat, frames: Iterator[Numbered]) -> None:
     for number, gaussians in frames:
         form.write(folder / f"{number:06d}.{form.key}", gaussians)

@@ -11,7 +11,7 @@ from pathlib import Path
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera, with_pixels
 from airgs_codec.scene.cameras import llff
-from airgs_codec.scene.formats.find import natural_key
+from airgs_codec.scene.formats.table import natural_key
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
 from airgs_codec.train.data.videos import CameraFilm, find_videos, scene_from_films, video_size
 

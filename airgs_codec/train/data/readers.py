@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.find import has_frames
-from airgs_codec.scene.ply import read_points
+from airgs_codec.scene.formats.ply import read_points
+from airgs_codec.scene.formats.table import has_frames
 from airgs_codec.train.data.colmap_folder import has_colmap, read_colmap
 from airgs_codec.train.data.hifi4g import has_hifi4g, read_hifi4g
 from airgs_codec.train.data.multiview import MultiviewScene, Points

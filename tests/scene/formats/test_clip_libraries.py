@@ -15,7 +15,7 @@ from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.errors import SceneError
 from airgs_codec.package.world import world_from, world_words
-from airgs_codec.scene.formats.axes import Axes
+from airgs_codec.scene.formats.form import Axes
 from airgs_codec.scene.formats.splat import read_splat
 from airgs_codec.scene.gaussians import SH_C0, sigmoid
 from airgs_codec.scene.sequence import open_sequence

@@ -16,10 +16,9 @@ from airgs_codec.errors import SceneError
 from airgs_codec.inspect.sides import open_side
 from airgs_codec.package.store import open_package
 from airgs_codec.scene.cameras.splatv import PLACEHOLDER
-from airgs_codec.scene.formats.linear import SATURATED_LOGIT, logits_of
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.formats.table import read_frame_header
-from airgs_codec.scene.gaussians import SH_C0, sigmoid
-from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.gaussians import SATURATED_LOGIT, SH_C0, logits_of, sigmoid
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.camera_files import as_inria
 from tests.support.clip_files import random_rows, splatv_bytes, write_spacetime_ply

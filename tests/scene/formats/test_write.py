@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import SceneError
 from airgs_codec.package.store import open_package
-from airgs_codec.scene.formats.holds import Losses
-from airgs_codec.scene.formats.table import COMPRESSED, FORMATS, GLTF, INRIA, SOG, SPLAT, SPZ, format_of, read_frame
+from airgs_codec.scene.formats.form import Losses
+from airgs_codec.scene.formats.table import COMPRESSED, FRAMES, GLTF, INRIA, SOG, SPLAT, SPZ, format_of, read_frame
 from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
 from tests.support.paths import GOLDEN
 from tests.support.scenes import random_gaussians
@@ -89,7 +89,7 @@ def expect_close(form, g, back):
         expect_within(np.abs(back.sh_rest - g.sh_rest), harmonics)
 
 
-@pytest.fixture(params=FORMATS, ids=lambda form: form.key)
+@pytest.fixture(params=FRAMES, ids=lambda form: form.key)
 def form(request):
     return request.param
 

@@ -10,10 +10,12 @@ import pytest
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import SceneError
 from airgs_codec.package.store import open_package
-from airgs_codec.scene.formats import write_clips
-from airgs_codec.scene.formats.holds import Losses
+from airgs_codec.scene.formats import splat4d
+from airgs_codec.scene.formats.form import Losses
+from airgs_codec.scene.formats.fourdgs import FOUR_DGS
+from airgs_codec.scene.formats.library import find_command
 from airgs_codec.scene.formats.splat import read_splat
-from airgs_codec.scene.formats.write_clips import FOUR_DGS, SPLAT4D, find_command
+from airgs_codec.scene.formats.splat4d import SPLAT4D
 from airgs_codec.scene.gaussians import SH_C0
 from tests.support.paths import GOLDEN
 from tests.support.scenes import moving_frames, random_gaussians
@@ -106,7 +108,7 @@ def test_frames_of_fewer_rows_are_filled_with_what_nobody_sees(tmp_path):
     assert any("80 rows in every frame: the shorter end in some of alpha 0" in line for line in losses.lines())
 
 
-@pytest.mark.parametrize("form", write_clips.CLIP_WRITERS, ids=lambda form: form.key)
+@pytest.mark.parametrize("form", [FOUR_DGS, SPLAT4D], ids=lambda form: form.key)
 def test_one_frame_is_a_clip_and_nothing_is_left_beside_it(tmp_path, form):
     form.write(tmp_path / f"a.{form.key}", fitted(form, moving_frames(30, 1))[0], FPS)
     assert [p.name for p in tmp_path.iterdir()] == [f"a.{form.key}"]
@@ -116,10 +118,10 @@ def test_what_the_command_says_is_the_reason(tmp_path, monkeypatch):
     program = tmp_path / "splat4d"
     program.write_text("#!/bin/sh\necho 'Error: no such thing' >&2\nexit 1\n")
     program.chmod(0o755)
-    monkeypatch.setattr(write_clips, "find_command", lambda name: str(program))
+    monkeypatch.setattr(splat4d, "find_command", lambda name: str(program))
     with pytest.raises(SceneError, match="cannot write 1 frames: Error: no such thing"):
         SPLAT4D.write(tmp_path / "a.splat4d", [random_gaussians(9, 0)], FPS)
-    monkeypatch.setattr(write_clips, "find_command", lambda name: None)
+    monkeypatch.setattr(splat4d, "find_command", lambda name: None)
     with pytest.raises(SceneError, match="need splats4d: pip install"):
         SPLAT4D.write(tmp_path / "a.splat4d", [random_gaussians(9, 0)], FPS)
     assert [p.name for p in tmp_path.iterdir()] == ["splat4d"]

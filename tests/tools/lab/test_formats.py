@@ -2,9 +2,9 @@
 
 import pytest
 
+from airgs_codec.scene.formats.ply import write_ply
+from airgs_codec.scene.formats.splat4d import SPLAT4D
 from airgs_codec.scene.formats.table import SPLAT
-from airgs_codec.scene.formats.write_clips import SPLAT4D
-from airgs_codec.scene.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tools.lab.bench.formats import clip_row, copies, frame_row

@@ -2,7 +2,7 @@
 
 import pytest
 
-from airgs_codec.scene.ply import write_ply
+from airgs_codec.scene.formats.ply import write_ply
 from tests.support.scenes import random_gaussians
 from tools.lab.bench.million import LOOPED, Options, run
 from tools.lab.command import Lab

@@ -18,8 +18,8 @@ import torch
 from airgs_codec._files import atomic_path
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.progress import Progress
+from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import read_ply, write_ply
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.optimise import Losses
 from airgs_codec.train.fit.parameters import from_gaussians, from_points, render, to_gaussians

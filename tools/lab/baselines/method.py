@@ -16,8 +16,8 @@ import numpy as np
 from airgs_codec._files import to_json, write_json
 from airgs_codec.errors import ConfigError
 from airgs_codec.progress import Progress, silent
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import write_ply
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.quality import mean_psnr, mean_ssim

@@ -11,8 +11,8 @@ import torch
 
 from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.ply import write_ply
 from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import from_points
 from airgs_codec.train.fit.points import initial_points, scene_extent

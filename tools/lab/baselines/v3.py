@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from airgs_codec._files import write_json
 from airgs_codec.errors import ConfigError
 from airgs_codec.progress import Progress
+from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.morton import morton_encode
-from airgs_codec.scene.ply import read_ply, write_ply
 from airgs_codec.train.fit.adam import BETAS
 from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import Parameters, from_gaussians, to_gaussians

@@ -19,12 +19,11 @@ import numpy as np
 
 from airgs_codec.inspect.compare import Comparison, compare_two
 from airgs_codec.inspect.sides import compared_views, open_side
-from airgs_codec.scene.formats.clips import CLIP_FORMATS
-from airgs_codec.scene.formats.table import FORMATS, Format
+from airgs_codec.scene.formats.form import ClipFormat, Format, FrameFormat
+from airgs_codec.scene.formats.ply import read_ply, write_ply
+from airgs_codec.scene.formats.table import CLIPS, FRAMES
 from airgs_codec.scene.formats.write import choose_target, write_frames
-from airgs_codec.scene.formats.write_clips import CLIP_WRITERS, ClipWriter
 from airgs_codec.scene.gaussians import Gaussians, join_rows
-from airgs_codec.scene.ply import read_ply, write_ply
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, Took, alone, seconds_of, setting
 
@@ -47,10 +46,9 @@ def run(options: Options, lab: Lab) -> Page:
     with tempfile.TemporaryDirectory() as folder:
         large = Path(folder) / "large.ply"
         write_ply(large, copies(open_sequence(options.scene).load([0]).frames[0], options.rows))
-        frames = [frame_row(form, options.scene, large, options.repeat) for form in FORMATS]
-    clips = [clip_row(form, options.scene) for form in CLIP_WRITERS]
-    written = {form.name for form in CLIP_WRITERS}
-    clips += [{"format": form.name, "SH": "not written"} for form in CLIP_FORMATS if form.name not in written]
+        frames = [frame_row(form, options.scene, large, options.repeat) for form in FRAMES]
+    clips = [clip_row(form, options.scene) for form in CLIPS if form.writer]
+    clips += [{"format": form.name, "SH": "not written"} for form in CLIPS if not form.writer]
     answer = f"Files of one frame are timed with {options.rows:,} Gaussians; clips hold the frames of the scene."
     tables = [Table("formats", frames), Table("formats-clips", clips)]
     return Page([Section(answer, tables=tables)])
@@ -87,7 +85,7 @@ def round_trip(scene: Path, sequence: GaussianSequence, written: Path) -> Compar
     return compare_two(open_side(str(scene)), other, range(other.frames), cameras)
 
 
-def facts(form: Format | ClipWriter) -> Row:
+def facts(form: Format) -> Row:
     """What the code knows without measuring."""
     holds = form.holds
     degrees = f"0 to {holds.sh_degree}" if holds.sh_degree else "none"
@@ -95,7 +93,7 @@ def facts(form: Format | ClipWriter) -> Row:
     return {"format": form.name, "SH": degrees, "order of rows": order, "rounds": holds.rounding or "nothing"}
 
 
-def frame_row(form: Format, scene: Path, large: Path, repeat: int) -> Row:
+def frame_row(form: FrameFormat, scene: Path, large: Path, repeat: int) -> Row:
     """A row of the table of formats that hold one frame."""
     sequence = open_sequence(scene)
     with tempfile.TemporaryDirectory() as folder:
@@ -111,7 +109,7 @@ def frame_row(form: Format, scene: Path, large: Path, repeat: int) -> Row:
         }  # fmt: skip
 
 
-def clip_row(form: ClipWriter, scene: Path) -> Row:
+def clip_row(form: ClipFormat, scene: Path) -> Row:
     """A row of the table of formats that hold many frames."""
     sequence = open_sequence(scene)
     count = len(sequence)

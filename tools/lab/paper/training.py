@@ -17,7 +17,7 @@ from airgs_codec.errors import AirgsError
 from airgs_codec.jobs.engines import Processes
 from airgs_codec.progress import Progress
 from airgs_codec.render.backend import CPU
-from airgs_codec.scene.ply import read_ply
+from airgs_codec.scene.formats.ply import read_ply
 from tools.lab.baselines.method import Frame, frame_path, mean_bytes, run_method
 from tools.lab.paper.methods import make_method
 from tools.lab.paper.scenes import Subject

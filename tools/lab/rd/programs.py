@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import ConfigError
+from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.formats.splat import read_splat
 from airgs_codec.scene.formats.write import choose_target, write_frames
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
-from airgs_codec.scene.ply import read_ply, write_ply
 from tools.lab.rd.layouts import SMALLEST_SCALE, to_logit
 from tools.lab.rd.subject import Coded, Subject, Trial
 from tools.lab.timing import seconds_of

@@ -9,7 +9,7 @@ import pytest
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.store import open_package
-from airgs_codec.scene.ply import read_ply
+from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene
 from tests.support.paths import VALID

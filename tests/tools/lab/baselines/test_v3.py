@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.progress import silent
-from airgs_codec.scene.ply import read_ply
+from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit.parameters import from_gaussians

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.ply_elements import BLOCK, read_columns, read_header
+from airgs_codec.scene.formats.ply_elements import BLOCK, read_columns, read_header
 from tests.support.ply import ORDERS, TYPES, Column, ply_bytes
 
 NUMBERS = {

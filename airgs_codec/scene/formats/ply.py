@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.form import FrameFormat, FrameHeader
+from airgs_codec.scene.formats.ply_elements import BLOCK, Element, Header, read_columns, read_header, write_floats
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.ply_elements import BLOCK, Element, Header, read_columns, read_header, write_floats
 
 _MEANS = ("x", "y", "z")
 _NORMALS = ("nx", "ny", "nz")
@@ -26,18 +26,10 @@ _ROTATION = ("rot_0", "rot_1", "rot_2", "rot_3")
 _COLOUR = ("red", "green", "blue")
 
 
-@dataclass(frozen=True, slots=True)
-class PlyHeader:
-    """What the header of a frame promises."""
-
-    count: int
-    sh_degree: int  # 0..3
-
-
-def read_ply_header(path: Path) -> PlyHeader:
+def read_ply_header(path: Path) -> FrameHeader:
     """The count and SH degree of a frame, without its rows. Raises SceneError when it is not a Gaussian .ply."""
     _, vertex = _open(path, "element vertex")
-    return PlyHeader(vertex.count, _sh_degree(path, vertex))
+    return FrameHeader(vertex.count, _sh_degree(path, vertex))
 
 
 def is_whole(path: Path) -> bool:
@@ -97,6 +89,11 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
     names = [*_MEANS, *_NORMALS, *_DC, *(f"f_rest_{i}" for i in range(3 * k)), *_OPACITY, *_SCALES, *_ROTATION]
     with path.open("wb") as file:
         write_floats(file, names, _blocks(gaussians), len(gaussians))
+
+
+INRIA = FrameFormat(
+    name="INRIA .ply", key="ply", suffixes=(".ply",), read_header=read_ply_header, read=read_ply, write=write_ply
+)
 
 
 def _blocks(gaussians: Gaussians) -> Iterator[NDArray[np.float32]]:

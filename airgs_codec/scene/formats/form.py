@@ -1,0 +1,192 @@
+"""A format of splat files as a value: what reads and writes it, what it can hold, and which way is up in it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+
+from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.ply_elements import Header
+from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.repair import repair
+
+MOST_FRAMES = 1 << 18  # two and a half hours at 30 frames a second
+SIZES = ("log_scales", -87.0, 88.0)  # the range of sizes that are neither 0 nor infinite in float32
+SPARE_ROWS = 1 << 16  # that a file may have beyond one a byte: no format stores a Gaussian in less
+_WORDS = {"means": "positions", "log_scales": "sizes", "sh_dc": "colours", "sh_rest": "SH"}
+
+
+@dataclass(frozen=True, slots=True)
+class FrameHeader:
+    """What the header of a frame promises."""
+
+    count: int
+    sh_degree: int  # 0..3
+
+    @property
+    def bytes(self) -> int:
+        """Bytes of the frame in memory, in float32."""
+        return 4 * self.count * (14 + 3 * SH_REST[self.sh_degree])
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """The direction that points up in the coordinates of a file, and how long a unit is."""
+
+    up: tuple[float, ...]  # (3,)
+    metres: float | None = None  # None: nothing says it
+
+
+@dataclass(frozen=True, slots=True)
+class Holds:
+    """What files of a format hold; by default all that Gaussians have, in float32."""
+
+    sh_degree: int = 3
+    rounding: str = ""  # what is rounded to how many bits
+    keeps_rows: bool = True  # whether row n is the same Gaussian in all frames
+    keeps_count: bool = False  # whether all frames have the same number of rows
+    ranges: tuple[tuple[str, float, float], ...] = ()  # an attribute of Gaussians, its least and largest value
+
+
+@dataclass(frozen=True, slots=True)
+class Bake:
+    """How many frames a clip becomes. None: what its file says, else the default of its format."""
+
+    fps: Fraction | None = None  # frames a second
+    seconds: Fraction | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """An open clip, of which only headers are in memory. It can be pickled: each process caches what it decodes."""
+
+    headers: tuple[FrameHeader, ...]  # of the frames
+    fps: Fraction  # frames a second
+    read: Callable[[Path, int], Gaussians]  # a frame of its file, wherever that is, unrepaired; raises SceneError
+    note: str  # what was read, and how it became frames, for people
+    breaks: tuple[int, ...] = ()  # frames whose rows are known to be others than those of the frame before
+    axes: Axes | None = None  # as the file says; None: it does not
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Format:
+    """A format of files; its functions raise SceneError."""
+
+    name: str
+    key: str  # in options; written files end in it, after a dot
+    suffixes: tuple[str, ...]  # of files that are read
+    holds: Holds = Holds()
+    writer: str = ""  # the library or command that `write` needs; a clip without one is read alone
+    axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
+    fits: Callable[[Header], bool] | None = None  # whether a .ply is of this format; None: any other is
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameFormat(Format):
+    """A format of files that hold one frame."""
+
+    read_header: Callable[[Path], FrameHeader]
+    read: Callable[[Path], Gaussians]
+    write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
+
+
+def _refuse_writing(path: Path, _frames: Iterable[Gaussians], _fps: float) -> None:
+    raise SceneError(f"{path}: expected a format that is written, got one that is read alone")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClipFormat(Format):
+    """A format of files that hold many frames, or Gaussians that move by themselves and are baked to frames."""
+
+    open: Callable[[Path, Bake], Clip]
+    write: Callable[[Path, Iterable[Gaussians], float], None] = _refuse_writing  # of frames, so many a second
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turns an OSError of the block into a SceneError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
+
+
+def check_count(path: Path, header: FrameHeader) -> FrameHeader:
+    """The header, if a file of this size can hold so many rows. Raises SceneError, before memory is taken."""
+    size = path.stat().st_size
+    if header.count > size + SPARE_ROWS:
+        raise SceneError(f"{path}: expected as many Gaussians as {size} bytes can hold, got {header.count}")
+    return header
+
+
+def count_frames(path: Path, fps: Fraction, seconds: Fraction) -> int:
+    """The frames of a clip of some length, at least one. Raises SceneError where they are too many, or none."""
+    if not 0 < fps * seconds <= MOST_FRAMES:
+        raise SceneError(f"{path}: expected a clip of 1 to {MOST_FRAMES} frames, got {float(seconds):g} s at {fps} fps")
+    return max(1, round(fps * seconds))
+
+
+def refuse_baking(path: Path, bake: Bake, name: str, *, fps: bool = True) -> None:
+    """Raise SceneError where somebody asks for what a format leaves no choice in: the duration and, maybe, `fps`."""
+    if bake.seconds is not None:
+        raise SceneError(f"{path}: expected no duration, {name} states its own, got {float(bake.seconds):g} s")
+    if fps and bake.fps is not None:
+        raise SceneError(f"{path}: expected no frame rate to bake at, {name} has whole frames, got {bake.fps} fps")
+
+
+def rate_words(fps: Fraction) -> str:
+    """A frame rate for people."""
+    return f"{float(fps):g} a second"
+
+
+class Losses:
+    """What is lost of the frames that were made to fit a format."""
+
+    def __init__(self, holds: Holds, form: str) -> None:
+        self._holds, self._form = holds, form
+        self._rows: list[int] = []  # of each frame
+        self._degree = 0
+        self._beyond: Counter[str] = Counter()
+        self._notes: list[str] = []
+
+    def fit(self, gaussians: Gaussians, where: str) -> Gaussians:
+        """The frame as the format can hold it: unit quaternions, no SH above its degree, values within its ranges.
+
+        Raises SceneError, which names the frame by `where`, when no Gaussian is finite.
+        """
+        repaired = repair([gaussians], where)
+        g = repaired.frames[0]
+        self._notes += repaired.notes
+        self._rows.append(len(g))
+        self._degree = max(self._degree, g.sh_degree)
+        g = g.with_degree(min(g.sh_degree, self._holds.sh_degree))
+        for name, low, high in self._holds.ranges:
+            values = getattr(g, name)
+            beyond = ((values < low) | (values > high)).reshape(len(g), -1).any(axis=1)
+            if beyond.any():
+                self._beyond[name] += int(beyond.sum())
+                g = replace(g, **{name: np.clip(values, np.float32(low), np.float32(high))})
+        return g
+
+    def lines(self) -> list[str]:
+        """What was lost, a line for each kind; empty where nothing was."""
+        lines = list(self._notes)
+        if self._degree > self._holds.sh_degree:
+            lines.append(f"{self._form} has SH of degree {self._holds.sh_degree} at most, of {self._degree}")
+        if self._holds.rounding:
+            lines.append(f"{self._form} rounds {self._holds.rounding}")
+        if not self._holds.keeps_rows and len(self._rows) > 1:
+            lines.append(f"{self._form} has rows in another order in every frame: which Gaussian is which is lost")
+        if self._holds.keeps_count and len(set(self._rows)) > 1:
+            lines.append(f"{self._form} has {max(self._rows)} rows in every frame: the shorter end in some of alpha 0")
+        for name, low, high in self._holds.ranges:
+            if count := self._beyond[name]:
+                share = f"{count} of {sum(self._rows)} Gaussians"
+                lines.append(f"{self._form} has {_WORDS[name]} from {low:.4g} to {high:.4g}: cut off in {share}")
+        return lines
