@@ -28,7 +28,7 @@ from airgs_codec.play import catalogue, downloader, http_files, ladder, player, 
 from airgs_codec.play.policies import mpc, named, state
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.render import cpu, cpu_kernels
-from airgs_codec.scene import gaussians, rotations
+from airgs_codec.scene import gaussians
 
 FOLDER = Path(__file__).parents[1] / "web" / "src" / "generated"
 MADE = "// Made by python -m tools.typescript from airgs_codec"
@@ -63,8 +63,7 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
         world: _same(world, "LEAST_SCALE", "MOST_SCALE") | {"WORLD_TOLERANCE": world.TOLERANCE},
         region: _same(region, "AGREEMENT", "LEVELLING", "SLIGHTLY_DOWN", "GIVE_OR_TAKE")
         | _same(region, "FORGIVEN_DEGREES", "FORGIVEN_SHARE"),
-        rotations: _same(rotations, "SMALL_ANGLE"),
-        gaussians: _same(gaussians, "SH_C0"),
+        gaussians: _same(gaussians, "SMALL_ANGLE", "SH_C0"),
         atlas: _same(atlas, "GREY"),
         attributes: _same(attributes, "OPACITY_MARGIN"),
         escapes: {"ESCAPE_UNIT": escapes.UNIT},

@@ -15,9 +15,8 @@ from airgs_codec.analysis.viewpoint_score import flatness, row_areas, row_axes
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import MAX_PLACES, Place, Region
 from airgs_codec.render import Camera, measure_contribution
-from airgs_codec.scene.camera import resized
+from airgs_codec.scene.camera import resized, spiral
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.orbits import spiral
 
 Vectors = NDArray[np.float64]
 

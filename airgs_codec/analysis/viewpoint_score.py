@@ -16,8 +16,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.render import Camera, cpu
 from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import BLACK
-from airgs_codec.scene.gaussians import SH_C0, Gaussians
-from airgs_codec.scene.rotations import to_matrices
+from airgs_codec.scene.gaussians import SH_C0, Gaussians, to_matrices
 
 LARGEST = 30.0  # ln(world units) of a scale that counts: the squares of larger ones leave float32
 

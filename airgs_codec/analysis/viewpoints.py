@@ -19,11 +19,9 @@ from airgs_codec.analysis.region import find_floor
 from airgs_codec.analysis.viewpoint_score import Look, Sample
 from airgs_codec.errors import SceneError
 from airgs_codec.render.cpu import one_thread
-from airgs_codec.scene.camera import Camera, look_at
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.orbits import UP, dome_views, orbit_views
+from airgs_codec.scene.camera import UP, Camera, dome_views, look_at, orbit_views
+from airgs_codec.scene.gaussians import Gaussians, from_rotation_vector, to_matrices
 from airgs_codec.scene.repair import repair
-from airgs_codec.scene.rotations import from_rotation_vector, to_matrices
 
 Vector = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ from typing import Any
 from tqdm import tqdm
 
 from airgs_codec.errors import AirgsError, ConfigError
-from airgs_codec.scene.rates import MAX_FPS, exact_number
+from airgs_codec.scene.sequence_json import MAX_FPS, exact_number
 
 # OpenMP threads of numba spin while they wait unless told so before the first import that loads them.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

@@ -31,7 +31,7 @@ from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_bac
 from airgs_codec.package.store import open_package
 from airgs_codec.package.world import up_of
 from airgs_codec.render import Camera, read_cameras
-from airgs_codec.scene.orbits import UP, orbit_views
+from airgs_codec.scene.camera import UP, orbit_views
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 

@@ -23,8 +23,7 @@ from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.package.layout import COLOUR, KEY, STATE
 from airgs_codec.package.tables import Grid, KeySteps, StateSteps
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.rotations import conjugate, multiply, to_rotation_vector
+from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, to_rotation_vector
 
 _MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
 _OPACITY, _COLOUR = STATE.slice("opacity"), STATE.slice(COLOUR)

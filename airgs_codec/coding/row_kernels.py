@@ -23,7 +23,7 @@ _cell = np.arange(BLOCK**2)
 CELL_Y, CELL_X = (  # line and column of each cell of a block, along a Z-curve
     np.sum([(_cell >> (2 * bit + odd) & 1) << bit for bit in range(4)], axis=0).astype(np.uintp) for odd in (1, 0)
 )
-SMALL_ANGLE = f4(1e-8)  # below it sin(a/2)/a is 1/2, as in `scene.rotations`
+SMALL_ANGLE = f4(1e-8)  # below it sin(a/2)/a is 1/2, as in `scene.gaussians`
 STRIP = 256  # rows whose colours are summed up together: a sum of all of them stays in the first cache
 
 

@@ -20,13 +20,11 @@ from airgs_codec.package.region import CHECKING, background_of, draw_views
 from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
-from airgs_codec.scene.camera import BLACK, Background
+from airgs_codec.scene.camera import BLACK, UP, Background, orbit_views
 from airgs_codec.scene.formats.form import Axes
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.orbits import UP, orbit_views
-from airgs_codec.scene.rates import DEFAULT_FPS
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from airgs_codec.scene.sequence_json import SETTINGS_NAME
+from airgs_codec.scene.sequence_json import DEFAULT_FPS, SETTINGS_NAME
 
 DRAWS = 8  # views of a region
 REGION = "region"  # the split of views that are drawn from the package's region

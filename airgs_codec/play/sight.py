@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.package.tables import Group
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.rotations import from_rotation_vector, to_matrices
+from airgs_codec.scene.gaussians import from_rotation_vector, to_matrices
 
 BEFORE_S = 0.1  # seconds over which a viewer's movement is measured
 DECAY_S = 0.5  # seconds in which a movement is expected to have died down to 1 / e

@@ -29,9 +29,8 @@ from airgs_codec.scene.formats.table import (
 from airgs_codec.scene.frames import LazyFrames
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.mirror import Mirror
-from airgs_codec.scene.rates import frame_rate
 from airgs_codec.scene.repair import Repaired, repair
-from airgs_codec.scene.sequence_json import DEFAULTS, read_settings
+from airgs_codec.scene.sequence_json import DEFAULTS, frame_rate, read_settings
 from airgs_codec.scene.usage import Usage, load_usage
 
 ATTRIBUTION_NAME = "ATTRIBUTION.txt"

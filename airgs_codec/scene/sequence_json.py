@@ -1,4 +1,4 @@
-"""sequence.json beside the frames of a sequence: frame rate, first frames of groups, background."""
+"""Reads and writes sequence.json beside the frames of a sequence: frame rate, first frames of groups, background."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import Any
 from airgs_codec._files import write_json
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import BLACK, Background
-from airgs_codec.scene.rates import DEFAULT_FPS, exact_number, frame_rate
 
+DEFAULT_FPS = Fraction(30)
+MAX_FPS = 1000
 SETTINGS_NAME = "sequence.json"
 Settings = tuple[Fraction, tuple[int, ...] | None, Background]  # frames a second, keyframes, colour behind the scene
 DEFAULTS: Settings = (DEFAULT_FPS, None, BLACK)
@@ -52,3 +53,18 @@ def _background(path: Path, data: Any) -> Background:
         r, g, b = map(float, numbers)
         return r, g, b
     raise SceneError(f"{path}: expected a background of r, g, b from 0 to 1, got {data}")
+
+
+def exact_number(text: str) -> Fraction:
+    """A number: 30, 29.97 or 30000/1001. Raises ValueError or ZeroDivisionError.
+
+    Powers of ten go through float64 and end at its largest: Fraction would write out all digits of 1e30000000.
+    """
+    return Fraction(text) if "/" in text else Fraction(str(float(text)))
+
+
+def frame_rate(where: str, fps: Fraction | float) -> Fraction:
+    """Frames a second, exactly. Raises SceneError where they are not above 0 and at most MAX_FPS."""
+    if not 0 < fps <= MAX_FPS:
+        raise SceneError(f"{where}: expected 0 < fps <= {MAX_FPS}, got {fps}")
+    return Fraction(str(fps))  # 29.97 is 2997/100, not the nearest float

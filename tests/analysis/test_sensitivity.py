@@ -11,8 +11,7 @@ from airgs_codec.coding.weights import channel_weights, withheld_error
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.tables import StateSteps
 from airgs_codec.render import render
-from airgs_codec.scene.gaussians import Gaussians, sigmoid
-from airgs_codec.scene.rotations import from_rotation_vector, multiply
+from airgs_codec.scene.gaussians import Gaussians, from_rotation_vector, multiply, sigmoid
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 

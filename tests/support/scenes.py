@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from airgs_codec.scene.camera import orbit_views
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.orbits import orbit_views
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX
 

@@ -14,7 +14,7 @@ from airgs_codec.package.region import departure, departures
 from airgs_codec.package.tables import Grid, KeySteps, Place, Region, StateSteps, unpack_matrix
 from airgs_codec.render.reference import sh_colours
 from airgs_codec.scene.camera import look_at
-from airgs_codec.scene.rotations import to_matrices
+from airgs_codec.scene.gaussians import to_matrices
 from tests.support.vectors import assert_near, cases, float32, label
 
 CHANNELS = (3, 12, 27, 48)  # of colour, by SH degree

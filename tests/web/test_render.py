@@ -12,8 +12,8 @@ from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import LevelSettings
 from airgs_codec.package.store import open_package
+from airgs_codec.scene.camera import orbit_views
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.orbits import orbit_views
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import WEB, build_pages, missing, serve, visit
 from tests.support.decoded import Rung, write_decoded

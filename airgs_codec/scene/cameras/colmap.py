@@ -17,8 +17,7 @@ from scipy.spatial.transform import Rotation
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.cameras.binary import Cursor
-from airgs_codec.scene.cameras.posed import Posed, expecting, undistorted
+from airgs_codec.scene.cameras.posed import Cursor, Posed, expecting, undistorted
 
 WORDS = "a COLMAP reconstruction"
 TEST_NAME = "test.txt"

@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera, look_at
-from airgs_codec.scene.cameras.binary import Cursor
-from airgs_codec.scene.cameras.posed import Posed, expecting, inverse, undistorted
+from airgs_codec.scene.cameras.posed import Cursor, Posed, expecting, inverse, undistorted
 
 MAGIC = b"\x894DGS"
 VERSION = b"1\r\n"

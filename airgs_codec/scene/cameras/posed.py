@@ -1,8 +1,9 @@
-"""What every form of cameras is read to, and what is refused in all of them."""
+"""A camera with its picture, to which every form is read; what all readers share, and what all of them refuse."""
 
 from __future__ import annotations
 
 import json
+import mmap
 import struct
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -18,9 +19,7 @@ from airgs_codec.media.image import Lens, fit_lens
 from airgs_codec.scene.camera import Camera
 
 MOST_PIXELS = 32_768  # along a side of a picture
-ROTATION_TOLERANCE = (
-    1e-2  # files round their matrices; axes of another length or not at right angles are something else
-)
+ROTATION_TOLERANCE = 1e-2  # for what files round; axes of another length or not at right angles are something else
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,6 +38,48 @@ class Posed:
 
     def __post_init__(self) -> None:
         _check(self.camera)
+
+
+class Cursor:
+    """A place in bytes, which are read piece by piece, little-endian.
+
+    Every method raises ValueError where the bytes end before what is asked for.
+    """
+
+    def __init__(self, data: bytes | mmap.mmap) -> None:
+        self.data = data
+        self.at = 0
+
+    @classmethod
+    def open(cls, path: Path) -> Cursor:
+        """At the start of a file, which is mapped, not read. Raises OSError."""
+        if path.stat().st_size == 0:  # cannot be mapped
+            return cls(b"")
+        with path.open("rb") as file:
+            return cls(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+
+    def skip(self, count: int) -> int:
+        """Pass over `count` bytes; gives the place before them."""
+        start, self.at = self.at, self.at + count
+        if self.at > len(self.data):
+            raise ValueError(f"it ends after {len(self.data)} bytes")
+        return start
+
+    def take(self, form: str) -> tuple[Any, ...]:
+        """Values in the form that `struct` knows."""
+        return struct.unpack_from(f"<{form}", self.data, self.skip(struct.calcsize(f"<{form}")))
+
+    def piece(self, count: int) -> bytes:
+        """The next `count` bytes."""
+        start = self.skip(count)
+        return self.data[start : self.at]
+
+    def text(self) -> str:
+        """UTF-8 up to a zero byte."""
+        end = self.data.find(b"\0", self.at)
+        if end < 0:
+            raise ValueError("a name has no end")
+        return self.piece(end + 1 - self.at)[:-1].decode()
 
 
 def distinct(posed: Iterable[Posed]) -> list[Camera]:

@@ -8,13 +8,13 @@ from typing import Any
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.cameras import colmap, fourdgs, inria, llff, panoptic, splatv, transforms
+from airgs_codec.scene.cameras import colmap, fourdgs, inria, llff, panoptic, transforms
 from airgs_codec.scene.cameras.posed import Posed, distinct, expecting, read_json
 
 Reader = Callable[[Path], list[Posed]]
 
 BY_MAGIC: tuple[tuple[bytes, Reader], ...] = (
-    (splatv.MAGIC, splatv.read),
+    (inria.SPLATV_MAGIC, inria.read_splatv),
     (fourdgs.MAGIC, fourdgs.read),
     (llff.MAGIC, llff.read),
 )

@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.form import SIZES, Axes, FrameFormat, FrameHeader, Holds
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, logits_of, logs_of
-from airgs_codec.scene.rotations import multiply
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, logits_of, logs_of, multiply
 
 EXTENSION = "KHR_gaussian_splatting"
 _COLOURS = ("srgb_rec709_display", "BT.709")  # the second is of drafts

@@ -32,7 +32,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.form import Bake, Clip, ClipFormat, FrameHeader, count_frames, rate_words, reading
 from airgs_codec.scene.formats.ply_elements import Header, read_columns, read_header
 from airgs_codec.scene.gaussians import SH_C0, Gaussians, logits_of, logs_of, sigmoid
-from airgs_codec.scene.rates import DEFAULT_FPS
+from airgs_codec.scene.sequence_json import DEFAULT_FPS
 
 DEFAULT_SECONDS = Fraction(50, 30)  # no file states it; the models of the paper are trained on 50 frames of 30 fps
 _CACHED = 2  # models of a process

@@ -35,7 +35,7 @@ from airgs_codec.scene.formats.library import find_command
 from airgs_codec.scene.formats.sandbox import run_limited
 from airgs_codec.scene.formats.splat import RANGES, ROW_BYTES, read_splat, write_splat
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.rates import MAX_FPS, exact_number
+from airgs_codec.scene.sequence_json import MAX_FPS, exact_number
 
 _MAGIC = b"SP4D"
 _HEADER = struct.Struct("<4sII")  # magic, version, length of the JSON

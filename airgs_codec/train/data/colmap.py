@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.scene.cameras.binary import Cursor
-from airgs_codec.scene.cameras.posed import expecting
+from airgs_codec.scene.cameras.posed import Cursor, expecting
 from airgs_codec.train.data.multiview import Points
 
 TRACK_BYTES = 8  # for each picture that saw a point

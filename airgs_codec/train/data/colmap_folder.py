@@ -9,7 +9,7 @@ from pathlib import Path
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.cameras import colmap
 from airgs_codec.scene.cameras.posed import Posed
-from airgs_codec.scene.rates import DEFAULT_FPS
+from airgs_codec.scene.sequence_json import DEFAULT_FPS
 from airgs_codec.train.data.colmap import read_points3d
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
 from airgs_codec.train.data.videos import CameraFilm, find_pictures, find_videos, scene_from_films

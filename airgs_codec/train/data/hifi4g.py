@@ -13,7 +13,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.cameras import colmap
 from airgs_codec.scene.cameras.posed import Posed
 from airgs_codec.scene.formats.table import natural_key
-from airgs_codec.scene.rates import DEFAULT_FPS
+from airgs_codec.scene.sequence_json import DEFAULT_FPS
 from airgs_codec.train.data.colmap import read_points3d
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
 from airgs_codec.train.data.videos import find_pictures

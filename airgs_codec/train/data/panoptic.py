@@ -10,7 +10,7 @@ from pathlib import Path
 
 from airgs_codec.scene.cameras import panoptic
 from airgs_codec.scene.cameras.posed import Posed, expecting, read_object
-from airgs_codec.scene.rates import DEFAULT_FPS, exact_number, frame_rate
+from airgs_codec.scene.sequence_json import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot, in_frames
 
 

@@ -10,7 +10,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.cameras import transforms
 from airgs_codec.scene.cameras.posed import Posed, expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
-from airgs_codec.scene.rates import DEFAULT_FPS, exact_number, frame_rate
+from airgs_codec.scene.sequence_json import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Points, Shot, in_frames
 from airgs_codec.train.data.videos import VIDEO_SUFFIXES, CameraFilm, scene_from_films
 

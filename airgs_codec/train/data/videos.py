@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.media.movie import VideoReader
 from airgs_codec.scene.formats.table import natural_key
-from airgs_codec.scene.rates import DEFAULT_FPS
+from airgs_codec.scene.sequence_json import DEFAULT_FPS
 from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot, Source
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")

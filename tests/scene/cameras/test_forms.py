@@ -9,8 +9,8 @@ import pytest
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import NEAR, look_at
 from airgs_codec.scene.cameras import inria, panoptic
+from airgs_codec.scene.cameras.inria import PLACEHOLDER
 from airgs_codec.scene.cameras.read import read_cameras
-from airgs_codec.scene.cameras.splatv import PLACEHOLDER
 from tests.support.camera_files import (
     FORMS,
     as_inria,

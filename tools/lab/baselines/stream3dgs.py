@@ -19,8 +19,7 @@ from airgs_codec._files import write_bytes
 from airgs_codec.errors import ConfigError
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
-from airgs_codec.scene.rotations import to_matrices
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, to_matrices
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.active import Resting
 from airgs_codec.train.fit.densify import Densifier, Growth, strongest

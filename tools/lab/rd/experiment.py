@@ -16,8 +16,8 @@ from pathlib import Path
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import read_cameras
-from airgs_codec.scene.rates import exact_number
 from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.scene.sequence_json import exact_number
 from tools.lab import Lab, Page, Picture, Section, Table, required, rows_of, setting
 from tools.lab.rd.coders import layout_trials, our_trials
 from tools.lab.rd.points import RdPoint

@@ -45,10 +45,8 @@ export const GIVE_OR_TAKE = 10.0;
 export const FORGIVEN_DEGREES = 0.0001;
 export const FORGIVEN_SHARE = 1e-09;
 
-// airgs_codec.scene.rotations
-export const SMALL_ANGLE = 1e-08;
-
 // airgs_codec.scene.gaussians
+export const SMALL_ANGLE = 1e-08;
 export const SH_C0 = 0.28209479177387814;
 
 // airgs_codec.coding.atlas

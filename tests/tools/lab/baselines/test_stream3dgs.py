@@ -11,8 +11,7 @@ import torch
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import render
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.rotations import from_rotation_vector, multiply, to_matrices
+from airgs_codec.scene.gaussians import Gaussians, from_rotation_vector, multiply, to_matrices
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit.parameters import from_gaussians, to_gaussians
