@@ -46,7 +46,7 @@ MAY_IMPORT = {
     "aiohttp": {"play/http.py", "play/http_files.py"},
     "hypercorn": {"serve/server.py"},
     "obstore": {"_stores.py"},
-    "starlette": {"serve/answers.py", "serve/app.py", "serve/server.py"},
+    "starlette": {"serve/app.py", "serve/server.py"},
 }
 MODULES = {path.relative_to(PACKAGE).as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}
 

@@ -15,7 +15,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from airgs_codec.serve.player import is_built, player_address
+from airgs_codec.serve.pages import is_built, player_address
 from tools.lab.serving import airgs_serve
 
 REPOSITORY = Path(__file__).parent.parent

@@ -18,9 +18,8 @@ from airgs_codec.play.link import Link
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.serve.app import make_app
 from airgs_codec.serve.files import PackageFiles
-from airgs_codec.serve.player import NOT_BUILT, is_built, player_address
-from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen, serve
-from airgs_codec.serve.shaping import Shape
+from airgs_codec.serve.pages import NOT_BUILT, is_built, player_address
+from airgs_codec.serve.server import Certificate, ServerSettings, Shape, check_certificate, listen, serve
 
 PACKAGES = "folder with airgs.json, or a folder that holds such folders: new ones are served, too, as they appear"
 ANY_HOST = ("0.0.0.0", "::")

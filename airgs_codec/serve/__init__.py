@@ -1,1 +1,1 @@
-"""Packages over HTTP: their files, answers to requests, a shaped link, the server."""
+"""Packages over HTTP: their files, pages that play them, the application, the server and its link."""

@@ -18,11 +18,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from airgs_codec.errors import TransportError
-from airgs_codec.package.paths import INIT_NAME, MEDIA_TYPES, ROOTS
+from airgs_codec.errors import ConfigError, TransportError
+from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MEDIA_TYPES, ROOTS
 from airgs_codec.package.tables import digest
-from airgs_codec.serve.player import PAGE, PAGE_TYPES
-from airgs_codec.serve.shelves import Shelves
+from airgs_codec.serve.pages import PAGE, PAGE_TYPES
 
 CACHE_BYTES = 64 << 20
 SETTLED_NS = 2_000_000_000  # a younger file may change without a new time stamp (the coarsest are 2 s apart)
@@ -34,6 +33,62 @@ _ABSENT = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.EACCES, errno.ENAMETO
 _TEXT = (".json", ".mpd", ".html", ".js")  # the only files that are not compressed already
 
 Stamp = tuple[int, ...]  # device, inode, bytes, ns of the last change of the bytes and of the inode
+
+
+class Shelves:
+    """The folders of packages by their names: those named one by one, and those in folders that hold packages."""
+
+    def __init__(self, folders: list[Path]) -> None:
+        """`folders`: packages, and folders that hold packages.
+
+        Raises ConfigError for a folder of neither kind and for two packages of one name.
+        """
+        self._named: dict[str, Path] = {}
+        self._holders: list[Path] = []
+        self._known: dict[str, Path] = {}
+        for folder in folders:
+            self._add(folder)
+
+    def _add(self, folder: Path) -> None:
+        own = _is_package(folder)
+        found = {folder.resolve().name: folder.absolute()} if own else _packages_in(folder)
+        if not found:
+            kinds = f"a package with {JSON_NAME} or a folder with packages"
+            raise ConfigError(f"{folder}: expected {kinds}, got nothing of that kind")
+        for name in sorted(found.keys() & self._known.keys()):
+            raise ConfigError(f"{found[name]}: expected packages of different names, got {name} twice")
+        self._known |= found
+        if own:
+            self._named |= found
+        else:
+            self._holders.append(folder.absolute())
+
+    def packages(self) -> dict[str, Path]:
+        """Those that are there now. Where a name has come up twice, the folder that was named first has it."""
+        found: dict[str, Path] = {}
+        for holder in reversed(self._holders):
+            found |= _packages_in(holder)
+        self._known = found | self._named
+        return dict(self._known)
+
+    def find(self, name: str) -> Path | None:
+        """The folder of a package, None where there is no such package."""
+        return self._known.get(name) or self.packages().get(name)
+
+
+def _is_package(folder: Path) -> bool:
+    return (folder / JSON_NAME).is_file()
+
+
+def _packages_in(holder: Path) -> dict[str, Path]:
+    """The packages in a folder: no links, nothing hidden, and no name that an address cannot have."""
+    try:
+        with os.scandir(holder) as entries:
+            names = sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False))
+    except OSError:
+        return {}
+    usable = (name for name in names if not name.startswith(".") and name.isprintable())
+    return {name: holder.absolute() / name for name in usable if _is_package(holder / name)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,10 +157,10 @@ class PackageFiles:
             return cached[1]
         loaded = await asyncio.to_thread(_load, folder, path, kind)
         if loaded and time.time_ns() - max(loaded[0][-2:]) > SETTLED_NS:
-            self._keep(key, loaded)
+            self._remember(key, loaded)
         return loaded[1] if loaded else None
 
-    def _keep(self, key: tuple[str, str], entry: tuple[Stamp, Snapshot]) -> None:
+    def _remember(self, key: tuple[str, str], entry: tuple[Stamp, Snapshot]) -> None:
         if old := self._cache.pop(key, None):
             self._held_bytes -= _held(old[1])
         self._cache[key] = entry

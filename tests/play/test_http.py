@@ -25,8 +25,7 @@ from airgs_codec.play.repr_digest import check_repr_digest, repr_digest
 from airgs_codec.play.session import play, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace, open_trace
-from airgs_codec.serve.server import ServerSettings
-from airgs_codec.serve.shaping import Shape
+from airgs_codec.serve.server import ServerSettings, Shape
 from tests.support.faulty import FAULTS, Weather, faultily_serving
 from tests.support.paths import GOLDEN, VALID
 from tests.support.servers import plainly_serving, serving

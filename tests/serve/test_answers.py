@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airgs_codec.serve.answers import answer, parse_range
+from airgs_codec.serve.app import answer, parse_range
 from airgs_codec.serve.files import Snapshot
 
 DATA = bytes(range(100))

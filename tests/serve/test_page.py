@@ -10,9 +10,8 @@ from urllib.parse import parse_qs, unquote, urljoin, urlsplit
 import pytest
 
 from airgs_codec.package.store import open_package
-from airgs_codec.serve import listing
-from airgs_codec.serve.listing import look_at
-from airgs_codec.serve.player import content_policy, player_address
+from airgs_codec.serve import pages
+from airgs_codec.serve.pages import content_policy, look_at, player_address
 from tests.support.page import FILES, INLINE, put_page
 from tests.support.paths import VALID
 from tests.support.servers import serving
@@ -144,7 +143,7 @@ def test_the_list_says_what_each_package_is(port):
 def test_of_a_long_package_the_first_groups_stand_for_all(monkeypatch):
     package = open_package(PACKAGE)
     whole = look_at(package.manifest, 1000)
-    monkeypatch.setattr(listing, "LOOKED_AT", 1)
+    monkeypatch.setattr(pages, "LOOKED_AT", 1)
     guess = look_at(package.manifest, 1000)
     assert (whole.whole, guess.whole, guess.frames) == (True, False, whole.frames)
     assert guess.bytes == pytest.approx(whole.bytes, rel=0.5) and guess.psnr == pytest.approx(whole.psnr, abs=3)

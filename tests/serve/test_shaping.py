@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.play.trace import Trace, open_trace
-from airgs_codec.serve.server import ServerSettings
-from airgs_codec.serve.shaping import LATE_S, Bucket, Shape
+from airgs_codec.serve.server import LATE_S, Bucket, ServerSettings, Shape
 from tests.support.paths import VALID
 from tests.support.servers import say, serving
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from airgs_codec.serve import files, player
+from airgs_codec.serve import files, pages
 
 INLINE = "document.title = 'ready';"
 FILES = {
@@ -22,6 +22,6 @@ def put_page(folder: Path, patch: pytest.MonkeyPatch) -> Path:
     folder.mkdir(exist_ok=True)
     for name, text in FILES.items():
         (folder / name).write_text(text)
-    for module in (files, player):
+    for module in (files, pages):
         patch.setattr(module, "PAGE", folder)
     return folder

@@ -6,7 +6,7 @@ import tomllib
 
 import pytest
 
-from airgs_codec.serve.player import PAGE, PAGE_TYPES, is_built
+from airgs_codec.serve.pages import PAGE, PAGE_TYPES, is_built
 from tests.support.browser import WEB, missing
 from tests.support.paths import PACKAGE, REPOSITORY
 

@@ -11,8 +11,7 @@ from airgs_codec.package.manifest import Groups
 from airgs_codec.package.packing import pack_json
 from airgs_codec.package.store import open_package, root_of
 from airgs_codec.play.trace import Trace
-from airgs_codec.serve.server import ServerSettings
-from airgs_codec.serve.shaping import Shape
+from airgs_codec.serve.server import ServerSettings, Shape
 from tests.support.browser import WEB, build_pages, missing, serve, visit
 from tests.support.moods import SILENT, WRONG, Moods, moodily_serving, outage
 from tests.support.paths import GOLDEN

@@ -1,8 +1,14 @@
-"""What is served, at a glance: a page with a line or two about each package and the link that plays it."""
+"""The page that plays packages, and the one that lists them with a line or two about each.
+
+The player is built from web/ into the folder `page/` (`make page`), which is a part of the installed package.
+"""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import html
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -10,12 +16,27 @@ from functools import lru_cache
 from pathlib import Path
 from urllib.parse import quote
 
-from airgs_codec.errors import AirgsError
+from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME
 from airgs_codec.package.store import open_package
-from airgs_codec.serve.player import player_address
 
+PAGE = Path(__file__).parent / "page"
+PLAYER_PAGE, PLAYER_SCRIPT = "player.html", "airgs-player.js"
+MODULES = ("airgs.js", "airgs-frames.js")  # for pages of others
+PAGE_TYPES = {PLAYER_PAGE: "text/html"} | dict.fromkeys((PLAYER_SCRIPT, *MODULES), "text/javascript")
+NOT_BUILT = "the player is not built: run make page, which needs Node 20 and npm"
+_POLICY = {  # what a page may load, of each kind; nothing of any other
+    "default-src": "'none'",
+    "script-src": "'self'",
+    "worker-src": "blob:",  # the player's workers are parts of its script
+    "connect-src": "*",  # a package may lie anywhere
+    "img-src": "* data: blob:",  # and so may a poster
+    "style-src": "'unsafe-inline'",  # in the shadow of <airgs-player>
+    "base-uri": "'none'",
+    "form-action": "'none'",
+}
+_INLINE = re.compile(r"<script\b(?![^>]*\bsrc\s*=)[^>]*>(.*?)</script>", re.DOTALL | re.IGNORECASE)
 LOOKED_AT = 8  # groups of a package: a longer one would take too long
 STYLE = """
 :root { color-scheme: light dark }
@@ -27,6 +48,31 @@ li > a:first-child { display: block; font-size: 1.15rem; font-weight: 600; paddi
 img { display: block; width: 100%; height: auto; border-radius: .5rem }
 p { margin: .25rem 0; opacity: .75 }
 """
+
+
+def content_policy(page: str) -> str:
+    """The Content-Security-Policy of an HTML page: what the player needs, and the scripts that stand in the page."""
+    digests = [hashlib.sha256(script.encode()).digest() for script in _INLINE.findall(page)]
+    scripts = [f"'sha256-{base64.b64encode(digest).decode()}'" for digest in digests]
+    policy = _POLICY | {"script-src": " ".join([_POLICY["script-src"], *scripts])}
+    return "; ".join(f"{name} {values}" for name, values in policy.items())
+
+
+def player_address(name: str) -> str:
+    """The address, from the root, that plays the package `name` of the same server."""
+    return f"/{PLAYER_PAGE}?src={quote(f'{quote(name)}/', safe='/')}"
+
+
+def is_built() -> bool:
+    """Whether the page is there; only a clone of the repository in which it was deleted has none."""
+    return all((PAGE / name).is_file() for name in PAGE_TYPES)
+
+
+def read_script() -> bytes:
+    """The player as one script. Raises ConfigError where it is not built."""
+    if not is_built():
+        raise ConfigError(f"{PAGE}: {NOT_BUILT}")
+    return (PAGE / PLAYER_SCRIPT).read_bytes()
 
 
 @dataclass(frozen=True, slots=True)
