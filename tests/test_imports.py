@@ -11,7 +11,7 @@ from tests.support.paths import PACKAGE
 
 ROOT = "the root"
 ORDER = (
-    ROOT, "media", "scene", "render", "package", "jobs", "analysis", "coding", "decoder", "train", "play", "serve",
+    ROOT, "media", "scene", "package", "coding", "decoder", "render", "jobs", "analysis", "train", "play", "serve",
     "encoder", "inspect", "cli",
 )  # fmt: skip
 MAY_IMPORT = {
@@ -35,7 +35,6 @@ MAY_IMPORT = {
     "numba": {
         "cli/kernels.py",
         "coding/rangecoder.py",
-        "coding/row_kernels.py",
         "render/cpu.py",
         "render/cpu_kernels.py",
         "train/loss/kernels.py",

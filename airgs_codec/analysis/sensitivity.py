@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
+from airgs_codec.package.tables import STATE_ATTRIBUTES
 from airgs_codec.render import Camera, Contribution
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.inputs import RasterInputs
@@ -22,7 +23,6 @@ Floats = NDArray[np.float32]
 MAX_VIEWS = 8  # rendered for each frame; more views change the estimate little
 CODING_VARIANCE = 0.1  # steps^2: 1/12 of the quantiser and some of H.264
 LEAK = 0.3  # share of CODING_VARIANCE that a channel gets from its neighbours when nothing in it is worth coding
-FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
 
 
 class UsageSums:
@@ -70,6 +70,10 @@ class Sensitivity:
     def take(self, rows: NDArray[np.intp] | slice) -> Sensitivity:
         """The sensitivity of some rows, in the order of `rows`."""
         return Sensitivity(*(getattr(self, f.name)[rows] for f in fields(self)))
+
+    def by_attribute(self) -> NDArray[np.float64]:
+        """(6, N) the same as one array, in the order of `package.tables.STATE_ATTRIBUTES`."""
+        return np.stack([getattr(self, name) for name in STATE_ATTRIBUTES])
 
 
 def measure_sensitivity(

@@ -20,7 +20,7 @@ from numba.core.sigutils import normalize_signature
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba, as in `cli.common`
 
-from airgs_codec.coding import rangecoder, row_kernels
+from airgs_codec.coding import rangecoder
 from airgs_codec.render import cpu_kernels
 from airgs_codec.train.loss import kernels as loss_kernels
 
@@ -28,8 +28,6 @@ _TILES = "f4[:,::1], i8[::1], i4[::1], i4[::1], i8, i8"  # `Tiles.arguments` and
 _SCENE = "f4[:,::1], f4[:,::1], f4[:,::1], f4[::1], f4[:,:,::1], i8, f8[:,::1], f8[::1], i8, i8"
 _PAIRS = "i4[::1], i8[::1], i4[::1]"  # `Projected.arguments`
 _GRADIENT = f"{_TILES}, f4[:,:,::1], f4[:,::1], i4[::1], f4[:,:,::1], f4[:,::1]"
-_ROWS = "f4[:,::1], f4[:,::1], i8[::1], f4[:,::1]"
-_PLANES = "i8[:,::1], i8, i4[:,::1], i8"
 
 Kernels = tuple[tuple[Dispatcher, str], ...]
 
@@ -49,14 +47,6 @@ BACKWARD = (
         f"({_SCENE}, f8, f4[:,::1], i4[::1], b1[::1], f4[:,::1], "
         "f4[:,::1], f4[:,::1], f4[:,::1], f4[::1], f4[:,:,::1])",
     ),
-    (row_kernels.read_planes, f"(u1[:,::1], {_PLANES}, i4[:,::1])"),
-    (row_kernels.read_planes, f"(u1[:,::1], {_PLANES}, u1[:,::1])"),
-    (row_kernels.read_planes, f"(u1[:,:], {_PLANES}, i4[:,::1])"),
-    (row_kernels.to_quaternions, "(f4[:,::1], f4[:,::1])"),
-    (row_kernels.turn_rows, f"({_ROWS})"),
-    (row_kernels.add_colours, "(f4[:,::1], f4[:,::1], f4[::1], i8[::1], f4[:,::1])"),
-    (row_kernels.move_rows, "(f4[:,::1], f4[::1], f8[:,::1], i8[::1], f4[:,::1])"),
-    (row_kernels.add_rows, "(f4[:,::1], i8[::1], f4[:,::1])"),
 )
 TRAINING = (
     (cpu_kernels.blend_gradient, f"({_GRADIENT}, none, f4[:,::1])"),

@@ -5,17 +5,17 @@ Row i goes to the i-th cell of 16x16 blocks; cells of a block follow a Z-curve, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.row_kernels import read_planes
+from airgs_codec.coding.escapes import UNIT
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas, plane_height
 
 CELLS = BLOCK * BLOCK
 GREY = 128
-_NO_BASES = np.empty((0, 0), np.int32)
 
 
 def choose_layout(rows: int, planes: int) -> tuple[int, int]:
@@ -113,8 +113,8 @@ def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None))
     """(pages * height, width) picture -> (P, n) samples of some rows."""
     start, stop, _ = rows.indices(atlas.rows)
     samples = np.empty((len(atlas.planes), stop - start), np.uint8)
-    places = [(plane, 0) for plane in range(len(samples))]
-    _read_planes(picture, atlas, places, None, start, samples)
+    for line, plane in zip(samples, _read_planes(picture, atlas, rows), strict=True):
+        line[:] = plane
     return samples
 
 
@@ -127,30 +127,27 @@ def read_codes(
     """
     start, stop, _ = rows.indices(atlas.rows)
     codes = np.empty((len(atlas.centres), stop - start), np.int32)
-    for channel in set(range(len(codes))).difference(atlas.planes):
-        codes[channel] = atlas.centres[channel]
-    _read_planes(picture, atlas, [(c, atlas.centres[c] - GREY) for c in atlas.planes], bases, start, codes)
+    codes[:] = np.array(atlas.centres, np.int32)[:, None]
+    for plane, samples in enumerate(_read_planes(picture, atlas, rows)):
+        line = codes[atlas.planes[plane]]
+        line += samples
+        line -= GREY
+        if bases is not None:
+            line += UNIT * bases[plane, rows]
     return codes
 
 
-def _read_planes(
-    picture: NDArray[np.uint8],
-    atlas: Atlas,
-    places: list[tuple[int, int]],
-    bases: NDArray[np.int32] | None,
-    first: int,
-    out: NDArray[np.integer],
-) -> None:
-    """Write samples of the rows from `first` on; `places`: for each plane its line of `out` and what is added to it."""
-    if not places:
+def _read_planes(picture: NDArray[np.uint8], atlas: Atlas, rows: slice) -> Iterator[NDArray[np.uint8]]:
+    """The (n,) samples of some rows in one plane after another."""
+    if not atlas.planes:
         return
     width, lines = atlas.size
-    if picture.shape[0] < lines or picture.shape[1] < width:  # the loop does not look where it reads
+    if picture.shape[0] < lines or picture.shape[1] < width:
         raise ValueError(f"expected a picture of at least {width}x{lines}, got {picture.shape[1]}x{picture.shape[0]}")
-    height = plane_height(atlas.rows, atlas.plane_width)
-    corners = np.empty((len(places), 4), np.int64)
-    for plane, (line, centre) in enumerate(places):
-        down, across = divmod(plane, atlas.columns)
-        corners[plane] = line, down * height, across * atlas.plane_width, centre
-    bases = _NO_BASES if bases is None else bases
-    read_planes(picture, corners, atlas.plane_width // BLOCK, bases, first, out)
+    if picture.strides[1] != 1 or picture.strides[0] < picture.shape[1]:
+        picture = np.ascontiguousarray(picture)
+    stride = picture.strides[0]  # decoders pad their lines
+    flat = np.lib.stride_tricks.as_strided(picture, (stride * (len(picture) - 1) + picture.shape[1],), (1,))
+    places = row_places(atlas.rows, atlas.plane_width, stride)[rows]
+    for start in plane_starts(atlas, stride):
+        yield flat[start:].take(places)

@@ -13,12 +13,10 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding import row_kernels as kernels
 from airgs_codec.coding.attributes import from_opacity, to_opacity
-from airgs_codec.coding.chunks import for_chunks
 from airgs_codec.coding.colour import colour_steps, colours, from_klt, split_colours, to_klt
-from airgs_codec.coding.frame_memory import FrameMemory
 from airgs_codec.coding.grid import grid_means
+from airgs_codec.coding.kernels import FrameMemory, consecutive, for_chunks, klt_colours, to_quaternions
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.package.layout import COLOUR, KEY, STATE
@@ -135,16 +133,16 @@ def dequantise_parts(
     of = transform.astype(np.float32), colour_steps(steps.sh_dc, steps.sh_rest, width).astype(np.float32)
     means, units = np.empty((count, 3)), np.empty(count, np.float32)
     quaternions, log_scales = np.empty((count, 4), np.float32), np.empty((count, 3), np.float32)
-    opacity, colour = np.empty(count, np.float32), np.zeros((count, width), np.float32)
+    opacity, colour = np.empty(count, np.float32), np.empty((count, width), np.float32)
 
     def fill(rows: slice) -> None:
         channels, classes = read(rows), sidecar.classes[rows]
         means[rows] = grid_means(sidecar.codes[rows], classes, grid, coarser)
         units[rows] = motion_units(classes)
         log_scales[rows] = channels[KEY.slice("log_scales")].T
-        kernels.to_quaternions(channels[KEY.slice("quaternions")], quaternions[rows])
+        quaternions[rows] = to_quaternions(channels[KEY.slice("quaternions")])
         opacity[rows] = channels[KEY.slice("opacity")][0]
-        kernels.add_colours(channels[KEY.slice(COLOUR)], *of, np.arange(rows.start, rows.stop), colour)
+        colour[rows] = klt_colours(channels[KEY.slice(COLOUR)], *of)
 
     for_chunks(fill, count, WIDTH)
     return Canonical(means, units, quaternions, log_scales, opacity, colour, sidecar.depths, transform)
@@ -244,21 +242,20 @@ class StateApplier:
 
     def _add(self, out: dict[str, NDArray[np.float32]], rows: NDArray[np.intp], channels: NDArray[np.float32]) -> None:
         """Write what (10 + C, n) channels make of these rows (n,)."""
-        base = self.base
-        kernels.move_rows(channels[_MEANS], base.motion_units, base.means, rows, out["means"])
-        kernels.add_rows(channels[_SCALES], rows, out["log_scales"])
-        out["opacity_logits"][rows] = from_opacity(base.opacity[rows] + channels[_OPACITY][0])
+        base, some = self.base, consecutive(rows)
+        out["means"][some] = base.means[some] + (channels[_MEANS] * base.motion_units[some]).T
+        out["log_scales"][some] += channels[_SCALES].T
+        out["opacity_logits"][some] = from_opacity(base.opacity[some] + channels[_OPACITY][0])
         if self.has_rotation:
-            kernels.turn_rows(channels[_ROTATION], base.quaternions, rows, out["quaternions"])
+            out["quaternions"][some] = multiply(to_quaternions(channels[_ROTATION]), base.quaternions[some])
         if self.has_colour:
-            of = self.transform, self.colour_steps
-            kernels.add_colours(channels[_COLOUR], *of, rows, out["colours"])
-            kernels.copy_rows(out["colours"], rows, out["sh_dc"])
+            out["colours"][some] += klt_colours(channels[_COLOUR], self.transform, self.colour_steps)
+            out["sh_dc"][some] = out["colours"][some, :3]
 
 
 def _parts_of(channels: NDArray[np.float32]) -> Callable[[slice], NDArray[np.float32]]:
-    """What gives the channels of some of the rows, as the compiled loops take them."""
-    return lambda rows: np.ascontiguousarray(channels[:, rows])
+    """Return what gives the channels of some of the rows."""
+    return lambda rows: channels[:, rows]
 
 
 def _to_gaussians(

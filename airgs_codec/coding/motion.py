@@ -10,9 +10,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.sensitivity import FLOOR, Sensitivity
 from airgs_codec.package.tables import LEAST_CLASS, MOST_CLASS
 from airgs_codec.scene.gaussians import Gaussians
+
+FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
 
 
 def motion_classes(sensitivity: NDArray[np.float64], floor: float) -> NDArray[np.int16]:
@@ -29,12 +30,12 @@ def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
     return np.exp2(classes.astype(np.float32))
 
 
-def classify_motion(sensitivity: Sensitivity, g: Gaussians) -> NDArray[np.int16]:
-    """(N,) motion classes by how much pictures depend on each row; where no row is visible, by the median size."""
-    seen = sensitivity.means[sensitivity.means > 0]
+def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians) -> NDArray[np.int16]:
+    """(N,) motion classes by (N,) `sensitivity`, as in `motion_classes`; where no row is seen, by the median size."""
+    seen = sensitivity[sensitivity > 0]
     if not len(seen):  # nothing is visible: every row counts alike
         return np.full(len(g), round(math.log2(_median_size(g))), np.int16)
-    return motion_classes(sensitivity.means, FLOOR * float(np.median(seen)))
+    return motion_classes(sensitivity, FLOOR * float(np.median(seen)))
 
 
 def _median_size(g: Gaussians) -> float:

@@ -99,8 +99,8 @@ def _read_positions(reader: ColumnReader, rows: int, grid: Grid, coarsest: int) 
     where = reader.where
     if int(classes.max()) > MOST_CLASS or int(carried.max()) > STATIC:
         raise FormatError("bad_sidecar", where, f"expected classes up to {MOST_CLASS} and depths up to {STATIC}")
-    codes = np.empty(rows, np.uint64)
-    if not sum_gaps(gaps, 3 * cell_bits(classes.astype(np.int16), grid, coarsest), 3 * grid.bits, codes):
+    codes = sum_gaps(gaps, 3 * cell_bits(classes.astype(np.int16), grid, coarsest), 3 * grid.bits)
+    if codes is None:
         raise FormatError("bad_sidecar", where, f"Morton codes leave {3 * grid.bits} bits")
     return KeySidecar(codes, classes.astype(np.int16), (carried - 1).astype(np.uint8))
 

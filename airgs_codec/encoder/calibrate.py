@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import RowPruning, pooled_error
 from airgs_codec.coding.channels import key_channels, state_channels
-from airgs_codec.coding.chunks import row_chunks
+from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.coding.weights import channel_weights
 from airgs_codec.encoder.plan import (
@@ -110,7 +110,9 @@ class Subject:
             segment_frames=segment,
         )
         states = sample.states(sample.code_key(settings.steps, 1.0)[1], settings.steps)
-        weights = channel_weights(sample.classes, sample.sensitivity, layout.state_steps, layout.transform)
+        weights = channel_weights(
+            sample.classes, sample.sensitivity.by_attribute(), layout.state_steps, layout.transform
+        )
         moving = find_moving(states[1:], states[1:] - states[0], weights, settings.keep_all)
         return replace(sample, moving=moving)
 

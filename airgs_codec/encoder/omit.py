@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import CostSums, estimate_cost, pooled_error, select_omissions
 from airgs_codec.coding.channels import Canonical, StateApplier, frame_channels, hold_undrawn
-from airgs_codec.coding.chunks import row_chunks
+from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.encoder.plan import CODED_HERE, GroupLayout
 from airgs_codec.encoder.survey import Pictures, Survey
 from airgs_codec.media.metrics import Picture, psnr

@@ -223,12 +223,16 @@ class GroupLayout:
 
     def state_weights(self, rows: slice = slice(None)) -> NDArray[np.float64]:
         """(10 + C, n) what a squared step in a state channel of some rows adds to the squared error of pictures."""
-        return channel_weights(self.classes[rows], self.sensitivity.take(rows), self.state_steps, self.transform)
+        return channel_weights(
+            self.classes[rows], self.sensitivity.take(rows).by_attribute(), self.state_steps, self.transform
+        )
 
     def key_weights(self) -> NDArray[np.float64]:
         """(7 + C, N) the same for the channels of a key, which has no means."""
         steps = StateSteps(1.0, *(getattr(self.key_steps, name) for name in KEY_ATTRIBUTES))
-        return channel_weights(self.classes, self.sensitivity, steps, self.transform)[STATE.slice("means").stop :]
+        return channel_weights(self.classes, self.sensitivity.by_attribute(), steps, self.transform)[
+            STATE.slice("means").stop :
+        ]
 
     def key_values(self) -> NDArray[np.float64]:
         """(7 + C, N) key channels."""
@@ -248,7 +252,7 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
     """Order, units, steps and transforms of a group: `loaded` are its frames, of which `kept` rows are written."""
     steps = settings.steps.scaled(settings.quality)
     canonical = mean_frame(loaded.frames).take(kept.rows)
-    classes = classify_motion(survey.sensitivity.take(kept.rows), canonical)
+    classes = classify_motion(survey.sensitivity.take(kept.rows).means, canonical)
     grid = fit_grid(canonical.means, classes, steps.grid)
     codes = grid_codes(canonical.means, classes, grid)
     score = survey.score(settings.usage)

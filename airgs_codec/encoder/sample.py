@@ -128,7 +128,9 @@ class CalibrationSample:
 
     def error(self, errors: NDArray[np.float64], steps: StepSettings) -> NDArray[np.float64]:
         """(n,) what errors (T, 10 + C, n), in steps, add to the mean squared error of pictures of the whole group."""
-        weights = channel_weights(self.classes, self.sensitivity, steps.state, self._transform(steps.key))
+        weights = channel_weights(
+            self.classes, self.sensitivity.by_attribute(), steps.state, self._transform(steps.key)
+        )
         return self.row_ratio * withheld_error(errors, weights)
 
     def _transform(self, steps: KeySteps) -> NDArray[np.float64]:
@@ -253,7 +255,7 @@ class _Trial:
         steps = self.settings.steps
         key_bytes, base = sample.code_key(steps, 1.0)
         transform = base.transform
-        weights = channel_weights(sample.classes, sample.sensitivity, steps.state, transform)
+        weights = channel_weights(sample.classes, sample.sensitivity.by_attribute(), steps.state, transform)
         costs = []
         for part in _segments(window, self.sequence, self.settings):
             shown = [self.frames[bisect_left(self.numbers, n)].take(sample.index) for n in part]
@@ -269,7 +271,7 @@ class _Trial:
         inside = self.frames[bisect_left(self.numbers, window.start) : bisect_left(self.numbers, window.stop)]
         canonical, rows = mean_frame(inside), self._needed(inside)
         sensitivity, key = self.sensitivity.take(rows), canonical.take(rows)
-        classes = classify_motion(sensitivity, key)
+        classes = classify_motion(sensitivity.means, key)
         order = np.argsort(grid_codes(key.means, classes, fit_grid(key.means, classes, self.settings.steps.grid)))
         index = order[block_rows(len(order), BLOCKS)]
         return CalibrationSample(

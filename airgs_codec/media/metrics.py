@@ -1,6 +1,7 @@
 """How much pictures differ: mean squared error, PSNR, SSIM and CIEDE2000, of one picture and of many together.
 
 Pictures are (H, W, 3) float32 sRGB. The only importer of colour-science, and only when asked: it takes two seconds.
+OpenCV is loaded to compare pictures, not for figures alone.
 """
 
 from __future__ import annotations
@@ -15,8 +16,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-
-from airgs_codec.media.image import blur
 
 Floats = NDArray[np.float32]
 
@@ -50,7 +49,7 @@ class Picture:
     def ssim(self, other: Picture) -> float:
         """Mean SSIM of another picture over pixels and channels (Wang et al. 2004, eq. 13), borders mirrored."""
         # (2 m m' + C1) (2 (product - m m') + C2) / ((m^2 + m'^2 + C1) (v + v' + C2)), in place
-        top, product = self._mean * other._mean, blur(self.rgb * other.rgb, _WINDOW)
+        top, product = self._mean * other._mean, _blur(self.rgb * other.rgb)
         top *= 2
         product *= 2
         product -= top
@@ -79,12 +78,12 @@ class Picture:
     @cached_property
     def _mean(self) -> Floats:
         """(H, W, 3) of the window around each pixel."""
-        return blur(self.rgb, _WINDOW)
+        return _blur(self.rgb)
 
     @cached_property
     def _variance(self) -> Floats:
         """(H, W, 3) of the window around each pixel."""
-        variance = blur(self.rgb * self.rgb, _WINDOW)
+        variance = _blur(self.rgb * self.rgb)
         variance -= self._mean * self._mean
         return variance
 
@@ -151,6 +150,13 @@ def _gaussian_window() -> Floats:
 
 
 _WINDOW = _gaussian_window()
+
+
+def _blur(picture: Floats) -> Floats:
+    """(H, W, 3) means over the window around each pixel."""
+    from airgs_codec.media.image import blur
+
+    return blur(picture, _WINDOW)
 
 
 def _load_colour() -> None:

@@ -86,7 +86,7 @@ def test_the_cost_of_withholding_is_the_rendered_one(scene):
     classes = motion_classes(s.means, 1e-2 * float(np.median(s.means)))
     channels = 10 + 3 * (1 + frame.sh_rest.shape[1])
     moved = np.random.default_rng(0).normal(0, 1, (1, channels, len(frame)))
-    weights = channel_weights(classes, s, steps, np.eye(channels - 10))
+    weights = channel_weights(classes, s.by_attribute(), steps, np.eye(channels - 10))
     for start, stop, name in ((0, 3, "means"), (3, 6, "log_scales"), (10, channels, "sh_dc")):
         changes = np.zeros_like(moved)
         changes[:, start:stop] = moved[:, start:stop]

@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 
-from airgs_codec.coding.chunks import CHUNK, LEAST, for_chunks, row_chunks
+from airgs_codec.coding.kernels import CHUNK, LEAST, for_chunks, row_chunks
 
 
 @pytest.mark.parametrize(("rows", "width"), [(0, 3), (1, 3), (10 * LEAST, CHUNK), (3 * CHUNK + 1, 1)])

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from airgs_codec.coding.frame_memory import FrameMemory
+from airgs_codec.coding.kernels import FrameMemory
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.package.store import open_package
 from tests.support.paths import GOLDEN

@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from airgs_codec.coding import chunks
+from airgs_codec.coding import kernels
 from airgs_codec.coding.atlas import read_codes
 from airgs_codec.decoder.decode import decode_frames, decode_state
 from airgs_codec.package.store import open_package
@@ -16,9 +16,9 @@ from tests.support.paths import GOLDEN, VALID
 @pytest.mark.parametrize("level", [0, 1])
 def test_how_many_rows_are_decoded_together_changes_nothing(monkeypatch, level):
     package, frames = open_package(GOLDEN / "fox"), []
-    for most in (chunks.LEAST, 1 << 24):
-        monkeypatch.setattr(chunks, "CHUNK", 1)
-        monkeypatch.setattr(chunks, "LEAST", most)
+    for most in (kernels.LEAST, 1 << 24):
+        monkeypatch.setattr(kernels, "CHUNK", 1)
+        monkeypatch.setattr(kernels, "LEAST", most)
         frames.append([frame.gaussians for frame in decode_frames(package, 0, 4, level=level)])
     assert len(frames[0][0]) > 2 * 256
     for a, b in zip(*frames, strict=True):

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from airgs_codec.coding import chunks
+from airgs_codec.coding import kernels
 from airgs_codec.coding.channels import state_channels
 from airgs_codec.encoder.omit import StateValues
 from airgs_codec.encoder.plan import keep_rows, lay_out
@@ -49,8 +49,8 @@ def group(sequence):
 
 @pytest.fixture
 def small_chunks(monkeypatch):
-    monkeypatch.setattr(chunks, "CHUNK", 1)
-    monkeypatch.setattr(chunks, "LEAST", 37)
+    monkeypatch.setattr(kernels, "CHUNK", 1)
+    monkeypatch.setattr(kernels, "LEAST", 37)
 
 
 def test_values_are_those_of_all_frames_together(group, tmp_path, small_chunks):

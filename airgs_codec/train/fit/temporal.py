@@ -42,7 +42,7 @@ def codec_steps(
     """
     state = (steps or StepSettings()).state
     sensitivity = measure_sensitivity([g], cameras, renderer)
-    unit = motion_units(classify_motion(sensitivity, g))
+    unit = motion_units(classify_motion(sensitivity.means, g))
     alpha = g.opacities()
     length = np.linalg.norm(g.quaternions.astype(np.float64), axis=1, keepdims=True)
     table = {

@@ -13,11 +13,11 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.sensitivity import FLOOR, measure_sensitivity
+from airgs_codec.analysis.sensitivity import measure_sensitivity
 from airgs_codec.coding.channels import key_channels
 from airgs_codec.coding.colour import colour_transform, fit_colour_transform, from_klt, to_klt
 from airgs_codec.coding.grid import fit_grid
-from airgs_codec.coding.motion import classify_motion, motion_classes, motion_units
+from airgs_codec.coding.motion import FLOOR, classify_motion, motion_classes, motion_units
 from airgs_codec.coding.roundtrip import encode_and_decode
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, get_step, measure_slopes, solve_steps
@@ -134,7 +134,7 @@ def sample_of(g: Gaussians) -> CalibrationSample:
         index=np.arange(len(g)),
         key=frames[0],
         frames=frames,
-        classes=classify_motion(sensitivity, frames[0]),
+        classes=classify_motion(sensitivity.means, frames[0]),
         sensitivity=sensitivity,
         moving=np.ones(len(g), bool),
         row_ratio=1.0,

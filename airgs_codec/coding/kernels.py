@@ -1,0 +1,116 @@
+"""Work on rows, a few at a time: chunks on several threads, memory of frames, rotations and colours of rows.
+
+What is worked out row by row never needs more memory than a chunk of rows takes. n rows, C colour channels. Arithmetic
+is in float32, within the bounds of FORMAT.md (section 5, Precision), in one order of operations: equal channels give
+equal rows on every machine, however rows are cut into chunks.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec._settings import available_cores
+
+CHUNK = 1 << 20  # numbers of all its rows together that a chunk has at most; but it has at least LEAST rows
+LEAST = 256  # rows
+Floats = NDArray[np.float32]
+
+_SMALL_ANGLE = np.float32(1e-8)  # radians; below it sin(a/2)/a is 1/2, as in `scene.gaussians`
+_STRIP = 1 << 18  # numbers that colours are summed up in at a time: they stay in the cache of a core
+
+
+def row_chunks(rows: int, width: int) -> Iterator[slice]:
+    """Slices that cover so many rows, each of which has `width` numbers."""
+    size = max(LEAST, CHUNK // max(1, width))
+    return (slice(start, min(start + size, rows)) for start in range(0, rows, size))
+
+
+def for_chunks(work: Callable[[slice], None], rows: int, width: int) -> None:
+    """Call `work` with every chunk, several at a time where there are several: numpy lets other threads run."""
+    chunks = list(row_chunks(rows, width))
+    if len(chunks) == 1:
+        work(chunks[0])
+        return
+    for _ in _pool().map(work, chunks):
+        pass
+
+
+@functools.cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(available_cores(), thread_name_prefix="chunks")
+
+
+if hasattr(os, "register_at_fork"):  # the threads of a pool stay with the parent, and a child would wait for them
+    os.register_at_fork(after_in_child=_pool.cache_clear)
+
+
+class FrameMemory:
+    """Gives out arrays, each anew once the one who got it has let go of it and of all views of it.
+
+    Fresh memory of the size of a large frame comes from the system, which clears it page by page: a third of the time
+    of a decoded frame of a million Gaussians.
+    """
+
+    def __init__(self) -> None:
+        self._arrays: list[Floats] = []
+
+    def empty_like(self, like: Floats) -> Floats:
+        """Return an array of the shape of `like` with any content, which nobody else has."""
+        for array, held in zip(self._arrays, _references(self._arrays), strict=True):
+            if array.shape == like.shape and held <= _OURS:
+                return array
+        self._arrays.append(np.empty_like(like))
+        return self._arrays[-1]
+
+
+def _references(arrays: list[Floats]) -> list[int]:
+    """How often each array is held, by whatever this version of Python counts here besides."""
+    return [sys.getrefcount(array) for array in arrays]
+
+
+_OURS = _references([np.empty(0, np.float32)])[0]  # of an array that nobody has but the list
+
+
+def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Ascending rows (n,), n > 0, as a slice where they follow one another: reading them then copies nothing."""
+    first, last = int(rows[0]), int(rows[-1])
+    return slice(first, last + 1) if last - first == len(rows) - 1 else rows
+
+
+def to_quaternions(vectors: Floats) -> Floats:
+    """Rotation vectors (3, n) -> unit quaternions (n, 4).
+
+    Sine and cosine are taken in float64 and rounded: float32 ones differ from one machine to the next.
+    """
+    x, y, z = vectors
+    angle = np.sqrt(x * x + y * y + z * z)
+    half = (angle / np.float32(2)).astype(np.float64)
+    factor = np.full_like(angle, 0.5)
+    np.divide(np.sin(half).astype(np.float32), angle, out=factor, where=angle > _SMALL_ANGLE)
+    quaternions = np.empty((len(angle), 4), np.float32)
+    quaternions[:, 0] = np.cos(half)
+    quaternions[:, 1:] = (factor * vectors).T
+    return quaternions
+
+
+def klt_colours(channels: Floats, transform: Floats, steps: Floats) -> Floats:
+    """(C, n) KLT channels -> (n, C) colours: their product with the transform (C, C), times the steps (C,)."""
+    width, rows = channels.shape
+    colours = np.empty((rows, width), np.float32)
+    some = [k for k in range(width) if channels[k].any()]  # the others would add 0
+    size = max(1, _STRIP // max(1, width))
+    for start in range(0, rows, size):
+        strip = channels[:, start : start + size]
+        total, part = np.zeros(strip.shape, np.float32), np.empty(strip.shape, np.float32)
+        for k in some:
+            total += np.multiply(transform[k][:, None], strip[k], out=part)
+        total *= steps[:, None]
+        colours[start : start + size] = total.T
+    return colours
