@@ -70,12 +70,12 @@ class BaseGroup:
         return (1 - WORTH) * self.key_bytes * rows / len(self.layout.rows)
 
 
-def keep_known(layout: GroupLayout, base: BaseGroup, settings: EncodeSettings) -> GroupLayout | None:
+def lay_out_reused(layout: GroupLayout, base: BaseGroup, settings: EncodeSettings) -> GroupLayout | None:
     """The layout with every row of the base kept that may be; None where so few may that it is not worth it.
 
     Kept rows have the unit and the motion class that they have in the base. Viewers of the last level must have a row.
     """
-    there = find_kept(layout, base)
+    there = find_reused(layout, base)
     kept = there != CODED_HERE
     units = np.where(kept, base.layout.units[there], layout.units)
     if kept.mean() < WORTH or not (units % layout.tiers < settings.tiers_of(settings.levels[-1])).any():
@@ -86,7 +86,7 @@ def keep_known(layout: GroupLayout, base: BaseGroup, settings: EncodeSettings) -
     return moved.take(np.lexsort((np.where(kept, there.astype(np.uint64), codes), ~kept, units)))
 
 
-def find_kept(layout: GroupLayout, base: BaseGroup) -> NDArray[np.intp]:
+def find_reused(layout: GroupLayout, base: BaseGroup) -> NDArray[np.intp]:
     """(N,) for each row the row of the base that viewers may keep in its place, CODED_HERE where there is none.
 
     That is the same row of the sequence, if its canonical value is still the same and its motion class in the base is
@@ -127,9 +127,9 @@ def _differences(
     return np.abs(decoded) / promised, np.abs(before) / units
 
 
-def kept_errors(layout: GroupLayout, base: BaseGroup, unit: int, quality: int) -> NDArray[np.float64]:
+def reused_errors(layout: GroupLayout, base: BaseGroup, unit: int, quality: int) -> NDArray[np.float64]:
     """(7 + C,) the most that kept rows of a unit are off in a key quality, in the units of the channels."""
-    rows = layout.kept_rows(unit)
+    rows = layout.reused_rows(unit)
     errors = np.abs(base.values(layout, layout.base_rows[rows], quality) - layout.key_values()[:, rows])
     return np.asarray(errors.max(axis=1, initial=0.0) + ROUNDING * np.abs(layout.key_values()[:, rows]).max(axis=1))
 
@@ -238,7 +238,7 @@ def key_sidecar(
     layout: GroupLayout, unit: int, depths: NDArray[np.uint8], base: GroupLayout | None = None
 ) -> KeySidecar:
     """What the sidecar of a unit holds; `depths` (N,) are those of all rows, `base` is whose rows are kept."""
-    coded, kept = layout.sidecar(layout.coded_rows(unit), depths), layout.kept_rows(unit)
+    coded, kept = layout.sidecar(layout.coded_rows(unit), depths), layout.reused_rows(unit)
     if base is None:
         return coded
     return replace(coded, kept=Kept(layout.base_rows[kept] - base.unit_rows(unit).start, depths[kept]))
@@ -269,7 +269,7 @@ def decode_base(
     channels, parts = [np.empty((len(steps), 0), np.float32)], []
     for unit, of_quality in enumerate(pictures):
         gops, coded = of_quality[quality].gops, keys.units[unit][quality]
-        kept = layout.kept_rows(unit)
+        kept = layout.reused_rows(unit)
         if base is not None and kept.stop > kept.start:
             parts.append(base.kept(layout.base_rows[kept], _static(layout)[kept]))
         if not gops:

@@ -7,24 +7,24 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
 from airgs_codec.analysis.rows import Restored, restore_rows
-from airgs_codec.encoder.encoder import EncodeJob
-from airgs_codec.encoder.group import CodedKey, code_group, code_key, keep_key
-from airgs_codec.encoder.group_jobs import GroupJobs
-from airgs_codec.encoder.look import look_at_frames
-from airgs_codec.encoder.measure import Rounds, measure_package
-from airgs_codec.encoder.publish import calibrate_job, finish
+from airgs_codec.encoder.batch import calibrate_sequence
+from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
+from airgs_codec.encoder.pipeline import KEY, QUALITY, REUSE, STATES, SURVEY, CodedKey, GroupFiles, PreparedSequence
+from airgs_codec.encoder.prepare import holding_frames, look_at_frames, number_groups
+from airgs_codec.encoder.publish import finish
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, KEPT, EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views, survey_group
+from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views
 from airgs_codec.encoder.verify import Attempt, encode_verified
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.storage import Storage, open_storage
-from airgs_codec.package.store import Package
+from airgs_codec.package.store import root_of
 from airgs_codec.package.tables import Group
 from airgs_codec.package.writing import GrowingPackage
 from airgs_codec.progress import Progress, silent
@@ -53,25 +53,44 @@ class _Publisher:
     views: ViewPlan
     sh_degree: int  # bands above it are not worth their bytes
     rounds: Rounds  # of pictures that measure a segment
-    bases: list[CodedKey]  # the newest last: the next group may keep rows of it
+    bases: list[tuple[CodedKey, GroupFiles]]  # one: the next group may reuse rows of it
 
     def publish(self, sequence: GaussianSequence, start: int, stop: int) -> None:
-        """Encode, measure and publish one more group."""
-        m, settings = self.package.manifest, self.settings
-        coded_as = replace(sequence, max_sh_degree=self.sh_degree)
-        survey = survey_group(coded_as, GroupSpan(len(m.groups), start, stop), self.views)
-        key, base = code_key(coded_as, survey, settings), self.bases[-1]
-        kept = keep_key(key, base, settings, sequence.fps) if settings.keys == KEPT else None
-        if kept is None:
-            self.bases[:] = [key]
-        group = code_group(coded_as, kept or key, base if kept else None, settings, len(m.segments))
+        """Encode, measure and publish one more group, by the steps of `pipeline` one after the other."""
+        m, (base, base_files) = self.package.manifest, self.bases[-1]
+        known: dict[str, Any] = {
+            "sequence": replace(sequence, max_sh_degree=self.sh_degree),
+            "span": GroupSpan(len(m.groups), start, stop),
+            "views": self.views,
+            "settings": self.settings,
+            "fps": sequence.fps,
+            "base": base,
+            "first_segment": len(m.segments),
+        }
+        SURVEY.do(known)
+        key = KEY.do(known)
+        reused = REUSE.do(known) if self.settings.keys == KEPT else None
+        known |= {"coded": reused or key, "base": base if reused else None}
+        group = STATES.do(known)
+        if reused is None:
+            self.bases[:] = [(key, group)]
         for path, data in group.files.items():
             self.package.files.write(path, data)
-        table = group.table
-        if self.rounds.count:
-            package, number = Package(self.package.files, self.package.expect(table), 0), len(m.groups)
-            [table] = measure_package(package, sequence, self.views, [number], self.rounds).groups
-        self.package.add(table)
+        self.package.add(self._measured(sequence, known, base_files if reused else None))
+
+    def _measured(self, sequence: GaussianSequence, known: dict[str, Any], base: GroupFiles | None) -> Group:
+        """The table of a group whose files are known, with its quality where that is measured."""
+        table: Group = known["files"].table
+        if not self.rounds.count:
+            return table
+        m = self.package.expect(table)
+        tables, number = (root_of(m), list(m.groups)), len(m.groups) - 1
+        known |= {"sequence": sequence, "renderer": self.views.renderer, "tables": tables, "base_files": base}
+
+        def ask(asked: Round) -> list[RoundErrors]:
+            return [QUALITY.do({**known, "pictures": pictures_of(self.views, m, number, asked)})]
+
+        return measure_groups(m, [number], self.views, self.rounds, ask).groups[0]
 
 
 def follow(
@@ -96,15 +115,16 @@ def follow(
     group_frames = settings.group_frames or DEFAULT_GROUP_FRAMES
     try:
         for whole, first, last in _whole_groups(folder, group_frames, more):
-            rows = restore_rows(whole, settings.rows, progress, range(first, last))
-            notes = rows.notes
-            for start, stop in _parts(rows, first, last):
-                if publisher is None:
-                    publisher = _begin(rows.sequence, stop, storage, settings, attribution, progress)
-                else:
-                    publisher.publish(rows.sequence, start, stop)
-                yield _published(publisher.package.manifest, whole, notes)
-                notes = []
+            with holding_frames(whole) as held:
+                rows = restore_rows(held, settings.rows, progress, range(first, last))
+                notes = rows.notes
+                for start, stop in _parts(rows, first, last):
+                    if publisher is None:
+                        publisher = _begin(rows.sequence, stop, storage, settings, attribution, progress)
+                    else:
+                        publisher.publish(rows.sequence, start, stop)
+                    yield _published(publisher.package.manifest, whole, notes)
+                    notes = []
     finally:
         if publisher is not None:
             publisher.package.close()
@@ -150,16 +170,18 @@ def _begin(
     given = settings.levels != DEFAULT_LEVELS
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
     with temporary_work(progress) as work, storage.staged() as stage:
-        groups = GroupJobs.of(part, [(0, stop)], look_at_frames(part, work).names, views)
-        found = calibrate_job(EncodeJob(groups, work, (), credit), settings)
-        verified = encode_verified(Attempt(found.job, groups, found.settings, found.expected, rounds, given))
+        names = look_at_frames(part, work)[0]
+        original = PreparedSequence(part, names, number_groups([(0, stop)]), views, (), credit)
+        found = calibrate_sequence(original, settings, work)
+        attempt = Attempt(found.prepared, original, found.settings, work, found.expected, rounds, given)
+        verified = encode_verified(attempt)
         decisions = [*verified.manifest.decisions, *found.decisions, *verified.stories]
         manifest = replace(verified.manifest, live=True, decisions=decisions)
         finish(verified, manifest).write(work.store, Folder(stage), LiveClock(available, datetime.now(UTC)))
-        base = verified.encoded.base_key()
+        base = verified.encoded.base_key(), verified.encoded.group(0)
     turns = manifest.views.measured // max(1, views.measured(rounds.count))
     package = GrowingPackage(storage, manifest, available)
-    sh_degree = found.job.groups.sequence.sh_degree
+    sh_degree = found.prepared.sequence.sh_degree
     return _Publisher(package, verified.settings, views, sh_degree, rounds.again(turns), [base])
 
 

@@ -92,33 +92,29 @@ class Measured:
         return replace(m, groups=Groups.of(self.groups), views=replace(m.views, measured=self.pictures))
 
 
-def measure_package(
-    package: Package, sequence: GaussianSequence, views: ViewPlan, numbers: Sequence[int], rounds: Rounds
-) -> Measured:
-    """The quality of some groups of a package whose files are there; see `measure_groups`."""
-
-    def ask(asked: Round) -> list[RoundErrors]:
-        return [measure_round(package, sequence, views, number, asked) for number in numbers]
-
-    return measure_groups(package.manifest, numbers, views, rounds, ask)
+def pictures_of(views: ViewPlan, m: Manifest, group: int, asked: Round) -> list[Pictures]:
+    """Draw the pictures of a round for each segment of a group of a package."""
+    first, total = m.segments_of(group).start, len(m.segments)
+    return [
+        views.measure(asked.number * total + first + place, segment.start, segment.stop, asked.count)
+        for place, segment in enumerate(m.groups[group].segments)
+    ]
 
 
 def measure_round(
-    package: Package, sequence: GaussianSequence, views: ViewPlan, group: int, asked: Round
+    package: Package, sequence: GaussianSequence, renderer: Renderer, group: int, asked: Sequence[Pictures]
 ) -> RoundErrors:
-    """Render every rung of a group of a package beside the original, in the pictures of one round."""
+    """Render every rung of a group of a package beside the original; `asked` are the pictures of each segment."""
     m, found = package.manifest, []
     bases = [decode_canonical(package, group, quality) for quality in range(len(m.qualities))]
-    for index in m.segments_of(group):
-        segment = m.segments[index]
-        pictures = views.measure(asked.number * len(m.segments) + index, segment.start, segment.stop, asked.count)
-        originals = draw_ahead(_originals(sequence, pictures, views.renderer), pictures)
+    for index, pictures in zip(m.segments_of(group), asked, strict=True):
+        originals = draw_ahead(_originals(sequence, pictures, renderer), pictures)
         errors: SegmentErrors = []
         for j, level in enumerate(m.levels):
             errors.append([])
             for quality, base in enumerate(bases):
                 looked_at = pictures if quality == level.quality else pictures[::OFF_LADDER]
-                shown = _rung(package, (index, j), base, looked_at, views.renderer)
+                shown = _rung(package, (index, j), base, looked_at, renderer)
                 errors[j].append(list(compare(originals, shown, looked_at, Difference.of)))
         found.append(errors)
     return found

@@ -205,14 +205,14 @@ class GroupLayout:
         low, high = np.searchsorted(self.units, [first, stop])
         return slice(int(low), int(high))
 
-    def kept_rows(self, unit: int) -> slice:
+    def reused_rows(self, unit: int) -> slice:
         """Rows of a unit that are kept: the first ones."""
         rows = self.unit_rows(unit)
         return slice(rows.start, rows.start + int((self.base_rows[rows] != CODED_HERE).sum()))
 
     def coded_rows(self, unit: int) -> slice:
         """Rows of a unit that are coded here."""
-        return slice(self.kept_rows(unit).stop, self.unit_rows(unit).stop)
+        return slice(self.reused_rows(unit).stop, self.unit_rows(unit).stop)
 
     def take(self, order: NDArray[np.intp]) -> GroupLayout:
         """The same rows in another order."""

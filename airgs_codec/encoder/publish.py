@@ -8,24 +8,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from airgs_codec._settings import available_cores
-from airgs_codec.analysis.grouping import Grouping, plan_groups
-from airgs_codec.analysis.rows import Restored, restore_rows
-from airgs_codec.encoder.calibrate import Calibration, calibrate
-from airgs_codec.encoder.calibration import cache
-from airgs_codec.encoder.encoder import EncodeJob
-from airgs_codec.encoder.group import GroupFiles
-from airgs_codec.encoder.group_jobs import GroupJobs, length_job
-from airgs_codec.encoder.look import look_at_frames
+from airgs_codec.analysis.rows import Restored
+from airgs_codec.encoder.batch import calibrate_sequence
 from airgs_codec.encoder.measure import Rounds
-from airgs_codec.encoder.omit import omit_bands
+from airgs_codec.encoder.pipeline import SURVEY, GroupFiles
+from airgs_codec.encoder.prepare import holding_frames, order_rows, prepare
 from airgs_codec.encoder.search import Goal, search_quality
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
-from airgs_codec.encoder.survey import ViewPlan, plan_views
 from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
 from airgs_codec.errors import WorkError
-from airgs_codec.jobs.digest import code_digest, digest
-from airgs_codec.jobs.job import Job, Record, Stored, read_result
+from airgs_codec.jobs.digest import code_digest
+from airgs_codec.jobs.job import Record, Stored, read_result
 from airgs_codec.jobs.store import Store
 from airgs_codec.jobs.work import Work, temporary_work
 from airgs_codec.package.folder import Folder
@@ -57,17 +50,6 @@ class EncodeReport:
     measure_s: float
     cached: bool  # the calibration was kept from before
     records: Sequence[Record] = ()  # of the jobs
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibrated:
-    """A job as its scene asks for it."""
-
-    job: EncodeJob
-    settings: EncodeSettings  # nothing is left to calibrate
-    expected: float | None  # mean squared error of pictures of the top rung; None: nothing was promised
-    decisions: tuple[str, ...]  # about SH bands
-    cached: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -180,32 +162,23 @@ def _encode(
     work: Work,
 ) -> tuple[EncodeReport, Finished]:
     watch = Stopwatch()
-    looked = look_at_frames(sequence, work)
-    rows = restore_rows(sequence, settings.rows, work.progress, in_order=looked.in_order)
-    sequence, rows_s = rows.sequence, watch.lap()
-    views = plan_views(sequence, settings)
-    grouping = _plan_groups(sequence, looked.names, views, settings, work)
-    original = GroupJobs.of(sequence, grouping.spans, looked.names, views)
-    credit = sequence.attribution if attribution is None else attribution
-    job = EncodeJob(original, work, [*rows.notes, *grouping.notes], credit)
-    work.run([original.survey(g) for g in range(len(original))])
-    survey_s = watch.lap()
-    calibrated = calibrate_job(job, settings)
-    calibrate_s = watch.lap()
-    given, job, settings = settings.levels != DEFAULT_LEVELS, calibrated.job, calibrated.settings
-    rounds, expected = Rounds(settings.measure_pictures), calibrated.expected
-    if goal:
-        factor, found = search_quality(job, original, settings, goal)
-        settings, expected = settings.at(factor), None
-        rounds = found if rounds.count else rounds
-    search_s = watch.lap()
-    verified = encode_verified(Attempt(job, original, settings, expected, rounds, given))
-    manifest = replace(
-        verified.manifest, decisions=[*verified.manifest.decisions, *calibrated.decisions, *verified.stories]
-    )
+    with holding_frames(sequence) as held:
+        ordered, rows_s = order_rows(held, settings, work), watch.lap()
+        original = prepare(ordered, settings, work, attribution)
+        work.run([original.job(SURVEY, group) for group in range(len(original))])
+        survey_s = watch.lap()
+        found, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
+        rounds, given = Rounds(settings.measure_pictures), settings.levels != DEFAULT_LEVELS
+        attempt = Attempt(found.prepared, original, found.settings, work, found.expected, rounds, given)
+        if goal:
+            attempt = search_quality(attempt, goal)
+        search_s = watch.lap()
+        verified = encode_verified(attempt)
+    decisions = [*verified.manifest.decisions, *found.decisions, *verified.stories]
+    manifest = replace(verified.manifest, decisions=decisions)
     seconds = (rows_s, survey_s, calibrate_s, search_s, verified.encode_s, verified.measure_s)
-    report = EncodeReport(manifest, 0, rows, *seconds, calibrated.cached, work.records())
-    return report, finish(verified, manifest)
+    rows = replace(ordered.rows, sequence=sequence)
+    return EncodeReport(manifest, 0, rows, *seconds, found.cached, work.records()), finish(verified, manifest)
 
 
 def finish(verified: Verified, manifest: Manifest) -> Finished:
@@ -213,52 +186,3 @@ def finish(verified: Verified, manifest: Manifest) -> Finished:
     encoded = verified.encoded
     entries = [one.entry for one in encoded.files]
     return Finished(root_of(manifest), list(manifest.groups), encoded.init, entries)
-
-
-def _plan_groups(
-    sequence: GaussianSequence, names: Sequence[str], views: ViewPlan, settings: EncodeSettings, work: Work
-) -> Grouping:
-    """Groups of the length that is asked for, or that costs least."""
-    if settings.group_frames is not None:
-        return plan_groups(sequence, settings.group_frames)
-    costs = work.result(length_job(sequence, names, views, settings))
-    if not costs:
-        return plan_groups(sequence)
-    grouping = plan_groups(sequence, costs[0].frames)
-    ranked = ", ".join(f"{cost.frames}: {cost.score / costs[0].score - 1:+.0%}" for cost in costs[1:])
-    story = (
-        f"groups of {costs[0].frames} frames, the cheapest on a sample (others at equal quality, in bytes: {ranked})"
-    )
-    return replace(grouping, notes=[story, *grouping.notes])
-
-
-def calibrate_job(job: EncodeJob, settings: EncodeSettings) -> Calibrated:
-    """Settings for this scene, and the job without the SH bands that it does not need."""
-    if settings.calibrate == "none":
-        return Calibrated(job, settings, None, (), False)
-    groups, work = job.groups, job.work
-    work.progress("calibration", 0, 1)
-    subject = _longest(groups)
-    name = cache.name_of(groups.content(subject), groups.views, settings)
-    survey = work.result(groups.survey(subject))
-    arguments = (groups.sequence, groups.survey(subject).result, replace(settings, threads=available_cores()))
-    trial = Job("calibration", "", digest(code_digest(), name), calibrate, arguments, code=code_digest())
-    kept = None if work.store.has(trial.entry) else cache.load(name)  # parts must not differ by what each has kept
-    calibration: Calibration = kept or work.result(trial)
-    if kept is None:
-        cache.keep(name, calibration)
-    expected = calibration.expected * settings.quality**2 if settings.calibrate == "ladder" else None
-    settings = calibration.apply(settings)
-    step = settings.steps.key.sh_rest * settings.quality
-    bands, note = omit_bands(groups.sequence, survey, step, settings.scaled_price)
-    if note is None:
-        return Calibrated(job, settings, expected, (), kept is not None)
-    fewer = replace(groups, sequence=replace(groups.sequence, max_sh_degree=bands))
-    return Calibrated(replace(job, groups=fewer), settings, expected, (note,), kept is not None)
-
-
-def _longest(groups: GroupJobs) -> int:
-    """The middle one of the longest groups."""
-    most = max(span.frames for span in groups.spans)
-    longest = [span.index for span in groups.spans if span.frames == most]
-    return longest[len(longest) // 2]

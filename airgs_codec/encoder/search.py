@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence, measure_quality
-from airgs_codec.encoder.group_jobs import GroupJobs
+from airgs_codec.encoder.batch import Encoded, encode_sequence, measure_quality
 from airgs_codec.encoder.measure import Rounds
+from airgs_codec.encoder.pipeline import PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.verify import Attempt
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
@@ -111,7 +112,7 @@ def _next_factor(seen: dict[float, float], slope: float) -> float:
     return factor * min(max(math.exp(-seen[factor] / slope), 0.25), 4.0)
 
 
-def find_limit(encoded: Encoded, original: GroupJobs) -> tuple[str, float]:
+def find_limit(encoded: Encoded, original: PreparedSequence) -> tuple[str, float]:
     """The part of the top rung without whose error pictures gain most, and the PSNR in dB that they would have then.
 
     The part is a name of PARTS or LEFT_OUT.
@@ -141,36 +142,39 @@ def _made_exact(whole: Gaussians, shown: Gaussians, rows: NDArray[np.intp]) -> I
     yield LEFT_OUT, join_rows([shown, others])
 
 
-def search_quality(job: EncodeJob, original: GroupJobs, settings: EncodeSettings, goal: Goal) -> tuple[float, Rounds]:
-    """The quality factor that brings the top rung to its goal, and the pictures that it was measured with.
+def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
+    """Find the quality factor that brings the top rung to its goal: an attempt at it, from which nothing is expected.
 
-    Raises ConfigError for a goal out of reach. The error then names what keeps pictures from a higher PSNR. PSNR is
-    measured against `original`, which has all SH bands.
+    It is measured with the pictures that the search took. Raises ConfigError for a goal out of reach. The error then
+    names what keeps pictures from a higher PSNR.
     """
+    prepared, original, settings, work = attempt.prepared, attempt.original, attempt.settings, attempt.work
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
     rounds = Rounds(settings.measure_pictures or TRIAL_PICTURES)
     numbers = itertools.count(1)
 
     def trial(factor: float) -> float:
         nonlocal rounds
-        job.work.progress(f"trial {next(numbers)}: quality factor {factor:.3g}", 0, 1)
-        encoded = encode_sequence(job, top.at(factor))
+        work.progress(f"trial {next(numbers)}: quality factor {factor:.3g}", 0, 1)
+        encoded = encode_sequence(prepared, top.at(factor), work)
         if goal.kind != PSNR:
             return kilobytes_a_frame(encoded.manifest, settings)
-        tables = measure_quality(job, encoded, original, rounds)
+        tables = measure_quality(encoded, original, rounds)
         rounds = rounds.again(tables.views.measured // original.views.measured(rounds.count))  # the same ones for all
         measured = pooled_quality(tables, 0, 0)
         assert measured is not None
         return measured.psnr
 
     try:
-        return find_quality(goal, trial, settings.quality), rounds
+        factor = find_quality(goal, trial, settings.quality)
     except OutOfReachError as error:
         if goal.kind != PSNR or error.got > goal.value:
             raise
-        part, reached = find_limit(encode_sequence(job, top.at(error.factor)), original)
+        part, reached = find_limit(encode_sequence(prepared, top.at(error.factor), work), original)
         why = f"; what holds it back most: {part}, without whose error it would be {reached:.4g} dB"
         raise OutOfReachError(goal, error.got, error.factor, why) from None
+    measured = rounds if attempt.rounds.count else attempt.rounds
+    return replace(attempt, settings=settings.at(factor), expected=None, rounds=measured)
 
 
 def kilobytes_a_frame(top: Manifest, settings: EncodeSettings) -> float:

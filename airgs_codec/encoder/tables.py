@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from airgs_codec import __version__
 from airgs_codec.coding.sidecar import pack_key_sidecar
-from airgs_codec.encoder.keys import BaseGroup, CodedKeys, kept_errors, key_sidecar
+from airgs_codec.encoder.keys import BaseGroup, CodedKeys, key_sidecar, reused_errors
 from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.representation import Clock, ErrorModel, Representation, widen, with_bounds
 from airgs_codec.encoder.settings import EncodeSettings
@@ -181,9 +181,9 @@ def _unit_table(group: CodedGroup, files: Files, unit: int) -> GroupTier:
     parts, pictures, layout = group.keys.units[unit], group.key_pictures[unit], group.layout
     place = group.place(unit)
     atlases = [_bounded(part.atlas, part.error, shown, KEY) for part, shown in zip(parts, pictures, strict=True)]
-    rows, kept = (span.stop - span.start for span in (layout.unit_rows(unit), layout.kept_rows(unit)))
+    rows, kept = (span.stop - span.start for span in (layout.unit_rows(unit), layout.reused_rows(unit)))
     if kept and group.base:
-        errors = (kept_errors(layout, group.base, unit, quality) for quality in range(len(atlases)))
+        errors = (reused_errors(layout, group.base, unit, quality) for quality in range(len(atlases)))
         atlases = [widen(atlas, error, KEY) for atlas, error in zip(atlases, errors, strict=True)]
     media = [files.get(paths.key_media_path(*place, q, group.number), NO_FILE) for q in range(len(parts))]
     sidecar = files.get(paths.key_sidecar_path(*place, group.number), NO_FILE)

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.encoder.encoder import Encoded, EncodeJob, encode_sequence, measure_quality
-from airgs_codec.encoder.group import GroupFiles
-from airgs_codec.encoder.group_jobs import GroupJobs
+from airgs_codec.encoder.batch import Encoded, encode_sequence, measure_quality
 from airgs_codec.encoder.measure import Rounds
+from airgs_codec.encoder.pipeline import GroupFiles, PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.jobs.work import Work
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.region import draw_views
@@ -38,9 +38,10 @@ BLAME = 0.2  # share of the error from which a part of it is to blame
 class Attempt:
     """What is to be encoded, and what is expected of it."""
 
-    job: EncodeJob
-    original: GroupJobs  # with all SH bands
+    prepared: PreparedSequence
+    original: PreparedSequence  # with all SH bands
     settings: EncodeSettings  # nothing is left to calibrate
+    work: Work
     expected: float | None  # mean squared error of pictures of the top rung; None: any is taken
     rounds: Rounds  # of pictures that measure it; a count of 0: none do
     given: bool = False  # levels were asked for by hand: they stay as they are
@@ -75,11 +76,11 @@ def encode_verified(attempt: Attempt) -> Verified:
     stories: list[str] = []
     watch, encode_s, measure_s = Stopwatch(), 0.0, 0.0
     for number in itertools.count(1):
-        encoded = encode_sequence(attempt.job, attempt.settings)
+        encoded = encode_sequence(attempt.prepared, attempt.settings, attempt.work)
         encode_s += watch.lap()
         if not attempt.rounds.count:
             return Verified(encoded.manifest, encoded, attempt.settings, (), encode_s, 0.0)
-        manifest = measure_quality(attempt.job, encoded, attempt.original, attempt.rounds)
+        manifest = measure_quality(encoded, attempt.original, attempt.rounds)
         repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
         measure_s += watch.lap()
         if repair is None:
@@ -162,7 +163,7 @@ def _take_back(attempt: Attempt, encoded: Encoded, measured: float, promised: fl
 def _part_errors(attempt: Attempt, encoded: Encoded) -> tuple[float, float]:
     """Mean squared error of pictures without the rows left out, and with updates of the top level withheld."""
     errors: list[tuple[float, float]] = []
-    groups = attempt.job.groups
+    groups = attempt.prepared
     cameras = iter(draw_views(groups.views.region, CHECKED, CHECKING))
     picked = evenly_spaced(len(groups), CHECKED)
     for i in picked:

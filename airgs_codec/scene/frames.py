@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from typing import overload
 
 from airgs_codec.scene.gaussians import Gaussians
@@ -33,3 +35,49 @@ class LazyFrames(Sequence[Gaussians]):
             last = number, self._make(number)
             self._last = last
         return last[1]
+
+
+class HeldFrames:
+    """Frames that were read, as many as some bytes hold; the one that was asked for longest ago goes first.
+
+    A copy in another process holds none.
+    """
+
+    def __init__(self, most: int) -> None:
+        """`most`: bytes that all frames together may take."""
+        self.most = most
+        self._frames: dict[int, Gaussians] = {}  # the one that was asked for last stands last
+        self._bytes = 0
+        self._lock = threading.Lock()
+
+    def __reduce__(self) -> tuple[type[HeldFrames], tuple[int]]:
+        return HeldFrames, (0,)
+
+    def __contains__(self, number: int) -> bool:
+        return number in self._frames
+
+    def get(self, number: int, read: Callable[[int], Gaussians]) -> Gaussians:
+        """Return a frame, which `read` gives where it is not held."""
+        with self._lock:
+            frame = self._frames.pop(number, None)
+            if frame is not None:
+                self._frames[number] = frame
+                return frame
+        frame = read(number)
+        with self._lock:
+            if number not in self._frames and _bytes_of(frame) <= self.most:
+                self._frames[number] = frame
+                self._bytes += _bytes_of(frame)
+            while self._bytes > self.most:
+                self._bytes -= _bytes_of(self._frames.pop(next(iter(self._frames))))
+        return frame
+
+    def clear(self) -> None:
+        """Let go of all frames."""
+        with self._lock:
+            self._frames.clear()
+            self._bytes = 0
+
+
+def _bytes_of(frame: Gaussians) -> int:
+    return sum(getattr(frame, field.name).nbytes for field in fields(frame))

@@ -26,7 +26,7 @@ from airgs_codec.scene.formats.table import (
     read_frame,
     read_frame_header,
 )
-from airgs_codec.scene.frames import LazyFrames
+from airgs_codec.scene.frames import HeldFrames, LazyFrames
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.mirror import Mirror
 from airgs_codec.scene.repair import Repaired, repair
@@ -59,6 +59,7 @@ class GaussianSequence:
     breaks: tuple[int, ...] = ()  # frames whose rows are not those of the frame before, though they are as many
     clip: Clip | None = None  # the file that all frames are in, if it is one; every path is its
     files: Files = field(default=LOCAL, compare=False)  # where they are
+    held: HeldFrames | None = field(default=None, compare=False)  # frames that need not be read again
 
     @property
     def sh_degree(self) -> int:
@@ -99,10 +100,13 @@ class GaussianSequence:
 
     def read(self, frame: int) -> Gaussians:
         """Read one frame unrepaired, as its file has it but for `orders`. Raises SceneError when the file is broken."""
-        with self.files.hold([self.paths[frame]]) as [path]:
-            g = self.clip.read(path, frame) if self.clip else read_frame(path)
+        g = self._read_file(frame) if self.held is None else self.held.get(frame, self._read_file)
         g = g.with_degree(self.sh_degree)
         return g.take(self.orders[frame]) if frame in self.orders else g
+
+    def _read_file(self, frame: int) -> Gaussians:
+        with self.files.hold([self.paths[frame]]) as [path]:
+            return self.clip.read(path, frame) if self.clip else read_frame(path)
 
     def load(self, wanted: Iterable[int]) -> Repaired:
         """Read frames of one group and repair them together: a row that is dropped in one is dropped in all.
@@ -115,7 +119,7 @@ class GaussianSequence:
         where = f"{(self.paths[0] if self.alone else self.folder).name} {span}"
         kept = sum(replace(self.headers[n], sh_degree=self.sh_degree).bytes for n in numbers) <= KEPT_BYTES
         stored = LazyFrames(self.read, numbers)
-        with self.files.hold(dict.fromkeys(self.paths[number] for number in numbers)):
+        with self.files.hold(dict.fromkeys(self.paths[n] for n in numbers if not self.held or n not in self.held)):
             done = repair(list(stored) if kept else stored, where)
         return replace(done, frames=list(done.frames)) if kept else done
 

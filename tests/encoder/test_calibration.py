@@ -16,7 +16,7 @@ from airgs_codec.jobs.work import temporary_work
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
 from airgs_codec.scene.usage import Usage, save_usage
-from tests.support.jobs import encode_job
+from tests.support.jobs import prepared_as_one_group
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
@@ -57,7 +57,7 @@ def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_pat
         sequence = open_sequence(folder)
         views = ViewPlan.of(sequence, 24)
         with temporary_work() as work:
-            return cache.name_of(encode_job(sequence, views, work).groups.content(0), views, FAST)
+            return cache.name_of(prepared_as_one_group(sequence, views, work).contents[0], views, FAST)
 
     digests = [digest()]
     for number in (1, 2, 4):  # neither first, canonical nor last

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 
 from airgs_codec.coding.steps import StepSettings
-from airgs_codec.encoder.encoder import encode_sequence
+from airgs_codec.encoder.batch import encode_sequence
 from airgs_codec.encoder.search import LEFT_OUT, find_limit
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.scene.sequence import open_sequence
-from tests.support.jobs import encode_job
+from tests.support.jobs import prepared_as_one_group
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -25,16 +25,16 @@ COARSE = {
 
 
 @pytest.fixture(scope="module")
-def job(tmp_path_factory):
+def scene(tmp_path_factory):
     """A small moving scene."""
     sequence = open_sequence(write_sequence(tmp_path_factory.mktemp("limits") / "scene", moving_frames(200, 3)))
     views = ViewPlan.of(sequence, 6, region=replace(region(place(0.0)), width=96, height=72))
     with temporary_work() as work:
-        yield encode_job(sequence, views, work)
+        yield prepared_as_one_group(sequence, views, work), work
 
 
 @pytest.mark.parametrize("part", COARSE)
-def test_the_part_that_is_coarse_is_named(job, part):
+def test_the_part_that_is_coarse_is_named(scene, part):
     settings = EncodeSettings(
         calibrate="none",
         levels=(LevelSettings(0.0),),
@@ -43,4 +43,5 @@ def test_the_part_that_is_coarse_is_named(job, part):
         steps=COARSE[part],
         preset="ultrafast",
     )
-    assert find_limit(encode_sequence(job, settings), job.groups)[0] == part
+    prepared, work = scene
+    assert find_limit(encode_sequence(prepared, settings, work), prepared)[0] == part

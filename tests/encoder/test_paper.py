@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from airgs_codec.decoder.decode import decode_canonical, decode_frames
-from airgs_codec.encoder.encoder import encode_sequence
+from airgs_codec.encoder.batch import encode_sequence
+from airgs_codec.encoder.pipeline import KEY
 from airgs_codec.encoder.plan import RowUsage, rank_updates
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, as_in_paper, as_preview
@@ -17,7 +18,7 @@ from airgs_codec.package.store import open_package
 from airgs_codec.package.tables import STATIC
 from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
 from airgs_codec.scene.usage import MEASURES, Usage, save_usage
-from tests.support.jobs import encode_job
+from tests.support.jobs import prepared_as_one_group
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -60,9 +61,9 @@ def encoded(scene, settings):
     """Layout of the only group, and the depths of its rows."""
     views = ViewPlan.of(scene, settings.decide_pictures, region=SEEN)
     with temporary_work() as work:
-        job = encode_job(scene, views, work)
-        depths = encode_sequence(job, settings).group(0).depths
-        return work.result(job.groups.key(0, settings)).layout, depths
+        prepared = prepared_as_one_group(scene, views, work)
+        depths = encode_sequence(prepared, settings, work).group(0).depths
+        return work.result(prepared.job(KEY, 0, settings)).layout, depths
 
 
 @pytest.fixture

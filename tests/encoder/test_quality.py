@@ -5,8 +5,8 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from airgs_codec.encoder import measure as quality
-from airgs_codec.encoder.measure import OFF_LADDER, ROUNDS, Rounds, measure_package, measure_round
+from airgs_codec.encoder import measure
+from airgs_codec.encoder.measure import OFF_LADDER, ROUNDS, Rounds, measure_groups, measure_round, pictures_of
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import ViewPlan
@@ -33,19 +33,19 @@ def measured(small, monkeypatch, unsure):
     package, sequence = small
     errors = defaultdict(list)
 
-    def recorded(*arguments):
-        found = measure_round(*arguments)
+    def ask(asked):
+        pictures = pictures_of(views, package.manifest, 0, asked)
+        found = measure_round(package, sequence, views.renderer, 0, pictures)
         for segment, of_segment in enumerate(found):
             for level, of_level in enumerate(of_segment):
                 for key, of_rung in enumerate(of_level):
                     errors[segment, level, key] += [picture.mse for picture in of_rung]
-        return found
+        return [found]
 
-    monkeypatch.setattr(quality, "measure_round", recorded)
-    monkeypatch.setattr(quality, "UNSURE", unsure)
-    views, groups = ViewPlan.of(sequence, 24), range(len(package.manifest.groups))  # small pictures: twice as many
-    found = measure_package(package, sequence, views, groups, Rounds(12))
-    assert len(groups) == 1 and len(errors) == len(package.manifest.segments) * 4
+    monkeypatch.setattr(measure, "UNSURE", unsure)
+    views = ViewPlan.of(sequence, 24)  # small pictures: twice as many
+    found = measure_groups(package.manifest, [0], views, Rounds(12), ask)
+    assert len(package.manifest.groups) == 1 and len(errors) == len(package.manifest.segments) * 4
     return errors, found.whole(package.manifest)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.encoder import verify
-from airgs_codec.encoder.encoder import Encoded, encode_sequence
+from airgs_codec.encoder.batch import Encoded, encode_sequence
 from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
@@ -16,7 +16,7 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.scene.sequence import open_sequence
-from tests.support.jobs import encode_job
+from tests.support.jobs import prepared_as_one_group
 from tests.support.manifests import with_segments
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence
@@ -41,13 +41,13 @@ def attempt(tmp_path_factory):
     sequence = open_sequence(write_sequence(tmp_path_factory.mktemp("verify") / "scene", moving_frames(200, 4)))
     views = ViewPlan.of(sequence, SETTINGS.decide_pictures, region=SETTINGS.region)
     with temporary_work() as work:
-        job = encode_job(sequence, views, work)
-        yield Attempt(job, job.groups, SETTINGS, None, Rounds(SETTINGS.measure_pictures))
+        prepared = prepared_as_one_group(sequence, views, work)
+        yield Attempt(prepared, prepared, SETTINGS, work, None, Rounds(SETTINGS.measure_pictures))
 
 
 @pytest.fixture(scope="module")
 def encoded(attempt):
-    return encode_sequence(attempt.job, SETTINGS)
+    return encode_sequence(attempt.prepared, SETTINGS, attempt.work)
 
 
 def measured(encoded, quality):

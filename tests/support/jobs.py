@@ -3,19 +3,17 @@
 import os
 from pathlib import Path
 
-from airgs_codec.encoder.encoder import EncodeJob
-from airgs_codec.encoder.group_jobs import GroupJobs
-from airgs_codec.encoder.look import look_at_frames
+from airgs_codec.encoder.pipeline import PreparedSequence
+from airgs_codec.encoder.prepare import look_at_frames, number_groups
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.errors import FormatError
 from airgs_codec.jobs.work import Work
 from airgs_codec.scene.sequence import GaussianSequence
 
 
-def encode_job(sequence: GaussianSequence, views: ViewPlan, work: Work) -> EncodeJob:
+def prepared_as_one_group(sequence: GaussianSequence, views: ViewPlan, work: Work) -> PreparedSequence:
     """All frames of a sequence as one group."""
-    names = look_at_frames(sequence, work).names
-    return EncodeJob(GroupJobs.of(sequence, [(0, len(sequence))], names, views), work)
+    return PreparedSequence(sequence, look_at_frames(sequence, work)[0], number_groups([(0, len(sequence))]), views)
 
 
 def square(number: int, folder: str) -> int:

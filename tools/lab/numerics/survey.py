@@ -13,7 +13,7 @@ from itertools import cycle, islice
 
 import numpy as np
 
-from airgs_codec.encoder.measure import Rounds, measure_package
+from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, measure_round, pictures_of
 from airgs_codec.encoder.survey import GroupSpan, Pictures, plan_views, survey_group
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.manifest import pooled_quality
@@ -105,7 +105,15 @@ def own(subject: Subject, place: Place) -> list[Row]:
     views = plan_views(subject.scene.sequence, ONE_RUNG)
     package, groups = subject.package, range(len(subject.package.manifest.groups))
     rounds = Rounds(int(place.setting))
-    seconds, measured = seconds_of(lambda: measure_package(package, subject.scene.sequence, views, groups, rounds))
+
+    def ask(asked: Round) -> list[RoundErrors]:
+        drawn = [pictures_of(views, package.manifest, group, asked) for group in groups]
+        return [
+            measure_round(package, subject.scene.sequence, views.renderer, group, pictures)
+            for group, pictures in zip(groups, drawn, strict=True)
+        ]
+
+    seconds, measured = seconds_of(lambda: measure_groups(package.manifest, groups, views, rounds, ask))
     quality = pooled_quality(measured.whole(package.manifest), 0, 0)
     assert quality is not None
     return [Row.of(place, [seconds], [abs(quality.psnr - subject.truth)], OFF)]

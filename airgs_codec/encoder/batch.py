@@ -1,0 +1,220 @@
+"""A whole sequence by jobs of one group each, in this process or on a farm: the files and the tables of a package.
+
+Which groups reuse rows of which is settled between the keys and the states: a group reuses rows of the last one before
+it that reuses none, or becomes the one that later groups may reuse rows of.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from airgs_codec._settings import available_cores
+from airgs_codec.encoder.calibrate import Calibration
+from airgs_codec.encoder.calibration import cache
+from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
+from airgs_codec.encoder.omit import omit_bands
+from airgs_codec.encoder.pipeline import (
+    CALIBRATION,
+    KEY,
+    NOTHING,
+    QUALITY,
+    REUSE,
+    STATES,
+    SURVEY,
+    CodedKey,
+    GroupFiles,
+    PreparedSequence,
+    Read,
+    made_by,
+)
+from airgs_codec.encoder.plan import split_segments
+from airgs_codec.encoder.representation import Clock
+from airgs_codec.encoder.settings import KEPT, EncodeSettings
+from airgs_codec.encoder.tables import Provenance, build_manifest
+from airgs_codec.jobs.job import Job
+from airgs_codec.jobs.work import Work
+from airgs_codec.media.fragments import init_segment
+from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.memory import MemoryFiles
+from airgs_codec.package.paths import INIT_NAME
+from airgs_codec.package.store import Package, root_of
+from airgs_codec.package.tables import Group, file_entry
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A sequence with the settings that its scene asks for."""
+
+    prepared: PreparedSequence  # without the SH bands that it does not need
+    settings: EncodeSettings  # nothing is left to calibrate
+    expected: float | None  # mean squared error of pictures of the top rung; None: nothing was promised
+    decisions: tuple[str, ...]  # about SH bands
+    cached: bool
+
+
+def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, work: Work) -> Calibrated:
+    """Find settings for this scene, and the SH bands that it needs."""
+    if settings.calibrate == "none":
+        return Calibrated(prepared, settings, None, (), False)
+    work.progress("calibration", 0, 1)
+    subject = _longest(prepared)
+    name = cache.name_of(prepared.contents[subject], prepared.views, settings)
+    survey = work.result(prepared.job(SURVEY, subject))
+    trial = prepared.job(CALIBRATION, subject, replace(settings, threads=available_cores()))
+    cached = None if work.store.has(trial.entry) else cache.load(name)  # parts must not differ by what each has cached
+    calibration: Calibration = cached or work.result(trial)
+    if cached is None:
+        cache.keep(name, calibration)
+    expected = calibration.expected * settings.quality**2 if settings.calibrate == "ladder" else None
+    settings = calibration.apply(settings)
+    step = settings.steps.key.sh_rest * settings.quality
+    bands, note = omit_bands(prepared.sequence, survey, step, settings.scaled_price)
+    if note is None:
+        return Calibrated(prepared, settings, expected, (), cached is not None)
+    return Calibrated(prepared.without_bands(bands), settings, expected, (note,), cached is not None)
+
+
+def _longest(prepared: PreparedSequence) -> int:
+    """The middle one of the longest groups."""
+    most = max(span.frames for span in prepared.spans)
+    longest = [span.index for span in prepared.spans if span.frames == most]
+    return longest[len(longest) // 2]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Encoded:
+    """A package of which all jobs are done, but which is not written."""
+
+    manifest: Manifest  # without measured quality
+    init: bytes
+    files: Sequence[Job]  # for each group: its `GroupFiles`
+    base: Job  # the key whose rows a next group may reuse
+    work: Work
+
+    def group(self, number: int) -> GroupFiles:
+        """Give what one group is made of."""
+        found = self.work.result(self.files[number])
+        assert isinstance(found, GroupFiles)
+        return found
+
+    def base_key(self) -> CodedKey:
+        """Give the group whose rows a next group may reuse."""
+        key = self.work.result(self.base)
+        assert isinstance(key, CodedKey)
+        return key
+
+    def package(self) -> Package:
+        """Give all of it in memory, to look at."""
+        parts = [self.group(number).files for number in range(len(self.files))]
+        files = {path: data for part in parts for path, data in part.items()}
+        return Package(MemoryFiles("encoded package", {INIT_NAME: self.init, **files}), self.manifest, 0)
+
+
+def encode_sequence(prepared: PreparedSequence, settings: EncodeSettings, work: Work) -> Encoded:
+    """Do all that a package needs but its quality.
+
+    Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails.
+    """
+    clock = Clock.of(prepared.sequence.fps)
+    everyone = range(len(prepared))
+    work.run([prepared.job(SURVEY, g) for g in everyone])
+    work.run([prepared.job(KEY, g, settings) for g in everyone])
+    bases = _choose_bases(prepared, settings, work)
+    segments = [len(split_segments(span, settings.segment_s, clock.fps)) for span in prepared.spans]
+    files = []
+    for g, first in zip(everyone, itertools.accumulate(segments, initial=0), strict=False):
+        given = {**_coded(prepared, g, bases[g], settings), "first_segment": Read(first, first)}
+        files.append(prepared.job(STATES, g, settings, given))
+    work.run(files)
+    tables: list[Group] = [work.result(one).table for one in files]
+    init = init_segment(clock.timescale, *largest_picture(tables))
+    about = _about(prepared, settings, tables)
+    last = len(prepared) - 1 if bases[-1] is None else bases[-1]
+    manifest = build_manifest(about, clock, file_entry(init), Groups.of(tables))
+    return Encoded(manifest, init, files, prepared.job(KEY, last, settings), work)
+
+
+def _coded(prepared: PreparedSequence, group: int, base: int | None, settings: EncodeSettings) -> dict[str, Read]:
+    """The key of a group that its states are over, and the key whose rows it reuses."""
+    if base is None:
+        return {"coded": made_by(prepared.job(KEY, group, settings)), "base": NOTHING}
+    of = made_by(prepared.job(KEY, base, settings))
+    return {"coded": made_by(prepared.job(REUSE, group, settings, {"base": of})), "base": of}
+
+
+def _choose_bases(prepared: PreparedSequence, settings: EncodeSettings, work: Work) -> list[int | None]:
+    """Choose for each group the earlier one whose rows it reuses; None where it reuses none.
+
+    Groups that might reuse rows of the same one are tried at the same time, ever more while they do.
+    """
+    if settings.keys != KEPT:
+        return [None] * len(prepared)
+    bases: list[int | None] = [None]
+    base, together = 0, 1
+    while len(bases) < len(prepared):
+        tried = range(len(bases), min(len(prepared), len(bases) + together))
+        of = made_by(prepared.job(KEY, base, settings))
+        jobs = [prepared.job(REUSE, g, settings, {"base": of}) for g in tried]
+        work.run(jobs)
+        together *= 2
+        for g, tried_job in zip(tried, jobs, strict=True):
+            reuses = work.result(tried_job) is not None
+            bases.append(base if reuses else None)
+            if not reuses:
+                base, together = g, 1
+                break
+    return bases
+
+
+def measure_quality(encoded: Encoded, original: PreparedSequence, rounds: Rounds) -> Manifest:
+    """Measure every segment, level and key quality of an encoded package; gives its tables with their quality.
+
+    `original` has all SH bands; `measure.measure_groups` says what is measured.
+    """
+    m, work = encoded.manifest, encoded.work
+    root = root_of(m)
+    tables = Read((root, list(m.groups)), (root.levels, root.qualities))
+    files = [made_by(job) for job in encoded.files]
+
+    def job(group: int, asked: Round) -> Job:
+        keeps = m.groups[group].keeps
+        pictures = pictures_of(original.views, m, group, asked)
+        base = NOTHING if keeps is None else files[keeps - 1]
+        given = {"tables": tables, "pictures": Read(pictures, pictures), "files": files[group], "base_files": base}
+        return original.job(QUALITY, group, None, given)
+
+    def ask(asked: Round) -> list[RoundErrors]:
+        jobs = [job(group, asked) for group in range(len(m.groups))]
+        work.run(jobs)
+        return [work.result(one) for one in jobs]
+
+    return measure_groups(m, range(len(m.groups)), original.views, rounds, ask).whole(m)
+
+
+def _about(prepared: PreparedSequence, settings: EncodeSettings, groups: Sequence[Group]) -> Provenance:
+    """What a package says of where it comes from, with a line on the groups that reuse rows, if any do."""
+    views, reusing = prepared.views, [group for group in groups if group.keeps is not None]
+    decisions = [*views.notes, *prepared.notes]
+    if reusing:
+        share = sum(unit.kept for group in reusing for unit in group.units) / sum(group.count for group in reusing)
+        words = f"groups keep {share:.0%} of their Gaussians from an earlier one"
+        decisions.append(f"{len(reusing)} of {len(groups)} {words}")
+    return Provenance(
+        settings,
+        views.region,
+        views.world,
+        views.table(settings.measure_pictures),
+        prepared.attribution,
+        decisions,
+        len(prepared.sequence),
+        prepared.sequence.sh_degree,
+    )
+
+
+def largest_picture(groups: Sequence[Group]) -> tuple[int, int]:
+    """Give the width and height that no picture of the groups exceeds."""
+    tiles = [tile for group in groups for tile in group.tiles]
+    atlases = [a for tile in tiles for row in (*(tier.qualities for tier in tile.tiers), tile.levels) for a in row]
+    return max(atlas.width for atlas in atlases), max(atlas.height for atlas in atlases)

@@ -1,0 +1,271 @@
+"""The steps by which a sequence is encoded, declared once: survey -> key -> reused rows -> states -> quality.
+
+A step is a function of values, with nothing held between calls, and `STEPS` says what each reads and makes. Whoever
+drives them only says where values come from: `PreparedSequence` makes a job of a step and a group, which an engine does
+here or on a farm (`batch`); `do` calls it at once (`live`).
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.encoder.calibrate import calibrate
+from airgs_codec.encoder.keys import (
+    BaseGroup,
+    CodedKeys,
+    DecodedKeys,
+    code_keys,
+    decode_base,
+    encode_keys,
+    key_bytes,
+    lay_out_reused,
+)
+from airgs_codec.encoder.measure import RoundErrors, measure_round
+from airgs_codec.encoder.plan import GroupLayout, find_box, keep_rows, lay_out
+from airgs_codec.encoder.representation import Clock, Representation
+from airgs_codec.encoder.sample import compare_lengths
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.states import code_states, encode_states
+from airgs_codec.encoder.survey import GroupSpan, Pictures, Survey, ViewPlan, survey_group
+from airgs_codec.encoder.tables import CodedGroup, finish_group
+from airgs_codec.jobs.digest import code_digest, digest
+from airgs_codec.jobs.job import Job
+from airgs_codec.package.memory import MemoryFiles
+from airgs_codec.package.store import Package, manifest_of
+from airgs_codec.package.tables import Group, Root
+from airgs_codec.render.backend import Renderer
+from airgs_codec.scene.sequence import GaussianSequence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CodedKey:
+    """A group whose key is coded: everything that its states need."""
+
+    layout: GroupLayout
+    keys: CodedKeys
+    pictures: Sequence[Sequence[Representation]]  # unit x key quality
+    decoded: Sequence[DecodedKeys]  # for each key quality
+    bytes: int  # of all its key units and sidecars
+
+    @property
+    def base(self) -> BaseGroup:
+        """What a viewer of it knows, where it reuses no rows itself."""
+        return BaseGroup(
+            self.layout, [part.channels for part in self.decoded], [part.space for part in self.decoded], self.bytes
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupFiles:
+    """A group as it goes into a package."""
+
+    table: Group  # without measured quality
+    files: Mapping[str, bytes]  # by path
+    rows: NDArray[np.intp]  # (N,) input rows that are written, in file order
+    depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
+
+
+def code_key(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> CodedKey:
+    """Code the key of a group by itself.
+
+    Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
+    """
+    loaded = sequence.load(range(survey.span.start, survey.span.stop))
+    layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
+    keys = code_keys(layout, settings)
+    return _decoded(layout, keys, encode_keys(layout, keys, Clock.of(sequence.fps), settings), settings, None)
+
+
+def reuse_rows(fresh: CodedKey, of: CodedKey, settings: EncodeSettings, fps: Fraction) -> CodedKey | None:
+    """Code the key of a group that reuses rows of an earlier one, `of`; None where that saves too little.
+
+    `fresh` is the group's key by itself. Raises CodecError when the video encoder fails.
+    """
+    base = of.base
+    layout = lay_out_reused(fresh.layout, base, settings)
+    if layout is None:
+        return None
+    keys = code_keys(layout, settings)
+    pictures = encode_keys(layout, keys, Clock.of(fps), settings)
+    if key_bytes(layout, keys, pictures, base.layout) > base.worth_bytes(len(layout.rows)):
+        return None
+    return _decoded(layout, keys, pictures, settings, base)
+
+
+def _decoded(
+    layout: GroupLayout,
+    keys: CodedKeys,
+    pictures: Sequence[Sequence[Representation]],
+    settings: EncodeSettings,
+    base: BaseGroup | None,
+) -> CodedKey:
+    spaces = [None] * len(settings.key_factors) if base is None else base.spaces
+    decoded = [decode_base(layout, keys, pictures, settings, q, space) for q, space in enumerate(spaces)]
+    return CodedKey(layout, keys, pictures, decoded, key_bytes(layout, keys, pictures, base.layout if base else None))
+
+
+def code_group(
+    sequence: GaussianSequence, key: CodedKey, of: CodedKey | None, settings: EncodeSettings, first_segment: int
+) -> GroupFiles:
+    """Make the files and the table of a group whose key is coded; `of` is the group whose rows it reuses, if any.
+
+    `first_segment`: how many segments the groups before it have.
+
+    Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
+    """
+    layout = key.layout
+    frames = sequence.load(range(layout.span.start, layout.span.stop)).frames
+    with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
+        states = code_states(layout, [part.space for part in key.decoded], frames, settings, Path(scratch))
+        pictures = encode_states(layout, states, Clock.of(sequence.fps), settings)
+        base = None if of is None else of.base
+        boxes = [find_box(frames, layout.rows[layout.tile_rows(tile)]) for tile in range(layout.tiles)]
+        coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, boxes, first_segment, base)
+        table, files = finish_group(coded)
+    return GroupFiles(table, files, layout.rows, states.depths)
+
+
+def measure_files(
+    original: GaussianSequence,
+    renderer: Renderer,
+    tables: tuple[Root, Sequence[Group]],
+    pictures: Sequence[Pictures],
+    own: GroupFiles,
+    base: GroupFiles | None,
+) -> RoundErrors:
+    """Measure a round of pictures of a group, from its files and those of the group whose rows it reuses.
+
+    `tables`: those of the package; `pictures`: of each of its segments.
+    """
+    files = {**own.files, **(base.files if base else {})}
+    package = Package(MemoryFiles("encoded groups", files), manifest_of(*tables), 0)
+    number = [table.start for table in tables[1]].index(own.table.start)
+    return measure_round(package, original, renderer, number, pictures)
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """Something that a step reads."""
+
+    value: Any  # may be `Stored`: the result of another step
+    name: Any  # tells it from any other: plain values that `digest` takes
+
+
+NOTHING = Read(None, None)
+NONE_GIVEN: Mapping[str, Read] = {}
+
+
+def made_by(job: Job) -> Read:
+    """Give the result of a job to another step."""
+    return Read(job.result, job.entry)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step of encoding: its function, called with what it reads, gives what it makes."""
+
+    name: str  # for people, and in the names of results
+    function: Callable[..., Any]
+    reads: tuple[str, ...]  # its arguments in their order: what other steps make, or what is given
+    makes: str
+
+    def job(self, label: str, known: Mapping[str, Read]) -> Job:
+        """Name the result of the step by the content of all that it reads; `label` says to people which frames."""
+        reads = [known[name] for name in self.reads]
+        entry = digest(code_digest(), self.name, *(read.name for read in reads))
+        return Job(self.name, label, entry, self.function, tuple(read.value for read in reads), code=code_digest())
+
+    def do(self, known: dict[str, Any]) -> Any:
+        """Take the step here and now; what it makes is returned, and known from then on."""
+        known[self.makes] = self.function(*(known[name] for name in self.reads))
+        return known[self.makes]
+
+
+LENGTHS = Step("lengths of groups", compare_lengths, ("sequence", "views", "settings"), "lengths")
+SURVEY = Step("survey", survey_group, ("sequence", "span", "views"), "survey")
+CALIBRATION = Step("calibration", calibrate, ("sequence", "survey", "settings"), "calibration")
+KEY = Step("keys", code_key, ("sequence", "survey", "settings"), "key")
+REUSE = Step("reused rows", reuse_rows, ("key", "base", "settings", "fps"), "reused")
+STATES = Step("states", code_group, ("sequence", "coded", "base", "settings", "first_segment"), "files")
+QUALITY = Step(
+    "quality", measure_files, ("sequence", "renderer", "tables", "pictures", "files", "base_files"), "errors"
+)
+STEPS = {step.makes: step for step in (LENGTHS, SURVEY, CALIBRATION, KEY, REUSE, STATES, QUALITY)}
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedSequence:
+    """A sequence that is ready to be encoded: its rows are in order, its frames named, groups split and views drawn."""
+
+    sequence: GaussianSequence
+    names: tuple[str, ...]  # SHA-256 of all frames of the sequence as they are in their files
+    spans: tuple[GroupSpan, ...]  # of its groups
+    views: ViewPlan
+    notes: tuple[str, ...] = ()  # on rows and groups, for people
+    attribution: str = ""
+
+    def __len__(self) -> int:
+        """Count groups."""
+        return len(self.spans)
+
+    def without_bands(self, sh_degree: int) -> PreparedSequence:
+        """Take no SH bands above `sh_degree`."""
+        return replace(self, sequence=replace(self.sequence, max_sh_degree=sh_degree))
+
+    def job(
+        self, step: Step, group: int, settings: EncodeSettings | None = None, given: Mapping[str, Read] = NONE_GIVEN
+    ) -> Job:
+        """Make a job of a step for a group; what it reads is `given`, or else made by the step that makes it.
+
+        What only decides how fast a job is done (threads), or where files lie, does not count in the name of its
+        result.
+        """
+        span = self.spans[group]
+        known = {
+            "sequence": Read(self.sequence, self.contents[group]),
+            "span": Read(span, span),
+            "views": Read(self.views, self._seen),
+            "renderer": Read(self.views.renderer, self.views.renderer),
+            "fps": Read(self.sequence.fps, self.sequence.fps),
+            **({"settings": chosen(settings)} if settings else {}),
+            **given,
+        }
+        for name in step.reads:
+            if name not in known:
+                known[name] = made_by(self.job(STEPS[name], group, settings))
+        return step.job(f"frames {span.start}-{span.stop - 1}", known)
+
+    @cached_property
+    def contents(self) -> tuple[str, ...]:
+        """The names of all frames of each group as they are read, and of what the trainer measured of them."""
+        return tuple(self._content(span) for span in self.spans)
+
+    def _content(self, span: GroupSpan) -> str:
+        s = self.sequence
+        orders = [s.orders.get(frame) for frame in range(span.start, span.stop)]
+        usage = s.usage(span.start, span.stop)
+        return digest(self.names[span.start : span.stop], orders, s.sh_degree, s.fps, usage, span)
+
+    @cached_property
+    def _seen(self) -> str:
+        return seen(self.views)
+
+
+def seen(views: ViewPlan) -> str:
+    """Name what decides in a plan of views."""
+    return digest(views.deciding, views.decided, views.trusted, views.renderer)
+
+
+def chosen(settings: EncodeSettings) -> Read:
+    """Settings, named without those that decide nothing about the files of a group."""
+    same = replace(settings, threads=1, device="auto", measure_pictures=0, region=None, margin=None, world=None)
+    return Read(settings, same)

@@ -1,0 +1,111 @@
+"""From a sequence as it is given to one that is ready to be encoded: frames named, rows in order, groups split."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+from airgs_codec._settings import available_cores
+from airgs_codec.analysis.grouping import Grouping, count_runs, plan_groups
+from airgs_codec.analysis.rows import IN_ORDER, Restored, compare_order, restore_rows
+from airgs_codec.encoder.pipeline import LENGTHS, PreparedSequence, Read, chosen, seen
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views
+from airgs_codec.jobs.digest import digest
+from airgs_codec.jobs.work import Work
+from airgs_codec.scene.frames import HeldFrames
+from airgs_codec.scene.sequence import GaussianSequence
+
+CHUNK = 16  # frames that are looked at by one call
+HELD_BYTES = 1 << 30  # of frames that were read: what a computer of 8 GB can spare beside the arrays of one group
+
+
+@dataclass(frozen=True, slots=True)
+class Ordered:
+    """A sequence whose frames are named and whose rows are in order."""
+
+    names: tuple[str, ...]  # SHA-256 of each frame as it is read
+    rows: Restored
+
+
+@contextmanager
+def holding_frames(sequence: GaussianSequence) -> Iterator[GaussianSequence]:
+    """Hold frames once they are read, so that each is read once where HELD_BYTES hold all of them, and let go at last.
+
+    Processes of an engine read on their own.
+    """
+    held = HeldFrames(HELD_BYTES)
+    try:
+        yield replace(sequence, held=held)
+    finally:
+        held.clear()
+
+
+def order_rows(sequence: GaussianSequence, settings: EncodeSettings, work: Work) -> Ordered:
+    """Look at all frames, name them and put their rows into order. Raises SceneError for a broken one."""
+    names, in_order = look_at_frames(sequence, work)
+    return Ordered(names, restore_rows(sequence, settings.rows, work.progress, in_order=in_order))
+
+
+def prepare(ordered: Ordered, settings: EncodeSettings, work: Work, attribution: str | None) -> PreparedSequence:
+    """Choose the views of a sequence and split it into groups of the length that is asked for, or that costs least.
+
+    `attribution`: who made the scene, by default what the sequence says.
+    """
+    sequence = ordered.rows.sequence
+    views = plan_views(sequence, settings)
+    grouping = _plan_groups(sequence, ordered.names, views, settings, work)
+    notes = (*ordered.rows.notes, *grouping.notes)
+    credit = sequence.attribution if attribution is None else attribution
+    return PreparedSequence(sequence, ordered.names, number_groups(grouping.spans), views, notes, credit)
+
+
+def number_groups(spans: Sequence[tuple[int, int]]) -> tuple[GroupSpan, ...]:
+    """Number groups of frames [start, stop)."""
+    return tuple(GroupSpan(index, *span) for index, span in enumerate(spans))
+
+
+def look_at_frames(sequence: GaussianSequence, work: Work) -> tuple[tuple[str, ...], bool]:
+    """Name all frames of a sequence, and say whether rows of each are those of the frame before it.
+
+    Raises SceneError for a broken frame.
+    """
+    starts = [start for start, _ in count_runs(sequence)]
+    bounds = [(at, min(at + CHUNK, len(sequence))) for at in range(0, len(sequence), CHUNK)]
+    looked = work.map("frames", look, [(sequence, *bound, starts) for bound in bounds])
+    return tuple(name for names, _ in looked for name in names), all(in_order for _, in_order in looked)
+
+
+def look(sequence: GaussianSequence, start: int, stop: int, starts: Sequence[int]) -> tuple[list[str], bool]:
+    """Look at frames [start, stop); those that `starts` names begin runs, whose rows are not those before."""
+    before = sequence.read(start - 1) if start and start not in starts else None
+    names, in_order = [], True
+    for number in range(start, stop):
+        frame = sequence.read(number)
+        names.append(digest(frame))
+        if before is not None and number not in starts and in_order:
+            in_order = compare_order(before, frame)[0] == IN_ORDER
+        before = frame
+    return names, in_order
+
+
+def _plan_groups(
+    sequence: GaussianSequence, names: Sequence[str], views: ViewPlan, settings: EncodeSettings, work: Work
+) -> Grouping:
+    """Groups of the length that is asked for, or that costs least."""
+    if settings.group_frames is not None:
+        return plan_groups(sequence, settings.group_frames)
+    orders = [sequence.orders.get(frame) for frame in range(len(sequence))]
+    content = (names, orders, sequence.breaks, sequence.keyframes, sequence.sh_degree, sequence.fps)
+    alone = chosen(replace(settings, threads=available_cores()))
+    known = {"sequence": Read(sequence, content), "views": Read(views, seen(views)), "settings": alone}
+    costs = work.result(LENGTHS.job("", known))
+    if not costs:
+        return plan_groups(sequence)
+    grouping = plan_groups(sequence, costs[0].frames)
+    ranked = ", ".join(f"{cost.frames}: {cost.score / costs[0].score - 1:+.0%}" for cost in costs[1:])
+    story = (
+        f"groups of {costs[0].frames} frames, the cheapest on a sample (others at equal quality, in bytes: {ranked})"
+    )
+    return replace(grouping, notes=[story, *grouping.notes])
