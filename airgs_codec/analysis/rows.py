@@ -1,7 +1,8 @@
-"""Which row of a frame is which of the frame before: writers sort frames anew, trainings begin anew with every frame.
+"""Which row of a frame is which of the frame before, and which frames share a canonical space.
 
-Row n of a frame must be the same Gaussian in all frames of a group. Where it is not, rows are matched with those of the
-frame before; a frame whose rows cannot be matched starts a group. N rows.
+Row n of a frame must be the same Gaussian in all frames of a group. Where it is not, since writers sort frames anew and
+trainings begin anew, rows are matched with those of the frame before; a frame whose rows cannot be matched starts a
+group. N rows.
 
 A row is known by its fingerprint: mean, colour, log-scales and opacity, each in a unit of about what changes from one
 frame to the next. Rows are given to their nearest in rounds, the closest pairs first; the number of rounds is bounded,
@@ -19,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from airgs_codec.analysis.grouping import count_runs
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
@@ -42,6 +42,8 @@ IN_ORDER, LOST, UNRELATED = "in order", "lost", "unrelated"
 ROWS = ("auto", "keep", "match")
 AUTO, KEEP, MATCH = ROWS
 COST = "a frame coded alone takes five to twenty times the bytes of a tracked one"  # fox 5, spinach 7 and 22
+
+DEFAULT_GROUP_FRAMES = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,3 +292,59 @@ def _spans(frames: Sequence[int]) -> str:
         numbers = [number for _, number in members]
         spans.append(str(numbers[0]) if len(numbers) == 1 else f"{numbers[0]}-{numbers[-1]}")
     return f"frame{'s' * (len(frames) > 1)} {', '.join(spans)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Grouping:
+    """The groups of a sequence, and why they are what they are."""
+
+    spans: list[tuple[int, int]]  # frames [start, stop), one after the other, covering the sequence
+    notes: list[str]
+
+
+def middle_frame(start: int, stop: int) -> int:
+    """The frame in the middle of a group [start, stop)."""
+    return start + (stop - start) // 2
+
+
+def count_runs(sequence: GaussianSequence) -> list[tuple[int, int]]:
+    """Frames [start, stop) of each run: between named keyframes, changes of the number of rows, and `breaks`."""
+    starts = sorted({0, *_changes(sequence), *sequence.breaks, *(sequence.keyframes or ())})
+    return list(zip(starts, [*starts[1:], len(sequence)], strict=True))
+
+
+def _changes(sequence: GaussianSequence) -> list[int]:
+    """Frames with another number of rows than the one before."""
+    counts = [header.count for header in sequence.headers]
+    return [i for i in range(1, len(counts)) if counts[i] != counts[i - 1]]
+
+
+def plan_groups(sequence: GaussianSequence, group_frames: int = DEFAULT_GROUP_FRAMES) -> Grouping:
+    """Split a sequence into groups: at the keyframes that it names, else every `group_frames` frames.
+
+    A group also starts where the number of Gaussians changes, or rows are not those of the frame before
+    (`analysis.rows`). Notes say where the number overrode the keyframes.
+    """
+    if sequence.keyframes is None:
+        runs = count_runs(sequence)
+        return Grouping(
+            [(i, min(i + group_frames, stop)) for start, stop in runs for i in range(start, stop, group_frames)], []
+        )
+    added = sorted({*_changes(sequence)} - {*sequence.keyframes})
+    notes = [f"frame {i}: the count changes inside a group, a new group starts" for i in added]
+    return Grouping(count_runs(sequence), notes)
+
+
+def closed_groups(sequence: GaussianSequence, start: int, group_frames: int, done: bool) -> list[tuple[int, int]]:
+    """Groups [start, stop) from frame `start` on that no frame will join any more, as `plan_groups` makes them.
+
+    The sequence is the part of a growing one that is there; `done` says that no more will come.
+    """
+    spans = []
+    for first, stop in count_runs(sequence):
+        most = group_frames if sequence.keyframes is None else stop - first
+        for i in range(max(start, first), stop, most):
+            end = min(i + most, stop)
+            if done or stop < len(sequence) or (sequence.keyframes is None and end - i == most):
+                spans.append((i, end))
+    return spans

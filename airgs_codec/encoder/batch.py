@@ -61,8 +61,8 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
     work.progress("calibration", 0, 1)
     subject = _longest(prepared)
     name = cache.name_of(prepared.contents[subject], prepared.views, settings)
-    survey = work.result(prepared.job(SURVEY, subject))
     trial = prepared.job(CALIBRATION, subject, replace(settings, threads=available_cores()))
+    survey = work.result(prepared.job(SURVEY, subject))
     cached = None if work.store.has(trial.entry) else cache.load(name)  # parts must not differ by what each has cached
     calibration: Calibration = cached or work.result(trial)
     if cached is None:

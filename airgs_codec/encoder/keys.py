@@ -39,7 +39,7 @@ from airgs_codec.package.tables import STATIC, Atlas, LeftOut
 
 WORTH = 0.25  # share of a key's bytes that keeping rows must save
 PROMISED = 0.5 + 0.5 / qp_step(KEY_QP)  # steps that a key channel errs by: half a code, and half a step of the codec
-SLIGHT = 0.25  # steps, or cells, by which a value may change and still be kept with whatever error it has
+SLIGHT = 0.25  # steps, or cells, by which a value may change and still be reused with whatever error it has
 SAME = 0.01  # of these by which two canonical values may differ and count as one: means of equal frames are rounded
 CLASSES = 1  # by which the motion class of a row may be another in the base than it would be in the group
 
@@ -71,19 +71,19 @@ class BaseGroup:
 
 
 def lay_out_reused(layout: GroupLayout, base: BaseGroup, settings: EncodeSettings) -> GroupLayout | None:
-    """The layout with every row of the base kept that may be; None where so few may that it is not worth it.
+    """Lay out a group that reuses every row of the base that it may; None where so few may that it is not worth it.
 
     Kept rows have the unit and the motion class that they have in the base. Viewers of the last level must have a row.
     """
     there = find_reused(layout, base)
-    kept = there != CODED_HERE
-    units = np.where(kept, base.layout.units[there], layout.units)
-    if kept.mean() < WORTH or not (units % layout.tiers < settings.tiers_of(settings.levels[-1])).any():
+    reused = there != CODED_HERE
+    units = np.where(reused, base.layout.units[there], layout.units)
+    if reused.mean() < WORTH or not (units % layout.tiers < settings.tiers_of(settings.levels[-1])).any():
         return None
-    classes = np.where(kept, base.layout.classes[there], layout.classes)
+    classes = np.where(reused, base.layout.classes[there], layout.classes)
     codes = grid_codes(layout.key.means, classes, layout.grid)
     moved = replace(layout, units=units, classes=classes, codes=codes, base_rows=there)
-    return moved.take(np.lexsort((np.where(kept, there.astype(np.uint64), codes), ~kept, units)))
+    return moved.take(np.lexsort((np.where(reused, there.astype(np.uint64), codes), ~reused, units)))
 
 
 def find_reused(layout: GroupLayout, base: BaseGroup) -> NDArray[np.intp]:
@@ -128,7 +128,7 @@ def _differences(
 
 
 def reused_errors(layout: GroupLayout, base: BaseGroup, unit: int, quality: int) -> NDArray[np.float64]:
-    """(7 + C,) the most that kept rows of a unit are off in a key quality, in the units of the channels."""
+    """(7 + C,) the most that reused rows of a unit are off in a key quality, in the units of the channels."""
     rows = layout.reused_rows(unit)
     errors = np.abs(base.values(layout, layout.base_rows[rows], quality) - layout.key_values()[:, rows])
     return np.asarray(errors.max(axis=1, initial=0.0) + ROUNDING * np.abs(layout.key_values()[:, rows]).max(axis=1))
@@ -154,7 +154,7 @@ class CodedKeys:
 
 
 def code_keys(layout: GroupLayout, settings: EncodeSettings) -> CodedKeys:
-    """Quantise the key of a group for every unit and key quality, without the rows that are kept."""
+    """Quantise the key of a group for every unit and key quality, without the rows that are reused."""
     values = layout.key_values()
     steps = KEY.steps(layout.key_steps, layout.colours)
     omissions = KeyOmissions.of(layout, values)
@@ -222,7 +222,7 @@ def key_bytes(
     pictures: Sequence[Sequence[Representation]],
     base: GroupLayout | None = None,
 ) -> int:
-    """Bytes of all key units and sidecars of a group, before there are states; `base` is that whose rows are kept."""
+    """Bytes of all key units and sidecars of a group, before there are states; `base` is that whose rows are reused."""
     total = 0
     for unit, of_unit in enumerate(pictures):
         rows = layout.unit_rows(unit)
@@ -237,18 +237,18 @@ def key_bytes(
 def key_sidecar(
     layout: GroupLayout, unit: int, depths: NDArray[np.uint8], base: GroupLayout | None = None
 ) -> KeySidecar:
-    """What the sidecar of a unit holds; `depths` (N,) are those of all rows, `base` is whose rows are kept."""
-    coded, kept = layout.sidecar(layout.coded_rows(unit), depths), layout.reused_rows(unit)
+    """What the sidecar of a unit holds; `depths` (N,) are those of all rows, `base` is whose rows are reused."""
+    coded, reused = layout.sidecar(layout.coded_rows(unit), depths), layout.reused_rows(unit)
     if base is None:
         return coded
-    return replace(coded, kept=Kept(layout.base_rows[kept] - base.unit_rows(unit).start, depths[kept]))
+    return replace(coded, kept=Kept(layout.base_rows[reused] - base.unit_rows(unit).start, depths[reused]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecodedKeys:
     """The key of a group as viewers of a key quality have it."""
 
-    channels: NDArray[np.float32]  # (7 + C, n) of the rows that are not kept
+    channels: NDArray[np.float32]  # (7 + C, n) of the rows that are not reused
     space: Canonical  # of all rows, every one static
 
 
@@ -263,15 +263,15 @@ def decode_base(
     """The key of a group as viewers of a key quality have it.
 
     `pictures` are those of `encode_keys`; `base` is the canonical space, in that quality, of the group whose rows are
-    kept.
+    reused.
     """
     steps = KEY.steps(layout.key_steps, layout.colours) * settings.key_factors[quality]
     channels, parts = [np.empty((len(steps), 0), np.float32)], []
     for unit, of_quality in enumerate(pictures):
         gops, coded = of_quality[quality].gops, keys.units[unit][quality]
-        kept = layout.reused_rows(unit)
-        if base is not None and kept.stop > kept.start:
-            parts.append(base.kept(layout.base_rows[kept], _static(layout)[kept]))
+        reused = layout.reused_rows(unit)
+        if base is not None and reused.stop > reused.start:
+            parts.append(base.kept(layout.base_rows[reused], _static(layout)[reused]))
         if not gops:
             continue
         where = f"key unit {unit} of frames {layout.span.start}-{layout.span.stop - 1}"

@@ -9,8 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
-from airgs_codec.analysis.rows import Restored, restore_rows
+from airgs_codec.analysis.rows import DEFAULT_GROUP_FRAMES, Restored, closed_groups, restore_rows
 from airgs_codec.encoder.batch import calibrate_sequence
 from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
 from airgs_codec.encoder.pipeline import KEY, QUALITY, REUSE, STATES, SURVEY, CodedKey, GroupFiles, PreparedSequence

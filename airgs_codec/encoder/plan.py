@@ -63,8 +63,8 @@ def assign_depths(
     ranked = rows[np.argsort(-score[rows], kind="stable")]
     depths = np.full(len(score), STATIC, np.uint8)
     for level, share in enumerate(pruned):
-        kept = ranked[: round((1 - share) * len(ranked))]
-        depths[kept if tiers is None else kept[tiers[kept] < level_tiers[level]]] = level
+        carried = ranked[: round((1 - share) * len(ranked))]
+        depths[carried if tiers is None else carried[tiers[carried] < level_tiers[level]]] = level
     return depths
 
 
@@ -180,7 +180,7 @@ class GroupLayout:
     key_steps: KeySteps
     state_steps: StateSteps
     transform: NDArray[np.float64]  # (C, C) KLT of the colours, as stored
-    base_rows: NDArray[np.intp]  # (N,) rows of an earlier group, in file order, that are kept; CODED_HERE: of no group
+    base_rows: NDArray[np.intp]  # (N,) rows of an earlier group, in file order, that are reused; CODED_HERE: none
     renderer: Renderer
 
     @property
@@ -206,7 +206,7 @@ class GroupLayout:
         return slice(int(low), int(high))
 
     def reused_rows(self, unit: int) -> slice:
-        """Rows of a unit that are kept: the first ones."""
+        """Rows of a unit that are reused: the first ones."""
         rows = self.unit_rows(unit)
         return slice(rows.start, rows.start + int((self.base_rows[rows] != CODED_HERE).sum()))
 
@@ -244,23 +244,25 @@ class GroupLayout:
         return dequantise_key(channels, sidecar, self.transform, self.grid, self.key_steps)
 
     def sidecar(self, rows: slice, depths: NDArray[np.uint8]) -> KeySidecar:
-        """Some rows, none as kept, with the finest positions, and of (N,) depths those of the rows."""
+        """Some rows, none as reused, with the finest positions, and of (N,) depths those of the rows."""
         return KeySidecar(self.codes[rows], self.classes[rows], depths[rows])
 
 
-def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSettings, fps: Fraction) -> GroupLayout:
-    """Order, units, steps and transforms of a group: `loaded` are its frames, of which `kept` rows are written."""
+def lay_out(
+    loaded: Repaired, survey: Survey, written: KeptRows, settings: EncodeSettings, fps: Fraction
+) -> GroupLayout:
+    """Order, units, steps and transforms of a group: `loaded` are its frames, of which some rows are `written`."""
     steps = settings.steps.scaled(settings.quality)
-    canonical = mean_frame(loaded.frames).take(kept.rows)
-    classes = classify_motion(survey.sensitivity.take(kept.rows).means, canonical)
+    canonical = mean_frame(loaded.frames).take(written.rows)
+    classes = classify_motion(survey.sensitivity.take(written.rows).means, canonical)
     grid = fit_grid(canonical.means, classes, steps.grid)
     codes = grid_codes(canonical.means, classes, grid)
     score = survey.score(settings.usage)
     moved = survey.usage.moved if settings.usage == "max" else None  # it is a product of that measure alone
     tiles = assign_tiles(canonical.means, settings.tiles).astype(np.uint16)
-    units = tiles * len(settings.tiers) + assign_tiers(score[kept.rows], settings.tiers)
+    units = tiles * len(settings.tiers) + assign_tiers(score[written.rows], settings.tiers)
     order = np.lexsort((codes, units))
-    rows = kept.rows[order]
+    rows = written.rows[order]
     transform = colour_transform(canonical.take(order), steps.key)
     return GroupLayout(
         span=survey.span,
@@ -268,7 +270,7 @@ def lay_out(loaded: Repaired, survey: Survey, kept: KeptRows, settings: EncodeSe
         segments=split_segments(survey.span, settings.segment_s, fps),
         count=len(score),
         notes=tuple(loaded.notes),
-        removal_error=kept.error,
+        removal_error=written.error,
         rows=rows,
         key=canonical.take(order),
         tiles=settings.tiles,

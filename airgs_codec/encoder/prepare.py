@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 from airgs_codec._settings import available_cores
-from airgs_codec.analysis.grouping import Grouping, count_runs, plan_groups
-from airgs_codec.analysis.rows import IN_ORDER, Restored, compare_order, restore_rows
+from airgs_codec.analysis.rows import IN_ORDER, Grouping, Restored, compare_order, count_runs, plan_groups, restore_rows
 from airgs_codec.encoder.pipeline import LENGTHS, PreparedSequence, Read, chosen, seen
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views
@@ -18,7 +18,7 @@ from airgs_codec.scene.frames import HeldFrames
 from airgs_codec.scene.sequence import GaussianSequence
 
 CHUNK = 16  # frames that are looked at by one call
-HELD_BYTES = 1 << 30  # of frames that were read: what a computer of 8 GB can spare beside the arrays of one group
+HELD_SHARE = 8  # one byte in so many of the memory may hold frames: the arrays of a group take several times its own
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,15 +31,22 @@ class Ordered:
 
 @contextmanager
 def holding_frames(sequence: GaussianSequence) -> Iterator[GaussianSequence]:
-    """Hold frames once they are read, so that each is read once where HELD_BYTES hold all of them, and let go at last.
+    """Hold frames once they are read, so that each is read once where memory holds all of them, and let go at last.
 
     Processes of an engine read on their own.
     """
-    held = HeldFrames(HELD_BYTES)
+    held = HeldFrames(held_bytes())
     try:
         yield replace(sequence, held=held)
     finally:
         held.clear()
+
+
+def held_bytes() -> int:
+    """Bytes of frames that may be held: 1 of HELD_SHARE of the machine's, or 1 GiB where it does not say."""
+    if not hasattr(os, "sysconf"):
+        return 1 << 30
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // HELD_SHARE
 
 
 def order_rows(sequence: GaussianSequence, settings: EncodeSettings, work: Work) -> Ordered:

@@ -48,7 +48,7 @@ class EncodeReport:
     search_s: float  # for a goal
     encode_s: float
     measure_s: float
-    cached: bool  # the calibration was kept from before
+    cached: bool  # the calibration was found before
     records: Sequence[Record] = ()  # of the jobs
 
 

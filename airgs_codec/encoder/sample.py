@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.grouping import count_runs
 from airgs_codec.analysis.importance import mean_square_alpha
+from airgs_codec.analysis.rows import count_runs
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.coding.channels import Canonical, dequantise_key, key_channels, state_channels
 from airgs_codec.coding.colour import colour_transform

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from airgs_codec._settings import available_cores, computed_setting, documented, setting
-from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
-from airgs_codec.analysis.rows import AUTO, ROWS
+from airgs_codec.analysis.rows import AUTO, DEFAULT_GROUP_FRAMES, ROWS
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP

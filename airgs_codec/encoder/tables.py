@@ -181,13 +181,13 @@ def _unit_table(group: CodedGroup, files: Files, unit: int) -> GroupTier:
     parts, pictures, layout = group.keys.units[unit], group.key_pictures[unit], group.layout
     place = group.place(unit)
     atlases = [_bounded(part.atlas, part.error, shown, KEY) for part, shown in zip(parts, pictures, strict=True)]
-    rows, kept = (span.stop - span.start for span in (layout.unit_rows(unit), layout.reused_rows(unit)))
-    if kept and group.base:
+    rows, reused = (span.stop - span.start for span in (layout.unit_rows(unit), layout.reused_rows(unit)))
+    if reused and group.base:
         errors = (reused_errors(layout, group.base, unit, quality) for quality in range(len(atlases)))
         atlases = [widen(atlas, error, KEY) for atlas, error in zip(atlases, errors, strict=True)]
     media = [files.get(paths.key_media_path(*place, q, group.number), NO_FILE) for q in range(len(parts))]
     sidecar = files.get(paths.key_sidecar_path(*place, group.number), NO_FILE)
-    return GroupTier(rows, kept, sidecar, atlases, media)
+    return GroupTier(rows, reused, sidecar, atlases, media)
 
 
 def _bounded(

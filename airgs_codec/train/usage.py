@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.grouping import middle_frame
+from airgs_codec.analysis.rows import middle_frame
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage

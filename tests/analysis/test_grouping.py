@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from airgs_codec.analysis.grouping import closed_groups, plan_groups
+from airgs_codec.analysis.rows import closed_groups, plan_groups
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.analysis.importance import RowPruning, estimate_cost, importance, pooled_error, select_omissions
+from airgs_codec.analysis.rows import plan_groups
 from airgs_codec.analysis.sensitivity import MAX_VIEWS, measure_sensitivity, measure_usage
 from airgs_codec.media.metrics import mse
 from airgs_codec.render import render

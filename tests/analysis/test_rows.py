@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.analysis.rows import restore_rows
+from airgs_codec.analysis.rows import plan_groups, restore_rows
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX

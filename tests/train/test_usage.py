@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.rows import plan_groups
 from airgs_codec.analysis.sensitivity import measure_usage
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.errors import SceneError

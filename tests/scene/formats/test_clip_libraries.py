@@ -11,7 +11,7 @@ from fourdgs import CoordinateFrame, Provenance, WriteOptions
 from fourdgs.convert import convert_ply_sequence
 from fourdgs.serialization import put_record
 
-from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.rows import plan_groups
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.errors import SceneError
 from airgs_codec.package.world import world_from, world_words

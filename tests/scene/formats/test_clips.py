@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.rows import plan_groups
 from airgs_codec.cli import encode, manifest
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import SceneError

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.rows import plan_groups
 from airgs_codec.errors import SceneError
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, render
