@@ -3,7 +3,6 @@ import { canonicalGaussians, shownGaussians } from "./format/gaussians.ts";
 import { levelled } from "./format/region.ts";
 import type { Canonical, Gaussians, Region, Root, StateFrame, World } from "./format/types.ts";
 import { type CanonicalName, Media } from "./media/client.ts";
-import { locate } from "./play/locate.ts";
 
 /** A tile of a segment that is decoded. */
 interface DecodedTile {
@@ -93,7 +92,7 @@ export class FrameReader {
     if (number < 0) throw new RangeError(`rung: expected one of ${this.rungs.join(", ")}, got ${rung}`);
     if (!(frame >= 0 && frame < this.frames))
       throw new RangeError(`frame: expected 0 … ${this.frames - 1}, got ${frame}`);
-    const segment = await locate(this.media, frame, new AbortController().signal);
+    const segment = await this.media.locate(frame, new AbortController().signal);
     const name = `${segment} ${number}`;
     if (name !== this.#wanted) {
       this.#wanted = name;

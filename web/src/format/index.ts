@@ -15,11 +15,12 @@ export interface Entry {
   file: FileEntry;
 }
 
-/** A question that only a page of the index can answer which has not been read. */
-export class MissingPageError extends Error {
+/** A question that only a page of the index, or the table of a group, can answer that is not here. */
+export class MissingTableError extends Error {
+  override name = "MissingTableError";
+
   constructor(readonly path: string) {
     super(`${path} has not been read`);
-    this.name = "MissingPageError";
   }
 }
 
@@ -90,7 +91,7 @@ export const countPages = (index: Root["index"], level: number): number =>
   Math.floor(sum(index.map((spans, k) => spans.frames.length * PAGE ** (k - level))));
 
 /**
- * Finds groups by descending from the root. Throws MissingPageError for what stands on a page not read, RangeError
+ * Finds groups by descending from the root. Throws MissingTableError for what stands on a page not read, RangeError
  * outside the sequence.
  */
 export class GroupIndex {
@@ -225,7 +226,7 @@ export class GroupIndex {
 
   #page(path: string): Block {
     const found = this.#pages.get(path);
-    if (!found) throw new MissingPageError(path);
+    if (!found) throw new MissingTableError(path);
     return found;
   }
 }

@@ -5,7 +5,7 @@ import { INIT_PATH, PAGE, ROOT_PATH } from "../generated/constants.ts";
 import { group as groupSchema, page as pageSchema } from "../generated/schema.ts";
 import { FormatError } from "./errors.ts";
 import { inflate } from "./gzip.ts";
-import { countPages, GroupIndex } from "./index.ts";
+import { countPages, GroupIndex, MissingTableError } from "./index.ts";
 import { parseRoot, parseTable } from "./parse.ts";
 import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath, tileFolder } from "./paths.ts";
 import { checkGroup, checkKept, checkPage } from "./references.ts";
@@ -14,14 +14,6 @@ import type { FileEntry, Group, Page, Root, Segment, Tier, Tile } from "./types.
 const KEPT = 1024; // tables of groups
 /** What of the root may differ while a package grows. */
 const GROWS = new Set(["frames", "index", "decisions", "live"]);
-
-/** A question that only the table of a group can answer which has not been read, or is kept no longer. */
-export class MissingGroupError extends Error {
-  constructor(readonly group: number) {
-    super(`${groupPath(group + 1)} has not been read`);
-    this.name = "MissingGroupError";
-  }
-}
 
 /** The root, and the pages and tables of groups that were added to it. The tables last used are kept. */
 export class Tables {
@@ -51,7 +43,7 @@ export class Tables {
     }
   }
 
-  /** Takes in the bytes of a page, whose digest was checked. Throws FormatError; MissingPageError. */
+  /** Takes in the bytes of a page, whose digest was checked. Throws FormatError; MissingTableError. */
   addPage(path: string, bytes: Uint8Array): void {
     const page = parseTable(bytes, pageSchema, path) as Page;
     checkPage(this.index.pageEntry(path), page, path);
@@ -60,7 +52,7 @@ export class Tables {
     this.index.addPage(path, page);
   }
 
-  /** Takes in the bytes of a group's table, whose digest was checked. Throws FormatError; MissingPageError. */
+  /** Takes in the bytes of a group's table, whose digest was checked. Throws FormatError; MissingTableError. */
   async addGroup(number: number, bytes: Uint8Array): Promise<Group> {
     const where = groupPath(number + 1);
     const entry = this.index.entry(number);
@@ -99,12 +91,12 @@ export class Tables {
     return this.#groups.has(number);
   }
 
-  /** The table of a group. Throws MissingPageError where a page has yet to say where it is, MissingGroupError. */
+  /** The table of a group. Throws MissingTableError for it, or for a page that has yet to say where it is. */
   group(number: number): Group {
     const found = this.#groups.get(number);
     if (!found) {
       this.index.entry(number);
-      throw new MissingGroupError(number);
+      throw new MissingTableError(groupPath(number + 1));
     }
     this.#groups.delete(number); // the order of a Map is that of adding: the last used is the last
     this.#groups.set(number, found);
@@ -189,7 +181,7 @@ export class Tables {
     return there.map((tile) => stateMediaPath(tileFolder(tile, this.root.tiles), level, segment + 1));
   }
 
-  /** Length and digest of a file. Throws FormatError(missing_entry); MissingPageError, MissingGroupError. */
+  /** Length and digest of a file. Throws FormatError(missing_entry); MissingTableError. */
   entry(path: string): FileEntry {
     const found = path === INIT_PATH ? this.root.init : this.#find(path);
     if (!found?.bytes) throw new FormatError("missing_entry", path, "no table has such a file");

@@ -1,6 +1,7 @@
 // A package on the web, as the page sees it: the worker fetches, checks and decodes.
 import { start } from "worker:./worker.ts";
 import type { FormatError } from "../format/errors.ts";
+import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
 import type { Canonical, StateFrame } from "../format/types.ts";
 import { ATTEMPTS, ROOT_PATH } from "../generated/constants.ts";
@@ -87,6 +88,25 @@ export class Media {
     );
     for (const [path, bytes] of batch.tables) await this.tables.add(path, bytes);
     return fetched(batch);
+  }
+
+  /**
+   * The segment that shows a frame; fetches the pages and tables of its group, and of its base.
+   *
+   * Throws FormatError, TransportError.
+   */
+  async locate(frame: number, signal: AbortSignal): Promise<number> {
+    for (;;) {
+      try {
+        this.tables.baseTable(this.tables.index.atFrame(frame));
+        return this.tables.segmentAt(frame);
+      } catch (error) {
+        if (!(error instanceof MissingTableError)) throw error;
+        const { refused } = await this.fetch([error.path], { signal });
+        signal.throwIfAborted();
+        for (const refusal of refused.values()) throw refusal;
+      }
+    }
   }
 
   /** Reads airgs.json again, which a growing package has changed; `tables` grow. */

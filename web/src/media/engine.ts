@@ -1,7 +1,7 @@
 // Everything between the network and the renderer, whatever thread it runs on: fetch, check, decode.
 import { FormatError } from "../format/errors.ts";
-import { MissingPageError } from "../format/index.ts";
-import { MissingGroupError, Tables } from "../format/package.ts";
+import { MissingTableError } from "../format/index.ts";
+import { Tables } from "../format/package.ts";
 import { locate } from "../format/paths.ts";
 import type { Canonical, StateFrame } from "../format/types.ts";
 import { ATTEMPTS, MAX_ROOT_BYTES, ROOT_PATH } from "../generated/constants.ts";
@@ -163,7 +163,7 @@ export class Engine {
     for (const decoder of [this.#keys, ...this.#states]) decoder.close();
   }
 
-  /** Throws FormatError, MissingGroupError, MissingPageError for a file that no table leads to. */
+  /** Throws FormatError, MissingTableError for a file that no table leads to. */
   #ask(path: string, attempts: number, tables: [string, Uint8Array][]): FileAsk {
     const entry = this.tables.entry(path);
     const isTable = ["group", "page"].includes(locate(path)?.what ?? "");
@@ -223,8 +223,7 @@ function askRoot(attempts: number, patient: boolean, take: (bytes: Uint8Array) =
 
 function asFormatError(path: string, error: unknown): FormatError {
   if (error instanceof FormatError) return error;
-  const known = error instanceof MissingGroupError || error instanceof MissingPageError || error instanceof RangeError;
-  if (!known) throw error;
+  if (!(error instanceof MissingTableError || error instanceof RangeError)) throw error;
   return new FormatError("missing_entry", path, error.message);
 }
 

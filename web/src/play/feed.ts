@@ -1,28 +1,27 @@
 // What brings files: one session after another over the same playout and stores, each until its end, or until another
 // one is wanted.
 import { TransportError } from "../media/errors.ts";
-import type { Catalogue } from "./catalogue.ts";
-import type { SessionEvent } from "./events.ts";
+import type { SessionEvent } from "./downloader.ts";
+import type { Planner } from "./fetch-plan.ts";
 import { HttpDownloader, type Source } from "./http-downloader.ts";
+import type { Offers } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 import { makePolicy } from "./policies/named.ts";
 import { Repairs } from "./repairs.ts";
 import { Session } from "./session.ts";
 import type { SessionSettings } from "./settings.ts";
 import type { Stores } from "./stores.ts";
-import type { TileChoice } from "./tile-choice.ts";
 
 /** A session that lost its server is begun again so much later, seconds, if the browser does not say that it is back. */
 const RETRY_S = 5;
 
 export interface FeedParts {
   media: Source;
-  catalogue: Catalogue;
+  offers: Offers;
   settings: SessionSettings;
   playout: Playout;
   stores: Stores;
-  /** Which tiles are fetched when; without it all are, with their segments. */
-  choice: TileChoice | undefined;
+  planner: Planner;
   /** The name of the policy of the next session. */
   policy: () => string;
   onEvent: (event: SessionEvent) => void;
@@ -40,7 +39,7 @@ export class Feed {
 
   constructor(parts: FeedParts) {
     this.#parts = parts;
-    this.#downloader = new HttpDownloader(parts.media, parts.catalogue);
+    this.#downloader = new HttpDownloader(parts.media, parts.offers);
   }
 
   /** The position that the session under way began with. */
@@ -80,9 +79,9 @@ export class Feed {
   async #session(signal: AbortSignal): Promise<boolean> {
     const { onEvent, onProblem, ...parts } = this.#parts;
     try {
-      const policy = makePolicy(parts.policy(), parts.catalogue);
-      const session = new Session({ ...parts, downloader: this.#downloader, policy, from: this.#from });
-      for await (const event of session.run(signal)) onEvent(event);
+      const policy = makePolicy(parts.policy(), parts.offers);
+      const session = new Session({ ...parts, downloader: this.#downloader, policy }, signal, this.#from);
+      for await (const event of session.run()) onEvent(event);
     } catch (error) {
       if (signal.aborted) return true;
       const away = error instanceof TransportError;
@@ -94,10 +93,8 @@ export class Feed {
 
   /** Fetch what turns out to be lacking, also when the session is over. */
   async #repair(signal: AbortSignal): Promise<void> {
-    const { choice, ...rest } = this.#parts;
-    if (!choice) return;
     const onProblem = (error: unknown) => this.#parts.onProblem(error, false);
-    await new Repairs({ ...rest, choice, downloader: this.#downloader, onProblem }, signal).run();
+    await new Repairs({ ...this.#parts, downloader: this.#downloader, onProblem }, signal).run();
   }
 }
 

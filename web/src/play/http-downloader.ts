@@ -2,9 +2,8 @@
 import { FormatError } from "../format/errors.ts";
 import { CHECK_S, ROOT_PATH } from "../generated/constants.ts";
 import type { Fetched, Media } from "../media/client.ts";
-import { type Catalogue, filesOf } from "./catalogue.ts";
-import type { Downloader, GiveUp } from "./downloader.ts";
-import type { Arrival, Request } from "./events.ts";
+import type { Arrival, Downloader, GiveUp, Request } from "./downloader.ts";
+import { filesOf, type Offers } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 
 /** Timers of browsers take no more, milliseconds. */
@@ -22,7 +21,7 @@ export class HttpDownloader implements Downloader {
 
   constructor(
     private readonly source: Source,
-    private readonly catalogue: Catalogue,
+    private readonly offers: Offers,
   ) {
     this.opened = source.opened;
   }
@@ -74,7 +73,7 @@ export class HttpDownloader implements Downloader {
 
   private async batch(request: Request, paths: string[], giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival> {
     const sentS = this.now();
-    const expectedBytes = this.catalogue.wire(paths);
+    const expectedBytes = this.offers.wire(paths);
     const watch = new Watch(giveUp, expectedBytes, signal, () => this.now());
     try {
       const onProgress = (bytes: number) => watch.progress(bytes);
@@ -134,13 +133,13 @@ class Watch {
 }
 
 /** Let a session over a growing package begin with its newest group, whose place pages may have to tell. */
-export async function joinNewest(catalogue: Catalogue, source: Source): Promise<void> {
-  if (!catalogue.live) return;
-  const { index } = catalogue.tables;
+export async function joinNewest(offers: Offers, source: Source): Promise<void> {
+  if (!offers.live) return;
+  const { index } = offers.tables;
   for (const path of index.pagesTo("segments", index.segments - 1)) {
     if (index.hasPage(path)) continue;
     const { refused } = await source.fetch([path]);
     for (const error of refused.values()) throw error;
   }
-  catalogue.first = index.entry(index.groups - 1).firstSegment;
+  offers.first = index.entry(index.groups - 1).firstSegment;
 }

@@ -1,42 +1,271 @@
-// What a player asks the tables of a package.
-import type { Count } from "../format/index.ts";
-import type { Root, Segment, Tile } from "../format/types.ts";
+// What a package offers a player: one frozen value a segment, made once from the tables of its group.
+//
+// P tiles, U key units of a group, Q key qualities, L levels. A unit is a key tier of a tile. A rung is a key quality
+// with a level; rungs are numbered quality by quality. A position is a segment of a session, which may play the
+// sequence several times. Wire bytes are those of files with their headers.
+import type { GroupIndex } from "../format/index.ts";
+import type { Tables } from "../format/package.ts";
+import { Recent } from "../format/recent.ts";
+import type { Root, Segment } from "../format/types.ts";
+import { HEADER_BYTES, OVER_BUDGET, ROOT_PATH } from "../generated/constants.ts";
+import { type Option, savedShares } from "./ladder.ts";
+import { ConfigError } from "./settings.ts";
 
-/** The tables of a package, as far as a player looks at them: `Tables` of the format, or numbers alone.
- *
- * Groups, segments, tiles, units and files are counted from 0. Questions about a group whose table is not there (`has`) throw.
- */
-export interface Offers {
+/** More than a buffer holds and a policy looks at, also tile by tile. */
+const MOST_OFFERS = 1024;
+
+/** Numbers of key units, such as those that are decoded in a loop over the sequence. */
+export type Units = Pick<ReadonlySet<number>, "has">;
+export const NONE: Units = new Set();
+
+/** The files of a key unit in a quality. */
+export interface UnitOffer {
+  /** Number of the unit among those of all groups and qualities. */
+  readonly unit: number;
+  readonly group: number;
+  readonly tile: number;
+  readonly tier: number;
+  readonly files: readonly string[];
+  readonly bytes: number;
+}
+
+/** What a rung of a segment takes and gives. */
+export interface RungOffer {
+  readonly quality: number;
+  readonly level: number;
+  /** dB; 0 where it was not measured. */
+  readonly psnr: number;
+  /** That it shows, in all tiles. */
+  readonly gaussians: number;
+  /** Whether the budget has as many. */
+  readonly allowed: boolean;
+  /** Share of the first level's state bytes that its level saves. */
+  readonly saved: number;
+  /** In the order of fetching: each unit of the group that has files, then that of the base whose rows it reuses. */
+  readonly units: readonly UnitOffer[];
+  readonly state: readonly string[];
+  readonly stateBytes: number;
+}
+
+/** What a segment offers of some tiles; frames are [start, stop). */
+export interface SegmentOffer {
+  readonly segment: number;
+  readonly start: number;
+  readonly stop: number;
+  /** Of play at speed 1. */
+  readonly seconds: number;
+  readonly group: number;
+  /** The group whose rows its group reuses; null: it reuses none. */
+  readonly base: number | null;
+  /** It is the first one of its group. */
+  readonly startsGroup: boolean;
+  readonly rungs: readonly RungOffer[];
+}
+
+/** Paths of the files that are requested together, in the order in which they arrive. */
+export interface Batch {
+  keys: readonly string[];
+  state: readonly string[];
+  tables: readonly string[];
+}
+
+/** All paths: key units one by one, then the state segment, then tables for what comes next. */
+export const filesOf = (batch: Batch): string[] => [...batch.keys, ...batch.state, ...batch.tables];
+
+/** (Q L) wire bytes of every rung beside the decoded units; OVER_BUDGET where it shows too many Gaussians. */
+export const sizesOf = ({ rungs }: SegmentOffer, decoded: Units): Float64Array =>
+  Float64Array.from(rungs, ({ allowed, units, stateBytes }) =>
+    allowed ? units.reduce((sum, { unit, bytes }) => sum + (decoded.has(unit) ? 0 : bytes), stateBytes) : OVER_BUDGET,
+  );
+
+/** Every rung that the budget allows, by its number. */
+export function optionsOf(offer: SegmentOffer, decoded: Units): Option[] {
+  const sizes = sizesOf(offer, decoded);
+  const all = offer.rungs.map(({ psnr, saved }, index) => ({ index, sizeBytes: sizes[index], quality: psnr, saved }));
+  return all.filter(({ index }) => offer.rungs[index].allowed);
+}
+
+/** The files that a rung needs beside the decoded units. */
+export function missing({ rungs }: SegmentOffer, rung: number, decoded: Units): Batch {
+  const { units, state } = rungs[rung];
+  return { keys: units.flatMap(({ unit, files }) => (decoded.has(unit) ? [] : files)), state, tables: [] };
+}
+
+/** The tables of a package as far as a player looks at them; they may be numbers alone. All count from 0. */
+export interface OfferTables
+  extends Pick<Tables, "rootBytes" | "has" | "groupOf" | "rows" | "boxes" | "unitsOf" | "base">,
+    Pick<Tables, "keyFiles" | "keptFiles" | "stateFiles"> {
   readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "tiles" | "frames"> & {
     readonly views: Pick<Root["views"], "reference">;
     readonly qualities: readonly Pick<Root["qualities"][number], "id">[];
     readonly levels: readonly Pick<Root["levels"][number], "id" | "tiers">[];
   };
-  readonly rootBytes: number;
-  readonly index: {
-    readonly groups: number;
-    readonly segments: number;
-    entry(group: number): { start: number; stop: number; firstSegment: number; segments: number };
-    pagesTo(count: Count, number: number): Iterable<string>;
-    missingPages(segment: number, there: (path: string) => boolean): string[];
-    leadsTo(segment: number): boolean;
-    hasPage(path: string): boolean;
-    guessSpan(segment: number): { start: number; stop: number };
-  };
-  has(group: number): boolean;
+  readonly index: GroupIndex;
   segment(segment: number): Pick<Segment, "start" | "stop"> & { levels: readonly { psnr: readonly number[] }[] };
-  groupOf(segment: number): number;
-  /** Gaussians of a group in each key unit. */
-  rows(group: number): readonly number[];
-  /** Where the tiles of a group are. */
-  boxes(group: number): readonly Pick<Tile, "low" | "high">[];
-  /** The key units that viewers of a level fetch of some tiles, by default of all. */
-  unitsOf(level: number, tiles?: readonly number[]): number[];
-  /** The group whose rows a group keeps; null: none. */
-  base(group: number): number | null;
-  keyFiles(group: number, unit: number, quality: number): string[];
-  /** Those of the key unit of the base whose rows a key unit keeps. */
-  keptFiles(group: number, unit: number, quality: number): string[];
-  stateFiles(segment: number, level: number, tiles?: readonly number[]): string[];
   entry(path: string): { bytes: number };
+}
+
+/** Makes the offers of a package, whose tables grow under it; a session over a growing one begins with `first`. */
+export class Offers {
+  /** (key quality, level) of every rung. */
+  readonly rungs: readonly (readonly [number, number])[];
+  /** The name of every rung, such as Q1+L2. */
+  readonly names: readonly string[];
+  readonly fps: number;
+  /** All of them. */
+  readonly tiles: readonly number[];
+  /** The segment that a session begins with. */
+  first = 0;
+  readonly #made = new Recent<string, SegmentOffer>(MOST_OFFERS);
+
+  /** `budget`: the most Gaussians that a rung may show. */
+  constructor(
+    readonly tables: OfferTables,
+    readonly headerBytes = HEADER_BYTES,
+    readonly budget = Number.POSITIVE_INFINITY,
+  ) {
+    const { qualities, levels, frame_rate, tiles } = tables.root;
+    this.rungs = qualities.flatMap((_, q) => levels.map((_, j) => [q, j] as const));
+    this.names = this.rungs.map(([q, j]) => `${qualities[q].id}+${levels[j].id}`);
+    this.fps = frame_rate[0] / frame_rate[1];
+    this.tiles = Array.from({ length: tiles }, (_, tile) => tile);
+  }
+
+  /** What a segment whose tables are there (`knows`) offers of some tiles, which ascend. */
+  of(segment: number, tiles = this.tiles): SegmentOffer {
+    return this.#made.of(`${segment}: ${tiles.join()}`, () => this.#make(segment, tiles));
+  }
+
+  #make(segment: number, tiles: readonly number[]): SegmentOffer {
+    const { tables, fps } = this;
+    const group = tables.groupOf(segment);
+    const { start, stop, levels } = tables.segment(segment);
+    const rows = tables.rows(group);
+    const states = levels.map((_, level) => tables.stateFiles(segment, level, tiles));
+    const bytes = states.map((files) => this.wire(files));
+    const saved = savedShares(bytes);
+    const rungs = this.rungs.map(([quality, level]) => {
+      const gaussians = tables.unitsOf(level).reduce((sum, unit) => sum + rows[unit], 0);
+      const units = tables.unitsOf(level, tiles).flatMap((number) => this.#units(group, quality, number));
+      const psnr = levels[level].psnr[quality] ?? 0;
+      const [state, stateBytes] = [states[level], bytes[level]];
+      const allowed = gaussians <= this.budget;
+      return { quality, level, psnr, gaussians, allowed, saved: saved[level], units, state, stateBytes };
+    });
+    const startsGroup = segment === tables.index.entry(group).firstSegment;
+    const seconds = (stop - start) / fps;
+    return Object.freeze({ segment, start, stop, seconds, group, base: tables.base(group), startsGroup, rungs });
+  }
+
+  /** A key unit of a group, and the one of the base whose rows it reuses, as far as they have files. */
+  #units(group: number, quality: number, number: number): UnitOffer[] {
+    const { tables } = this;
+    const { qualities, tiles, tiers } = tables.root;
+    const offer = (of: number, files: string[]): UnitOffer => {
+      const unit = (of * qualities.length + quality) * tiles * tiers + number;
+      const [tile, tier] = [Math.floor(number / tiers), number % tiers];
+      return { unit, group: of, tile, tier, files, bytes: this.wire(files) };
+    };
+    const own = offer(group, tables.keyFiles(group, number, quality));
+    const base = offer(tables.base(group) ?? group, tables.keptFiles(group, number, quality));
+    return [own, base].filter(({ files }) => files.length);
+  }
+
+  /** How many segments there are. */
+  get segments(): number {
+    return this.tables.index.segments;
+  }
+
+  /** More groups may come in this session. */
+  get live(): boolean {
+    return this.tables.root.live;
+  }
+
+  /** Seconds of play of the whole sequence. */
+  get durationS(): number {
+    return this.tables.root.frames / this.fps;
+  }
+
+  /** Whether every rung of every segment has a quality. */
+  get measured(): boolean {
+    return this.tables.root.views.reference !== "none";
+  }
+
+  /** Seconds of play of the last group so far. */
+  get newestSeconds(): number {
+    const entry = this.tables.index.entry(this.tables.index.groups - 1);
+    return (entry.stop - entry.start) / this.fps;
+  }
+
+  /** Whether the tables of a segment's group, and of the one whose rows it reuses, are there. */
+  knows(segment: number): boolean {
+    if (!this.#hasTable(segment)) return false;
+    const group = this.tables.groupOf(segment);
+    return this.tables.has(this.tables.base(group) ?? group);
+  }
+
+  #hasTable(segment: number): boolean {
+    return this.tables.index.leadsTo(segment) && this.tables.has(this.tables.groupOf(segment));
+  }
+
+  /** Frames of the segment at a position; where its table cannot be had, as if its neighbours were of one length. */
+  span(position: number): { start: number; stop: number } {
+    const segment = this.index(position);
+    return this.#hasTable(segment) ? this.tables.segment(segment) : this.tables.index.guessSpan(segment);
+  }
+
+  /** Seconds of play at a position. */
+  secondsAt(position: number): number {
+    const { start, stop } = this.span(position);
+    return (stop - start) / this.fps;
+  }
+
+  /** Tiles of a segment that have rows. */
+  tilesWithRows(segment: number): number[] {
+    const rows = this.tables.rows(this.tables.groupOf(segment));
+    const { tiers } = this.tables.root;
+    return this.tiles.filter((tile) => rows.slice(tile * tiers, (tile + 1) * tiers).some((count) => count > 0));
+  }
+
+  /** Throws ConfigError where every rung at a position shows more Gaussians than the budget has. */
+  checkBudget(position: number): void {
+    const segment = this.index(position);
+    const least = this.knows(segment) ? Math.min(...this.of(segment).rungs.map(({ gaussians }) => gaussians)) : 0;
+    if (least > this.budget) throw new ConfigError(`budget: expected ${least} Gaussians or more, got ${this.budget}`);
+  }
+
+  /** The segment of the package that a session plays at a position. */
+  index(position: number): number {
+    return this.place(position).segment;
+  }
+
+  /** The loop, from 0, and the segment that a session plays at a position. */
+  place(position: number): { loop: number; segment: number } {
+    const at = this.first + position;
+    const loop = Math.floor(at / this.segments);
+    return { loop, segment: at - loop * this.segments };
+  }
+
+  /** How many positions a session has that plays the sequence so often, as far as is known. */
+  end(loops: number): number {
+    return loops * this.segments - this.first;
+  }
+
+  /** The offers of some tiles at the next positions before `end`, with their loops, as far as tables are there. */
+  upcoming(position: number, end: number, tiles = this.tiles): { offer: SegmentOffer; loop: number }[] {
+    const found = [];
+    for (let p = position; p < end; p++) {
+      const { loop, segment } = this.place(p);
+      if (!this.knows(segment)) break;
+      found.push({ offer: this.of(segment, tiles), loop });
+    }
+    return found;
+  }
+
+  /** Wire bytes of files. */
+  wire(paths: readonly string[]): number {
+    const { tables, headerBytes } = this;
+    const bytes = (path: string) => (path === ROOT_PATH ? tables.rootBytes : tables.entry(path).bytes);
+    return paths.reduce((sum, path) => sum + headerBytes + bytes(path), 0);
+  }
 }

@@ -1,21 +1,52 @@
 // Decoding ahead of the screen: the segments of the schedule, one after another, a second of play at most. The tiles of a
 // segment are decoded side by side; one that comes late is decoded at once, beside what is decoded then.
 import { FormatError } from "../format/errors.ts";
-import type { Canonical, StateFrame } from "../format/types.ts";
+import { Recent } from "../format/recent.ts";
+import type { Atlas, Canonical, StateFrame } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
-import type { Catalogue } from "./catalogue.ts";
-import type { Clip, Layer } from "./clip.ts";
+import type { Offers } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 import type { Slot } from "./slot.ts";
 import type { KeyStore } from "./stores.ts";
 
 const LEAD_S = 1; // of play that is decoded ahead: what is decoded can no longer be replaced by a better rung
 const NOTHING = { luma: new Uint8Array(0), means: new Float32Array(0) };
-const KEPT_SPACES = 2; // canonical spaces of each tile: of the group on the screen and of the next one
+const MOST_SPACES = 2; // canonical spaces of each tile: of the group on the screen and of the next one
+
+/** A tile of a segment that is decoded, or about to be. */
+export interface Layer {
+  readonly tile: number;
+  readonly level: number;
+  readonly canonical: Canonical;
+  /** Of its pictures; of a segment that has none, it is not used. */
+  readonly atlas: Atlas;
+  /** One a frame: undefined is not decoded yet, null shows the canonical space. */
+  readonly frames: (StateFrame | null | undefined)[];
+  /** It came when decoding had begun, so that nobody waits for it. */
+  readonly late: boolean;
+  /** Its frame that was shown last; −1: none. */
+  shown: number;
+}
+
+/** A segment that is decoded, or about to be, with the tiles that are there. */
+export interface Clip {
+  /** In the session. */
+  readonly position: number;
+  /** Number of the rung whose files it is made of, late ones aside. */
+  readonly rung: number;
+  /** Of tiles with rows. */
+  readonly layers: Layer[];
+  /** The frame that was shown last; −1: none. */
+  shown: number;
+}
+
+/** Whether a frame of a clip can be shown: all tiles that came in time are decoded. */
+export const isDecoded = ({ layers }: Clip, frame: number): boolean =>
+  layers.every(({ late, frames }) => late || frames[frame] !== undefined);
 
 export interface PipelineParts {
   media: Media;
-  catalogue: Catalogue;
+  offers: Offers;
   stores: { keys: KeyStore };
   playout: Playout;
   /** A frame has come, or a segment turned out to be of no use. */
@@ -31,11 +62,13 @@ interface Work extends Clip {
 /** Decodes what is scheduled. Clips stay until `drop` or `clear`. */
 export class Pipeline {
   readonly #clips = new Map<number, Work>();
-  readonly #spaces = new Map<string, Canonical>();
+  readonly #spaces: Recent<string, Canonical>;
   #stop = new AbortController();
   #working = false;
 
-  constructor(private readonly parts: PipelineParts) {}
+  constructor(private readonly parts: PipelineParts) {
+    this.#spaces = new Recent(MOST_SPACES * parts.offers.tiles.length);
+  }
 
   /** The clip of a position in the session, if it is decoded or on its way. */
   clip(position: number): Clip | undefined {
@@ -100,9 +133,9 @@ export class Pipeline {
 
   /** The next segment to decode: the first without a clip, unless enough is decoded. */
   #next(): Slot | null {
-    const { playout, catalogue } = this.parts;
+    const { playout, offers } = this.parts;
     const now = playout.at(performance.now() / 1e3);
-    let ahead = now ? -now.frame / catalogue.fps : 0; // what has passed of the segment on the screen does not count
+    let ahead = now ? -now.frame / offers.fps : 0; // what has passed of the segment on the screen does not count
     for (const slot of playout.slots) {
       if (slot.rung === null || (now && slot.position < now.slot.position)) continue;
       if (!this.#clips.has(slot.position)) return ahead < LEAD_S ? slot : null;
@@ -155,17 +188,17 @@ export class Pipeline {
 
   /** A tile of the segment at a position, in a rung; null: it has no rows. */
   async #layer(pos: number, tile: number, rung: number, late: boolean, signal: AbortSignal): Promise<Layer | null> {
-    const { media, catalogue } = this.parts;
-    const [quality, level] = catalogue.rungs[rung];
+    const { media, offers } = this.parts;
+    const [quality, level] = offers.rungs[rung];
     const canonical = await this.#space(pos, quality, tile, signal);
-    const { start, stop } = media.tables.segment(catalogue.index(pos));
+    const { start, stop } = media.tables.segment(offers.index(pos));
     const atlas = media.tables.group(canonical.group).tiles[tile].levels[level];
     const frames = new Array(stop - start).fill(undefined);
     return canonical.depths.length ? { tile, level, canonical, atlas, frames, late, shown: -1 } : null;
   }
 
   async #fill(clip: Work, layer: Layer, signal: AbortSignal): Promise<void> {
-    const { media, catalogue, onProgress } = this.parts;
+    const { media, offers, onProgress } = this.parts;
     const { canonical, level, frames } = layer;
     const take = (t: number, frame: StateFrame | null) => {
       if (this.#clips.get(clip.position) !== clip) return media.taken(frame); // its time has passed
@@ -173,22 +206,18 @@ export class Pipeline {
       if (t < clip.shown) this.#letGo(frames, t);
       onProgress();
     };
-    await media.segment(catalogue.index(clip.position), level, canonical, take, signal);
+    await media.segment(offers.index(clip.position), level, canonical, take, signal);
   }
 
   /** The canonical space of a tile of the group of a position, of all tiers that are there. */
   async #space(position: number, quality: number, tile: number, signal: AbortSignal): Promise<Canonical> {
-    const { media, catalogue, stores } = this.parts;
-    const group = media.tables.groupOf(catalogue.index(position));
+    const { media, offers, stores } = this.parts;
+    const group = media.tables.groupOf(offers.index(position));
     const tiers = stores.keys.shownTiers(position, quality, tile);
     if (!tiers) throw new FormatError("missing_entry", `group ${group}`, "expected a key tier, got none");
     const name = `${group} ${tile} ${quality} ${tiers}`;
     const canonical = this.#spaces.get(name) ?? (await media.canonical({ group, tile, quality, tiers }, signal));
     signal.throwIfAborted();
-    this.#spaces.delete(name);
-    this.#spaces.set(name, canonical); // the last one used
-    const kept = KEPT_SPACES * catalogue.tiles.length;
-    for (const old of [...this.#spaces.keys()].slice(0, -kept)) this.#spaces.delete(old);
-    return canonical;
+    return this.#spaces.set(name, canonical);
   }
 }

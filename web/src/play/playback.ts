@@ -4,12 +4,11 @@ import type { Root } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
 import type { TargetFormat } from "../render/target.ts";
-import type { Catalogue } from "./catalogue.ts";
-import { type Clip, isDecoded } from "./clip.ts";
-import type { SessionEvent } from "./events.ts";
+import type { SessionEvent } from "./downloader.ts";
 import { Feed } from "./feed.ts";
-import { locate } from "./locate.ts";
-import { Pipeline } from "./pipeline.ts";
+import { ByView, whole } from "./fetch-plan.ts";
+import type { Offers } from "./offers.ts";
+import { type Clip, isDecoded, Pipeline } from "./pipeline.ts";
 import { EARLY, Playout } from "./playout.ts";
 import { wishedPolicy } from "./policies/named.ts";
 import { type RungInfo, RungTotals } from "./rungs.ts";
@@ -18,7 +17,6 @@ import { byView, sessionSettings } from "./settings.ts";
 import { Watcher } from "./sight.ts";
 import type { PlayerStats, Statistics } from "./statistics.ts";
 import { Stores } from "./stores.ts";
-import { TileChoice } from "./tile-choice.ts";
 import type { ViewState } from "./view.ts";
 
 const TIME_EVENT_S = 0.25;
@@ -73,29 +71,29 @@ export class Playback {
   #ticked = Number.POSITIVE_INFINITY;
   #timeTold = Number.NEGATIVE_INFINITY;
 
-  /** `catalogue` is of `media`, which is closed with it. */
+  /** `offers` is of `media`, which is closed with it. */
   constructor(
     readonly media: Media,
-    readonly catalogue: Catalogue,
+    readonly offers: Offers,
     canvas: HTMLCanvasElement,
     readonly wishes: Wishes,
     readonly statistics: Statistics,
     readonly tell: (type: string, detail?: Problem) => void,
   ) {
     const { bufferS, target } = wishes;
-    const adaptive = catalogue.tiles.length > 1 && (wishes.viewAdaptive ?? true);
+    const adaptive = offers.tiles.length > 1 && (wishes.viewAdaptive ?? true);
     const given = sessionSettings({ bufferS, pipelined: false });
     const settings = adaptive ? byView(given) : given;
-    const stores = new Stores(catalogue);
-    const playout = new Playout(catalogue, settings, this.#lastPosition());
-    const parts = { media, catalogue, stores, playout };
+    const stores = new Stores(offers);
+    const playout = new Playout(offers, settings, this.#lastPosition());
+    const parts = { media, offers, stores, playout };
     this.#playout = playout;
-    this.#rungs = new RungTotals(catalogue);
+    this.#rungs = new RungTotals(offers);
     this.#feed = new Feed({
       ...parts,
       settings,
-      choice: adaptive ? new TileChoice(catalogue, playout, this.#watcher) : undefined,
-      policy: () => wishedPolicy(wishes, catalogue),
+      planner: adaptive ? new ByView(offers, playout, this.#watcher) : whole(offers),
+      policy: () => wishedPolicy(wishes, offers),
       onEvent: (event) => this.#hear(event),
       onProblem: (error, fatal) => this.#problem(error, fatal),
     });
@@ -167,7 +165,7 @@ export class Playback {
 
   /** Go to a moment, seconds; the nearest one where there is none. */
   async seek(seconds: number): Promise<void> {
-    const { fps, first } = this.catalogue;
+    const { fps, first } = this.offers;
     const frame = Math.floor(seconds * fps + EARLY);
     const near = Math.max(0, Math.min(this.media.tables.root.frames - 1, frame));
     this.#sought = near / fps;
@@ -175,13 +173,13 @@ export class Playback {
     const signal = await this.#feed.next();
     if (signal.aborted) return;
     try {
-      const segment = await locate(this.media, near, signal);
+      const position = (await this.media.locate(near, signal)) - first;
       this.#locating = false;
       this.#pipeline.clear();
       this.#next = null;
       this.#playout.end = this.#lastPosition();
-      this.#playout.restart((near - this.catalogue.span(segment).start) / fps);
-      this.#feed.run(segment - first, signal);
+      this.#playout.restart((near - this.offers.span(position).start) / fps);
+      this.#feed.run(position, signal);
     } catch (error) {
       if (signal.aborted) return;
       this.#locating = false;
@@ -202,7 +200,7 @@ export class Playback {
   get currentTime(): number {
     if (this.#sought !== null || !this.#shown) return this.#sought ?? 0;
     const { clip, frame } = this.#shown;
-    return (this.catalogue.span(this.catalogue.index(clip.position)).start + frame) / this.catalogue.fps;
+    return (this.offers.span(clip.position).start + frame) / this.offers.fps;
   }
 
   get buffered(): { start: number; stop: number; rung: number }[] {
@@ -226,8 +224,8 @@ export class Playback {
   }
 
   #lastPosition(): number {
-    const loops = this.wishes.loop && !this.catalogue.live ? Number.POSITIVE_INFINITY : 1;
-    return this.catalogue.end(loops);
+    const loops = this.wishes.loop && !this.offers.live ? Number.POSITIVE_INFINITY : 1;
+    return this.offers.end(loops);
   }
 
   #hear(event: SessionEvent): void {
@@ -303,7 +301,7 @@ export class Playback {
     const next = this.#next ?? { position, frame };
     let count = frame - next.frame;
     for (let p = next.position; p < position; p++) {
-      const { start, stop } = this.catalogue.span(this.catalogue.index(p));
+      const { start, stop } = this.offers.span(p);
       count += stop - start;
     }
     return count;

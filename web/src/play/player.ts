@@ -4,8 +4,8 @@ import type { Region, World } from "../format/types.ts";
 import { DEFAULT_POLICY, HEADER_BYTES, SESSION } from "../generated/constants.ts";
 import { Media } from "../media/client.ts";
 import type { TargetFormat } from "../render/target.ts";
-import { Catalogue } from "./catalogue.ts";
 import { joinNewest } from "./http-downloader.ts";
+import { Offers } from "./offers.ts";
 import { Playback, type Problem, type Wishes } from "./playback.ts";
 import type { RungInfo } from "./rungs.ts";
 import { type PlayerStats, Statistics } from "./statistics.ts";
@@ -67,12 +67,12 @@ export class Player extends EventTarget {
     const turn = ++this.#opened;
     const media = await Media.open(src);
     try {
-      const catalogue = new Catalogue(media.tables, HEADER_BYTES, this.#wishes.budget);
-      await joinNewest(catalogue, media);
+      const offers = new Offers(media.tables, HEADER_BYTES, this.#wishes.budget);
+      await joinNewest(offers, media);
       if (turn !== this.#opened) return media.close();
       this.#playback?.close();
       this.#playback = null;
-      this.#playback = new Playback(media, catalogue, this.canvas, this.#wishes, this.#statistics, this.#tell);
+      this.#playback = new Playback(media, offers, this.canvas, this.#wishes, this.#statistics, this.#tell);
     } catch (error) {
       media.close();
       throw error;
@@ -134,7 +134,7 @@ export class Player extends EventTarget {
 
   /** Whether more is to come. */
   get live(): boolean {
-    return this.#playback?.catalogue.live ?? false;
+    return this.#playback?.offers.live ?? false;
   }
 
   get loop(): boolean {
@@ -158,7 +158,7 @@ export class Player extends EventTarget {
 
   /** Frames a second of the sequence at speed 1; 0 before a package is open. */
   get fps(): number {
-    return this.#playback?.catalogue.fps ?? 0;
+    return this.#playback?.offers.fps ?? 0;
   }
 
   /** The moment of the sequence that is on the screen, or is sought, seconds. */
@@ -168,7 +168,7 @@ export class Player extends EventTarget {
 
   /** Seconds of the sequence so far; 0 before a package is open. */
   get duration(): number {
-    return this.#playback?.catalogue.durationS ?? 0;
+    return this.#playback?.offers.durationS ?? 0;
   }
 
   /** Parts of the sequence that are at hand, seconds, with the numbers of their rungs. */

@@ -3,13 +3,13 @@
 // The timeline holds segments of a session by position. Those before `firstWaiting` have a place in the schedule; the
 // others wait until enough media has arrived. Moments (`…S`) are seconds of the downloader's clock, places (`…At`)
 // those of the schedule, which stands still while it is held and passes at the speed of playing: see schedule.ts.
-import type { Catalogue } from "./catalogue.ts";
+import type { Offers } from "./offers.ts";
 import { type Hold, Schedule } from "./schedule.ts";
 import type { SessionSettings } from "./settings.ts";
 import { lastSlot, newSlot, type Slot } from "./slot.ts";
 
 /** Seconds for which segments that were shown stay in the timeline. */
-const KEPT_S = 60;
+const PAST_S = 60;
 /** A frame begins so much of a frame early, since seconds that stand for whole frames are rounded. */
 export const EARLY = 1e-6;
 
@@ -27,9 +27,9 @@ export class Playout {
   private readonly listeners = new Set<() => void>();
 
   constructor(
-    readonly catalogue: Catalogue,
+    readonly offers: Offers,
     readonly settings: SessionSettings,
-    public end: number = catalogue.end(catalogue.loops(settings.loops)),
+    public end: number,
   ) {}
 
   /** Segments that are shown, scheduled or wait, and those of the last minute, in order. */
@@ -83,10 +83,9 @@ export class Playout {
 
   /** Drop the segments from a position on: another session fetches them, or others, again. */
   truncate(position: number): void {
-    const kept = this.timeline.filter((slot) => slot.position < position);
-    this.timeline = kept;
-    this.firstWaiting = Math.min(this.firstWaiting, kept.length);
-    this.firstUnseen = Math.min(this.firstUnseen, kept.length);
+    this.timeline = this.timeline.filter((slot) => slot.position < position);
+    this.firstWaiting = Math.min(this.firstWaiting, this.timeline.length);
+    this.firstUnseen = Math.min(this.firstUnseen, this.timeline.length);
     this.finished = false;
     this.changed();
   }
@@ -106,8 +105,8 @@ export class Playout {
   /** The first position whose segment can still be dropped without a trace, begun and committed ones aside. */
   firstFree(nowS: number): number | null {
     const place = this.schedule.at(nowS);
-    const kept = lastSlot(this.timeline, (slot) => slot.committed || slot.startAt <= place);
-    return kept ? kept.position + 1 : (this.timeline[0]?.position ?? null);
+    const last = lastSlot(this.timeline, (slot) => slot.committed || slot.startAt <= place);
+    return last ? last.position + 1 : (this.timeline[0]?.position ?? null);
   }
 
   /** What is on the screen: a segment and the number of its frame; where playing waits, the last one. Null: nothing
@@ -116,7 +115,7 @@ export class Playout {
     const place = this.schedule.at(nowS);
     const slot = lastSlot(this.timeline, (one) => one.startAt <= place);
     if (!slot) return null;
-    return { slot, frame: Math.min(slot.frames - 1, Math.floor((place - slot.startAt) * this.catalogue.fps + EARLY)) };
+    return { slot, frame: Math.min(slot.frames - 1, Math.floor((place - slot.startAt) * this.offers.fps + EARLY)) };
   }
 
   /** Whether there is nothing to go on with: before playing begins, in a stall, and after the end. */
@@ -127,7 +126,7 @@ export class Playout {
   /** Whether everything was shown. */
   done(nowS: number): boolean {
     const whole =
-      this.finished || (!this.catalogue.live && (this.last?.position ?? Number.NEGATIVE_INFINITY) >= this.end - 1);
+      this.finished || (!this.offers.live && (this.last?.position ?? Number.NEGATIVE_INFINITY) >= this.end - 1);
     return whole && this.waits(nowS) && this.firstWaiting === this.timeline.length;
   }
 
@@ -142,8 +141,8 @@ export class Playout {
     const place = this.schedule.at(nowS);
     for (const slot of this.timeline) {
       if (slot.rung === null || slot.startAt + slot.seconds <= place) continue;
-      const span = this.catalogue.span(this.catalogue.index(slot.position));
-      const [start, stop] = [span.start / this.catalogue.fps, span.stop / this.catalogue.fps];
+      const span = this.offers.span(slot.position);
+      const [start, stop] = [span.start / this.offers.fps, span.stop / this.offers.fps];
       const before = ranges.at(-1);
       if (before && before.stop === start && before.rung === slot.rung) before.stop = stop;
       else ranges.push({ start, stop, rung: slot.rung });
@@ -201,10 +200,10 @@ export class Playout {
   }
 
   /** Append a segment that arrived with some tiles, or is lost; playing begins or goes on when there is enough. */
-  enqueue(position: number, rung: number | null, arrivedS: number, which = this.catalogue.tiles): void {
+  enqueue(position: number, rung: number | null, arrivedS: number, which = this.offers.tiles): void {
     const readyS = arrivedS + (rung === null ? 0 : this.settings.decodeFrameS);
     const tiles = new Map(rung === null ? [] : which.map((tile) => [tile, rung] as const));
-    const slot = newSlot(this.catalogue, { position, rung, tiles, readyS, readyAt: this.schedule.at(readyS) });
+    const slot = newSlot(this.offers, { position, rung, tiles, readyS, readyAt: this.schedule.at(readyS) });
     this.timeline.push(slot);
     this.finished = false;
     this.place(slot);
@@ -270,12 +269,12 @@ export class Playout {
   /** Most media time ahead of the playhead when the segment at a position has come. */
   limitS(position: number): number {
     const { bufferS, roomForTwo } = this.settings;
-    return roomForTwo ? Math.max(bufferS, 2 * this.catalogue.secondsAt(position)) : bufferS;
+    return roomForTwo ? Math.max(bufferS, 2 * this.offers.secondsAt(position)) : bufferS;
   }
 
   /** The latest segment that must have begun for another to fit the buffer, and seconds to be shown of it. */
   private blocking(position: number): { slot: Slot; restS: number } | null {
-    let ahead = this.catalogue.secondsAt(position);
+    let ahead = this.offers.secondsAt(position);
     const most = this.limitS(position);
     for (let i = this.timeline.length - 1; i >= 0; i--) {
       const slot = this.timeline[i];
@@ -293,7 +292,7 @@ export class Playout {
       return;
     }
     const wanted = this.firstWaiting ? this.settings.resumeS : this.settings.startupS;
-    const isLast = slot.position === this.end - 1 && !this.catalogue.live;
+    const isLast = slot.position === this.end - 1 && !this.offers.live;
     if (isLast || this.waitingS() >= wanted) this.resume();
   }
 
@@ -319,7 +318,7 @@ export class Playout {
 
   /** Forget what was shown long ago. */
   private trim(nowS: number): void {
-    const longAgo = this.schedule.at(nowS) - KEPT_S;
+    const longAgo = this.schedule.at(nowS) - PAST_S;
     const past = this.timeline.findIndex((slot) => slot.startAt + slot.seconds >= longAgo);
     const count = Math.min(past, this.firstUnseen, this.firstWaiting - 1);
     if (count <= 0) return;

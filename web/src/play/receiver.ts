@@ -1,24 +1,36 @@
-// The part of a session that fetches: one batch at a time, and what arrives is kept.
+// The part of a session that fetches: one batch at a time, and what arrives is taken in.
 import { REMEMBERED, SHORTEST_S } from "../generated/constants.ts";
-import { type Catalogue, filesOf } from "./catalogue.ts";
-import type { Downloader, GiveUp } from "./downloader.ts";
-import type { Arrival, Arrived, Request } from "./events.ts";
+import type { Arrival, Arrived, Downloader, GiveUp, Request } from "./downloader.ts";
+import type { Planner } from "./fetch-plan.ts";
+import { filesOf, type Offers } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 import type { Download, Policy } from "./policies/state.ts";
 import type { SessionSettings } from "./settings.ts";
 import type { Stores } from "./stores.ts";
-import type { TileChoice } from "./tile-choice.ts";
 
 /** What a session is made of. */
 export interface SessionParts {
-  catalogue: Catalogue;
+  offers: Offers;
   downloader: Downloader;
   policy: Policy;
   settings: SessionSettings;
   playout: Playout;
   stores: Stores;
-  /** Which tiles are fetched with their segments; without it all. */
-  choice?: TileChoice | undefined;
+  planner: Planner;
+}
+
+/** Fetch a batch; meanwhile its files are known to be coming, and then which of them are of no use. */
+export async function fetchBatch(
+  { downloader, stores }: Pick<SessionParts, "downloader" | "stores">,
+  request: Request,
+  giveUp: GiveUp | null,
+  signal: AbortSignal,
+): Promise<Arrival> {
+  const files = filesOf(request.batch);
+  stores.coming.add(files);
+  const arrival = await downloader.fetch(request, giveUp, signal).finally(() => stores.coming.remove(files));
+  for (const path of arrival.refused.keys()) stores.unusable.add(path);
+  return arrival;
 }
 
 /** Fetches for a session until the signal aborts. */
@@ -57,14 +69,11 @@ export class Receiver {
     return past.filter(({ atS }) => atS <= sentS + SHORTEST_S).map(({ download }) => download);
   }
 
-  /** Fetch a batch and keep what is of use; time goes on. */
+  /** Fetch a batch and take in what is of use; time goes on. */
   async receive(request: Request, giveUp: GiveUp | null): Promise<Arrival> {
-    const { downloader, stores } = this.parts;
-    const files = filesOf(request.batch);
-    stores.coming.add(files);
-    const arrival = await downloader.fetch(request, giveUp, this.signal).finally(() => stores.coming.remove(files));
+    const { stores } = this.parts;
+    const arrival = await fetchBatch(this.parts, request, giveUp, this.signal);
     this.nowS = arrival.atS;
-    for (const path of arrival.refused.keys()) stores.unusable.add(path);
     stores.tables.add(arrival);
     if (request.kind === "tables") return arrival; // too small to tell the rate: they come in one burst
     if (!arrival.cached && !this.signal.aborted) this.remember(arrival);
@@ -81,18 +90,20 @@ export class Receiver {
 
   /** Show what is buffered of a group with its best keys, where they are decoded in time. */
   private useKeys({ position, rung }: Request): void {
-    const { catalogue: c, playout, settings, stores } = this.parts;
-    const quality = c.rungs[rung][0];
-    const of = c.group(position);
+    const { offers, playout, settings, stores } = this.parts;
+    const { levels } = offers.tables.root;
+    const quality = offers.rungs[rung][0];
+    const groupOf = (place: { loop: number; segment: number }) =>
+      `${place.loop}: ${offers.tables.groupOf(place.segment)}`;
+    const group = groupOf(offers.place(position));
     for (const slot of playout.pending()) {
-      const { loop, group } = c.group(slot.position);
       const inTime = playout.startS(slot, this.nowS) >= this.nowS + settings.decodeFrameS;
-      if (loop !== of.loop || group !== of.group || !inTime) continue;
-      const [shownQuality, level] = c.rungs[slot.rung ?? 0];
+      if (!inTime || groupOf(offers.place(slot.position)) !== group) continue;
+      const [shownQuality, level] = offers.rungs[slot.rung ?? 0];
       const tiles = [...slot.tiles].filter(([, other]) => other === slot.rung);
       const tiers = tiles.map(([tile]) => stores.keys.shownTiers(position, quality, tile));
-      if (quality < shownQuality && tiers.every((count) => count >= c.tables.root.levels[level].tiers)) {
-        playout.replace(slot, quality * c.tables.root.levels.length + level);
+      if (quality < shownQuality && tiers.every((count) => count >= levels[level].tiers)) {
+        playout.replace(slot, quality * levels.length + level);
       }
     }
   }

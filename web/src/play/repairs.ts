@@ -2,16 +2,16 @@
 // fetched beside whatever a session fetches, since nothing is as urgent.
 import { LOOK_S } from "../generated/constants.ts";
 import { TransportError } from "../media/errors.ts";
-import { filesOf } from "./catalogue.ts";
-import type { Downloader, GiveUp } from "./downloader.ts";
-import { type Arrived, isComplete, type Request } from "./events.ts";
+import { type Arrived, type Downloader, type GiveUp, isComplete, type Request } from "./downloader.ts";
+import type { Lack, Planner } from "./fetch-plan.ts";
 import type { Option } from "./ladder.ts";
+import { type Batch, filesOf } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 import { estimateThroughput } from "./policies/state.ts";
+import { fetchBatch } from "./receiver.ts";
 import { usable } from "./replacing.ts";
 import type { Slot } from "./slot.ts";
 import type { Stores } from "./stores.ts";
-import type { Lack, TileChoice } from "./tile-choice.ts";
 
 /** After a link has failed, seconds. */
 const RETRY_S = 1;
@@ -19,7 +19,7 @@ const RETRY_S = 1;
 const MOST_AT_ONCE = 6;
 
 export interface RepairParts {
-  choice: TileChoice;
+  planner: Planner;
   downloader: Downloader;
   playout: Playout;
   stores: Stores;
@@ -41,9 +41,9 @@ export class Repairs {
   ) {}
 
   async run(): Promise<void> {
-    const { downloader, playout } = this.parts;
+    const { downloader, planner, playout } = this.parts;
     try {
-      while (!this.signal.aborted) {
+      while (planner.late && !this.signal.aborted) {
         const nowS = downloader.now();
         if (nowS >= this.#restS) this.look(nowS);
         await downloader.wait(nowS + LOOK_S, playout, this.signal);
@@ -55,7 +55,7 @@ export class Repairs {
 
   /** Begin to fetch what is lacking at a moment and can be had. */
   look(nowS: number): void {
-    for (const lack of this.parts.choice.lacking(nowS)) {
+    for (const lack of this.parts.planner.lacking(nowS)) {
       if (this.#underWay.size >= MOST_AT_ONCE) return;
       const name = nameOf(lack);
       if (this.#underWay.has(name) || this.#noUse.has(name)) continue;
@@ -111,26 +111,19 @@ export class Repairs {
   }
 
   /** Fetches a tile; false: it did not come, or not whole. */
-  async #fetch(slot: Slot, tile: number, option: Option, batch: Request["batch"], sentS: number): Promise<boolean> {
+  async #fetch(slot: Slot, tile: number, option: Option, batch: Batch, sentS: number): Promise<boolean> {
     const { downloader, stores, onEvent } = this.parts;
     const { index: rung, sizeBytes } = option;
     const request: Request = { kind: "repair", position: slot.position, rung, batch, sentS, latencyS: downloader.rttS };
     /** At the rate so far it would come after its segment. */
     const tooLate: GiveUp = ({ atS, elapsedS, bytes, expectedBytes }) =>
       atS + ((expectedBytes - bytes) * elapsedS) / Math.max(1, bytes) > this.#endS(slot, atS);
-    const files = filesOf(batch);
-    stores.coming.add(files);
-    try {
-      const arrival = await downloader.fetch(request, tooLate, this.signal);
-      for (const path of arrival.refused.keys()) stores.unusable.add(path);
-      stores.keys.add(arrival);
-      const decision = { index: rung, fits: true, reason: `tile ${tile + 1} is lacking`, sizeBytes };
-      onEvent({ type: "arrived", arrival, decision, budgetBytes: 0, throughputBps: 0 });
-      if (arrival.abandoned) this.#noUse.add(nameOf({ slot, tile }));
-      return isComplete(arrival);
-    } finally {
-      stores.coming.remove(files);
-    }
+    const arrival = await fetchBatch(this.parts, request, tooLate, this.signal);
+    stores.keys.add(arrival);
+    const decision = { index: rung, fits: true, reason: `tile ${tile + 1} is lacking`, sizeBytes };
+    onEvent({ type: "arrived", arrival, decision, budgetBytes: 0, throughputBps: 0 });
+    if (arrival.abandoned) this.#noUse.add(nameOf({ slot, tile }));
+    return isComplete(arrival);
   }
 }
 

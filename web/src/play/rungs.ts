@@ -1,5 +1,5 @@
 // The rungs of a package as people choose one: what they look like and cost on the whole.
-import { type Catalogue, NONE } from "./catalogue.ts";
+import type { Offers, SegmentOffer } from "./offers.ts";
 
 /** A rung of the whole package, for people who choose one. */
 export interface RungInfo {
@@ -15,61 +15,51 @@ export interface RungInfo {
 
 /** Sums over the segments of the groups whose tables were there when somebody asked. */
 export class RungTotals {
-  readonly #totals: { bytes: number; quality: number }[];
+  readonly #totals: { bytes: number; quality: number; allowed: boolean }[];
   readonly #counted = new Set<number>();
-  /** Whether the budget has the Gaussians of a rung in all groups so far. */
-  readonly #allowed: boolean[];
   #seconds = 0;
   #rows: RungInfo[] | null = null;
 
-  constructor(private readonly catalogue: Catalogue) {
-    this.#totals = catalogue.rungs.map(() => ({ bytes: 0, quality: 0 }));
-    this.#allowed = catalogue.rungs.map(() => true);
+  constructor(private readonly offers: Offers) {
+    this.#totals = offers.rungs.map(() => ({ bytes: 0, quality: 0, allowed: true }));
   }
 
   /** One a rung. */
   read(): RungInfo[] {
-    const { tables } = this.catalogue;
-    for (let group = 0; group < tables.index.groups; group++) {
-      if (this.#counted.has(group) || !tables.has(group)) continue;
-      const { firstSegment, segments } = tables.index.entry(group);
-      if (!this.catalogue.knows(firstSegment)) continue;
+    const { index } = this.offers.tables;
+    for (let group = 0; group < index.groups; group++) {
+      if (this.#counted.has(group) || !this.offers.tables.has(group)) continue;
+      const { firstSegment, segments } = index.entry(group);
+      if (!this.offers.knows(firstSegment)) continue;
       this.#counted.add(group);
       this.#rows = null;
-      for (let s = firstSegment; s < firstSegment + segments; s++) this.#add(s);
+      for (let s = firstSegment; s < firstSegment + segments; s++) this.#add(this.offers.of(s));
     }
     this.#rows ??= this.#list();
     return this.#rows;
   }
 
   #list(): RungInfo[] {
-    const { measured, names } = this.catalogue;
+    const { measured, names } = this.offers;
     const seconds = this.#seconds;
-    const rows = this.#totals.map(({ bytes, quality }, rung) => ({
+    const rows = this.#totals.map(({ bytes, quality, allowed }, rung) => ({
       name: names[rung],
       psnr: measured && seconds > 0 ? quality / seconds : null,
       kbps: seconds > 0 ? (8 * bytes) / seconds / 1000 : 0,
+      onLadder: allowed,
     }));
-    const allowed = rows.filter((_, rung) => this.#allowed[rung]);
-    return rows.map((row, rung) => {
-      return { ...row, onLadder: this.#allowed[rung] && !allowed.some((other) => beats(other, row)) };
-    });
+    const allowed = rows.filter(({ onLadder }) => onLadder);
+    return rows.map((row) => ({ ...row, onLadder: row.onLadder && !allowed.some((other) => beats(other, row)) }));
   }
 
-  #add(s: number): void {
-    const c = this.catalogue;
-    const seconds = c.seconds(s);
+  #add({ rungs, group, seconds, startsGroup }: SegmentOffer): void {
     this.#seconds += seconds;
-    const kept = new Set(Array.from({ length: c.unit(c.tables.root.qualities.length, 0) }, (_, unit) => unit));
-    const sizes = c.sizes(s, NONE, kept); // what is kept was there before
-    const states = c.stateBytes(s);
-    const quality = c.quality(s);
-    const begins = c.startsGroup(s);
-    const rows = c.rows(s);
-    c.rungs.forEach(([, level], rung) => {
-      this.#allowed[rung] &&= rows[rung] <= c.budget;
-      this.#totals[rung].bytes += begins ? sizes[rung] : states[level];
-      this.#totals[rung].quality += seconds * quality[rung];
+    rungs.forEach(({ allowed, psnr, units, stateBytes }, rung) => {
+      const keys = startsGroup ? units.filter((unit) => unit.group === group) : []; // what it reuses was there before
+      const total = this.#totals[rung];
+      total.allowed &&= allowed;
+      total.bytes += keys.reduce((sum, { bytes }) => sum + bytes, stateBytes);
+      total.quality += seconds * psnr;
     });
   }
 }

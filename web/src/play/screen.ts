@@ -5,7 +5,7 @@ import { Renderer, type Scene } from "../render/renderer.ts";
 import { Sorter } from "../render/sorter.ts";
 import type { TargetFormat } from "../render/target.ts";
 import { farToNear } from "../render/tile-order.ts";
-import type { Clip, Layer } from "./clip.ts";
+import type { Clip, Layer } from "./pipeline.ts";
 import { cameraOf, type ViewState } from "./view.ts";
 
 /** A canonical space on the GPU, and what it shows of a tile of which clip. */

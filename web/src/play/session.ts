@@ -1,10 +1,11 @@
 // A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
 //
 // One batch passes at a time: those key units of the chosen rung that are not decoded, one by one, then the state segment;
-// of all tiles, or of those that a choice of tiles names (what is lacking then, `Repairs` fetches). When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it better keys
-// of its group) as long as it will be there in time. A download that would come too late is abandoned when a smaller
-// one would come sooner; whole key files that have arrived are kept. A segment none of whose rungs can be had is lost:
-// the last picture stands for its time, and the session goes on.
+// of the tiles that a fetch plan names (what is lacking then, `Repairs` fetches). When nothing more fits the buffer, a
+// buffered segment may be replaced by a better rung (with it better keys of its group) as long as it will be there in
+// time. A download that would come too late is abandoned when a smaller one would come sooner; whole key files that
+// have arrived are used. A segment none of whose rungs can be had is lost: the last picture stands for its time, and
+// the session goes on.
 //
 // What a batch offers stands in the table of its group: those of the first segments that the policy looks at are
 // fetched before the first batch, later ones with the batch before. A segment whose table cannot be had is lost.
@@ -14,10 +15,10 @@
 // that nothing will follow, or nothing has followed for SILENCE_S.
 import { POLL_S, ROOT_PATH, SAFETY, SILENCE_S } from "../generated/constants.ts";
 import { TransportError } from "../media/errors.ts";
-import { filesOf } from "./catalogue.ts";
-import type { GiveUp } from "./downloader.ts";
-import { type Arrival, type Arrived, isComplete, type Request, type SessionEvent, type Shown } from "./events.ts";
+import type { Arrival, Arrived, GiveUp, Request, SessionEvent, Shown } from "./downloader.ts";
+import { isComplete } from "./downloader.ts";
 import type { Decision, Option } from "./ladder.ts";
+import { filesOf } from "./offers.ts";
 import { budgetBytes, estimateThroughput, type PlayerState } from "./policies/state.ts";
 import { Receiver, type SessionParts } from "./receiver.ts";
 import { bestReplacement, obtainable, replacing, slotQuality, usable } from "./replacing.ts";
@@ -32,38 +33,32 @@ type Events<Result = void> = AsyncGenerator<SessionEvent, Result>;
 /** One run over positions, from the first request to the last: after a seek or a change of policy, another one goes on
  * with the same playout and stores. */
 export class Session {
-  /** `from` is the position that it begins with. Throws ConfigError where the policy needs quality that was not
+  private readonly receiver: Receiver;
+  private givenUp = { position: Number.NaN, sizeBytes: 0 }; // nothing as large is asked for there again
+
+  /** `first` is the position that it begins with. Throws ConfigError where the policy needs quality that was not
    * measured. */
-  constructor(private readonly parts: SessionParts & { from?: number }) {
-    const { policy, catalogue } = parts;
-    if (policy.needsQuality && !catalogue.measured) {
+  constructor(
+    private readonly parts: SessionParts,
+    signal: AbortSignal,
+    private readonly first = 0,
+  ) {
+    const { policy, offers } = parts;
+    if (policy.needsQuality && !offers.measured) {
       throw new ConfigError(`policy ${policy.name}: expected a package with measured quality`);
     }
+    this.receiver = new Receiver(parts, signal);
   }
 
   /** All events, in the order in which they happen, until the last segment is fetched or the signal aborts.
    *
    * Rejects with TransportError when the link fails.
    */
-  run(signal: AbortSignal): Events {
-    return new Run(this.parts, this.parts.from ?? 0, new Receiver(this.parts, signal)).events();
-  }
-}
-
-class Run {
-  private givenUp = { position: Number.NaN, sizeBytes: 0 }; // nothing as large is asked for there again
-
-  constructor(
-    private readonly parts: SessionParts,
-    private readonly first: number,
-    private readonly receiver: Receiver,
-  ) {}
-
-  async *events(): Events {
+  async *run(): Events {
     const { downloader, playout, stores } = this.parts;
     const { first } = this;
     if (stores.rootS === null) yield* this.fetchRoot(first, false);
-    else if (this.parts.catalogue.live) yield* this.fetchPages(first);
+    else if (this.parts.offers.live) yield* this.fetchPages(first);
     for (let position = first; !this.stopped; position++) {
       if (position >= playout.end && !(yield* this.grow(position))) break;
       yield* this.fetchTables(position);
@@ -97,7 +92,7 @@ class Run {
 
   /** Wait until a growing package has a segment for a position; false: it has ended before. */
   private async *grow(position: number): Events<boolean> {
-    const { catalogue: c, playout, stores } = this.parts;
+    const { offers: c, playout, stores } = this.parts;
     const sinceS = this.nowS;
     while (c.live && c.end(1) <= position && !this.stopped) {
       if (this.nowS >= sinceS + SILENCE_S) {
@@ -124,7 +119,7 @@ class Run {
   private async *fetchRoot(position: number, grew: boolean): Events {
     this.parts.stores.rootS = this.nowS;
     yield await this.receiver.fetchTables([ROOT_PATH], position);
-    if (grew || this.parts.catalogue.live) yield* this.fetchPages(position);
+    if (grew || this.parts.offers.live) yield* this.fetchPages(position);
   }
 
   private async *fetchPages(position: number): Events {
@@ -171,13 +166,12 @@ class Run {
   /** Choose a rung of the next segment and fetch it; false: it was abandoned or broken, or a repair fetches some of it:
    * choose again. */
   private async *fetchNext(position: number, latencyS: number): Events<boolean> {
-    const { catalogue, choice, playout, policy, stores } = this.parts;
-    const there = stores.tables.has(position);
-    const wanted = (there && choice?.early(position, this.sentS(latencyS))) || catalogue.tiles;
-    const tiles = there ? obtainable(stores, position, wanted) : wanted;
-    const state = there ? this.state(position, latencyS, tiles) : null;
+    const { offers, planner, playout, policy, stores } = this.parts;
+    const plan = stores.tables.has(position) ? planner.plan(position, this.sentS(latencyS)) : null;
+    const tiles = plan ? obtainable(stores, position, plan.tiles) : offers.tiles;
+    const state = plan ? this.state(position, latencyS, tiles) : null;
     if (!state?.options.length) {
-      if (position === this.first) catalogue.checkBudget(position);
+      if (position === this.first) offers.checkBudget(position);
       yield { type: "lost", position, atS: this.nowS };
       playout.enqueue(position, null, this.nowS);
       return true;
@@ -208,18 +202,16 @@ class Run {
   }
 
   private state(position: number, latencyS: number, tiles: readonly number[]): PlayerState {
-    const { catalogue, playout, stores } = this.parts;
+    const { offers, playout, policy, stores } = this.parts;
     return {
-      catalogue: catalogue.ofTiles(tiles),
-      position,
-      end: playout.end,
+      ahead: offers.upcoming(position, Math.min(position + policy.horizon, playout.end), tiles),
       decoded: stores.keys.decoded(position),
       options: this.options(position, tiles),
       nowS: this.nowS,
       deadlineS: playout.deadlineS(playout.dueAt(this.nowS), this.nowS),
       bufferLimitS: playout.limitS(position),
       requestLatencyS: latencyS,
-      shownQuality: playout.last && slotQuality(catalogue, playout.last),
+      shownQuality: playout.last && slotQuality(offers, playout.last),
       history: this.receiver.history(this.sentS(latencyS)),
       speed: playout.speed,
     };
@@ -252,7 +244,7 @@ class Run {
 
   /** Fetch the replacement that gains most for its bytes, if any will be in time; false if there is none. */
   private async *replaceBest(): Events<boolean> {
-    const { catalogue: c, downloader, playout, policy, settings, stores } = this.parts;
+    const { offers: c, downloader, playout, policy, settings, stores } = this.parts;
     if (!(settings.replace && policy.mayReplace)) return false;
     const estimateBps = estimateThroughput(this.receiver.history(this.nowS));
     if (!estimateBps) return false;
@@ -282,7 +274,7 @@ class Run {
   }
 
   private *shown(slots: readonly Slot[]): Generator<Shown> {
-    const { catalogue: c, playout } = this.parts;
+    const { offers: c, playout } = this.parts;
     for (const slot of slots) {
       const { loop, segment } = c.place(slot.position);
       const psnr = c.measured ? slotQuality(c, slot) : null;

@@ -1,5 +1,5 @@
 // A segment of the timeline of a playout.
-import type { Catalogue } from "./catalogue.ts";
+import type { Offers } from "./offers.ts";
 
 /** Moments (`…S`) are seconds of the downloader's clock, places (`…At`) those of the schedule. */
 export interface Slot {
@@ -23,10 +23,10 @@ export interface Slot {
 }
 
 /** A segment that waits. */
-export function newSlot(c: Catalogue, place: Pick<Slot, "position" | "rung" | "tiles" | "readyS" | "readyAt">): Slot {
-  const { start, stop } = c.span(c.index(place.position));
+export function newSlot(offers: Offers, place: Pick<Slot, "position" | "rung" | "tiles" | "readyS" | "readyAt">): Slot {
+  const { start, stop } = offers.span(place.position);
   const frames = stop - start;
-  return { ...place, seconds: frames / c.fps, frames, startAt: Infinity, stallS: 0, committed: false };
+  return { ...place, seconds: frames / offers.fps, frames, startAt: Infinity, stallS: 0, committed: false };
 }
 
 /** The last that is wanted. */

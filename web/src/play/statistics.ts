@@ -1,7 +1,8 @@
 // Figures of a session, for viewers who want to see them.
-import type { Catalogue } from "./catalogue.ts";
-import type { Clip } from "./clip.ts";
-import type { Arrived } from "./events.ts";
+
+import type { Arrived } from "./downloader.ts";
+import type { Offers } from "./offers.ts";
+import type { Clip } from "./pipeline.ts";
 import type { Playout } from "./playout.ts";
 
 const DISPLAY_WINDOW_S = 2; // over which pictures a second are counted
@@ -32,11 +33,11 @@ export interface PlayerStats {
 }
 
 /** Of the tiles of a clip that have rows: those on the screen, and all. */
-function tilesOf(catalogue: Catalogue, { layers, shown, position }: Clip): PlayerStats["tiles"] {
-  const segment = catalogue.index(position);
-  if (!catalogue.knows(segment)) return null;
+function tilesOf(offers: Offers, { layers, shown, position }: Clip): PlayerStats["tiles"] {
+  const segment = offers.index(position);
+  if (!offers.knows(segment)) return null;
   const there = layers.filter((layer) => layer.shown === shown);
-  return { shown: there.length, all: catalogue.tilesWithRows(segment).length };
+  return { shown: there.length, all: offers.tilesWithRows(segment).length };
 }
 
 /** Counts what happens. */
@@ -67,8 +68,8 @@ export class Statistics {
   }
 
   read(nowS: number, playout: Playout | null, luma: PlayerStats["luma"], clip: Clip | null): PlayerStats {
-    const segment = playout && clip ? playout.catalogue.index(clip.position) : null;
-    const known = playout?.catalogue.measured && segment !== null && playout.catalogue.knows(segment);
+    const segment = playout && clip ? playout.offers.index(clip.position) : null;
+    const known = playout?.offers.measured && segment !== null && playout.offers.knows(segment);
     const lately = this.#drawn.filter((atS) => atS > nowS - DISPLAY_WINDOW_S);
     return {
       throughputBps: this.#throughputBps,
@@ -78,10 +79,10 @@ export class Statistics {
       framesShown: this.#shown,
       framesDropped: this.#dropped,
       displayFps: lately.length / DISPLAY_WINDOW_S,
-      psnr: known && clip ? playout.catalogue.quality(segment)[clip.rung] : null,
+      psnr: known && clip ? playout.offers.of(segment).rungs[clip.rung].psnr : null,
       stalls: playout?.stalls ?? 0,
       stallS: playout?.stallS ?? 0,
-      tiles: playout && clip && tilesOf(playout.catalogue, clip),
+      tiles: playout && clip && tilesOf(playout.offers, clip),
       luma,
     };
   }

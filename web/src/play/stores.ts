@@ -1,20 +1,21 @@
 // What a player has of a package beside states: which tables it has read, which key units it has decoded, what it knows
 // of the link. It outlives a session: after a seek another one goes on with it.
 import { groupPath } from "../format/paths.ts";
-import { type Batch, type Catalogue, type KeyUnits, NONE } from "./catalogue.ts";
-import { type Arrival, keptFiles } from "./events.ts";
+import { Recent } from "../format/recent.ts";
+import { type Arrival, usableFiles } from "./downloader.ts";
 import type { Option } from "./ladder.ts";
+import { type Batch, missing, type Offers, optionsOf, type Units } from "./offers.ts";
 import type { Download } from "./policies/state.ts";
 
 /** Pages of the index and tables of groups are fetched once, also where the sequence is played again. */
 export class TableStore {
   private readonly paths = new Set<string>();
 
-  constructor(private readonly catalogue: Catalogue) {}
+  constructor(private readonly offers: Offers) {}
 
-  /** Keep what arrived. */
+  /** Take in what arrived. */
   add(arrival: Arrival): void {
-    for (const path of keptFiles(arrival)) this.paths.add(path);
+    for (const path of usableFiles(arrival)) this.paths.add(path);
   }
 
   /** Whether the table of the segment at a position is there. */
@@ -26,7 +27,7 @@ export class TableStore {
   missing(start: number, stop: number): string[] {
     const wanted = new Set<string>();
     for (let position = start; position < stop; position++) {
-      const path = this.next(this.catalogue.index(position));
+      const path = this.next(this.offers.index(position));
       if (path !== null) wanted.add(path);
     }
     return [...wanted];
@@ -34,12 +35,12 @@ export class TableStore {
 
   /** Pages of the index with segments of the session. */
   missingPages(): string[] {
-    return this.catalogue.tables.index.missingPages(this.catalogue.first, (path) => this.paths.has(path));
+    return this.offers.tables.index.missingPages(this.offers.first, (path) => this.paths.has(path));
   }
 
   /** The first that is missing of what leads to a segment, and then to the group whose rows its group keeps. */
   private next(segment: number): string | null {
-    const { tables } = this.catalogue;
+    const { tables } = this.offers;
     const page = this.nextPage(tables.index.pagesTo("segments", segment));
     if (page !== null) return page;
     const group = tables.groupOf(segment);
@@ -56,82 +57,56 @@ export class TableStore {
 
   private nextTable(group: number): string | null {
     const path = groupPath(group + 1);
-    return this.paths.has(path) && this.catalogue.tables.has(group) ? null : path; // those last used are kept, not all
+    return this.paths.has(path) && this.offers.tables.has(group) ? null : path; // those last used stay, not all
   }
 }
 
-/** Groups whose keys are known; those of more were played long ago. */
-const MOST_GROUPS = 1024;
+/** Loops whose keys are known, and units of a loop; those of more were played long ago. */
+const MOST_LOOPS = 64;
+const MOST_UNITS = 32768;
 
-/** Key units are kept by loop and group: a group that is played again is fetched again. */
+/** Key units are decoded once a loop over the sequence: a group that is played again is fetched again. */
 export class KeyStore {
-  private readonly units = new Map<string, { loop: number; group: number; units: Set<number> }>();
+  private readonly loops = new Recent<number, Recent<number, true>>(MOST_LOOPS);
 
-  constructor(private readonly catalogue: Catalogue) {}
+  constructor(private readonly offers: Offers) {}
 
-  /** The units that are decoded of the groups of a position's loop, by group. */
-  decoded(position: number): Map<number, KeyUnits> {
-    const { loop } = this.catalogue.place(position);
-    const found = [...this.units.values()].filter((entry) => entry.loop === loop);
-    return new Map(found.map(({ group, units }) => [group, units]));
+  /** The units that are decoded in the loop of a position. */
+  decoded(position: number): Units {
+    return this.units(this.offers.place(position).loop);
   }
 
-  /** Those of the group of a position, and of the group whose rows it keeps. */
-  private of(position: number): [KeyUnits, KeyUnits] {
-    const { loop, group } = this.catalogue.group(position);
-    const base = this.catalogue.tables.base(group);
-    const held = (of: number | null) => this.units.get(`${loop}:${of}`)?.units ?? NONE;
-    return [held(group), held(base)];
+  private units(loop: number): Recent<number, true> {
+    return this.loops.of(loop, () => new Recent(MOST_UNITS));
   }
 
   /** How many tiers of a tile in a key quality, from the first on, can be shown in the group of a position. */
   shownTiers(position: number, quality: number, tile: number): number {
-    const { tables } = this.catalogue;
-    const { group } = this.catalogue.group(position);
-    const [own, base] = this.of(position);
-    const { tiers } = tables.root;
-    for (let tier = 0; tier < tiers; tier++) {
-      const number = this.catalogue.unit(quality, tile * tiers + tier);
-      if (!own.has(number)) return tier;
-      if (!base.has(number) && tables.keptFiles(group, tile * tiers + tier, quality).length) return tier;
-    }
-    return tiers;
+    const { levels, tiers } = this.offers.tables.root;
+    const { rungs } = this.offers.of(this.offers.index(position));
+    const decoded = this.decoded(position);
+    const wanted = rungs[quality * levels.length].units.filter((unit) => unit.tile === tile && !decoded.has(unit.unit));
+    return Math.min(tiers, ...wanted.map(({ tier }) => tier));
   }
 
   /** The files that a rung of the segment at a position still needs of some tiles. */
-  missing(position: number, rung: number, tiles = this.catalogue.tiles): Batch {
-    return this.catalogue.ofTiles(tiles).batch(this.catalogue.index(position), rung, ...this.of(position));
+  missing(position: number, rung: number, tiles = this.offers.tiles): Batch {
+    return missing(this.offers.of(this.offers.index(position), tiles), rung, this.decoded(position));
   }
 
   /** Every rung of the segment at a position, with the bytes that it still needs of some tiles. */
-  options(position: number, tiles = this.catalogue.tiles): readonly Option[] {
-    return this.catalogue.ofTiles(tiles).options(this.catalogue.index(position), ...this.of(position));
+  options(position: number, tiles = this.offers.tiles): Option[] {
+    return optionsOf(this.offers.of(this.offers.index(position), tiles), this.decoded(position));
   }
 
   /** Take in what arrived: a unit counts once its files are there. */
   add(arrival: Arrival): void {
-    const { rungs, tables } = this.catalogue;
     const { position, rung } = arrival.request;
-    const [quality, level] = rungs[rung];
-    const { loop, group } = this.catalogue.group(position);
-    const kept = new Set(keptFiles(arrival));
-    for (const of of [group, tables.base(group)]) {
-      if (of === null) continue;
-      const name = `${loop}:${of}`;
-      const { units } = this.units.get(name) ?? { units: new Set<number>() };
-      this.units.delete(name); // the order of a Map is that of adding: the last used is the last
-      this.units.set(name, { loop, group: of, units });
-      if (this.units.size > MOST_GROUPS) this.units.delete(this.units.keys().next().value ?? name);
-      for (const unit of tables.unitsOf(level)) {
-        const whole = tables.keyFiles(of, unit, quality).every((path) => kept.has(path));
-        if (whole) units.add(this.catalogue.unit(quality, unit));
-      }
+    const { loop, segment } = this.offers.place(position);
+    const there = new Set(usableFiles(arrival));
+    for (const { unit, files } of this.offers.of(segment).rungs[rung].units) {
+      if (files.every((path) => there.has(path))) this.units(loop).set(unit, true);
     }
-  }
-
-  /** The keys of a group are no longer at hand: they are fetched again where they are needed. */
-  forget(of: { loop: number; group: number }): void {
-    this.units.delete(`${of.loop}:${of.group}`);
   }
 }
 
@@ -170,8 +145,8 @@ export class Stores {
   /** When airgs.json was asked for; null: not yet. */
   rootS: number | null = null;
 
-  constructor(catalogue: Catalogue) {
-    this.tables = new TableStore(catalogue);
-    this.keys = new KeyStore(catalogue);
+  constructor(offers: Offers) {
+    this.tables = new TableStore(offers);
+    this.keys = new KeyStore(offers);
   }
 }

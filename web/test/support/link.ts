@@ -1,9 +1,10 @@
 // A link that replays a trace: airgs_codec/play/trace.py, link.py and SimulatedDownloader, number by number.
 import { FormatError, type Reason } from "../../src/format/errors.ts";
-import { CHECK_S } from "../../src/generated/constants.ts";
-import { type Catalogue, filesOf, roundHalfEven } from "../../src/play/catalogue.ts";
-import type { Downloader, GiveUp, Partial } from "../../src/play/downloader.ts";
-import type { Arrival, Request } from "../../src/play/events.ts";
+import { CHECK_S, SESSION_S } from "../../src/generated/constants.ts";
+import type { Arrival, Downloader, GiveUp, Partial, Request } from "../../src/play/downloader.ts";
+import { filesOf, type Offers } from "../../src/play/offers.ts";
+import { Playout } from "../../src/play/playout.ts";
+import type { SessionSettings } from "../../src/play/settings.ts";
 
 /** Rates that hold from their starts on; after the last second comes the first one. */
 export class Trace {
@@ -73,7 +74,7 @@ export class SimulatedDownloader implements Downloader {
 
   constructor(
     protected readonly link: SimulatedLink,
-    protected readonly catalogue: Catalogue,
+    protected readonly offers: Offers,
   ) {
     this.rttS = link.rttS;
     this.pipelines = link.pipelines ?? true;
@@ -128,6 +129,22 @@ export class SimulatedDownloader implements Downloader {
   /** Bytes of a file with its headers; of a missing one the headers alone. */
   private wireSize(path: string): number {
     const missing = this.faults.get(path)?.reason === "missing_file";
-    return missing ? this.catalogue.headerBytes : this.catalogue.wire([path]);
+    return missing ? this.offers.headerBytes : this.offers.wire([path]);
   }
 }
+
+/** The nearest whole number, of two the even one: as Python rounds. */
+function roundHalfEven(value: number): number {
+  const whole = Math.round(value);
+  return whole - value === 0.5 && whole % 2 ? whole - 1 : whole;
+}
+
+/** How often a session plays the sequence: as wanted, else for about SESSION_S; once while it grows. */
+export function loopsOf({ live, durationS }: Offers, wanted: number | null): number {
+  if (live) return 1;
+  return wanted ?? Math.max(1, roundHalfEven(SESSION_S / durationS));
+}
+
+/** The timeline of a session that plays the sequence as often as its settings say. */
+export const playoutOf = (offers: Offers, settings: SessionSettings): Playout =>
+  new Playout(offers, settings, offers.end(loopsOf(offers, settings.loops)));

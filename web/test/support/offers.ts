@@ -2,7 +2,7 @@
 import { GroupIndex } from "../../src/format/index.ts";
 import { keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath, tileFolder } from "../../src/format/paths.ts";
 import { PAGE } from "../../src/generated/constants.ts";
-import type { Offers } from "../../src/play/offers.ts";
+import type { OfferTables } from "../../src/play/offers.ts";
 
 export interface SegmentNumbers {
   frames: number;
@@ -45,8 +45,8 @@ export interface PackageNumbers {
 const sum = (numbers: number[]) => numbers.reduce((a, b) => a + b, 0);
 
 /** A package whose tables are all there; `grow` adds groups. */
-export class NumberOffers implements Offers {
-  root!: Offers["root"];
+export class NumberTables implements OfferTables {
+  root!: OfferTables["root"];
   index!: GroupIndex;
   rootBytes: number;
 
@@ -183,7 +183,7 @@ export interface PolicyOffer {
 }
 
 /** Such an offer as a package of units of one file each, at four frames a second. */
-export class UnitOffers extends NumberOffers {
+export class UnitTables extends NumberTables {
   constructor(offer: PolicyOffer) {
     const fps = 4;
     const groups = offer.groups.map((sizes, group) => ({

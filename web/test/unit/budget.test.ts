@@ -1,19 +1,19 @@
 // A budget of Gaussians: rungs that show more are neither fetched nor shown.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Catalogue, NONE } from "../../src/play/catalogue.ts";
-import { Playout } from "../../src/play/playout.ts";
+import { whole } from "../../src/play/fetch-plan.ts";
+import { NONE, Offers, optionsOf } from "../../src/play/offers.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
 import { ConfigError, sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { SimulatedDownloader, Trace } from "../support/link.ts";
-import { NumberOffers } from "../support/offers.ts";
+import { playoutOf, SimulatedDownloader, Trace } from "../support/link.ts";
+import { NumberTables } from "../support/offers.ts";
 
 /** Two groups of two tiers; L0 needs both, L1 the first. */
-const offers = () =>
-  new NumberOffers({
+const tables = () =>
+  new NumberTables({
     ...{ name: "", frame_rate: [10, 1], header_bytes: 0, root_bytes: 1, page_bytes: 0, qualities: ["Q0", "Q1"] },
     levels: [0, 1].map((j) => ({ id: `L${j}`, tiers: 2 - j, pruned: j / 2 })),
     groups: [
@@ -30,18 +30,18 @@ const offers = () =>
   });
 
 async function levels(budget: number, name: string): Promise<(number | null)[]> {
-  const catalogue = new Catalogue(offers(), 0, budget);
+  const offers = new Offers(tables(), 0, budget);
   const settings = sessionSettings({ loops: 2, startupS: 0 });
-  const downloader = new SimulatedDownloader({ trace: new Trace([0], [1e9], 3600), rttS: 0.05 }, catalogue);
-  const parts = { catalogue, settings, downloader, playout: new Playout(catalogue, settings) };
-  const session = new Session({ ...parts, stores: new Stores(catalogue), policy: makePolicy(name, catalogue) });
+  const downloader = new SimulatedDownloader({ trace: new Trace([0], [1e9], 3600), rttS: 0.05 }, offers);
+  const parts = { offers, settings, downloader, playout: playoutOf(offers, settings), planner: whole(offers) };
+  const made = { ...parts, stores: new Stores(offers), policy: makePolicy(name, offers) };
   const shown: (number | null)[] = [];
-  for await (const event of session.run(new AbortController().signal)) {
+  for await (const event of new Session(made, new AbortController().signal).run()) {
     if (event.type === "arrived" && event.arrival.request.batch.keys.length) {
       const { position, rung } = event.arrival.request;
-      assert.ok(catalogue.rows(catalogue.index(position))[rung] <= budget);
+      assert.ok(offers.of(offers.index(position)).rungs[rung].gaussians <= budget);
     }
-    if (event.type === "shown") shown.push(event.rung === null ? null : catalogue.rungs[event.rung][1]);
+    if (event.type === "shown") shown.push(event.rung === null ? null : offers.rungs[event.rung][1]);
   }
   return shown;
 }
@@ -63,9 +63,9 @@ test("a first segment without a rung is refused, a later one is lost", async () 
 });
 
 test("what the budget forbids is no choice, and beats none", () => {
-  const catalogue = new Catalogue(offers(), 0, 79);
-  assert.deepEqual([0, 1].map((s) => catalogue.options(s, NONE).length), [4, 2]); // biome-ignore format: short
-  const onLadder = (budget: number) => new RungTotals(new Catalogue(offers(), 0, budget)).read().map((r) => r.onLadder);
+  const offers = new Offers(tables(), 0, 79);
+  assert.deepEqual([0, 1].map((s) => optionsOf(offers.of(s), NONE).length), [4, 2]); // biome-ignore format: short
+  const onLadder = (budget: number) => new RungTotals(new Offers(tables(), 0, budget)).read().map((r) => r.onLadder);
   assert.deepEqual(onLadder(80), [true, true, true, true]);
   assert.deepEqual(onLadder(79), [false, true, false, true]);
 });

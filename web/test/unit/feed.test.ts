@@ -2,32 +2,32 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { TransportError } from "../../src/media/errors.ts";
-import { Catalogue } from "../../src/play/catalogue.ts";
 import { Feed } from "../../src/play/feed.ts";
+import { ByView } from "../../src/play/fetch-plan.ts";
 import type { Source } from "../../src/play/http-downloader.ts";
-import { Playout } from "../../src/play/playout.ts";
+import { Offers } from "../../src/play/offers.ts";
 import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { TileChoice } from "../../src/play/tile-choice.ts";
-import { NumberOffers, type PackageNumbers } from "../support/offers.ts";
+import { playoutOf } from "../support/link.ts";
+import { NumberTables, type PackageNumbers } from "../support/offers.ts";
 import { readVectors } from "./files.ts";
 
 const { packages } = readVectors("sessions") as { packages: PackageNumbers[] };
 
 /** A feed whose server is away, with a choice of tiles that finds nothing lacking. */
 function made(lacking: () => []) {
-  const catalogue = new Catalogue(new NumberOffers(packages[0]));
+  const offers = new Offers(new NumberTables(packages[0]));
   const settings = sessionSettings();
-  const playout = new Playout(catalogue, settings);
-  const choice = new TileChoice(catalogue, playout, { at: () => null });
-  choice.lacking = lacking;
+  const playout = playoutOf(offers, settings);
+  const planner = new ByView(offers, playout, { at: () => null });
+  planner.lacking = lacking;
   const away = () => Promise.reject(new TransportError("away"));
   const opened = { firstByteS: 0, endS: 0, bytes: 1, cached: false, whole: [], refused: new Map(), retries: [] };
   const media: Source = { opened, fetch: away, refreshRoot: away };
   const problems: [unknown, boolean][] = [];
   const told = new EventTarget();
   const feed = new Feed({
-    ...{ media, catalogue, settings, playout, choice, stores: new Stores(catalogue), onEvent: () => {} },
+    ...{ media, offers, settings, playout, planner, stores: new Stores(offers), onEvent: () => {} },
     policy: () => "throughput",
     onProblem: (error, fatal) => {
       problems.push([error, fatal]);

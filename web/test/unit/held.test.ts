@@ -1,15 +1,16 @@
 // What a player fetches for groups that keep rows of an earlier one: numbers that can be added up by hand.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Catalogue, NONE } from "../../src/play/catalogue.ts";
-import { Playout } from "../../src/play/playout.ts";
+import { whole } from "../../src/play/fetch-plan.ts";
+import { NONE, Offers, optionsOf, sizesOf, type Units } from "../../src/play/offers.ts";
+import { sizesAfter } from "../../src/play/policies/mpc.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
 import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { SimulatedDownloader, Trace } from "../support/link.ts";
-import { type GroupNumbers, NumberOffers } from "../support/offers.ts";
+import { playoutOf, SimulatedDownloader, Trace } from "../support/link.ts";
+import { type GroupNumbers, NumberTables } from "../support/offers.ts";
 
 const SEGMENT = {
   frames: 10,
@@ -39,22 +40,23 @@ const ONE = keeping([0, 5], [[70, 35], [0, 0]]); // biome-ignore format: by tier
 
 /** Three groups of two segments; L0 needs both tiers, L1 the first. Files come without headers. */
 class Viewer {
-  readonly offers = new NumberOffers({
+  readonly tables = new NumberTables({
     ...{ name: "", frame_rate: [10, 1], header_bytes: 0, root_bytes: 1, page_bytes: 0, qualities: ["Q0", "Q1"] },
     levels: [0, 1].map((j) => ({ id: `L${j}`, tiers: 2 - j, pruned: j / 2 })),
     groups: [BASE, SOME, ONE],
   });
-  readonly catalogue = new Catalogue(this.offers, 0);
+  readonly offers = new Offers(this.tables, 0);
+  readonly planner = whole(this.offers);
   readonly settings = sessionSettings({ loops: 2, startupS: 0 });
-  readonly playout = new Playout(this.catalogue, this.settings);
-  readonly stores = new Stores(this.catalogue);
-  readonly downloader = new SimulatedDownloader({ trace: new Trace([0], [1e9], 3600), rttS: 0.05 }, this.catalogue);
+  readonly playout = playoutOf(this.offers, this.settings);
+  readonly stores = new Stores(this.offers);
+  readonly downloader = new SimulatedDownloader({ trace: new Trace([0], [1e9], 3600), rttS: 0.05 }, this.offers);
 
   /** Plays from a position on in a rung, and gives the keys that are asked for by position. */
   async keys(policy: string, from = 0): Promise<Map<number, readonly string[]>> {
     const first = this.downloader.requests.length;
-    const parts = { ...this, policy: makePolicy(policy, this.catalogue), from };
-    for await (const _ of new Session(parts).run(new AbortController().signal));
+    const parts = { ...this, policy: makePolicy(policy, this.offers) };
+    for await (const _ of new Session(parts, new AbortController().signal, from).run());
     const asked = this.downloader.requests.slice(first).filter(({ batch }) => batch.keys.length);
     return new Map(asked.map(({ position, batch }) => [position, batch.keys]));
   }
@@ -66,28 +68,30 @@ const all = (quality: number, ...groups: number[]) =>
   );
 
 test("the bytes of a group that keeps rows depend on what is held of the other", () => {
-  const { catalogue: c } = new Viewer();
+  const { offers } = new Viewer();
   const both = new Set([0, 1]);
-  assert.deepEqual([...c.sizes(2, NONE)], [3387, 1163, 1252, 428]);
-  assert.deepEqual([...c.sizes(2, NONE, both)], [87, 63, 1252, 428]);
-  assert.deepEqual([...c.sizes(2, both, both)], [7, 3, 1252, 428]);
-  assert.deepEqual([...c.sizes(4, NONE, new Set([0]))], [2307, 83, 872, 48]);
-  assert.equal(c.options(2, NONE, both)[0].sizeBytes, 87);
-  assert.equal(c.options(2, NONE)[0].sizeBytes, 3387);
+  const sizes = (segment: number, decoded: Units) => [...sizesOf(offers.of(segment), decoded)];
+  assert.deepEqual(sizes(2, NONE), [3387, 1163, 1252, 428]);
+  assert.deepEqual(sizes(2, both), [87, 63, 1252, 428]);
+  assert.deepEqual(sizes(2, new Set([0, 1, 4, 5])), [7, 3, 1252, 428]);
+  assert.deepEqual(sizes(4, new Set([0])), [2307, 83, 872, 48]);
+  assert.equal(optionsOf(offers.of(2), both)[0].sizeBytes, 87);
+  assert.equal(optionsOf(offers.of(2), NONE)[0].sizeBytes, 3387);
 });
 
 test("at the start of a group the rung before tells what is held", () => {
-  const { catalogue: c } = new Viewer();
-  assert.deepEqual([...c.bytesAtStart(0, new Map())], [...c.bytesFromScratch(0)]);
-  const second = [...c.bytesAtStart(2, new Map())];
-  assert.deepEqual(second.slice(0, 4), [...c.sizes(2, NONE, new Set([0, 1]))]);
-  assert.deepEqual(second.slice(12), [...c.sizes(2, NONE, new Set([2]))]);
-  const known = [...c.bytesAtStart(4, new Map([[0, new Set([2, 3])]]))]; // as group 2 keeps rows of group 1, too
+  const { offers } = new Viewer();
+  assert.deepEqual([...sizesAfter(offers.of(0), offers.of(5), NONE)], [...sizesOf(offers.of(0), NONE)]);
+  const second = [...sizesAfter(offers.of(2), offers.of(1), NONE)];
+  assert.deepEqual(second.slice(0, 4), [...sizesOf(offers.of(2), new Set([0, 1]))]);
+  assert.deepEqual(second.slice(12), [...sizesOf(offers.of(2), new Set([2]))]);
+  const known = [...sizesAfter(offers.of(4), offers.of(3), new Set([2, 3]))]; // as group 2 keeps rows of group 1, too
   assert.deepEqual(known.slice(0, 4), [107, 83, 72, 48]);
-  const { groups } = new Viewer().offers.numbers;
+  const { groups } = new Viewer().tables.numbers;
   groups[1] = { ...BASE };
-  const other = new Catalogue(new NumberOffers({ ...new Viewer().offers.numbers, groups }), 0);
-  assert.deepEqual([...other.bytesAtStart(4, new Map())], [...other.bytesFromScratch(4)]); // group 2 tells nothing of it
+  const other = new Offers(new NumberTables({ ...new Viewer().tables.numbers, groups }), 0);
+  const scratch = [...sizesOf(other.of(4), NONE)]; // group 2 tells nothing of it
+  assert.deepEqual([...sizesAfter(other.of(4), other.of(3), NONE)], [scratch, scratch, scratch, scratch].flat());
 });
 
 test("what was decoded of a group is not fetched for another, and again in the next loop", async () => {
@@ -110,9 +114,9 @@ test("who joins in the middle reads what is kept there, and needs it but once", 
 });
 
 test("the table of the other group may stand on a page that nobody has read", () => {
-  const { numbers } = new Viewer().offers;
+  const { numbers } = new Viewer().tables;
   const groups = [...new Array(65).fill(BASE), { ...SOME, keeps: 3 }];
-  const { tables } = new Stores(new Catalogue(new NumberOffers({ ...numbers, groups })));
+  const { tables } = new Stores(new Offers(new NumberTables({ ...numbers, groups })));
   const read = (path: string) => {
     const batch = { keys: [], state: [], tables: [path] };
     const request = { kind: "tables" as const, position: 0, rung: 0, batch, sentS: 0, latencyS: 0 };
@@ -135,7 +139,7 @@ test("a tier that keeps none needs nothing of the other group", async () => {
 
 test("a unit of the other group is read once, whichever tier was needed first", async () => {
   const viewer = new Viewer();
-  const { groups } = viewer.offers.numbers;
+  const { groups } = viewer.tables.numbers;
   [groups[1], groups[2]] = [groups[2], groups[1]]; // first the group that keeps rows of tier 1 alone
   const keys = await viewer.keys("fixed:0", 2);
   assert.deepEqual(keys.get(2)?.slice(-2), ["key/T1/1.bin", "key/T1/Q0/1.m4s"]);
@@ -144,11 +148,13 @@ test("a unit of the other group is read once, whichever tier was needed first", 
 });
 
 test("a group that kept one tier tells nothing of the other one", () => {
-  const { offers } = new Viewer();
-  const { groups } = offers.numbers;
+  const { tables } = new Viewer();
+  const { groups } = tables.numbers;
   [groups[1], groups[2]] = [groups[2], groups[1]];
-  const c = new Catalogue(offers, 0);
-  assert.deepEqual([...c.bytesAtStart(4, new Map())].slice(0, 4), [...c.sizes(4, NONE, new Set([1]))]);
+  const offers = new Offers(tables, 0);
+  assert.deepEqual([...sizesAfter(offers.of(4), offers.of(3), NONE)].slice(0, 4), [
+    ...sizesOf(offers.of(4), new Set([1])),
+  ]);
 });
 
 test("another quality needs the other group in that quality", async () => {
@@ -161,27 +167,28 @@ test("another quality needs the other group in that quality", async () => {
 });
 
 test("a tier is shown when what it keeps is there as well", async () => {
-  const { catalogue, stores, downloader, playout } = new Viewer();
+  const { offers, stores, downloader, playout } = new Viewer();
   const batch = stores.keys.missing(2, 0);
   const request = { kind: "group" as const, position: 2, rung: 0, batch, sentS: 0, latencyS: 0 };
   const arrival = await downloader.fetch(request, null, new AbortController().signal);
   stores.keys.add({ ...arrival, whole: batch.keys.slice(0, 5) }); // no table of tier 1 of the other group
-  assert.deepEqual([[...stores.keys.decoded(2).get(1)!], stores.keys.shownTiers(2, 0, 0)], [[0, 1], 1]);
+  const decoded = [0, 1, 4, 5].filter((unit) => stores.keys.decoded(2).has(unit));
+  assert.deepEqual([decoded, stores.keys.shownTiers(2, 0, 0)], [[0, 4, 5], 1]);
   assert.deepEqual(stores.keys.missing(2, 0).keys, ["key/T1/1.bin", "key/T1/Q0/1.m4s"]);
   stores.keys.add(arrival);
   assert.equal(stores.keys.shownTiers(2, 0, 0), 2);
-  assert.deepEqual([catalogue.knows(2), playout.end], [true, 12]);
+  assert.deepEqual([offers.knows(2), playout.end], [true, 12]);
 });
 
 test("before the table of the other group is there nothing is said of bytes", () => {
-  const { offers, catalogue } = new Viewer();
-  offers.has = (group: number) => group === 1;
-  assert.deepEqual([catalogue.knows(2), catalogue.span(2).start, catalogue.upcoming(2, 2, 6)], [false, 20, []]);
-  assert.equal(new RungTotals(catalogue).read()[0].kbps, 0);
+  const { tables, offers } = new Viewer();
+  tables.has = (group: number) => group === 1;
+  assert.deepEqual([offers.knows(2), offers.span(2).start, offers.upcoming(2, 4)], [false, 20, []]);
+  assert.equal(new RungTotals(offers).read()[0].kbps, 0);
 });
 
 test("people see what a rung costs where the group before is there", () => {
-  const { catalogue } = new Viewer();
+  const { offers } = new Viewer();
   const bytes = 3300 + 80 + 100 + 6 * 7; // keys of three groups in Q0, six states
-  assert.equal(new RungTotals(catalogue).read()[0].kbps, (8 * bytes) / 6 / 1000);
+  assert.equal(new RungTotals(offers).read()[0].kbps, (8 * bytes) / 6 / 1000);
 });

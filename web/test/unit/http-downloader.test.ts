@@ -3,16 +3,16 @@ import assert from "node:assert/strict";
 import { mock, test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
 import type { Fetched } from "../../src/media/client.ts";
-import { Catalogue, NONE } from "../../src/play/catalogue.ts";
-import type { Partial } from "../../src/play/downloader.ts";
-import type { Request } from "../../src/play/events.ts";
+import type { Partial, Request } from "../../src/play/downloader.ts";
+import { whole as allTiles } from "../../src/play/fetch-plan.ts";
 import { HttpDownloader, joinNewest, type Source } from "../../src/play/http-downloader.ts";
-import { Playout } from "../../src/play/playout.ts";
+import { missing, NONE, Offers } from "../../src/play/offers.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { Session } from "../../src/play/session.ts";
 import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { NumberOffers, type PackageNumbers } from "../support/offers.ts";
+import { playoutOf } from "../support/link.ts";
+import { NumberTables, type PackageNumbers } from "../support/offers.ts";
 import { readVectors } from "./files.ts";
 
 const { packages } = readVectors("sessions") as { packages: PackageNumbers[] };
@@ -47,19 +47,19 @@ class Fake implements Source {
 }
 
 function made() {
-  const catalogue = new Catalogue(new NumberOffers(packages[0]));
+  const offers = new Offers(new NumberTables(packages[0]));
   const source = new Fake();
-  return { catalogue, source, downloader: new HttpDownloader(source, catalogue) };
+  return { offers, source, downloader: new HttpDownloader(source, offers) };
 }
 
-function request(catalogue: Catalogue, tables: string[] = []): Request {
-  const batch = tables.length ? { keys: [], state: [], tables } : catalogue.batch(0, 0, NONE);
+function request(offers: Offers, tables: string[] = []): Request {
+  const batch = tables.length ? { keys: [], state: [], tables } : missing(offers.of(0), 0, NONE);
   return { kind: tables.length ? "tables" : "group", position: 0, rung: 0, batch, sentS: 0, latencyS: 0 };
 }
 
 test("airgs.json was fetched when the package was opened; later another package is refused", async () => {
-  const { catalogue, downloader } = made();
-  const asked = request(catalogue, ["airgs.json"]);
+  const { offers, downloader } = made();
+  const asked = request(offers, ["airgs.json"]);
   const first = await downloader.fetch(asked, null, never);
   assert.deepEqual([first.whole, first.bytes], [["airgs.json"], 3000]);
   const second = await downloader.fetch(asked, null, never);
@@ -67,9 +67,9 @@ test("airgs.json was fetched when the package was opened; later another package 
 });
 
 test("the round trip is the shortest wait that no cache has shortened", async () => {
-  const { catalogue, downloader, source } = made();
+  const { offers, downloader, source } = made();
   assert.equal(downloader.rttS, 0);
-  const whole = [...catalogue.batch(0, 0, NONE).keys];
+  const whole = [...missing(offers.of(0), 0, NONE).keys];
   for (const [waitS, cached, expected] of [
     [5, false, 5],
     [1, true, 5],
@@ -77,7 +77,7 @@ test("the round trip is the shortest wait that no cache has shortened", async ()
     [3, false, 2],
   ] as const) {
     source.answer = { ...nothing(), firstByteS: nowS() + waitS, endS: nowS() + 9, bytes: 1000, cached, whole };
-    const { cached: told } = await downloader.fetch(request(catalogue), null, never);
+    const { cached: told } = await downloader.fetch(request(offers), null, never);
     assert.equal(told, cached);
     assert.ok(Math.abs(downloader.rttS - expected) < 0.5);
   }
@@ -85,8 +85,8 @@ test("the round trip is the shortest wait that no cache has shortened", async ()
 
 test("a download is looked at from its first byte on; what is whole when it is given up is kept", async () => {
   mock.timers.enable({ apis: ["setInterval"] });
-  const { catalogue, downloader, source } = made();
-  const asked = request(catalogue);
+  const { offers, downloader, source } = made();
+  const asked = request(offers);
   const looks: Partial[] = [];
   const coming = downloader.fetch(asked, (partial) => looks.push(partial) > 1, never);
   mock.timers.tick(5000);
@@ -101,21 +101,21 @@ test("a download is looked at from its first byte on; what is whole when it is g
     looks.map(({ bytes }) => bytes),
     [400, 900],
   );
-  assert.equal(looks[0].expectedBytes, catalogue.wire([...asked.batch.keys, ...asked.batch.state]));
+  assert.equal(looks[0].expectedBytes, offers.wire([...asked.batch.keys, ...asked.batch.state]));
   assert.deepEqual([arrival.abandoned, arrival.whole], [true, asked.batch.keys.slice(0, 1)]);
 });
 
 test("a session that is stopped ends its download", async () => {
-  const { catalogue, downloader } = made();
+  const { offers, downloader } = made();
   const stop = new AbortController();
-  const coming = downloader.fetch(request(catalogue), null, stop.signal);
+  const coming = downloader.fetch(request(offers), null, stop.signal);
   stop.abort();
   assert.equal((await coming).abandoned, true);
 });
 
 test("waits end when the playout changes, or the session is stopped", async () => {
-  const { catalogue, downloader } = made();
-  const playout = new Playout(catalogue, sessionSettings());
+  const { offers, downloader } = made();
+  const playout = playoutOf(offers, sessionSettings());
   const stop = new AbortController();
   const paused = downloader.wait(Infinity, playout, stop.signal);
   playout.freeze(nowS());
@@ -127,30 +127,30 @@ test("waits end when the playout changes, or the session is stopped", async () =
 });
 
 test("a session over a connection plays to the end", async () => {
-  const { catalogue, downloader, source } = made();
+  const { offers, downloader, source } = made();
   source.fetch = async (paths) => ({ ...nothing(), bytes: 1000, whole: [...paths].reverse() });
   const settings = sessionSettings({ bufferS: 1000, loops: 2 });
-  const playout = new Playout(catalogue, settings);
-  const stores = new Stores(catalogue);
-  const policy = makePolicy("robust-mpc", catalogue);
-  const session = new Session({ catalogue, downloader, policy, settings, playout, stores });
+  const playout = playoutOf(offers, settings);
+  const stores = new Stores(offers);
+  const policy = makePolicy("robust-mpc", offers);
+  const parts = { offers, downloader, policy, settings, playout, stores, planner: allTiles(offers) };
   const kinds = new Set<string>();
-  for await (const event of session.run(never)) kinds.add(event.type);
+  for await (const event of new Session(parts, never).run()) kinds.add(event.type);
   assert.deepEqual([...kinds], ["arrived", "shown"]);
-  assert.equal(playout.slots.length, 2 * catalogue.segments);
+  assert.equal(playout.slots.length, 2 * offers.segments);
   assert.ok(playout.slots.every((slot) => slot.rung !== null && slot.startAt < Infinity));
 });
 
 test("a growing package is joined at its newest group", async () => {
   const source = new Fake();
-  const offers = new NumberOffers(packages[2], 66, true);
-  const catalogue = new Catalogue(offers);
-  await joinNewest(catalogue, source);
-  assert.deepEqual([catalogue.first, source.fetched], [65, []]);
-  offers.grow(64, true); // the newest stands on a page
-  const { index } = offers;
+  const tables = new NumberTables(packages[2], 66, true);
+  const offers = new Offers(tables);
+  await joinNewest(offers, source);
+  assert.deepEqual([offers.first, source.fetched], [65, []]);
+  tables.grow(64, true); // the newest stands on a page
+  const { index } = tables;
   index.hasPage = () => false;
   source.answer = { ...nothing(), whole: ["index/1/1.json"] };
-  await joinNewest(catalogue, source);
-  assert.deepEqual([catalogue.first, source.fetched], [63, [["index/1/1.json"]]]);
+  await joinNewest(offers, source);
+  assert.deepEqual([offers.first, source.fetched], [63, [["index/1/1.json"]]]);
 });

@@ -1,7 +1,7 @@
 // The index of long packages: numbers in base 64, and what happens where a level is carried.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { GroupIndex, MissingPageError } from "../../src/format/index.ts";
+import { GroupIndex, MissingTableError } from "../../src/format/index.ts";
 import { Tables } from "../../src/format/package.ts";
 import { groupPath, locate, pagePath } from "../../src/format/paths.ts";
 import type { Page } from "../../src/format/types.ts";
@@ -48,7 +48,7 @@ function read(places: GroupIndex, pages: Map<string, Page>, frame: number): stri
       places.atFrame(frame);
       return asked;
     } catch (error) {
-      assert.ok(error instanceof MissingPageError);
+      assert.ok(error instanceof MissingTableError);
       asked.push(error.path);
       places.addPage(error.path, pages.get(error.path)!);
     }
@@ -99,7 +99,7 @@ test("a segment under a page that is not there is guessed", () => {
   const { index, pages } = longIndex(4097);
   const places = new GroupIndex(index);
   assert.deepEqual(places.guessSpan(4000), { start: 4000, stop: 4001 });
-  assert.throws(() => places.pageEntry(pagePath(1, 1)), MissingPageError);
+  assert.throws(() => places.pageEntry(pagePath(1, 1)), MissingTableError);
   assert.throws(() => places.pageEntry(pagePath(2, 2)), RangeError);
   places.addPage(pagePath(2, 1), pages.get(pagePath(2, 1))!);
   assert.equal(places.pageEntry(pagePath(1, 2)).start, 64);
@@ -124,13 +124,13 @@ test("a package grows past the second level, and what it was is expected of its 
   for (const number of [1, 2, 3, 63]) add(pagePath(1, number));
   assert.equal(tables.groupOf(64), 64);
   tables.grow(rootOf(4096));
-  assert.throws(() => tables.groupOf(64), MissingPageError);
+  assert.throws(() => tables.groupOf(64), MissingTableError);
   const path = pagePath(2, 1);
   const other = { ...pages.get(path)!, sha256: `x${pages.get(path)!.sha256.slice(1)}` };
   assert.throws(() => tables.addPage(path, encode(other)), { reason: "bad_value" });
   add(path);
   assert.equal(tables.groupOf(64), 64); // page 2 of the first level is still there
-  assert.throws(() => tables.groupOf(4095), MissingPageError);
+  assert.throws(() => tables.groupOf(4095), MissingTableError);
   tables.grow(rootOf(4097));
   add(pagePath(1, 64));
   assert.deepEqual([tables.groupOf(4095), tables.groupOf(4096)], [4095, 4096]);

@@ -1,17 +1,18 @@
 // The schedule: pauses, waits of the display, speed and seeks move what is to come and nothing else.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Catalogue } from "../../src/play/catalogue.ts";
-import { Playout } from "../../src/play/playout.ts";
+import { Offers } from "../../src/play/offers.ts";
+import type { Playout } from "../../src/play/playout.ts";
 import { sessionSettings } from "../../src/play/settings.ts";
-import { NumberOffers } from "../support/offers.ts";
+import { playoutOf } from "../support/link.ts";
+import { NumberTables } from "../support/offers.ts";
 
 const SEGMENTS = 8;
 
 /** One group of eight segments of a second, at ten frames a second; nothing takes time to decode. */
 function playout(settings = {}): Playout {
   const segment = { frames: 10, bytes: [1000], psnr: [[40]] };
-  const offers = new NumberOffers({
+  const tables = new NumberTables({
     name: "one group",
     frame_rate: [10, 1],
     header_bytes: 0,
@@ -24,7 +25,7 @@ function playout(settings = {}): Playout {
     ],
   });
   const rules = { startupS: 0, resumeS: 0, decodeFrameS: 0, bufferS: 3, loops: 2, ...settings };
-  return new Playout(new Catalogue(offers, 0), sessionSettings(rules));
+  return playoutOf(new Offers(tables, 0), sessionSettings(rules));
 }
 
 function filled(count: number, settings = {}): Playout {

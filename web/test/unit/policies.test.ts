@@ -1,11 +1,12 @@
 // The policies choose as the vectors say.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Catalogue } from "../../src/play/catalogue.ts";
+import { HORIZON_SEGMENTS } from "../../src/generated/constants.ts";
+import { Offers, optionsOf } from "../../src/play/offers.ts";
 import { discountedThroughput } from "../../src/play/policies/mpc.ts";
 import { ADAPTIVE, makePolicy } from "../../src/play/policies/named.ts";
 import { estimateThroughput, type PlayerState } from "../../src/play/policies/state.ts";
-import { type PolicyOffer, UnitOffers } from "../support/offers.ts";
+import { type PolicyOffer, UnitTables } from "../support/offers.ts";
 import { readVectors } from "./files.ts";
 
 interface State {
@@ -25,18 +26,22 @@ interface State {
 }
 
 const { offers, states } = readVectors("policies") as { offers: PolicyOffer[]; states: State[] };
-const catalogues = offers.map((offer) => new Catalogue(new UnitOffers(offer), 0));
+const all = offers.map((offer) => new Offers(new UnitTables(offer), 0));
 
 function playerState(state: State, speed = 1): PlayerState {
-  const catalogue = catalogues[state.offer];
-  const { tiers } = catalogue.tables.root;
-  const units = new Set(state.decoded.flatMap((count, q) => Array.from({ length: count }, (_, t) => q * tiers + t)));
-  const options = catalogue.options(catalogue.index(state.position), units);
+  const offers = all[state.offer];
+  const { tiers, qualities } = offers.tables.root;
+  const ahead = offers.upcoming(state.position, Math.min(state.position + HORIZON_SEGMENTS, state.end));
+  const { group } = ahead[0].offer;
+  const decoded = new Set(
+    state.decoded.flatMap((count, q) =>
+      Array.from({ length: count }, (_, tier) => (group * qualities.length + q) * tiers + tier),
+    ),
+  );
+  const options = optionsOf(ahead[0].offer, decoded);
   return {
-    catalogue,
-    position: state.position,
-    end: state.end,
-    decoded: new Map([[catalogue.group(state.position).group, units]]),
+    ahead,
+    decoded,
     options: options.filter((option) => !state.unavailable.includes(option.index)),
     nowS: state.now_s,
     deadlineS: state.deadline_s,
@@ -78,21 +83,21 @@ test("at twice the speed a rung must come in half the time", () => {
 });
 
 test("fixed rungs by level and by name", () => {
-  const catalogue = catalogues[0];
+  const offers = all[0];
   const state = playerState({ ...states.find(({ offer }) => offer === 0)!, unavailable: [] });
   for (const [name, rung] of [
     ["fixed:2", "Q0+L2"],
     ["fixed:Q1+L1", "Q1+L1"],
   ]) {
-    assert.equal(catalogue.names[makePolicy(name, catalogue).choose(state).index], rung);
+    assert.equal(offers.names[makePolicy(name, offers).choose(state).index], rung);
   }
   const smallest = Math.min(...state.options.slice(1).map((option) => option.sizeBytes));
   const without = { ...state, options: state.options.slice(1) };
-  assert.equal(makePolicy("fixed:0", catalogue).choose(without).sizeBytes, smallest);
+  assert.equal(makePolicy("fixed:0", offers).choose(without).sizeBytes, smallest);
 });
 
 test("unknown policies", () => {
   for (const name of ["", "paper:1", "fixed", "fixed:", "fixed:3", "fixed:-1", "fixed:1.5", "best", "fixed:Q2+L0"]) {
-    assert.throws(() => makePolicy(name, catalogues[0]), /expected paper/, name);
+    assert.throws(() => makePolicy(name, all[0]), /expected paper/, name);
   }
 });

@@ -3,16 +3,15 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Reason } from "../../src/format/errors.ts";
 import { ROOT_PATH } from "../../src/generated/constants.ts";
-import { Catalogue } from "../../src/play/catalogue.ts";
-import type { GiveUp } from "../../src/play/downloader.ts";
-import type { Request, SessionEvent } from "../../src/play/events.ts";
-import { Playout } from "../../src/play/playout.ts";
+import type { GiveUp, Request, SessionEvent } from "../../src/play/downloader.ts";
+import { whole } from "../../src/play/fetch-plan.ts";
+import { Offers } from "../../src/play/offers.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { Session } from "../../src/play/session.ts";
 import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { SimulatedDownloader, Trace } from "../support/link.ts";
-import { NumberOffers, type PackageNumbers } from "../support/offers.ts";
+import { playoutOf, SimulatedDownloader, Trace } from "../support/link.ts";
+import { NumberTables, type PackageNumbers } from "../support/offers.ts";
 import { readVectors } from "./files.ts";
 
 type Row = (string | number)[];
@@ -52,7 +51,7 @@ class GrowingDownloader extends SimulatedDownloader {
     if (request.batch.tables[0] === ROOT_PATH) {
       const count = this.growth[this.reads];
       const live = this.reads < this.growth.length - 1;
-      if (this.reads++ && count) (this.catalogue.tables as NumberOffers).grow(count, live);
+      if (this.reads++ && count) (this.offers.tables as NumberTables).grow(count, live);
     }
     return super.fetch(request, giveUp, signal);
   }
@@ -61,21 +60,21 @@ class GrowingDownloader extends SimulatedDownloader {
 async function played(play: Play): Promise<Row[]> {
   const { starts_s, rates_bps, duration_s } = traces[play.trace];
   const numbers = packages[play.package];
-  const offers = new NumberOffers(numbers, play.growth[0], play.growth.length > 0);
-  const catalogue = new Catalogue(offers, numbers.header_bytes);
-  if (play.growth.length) catalogue.first = offers.index.entry(offers.index.groups - 1).firstSegment;
+  const tables = new NumberTables(numbers, play.growth[0], play.growth.length > 0);
+  const offers = new Offers(tables, numbers.header_bytes);
+  if (play.growth.length) offers.first = tables.index.entry(tables.index.groups - 1).firstSegment;
   const given = Object.fromEntries(Object.entries(play.settings).map(([name, value]) => [camel(name), value]));
   const settings = sessionSettings(given);
   const { pipelines, faults, rtt_s: rttS } = play;
   const trace = new Trace(starts_s, rates_bps, duration_s);
-  const downloader = new GrowingDownloader({ trace, rttS, pipelines, faults }, catalogue);
+  const downloader = new GrowingDownloader({ trace, rttS, pipelines, faults }, offers);
   downloader.growth = play.growth;
-  const policy = makePolicy(play.policy, catalogue);
-  const playout = new Playout(catalogue, settings);
-  const stores = new Stores(catalogue);
+  const policy = makePolicy(play.policy, offers);
+  const playout = playoutOf(offers, settings);
+  const stores = new Stores(offers);
   const rows: Row[] = [];
-  const session = new Session({ catalogue, downloader, policy, settings, playout, stores });
-  for await (const event of session.run(new AbortController().signal)) rows.push(row(event));
+  const parts = { offers, downloader, policy, settings, playout, stores, planner: whole(offers) };
+  for await (const event of new Session(parts, new AbortController().signal).run()) rows.push(row(event));
   return rows;
 }
 

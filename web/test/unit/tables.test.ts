@@ -5,8 +5,8 @@ import { Ajv2020 } from "ajv/dist/2020.js";
 import { checkTable } from "../../src/format/check.ts";
 import { FormatError } from "../../src/format/errors.ts";
 import { inflate } from "../../src/format/gzip.ts";
-import { MissingPageError } from "../../src/format/index.ts";
-import { MissingGroupError, Tables } from "../../src/format/package.ts";
+import { MissingTableError } from "../../src/format/index.ts";
+import { Tables } from "../../src/format/package.ts";
 import {
   groupPath,
   keyMediaPath,
@@ -178,11 +178,11 @@ for (const one of readVectors("packages").startup) {
     try {
       tables.index.atFrame(one.frame);
     } catch (error) {
-      assert.ok(error instanceof MissingPageError);
+      assert.ok(error instanceof MissingTableError);
       await add(error.path);
     }
     const number = tables.index.atFrame(one.frame);
-    assert.throws(() => tables.group(number), MissingGroupError);
+    assert.throws(() => tables.group(number), MissingTableError);
     await add(groupPath(number + 1));
     const units = Array.from({ length: one.tiers }, (_, unit) => unit);
     const { keeps } = tables.group(number);
@@ -218,7 +218,7 @@ test("the segments of an unread page are guessed, and found once it is read", as
   assert.deepEqual([[...index.pages()], [...whole.pagesTo("segments", 0)]], [[page], [page]]);
   assert.deepEqual([index.hasPage(page), whole.hasPage(page)], [false, true]);
   assert.deepEqual([index.leadsTo(0), whole.leadsTo(0), index.leadsTo(64)], [false, true, true]);
-  assert.throws(() => index.entry(0), MissingPageError);
+  assert.throws(() => index.entry(0), MissingTableError);
   let stop = 0;
   for (let segment = 0; segment < index.segments; segment++) {
     const guess = index.guessSpan(segment);
@@ -272,7 +272,7 @@ test("a package grows, and its groups move to a page", async () => {
   assert.ok(tables.has(0));
   tables.grow(encode({ ...readJson(`${folder}/airgs.json`), decisions: [] }));
   assert.equal(tables.root.live, false);
-  assert.throws(() => tables.groupOf(0), MissingPageError);
+  assert.throws(() => tables.groupOf(0), MissingTableError);
   await tables.add(pagePath(1, 1), readBytes(`${folder}/${pagePath(1, 1)}`));
   assert.equal(tables.groupOf(0), 0);
   assert.ok(tables.has(0));
@@ -310,7 +310,7 @@ test("the tables of groups that were used last are kept", async () => {
   tables.index.entry = () => entry; // as many groups as one likes
   for (let number = 1; number <= 1024; number++) await tables.addGroup(number, bytes);
   assert.ok(!tables.has(0));
-  assert.throws(() => tables.group(0), MissingGroupError);
+  assert.throws(() => tables.group(0), MissingTableError);
   assert.deepEqual(tables.group(1), first);
   await tables.addGroup(1025, bytes);
   assert.ok(tables.has(1) && !tables.has(2));

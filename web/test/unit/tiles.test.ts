@@ -1,18 +1,19 @@
 // What a player fetches of a scene in tiles: what is expected in sight early, what is lacking late.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Catalogue, NONE } from "../../src/play/catalogue.ts";
-import { Playout } from "../../src/play/playout.ts";
+import { ByView } from "../../src/play/fetch-plan.ts";
+import { missing, NONE, Offers, sizesOf } from "../../src/play/offers.ts";
+import type { Playout } from "../../src/play/playout.ts";
+import { sizesAfter } from "../../src/play/policies/mpc.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { Repairs } from "../../src/play/repairs.ts";
 import { Session } from "../../src/play/session.ts";
 import { byView, sessionSettings } from "../../src/play/settings.ts";
 import { Boxes, expected, velocityOf, Watcher } from "../../src/play/sight.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { TileChoice } from "../../src/play/tile-choice.ts";
 import { cameraOf, type ViewState } from "../../src/play/view.ts";
-import { SimulatedDownloader, Trace } from "../support/link.ts";
-import { type GroupNumbers, NumberOffers } from "../support/offers.ts";
+import { playoutOf, SimulatedDownloader, Trace } from "../support/link.ts";
+import { type GroupNumbers, NumberTables } from "../support/offers.ts";
 
 const RADIANS = Math.PI / 180;
 
@@ -99,7 +100,7 @@ const GROUP: GroupNumbers = {
 };
 
 const offersOf = (group: GroupNumbers) =>
-  new NumberOffers({
+  new NumberTables({
     ...{ name: "", frame_rate: [10, 1], header_bytes: 0, root_bytes: 1, page_bytes: 0, qualities: ["Q0", "Q1"] },
     levels: [0, 1].map((j) => ({ id: `L${j}`, tiers: 2 - j, pruned: j / 2 })),
     tiles: 4,
@@ -107,49 +108,51 @@ const offersOf = (group: GroupNumbers) =>
   });
 
 test("sizes are those of the tiles that are asked for", () => {
-  const c = new Catalogue(offersOf(GROUP), 0);
-  const part = c.ofTiles([1]);
-  assert.deepEqual([...part.sizes(0, NONE)], [3083, 1032, 981, 331]);
-  assert.equal(c.ofTiles([0, 1, 2, 3]), c);
-  assert.equal(c.ofTiles([1]), part);
-  const sums = [0, 1, 2].map((tile) => c.ofTiles([tile]).sizes(0, NONE));
+  const c = new Offers(offersOf(GROUP), 0);
+  const sizes = (tiles: number[], decoded = NONE) => sizesOf(c.of(0, tiles), decoded);
+  assert.deepEqual([...sizes([1])], [3083, 1032, 981, 331]);
+  assert.equal(c.of(0, [0, 1, 2, 3]), c.of(0));
+  assert.equal(c.of(0, [1]), c.of(0, [1]));
+  const sums = [0, 1, 2].map((tile) => sizes([tile]));
   near(
-    c.sizes(0, NONE),
+    sizesOf(c.of(0), NONE),
     sums[0]!.map((size, rung) => size + sums[1]![rung]! + sums[2]![rung]!),
   );
-  assert.deepEqual(part.batch(1, 0, new Set([part.unit(0, 2)])), {
+  assert.deepEqual(missing(c.of(1, [1]), 0, new Set([2])), {
     keys: ["key/P2/T1/1.bin", "key/P2/T1/Q0/1.m4s"],
     state: ["state/P2/L0/2.m4s"],
     tables: [],
   });
-  assert.deepEqual([...part.bytesAfter(1).subarray(0, 4)], [51, 21, 981, 331]); // after Q0+L0
-  assert.deepEqual([c.rows(0), part.rows(0)], [c.rows(0), c.rows(0)]); // a budget is for what may come into sight
+  const after = sizesAfter(c.of(1, [1]), c.of(0, [1]), NONE);
+  assert.deepEqual([...after.subarray(0, 4)], [51, 21, 981, 331]); // after Q0+L0
+  const shown = (tiles: number[]) => c.of(0, tiles).rungs.map(({ gaussians }) => gaussians);
+  assert.deepEqual(shown([1]), shown([0, 1, 2, 3])); // a budget is for what may come into sight
 });
 
 /** A player in a simulated second, whose viewer turns from 0 degrees on. */
 class Viewer {
-  readonly catalogue: Catalogue;
+  readonly offers: Offers;
   readonly watcher = new Watcher();
   readonly settings = byView(sessionSettings({ loops: 1, startupS: 0, bufferS: 10 }));
   readonly playout: Playout;
   readonly stores: Stores;
   readonly downloader: SimulatedDownloader;
-  readonly choice: TileChoice;
+  readonly planner: ByView;
 
   constructor(group = GROUP, rateBps = 1e9) {
-    this.catalogue = new Catalogue(offersOf(group), 0);
-    this.playout = new Playout(this.catalogue, this.settings);
-    this.stores = new Stores(this.catalogue);
-    this.downloader = new SimulatedDownloader({ trace: new Trace([0], [rateBps], 3600), rttS: 0.05 }, this.catalogue);
-    this.choice = new TileChoice(this.catalogue, this.playout, this.watcher);
+    this.offers = new Offers(offersOf(group), 0);
+    this.playout = playoutOf(this.offers, this.settings);
+    this.stores = new Stores(this.offers);
+    this.downloader = new SimulatedDownloader({ trace: new Trace([0], [rateBps], 3600), rttS: 0.05 }, this.offers);
+    this.planner = new ByView(this.offers, this.playout, this.watcher);
     this.watcher.resize(100, 100);
     this.watcher.look(turned(0), 0);
   }
 
   /** Fetches all segments. */
   async play(policy: string): Promise<void> {
-    const session = new Session({ ...this, policy: makePolicy(policy, this.catalogue) });
-    for await (const _ of session.run(new AbortController().signal));
+    const parts = { ...this, policy: makePolicy(policy, this.offers) };
+    for await (const _ of new Session(parts, new AbortController().signal).run());
   }
 
   files(): string[] {
@@ -178,20 +181,20 @@ test("a tile that cannot be had is left out, and the others are shown", async ()
 
 test("who turns gets what he turns to, and who sees nothing the tile that is nearest", () => {
   const viewer = new Viewer();
-  assert.deepEqual(viewer.choice.early(0, 0), [0]);
+  assert.deepEqual(viewer.planner.plan(0, 0).tiles, [0]);
   viewer.watcher.look(turned(10), 0.1); // 100 degrees a second, so that 50 more are expected
-  assert.deepEqual(viewer.choice.early(0, 0.1), [0, 1]);
+  assert.deepEqual(viewer.planner.plan(0, 0.1).tiles, [0, 1]);
   viewer.watcher.look(turned(110), 5);
-  assert.deepEqual(viewer.choice.early(0, 9), [1]);
+  assert.deepEqual(viewer.planner.plan(0, 9).tiles, [1]);
   viewer.watcher.look(turned(130), 10);
-  assert.deepEqual(viewer.choice.early(0, 19), [2]);
+  assert.deepEqual(viewer.planner.plan(0, 19).tiles, [2]);
 });
 
 test("what is lacking soon before a segment is shown is looked for in a wider picture", () => {
   const viewer = new Viewer();
   viewer.playout.enqueue(0, 0, 0, [0]);
   viewer.playout.enqueue(1, 0, 0, [0]);
-  const lacking = (atS: number) => viewer.choice.lacking(atS).map(({ slot, tile }) => [slot.position, tile]);
+  const lacking = (atS: number) => viewer.planner.lacking(atS).map(({ slot, tile }) => [slot.position, tile]);
   assert.deepEqual(lacking(0.5), [[0, 1]]); // at 60 degrees, 30 beside the picture
   assert.deepEqual(lacking(0.75), [[0, 1], [1, 1]]); // biome-ignore format: a line
   viewer.watcher.look(turned(-5), 0.8);
@@ -294,7 +297,7 @@ test("a repair that fails is told of once, and so is looking", async () => {
     await settled();
   }
   assert.deepEqual(problems, [wrong]);
-  viewer.choice.lacking = () => {
+  viewer.planner.lacking = () => {
     throw wrong;
   };
   await repairs.run();

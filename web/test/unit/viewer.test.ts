@@ -1,16 +1,16 @@
 // What a viewer does to a session: seeks, pauses, other policies; and what a browser does: caches.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { Catalogue } from "../../src/play/catalogue.ts";
-import type { GiveUp } from "../../src/play/downloader.ts";
-import type { Request, SessionEvent } from "../../src/play/events.ts";
-import { Playout } from "../../src/play/playout.ts";
+import type { GiveUp, Request, SessionEvent } from "../../src/play/downloader.ts";
+import { whole } from "../../src/play/fetch-plan.ts";
+import { Offers } from "../../src/play/offers.ts";
+import type { Playout } from "../../src/play/playout.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { Session } from "../../src/play/session.ts";
 import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { SimulatedDownloader, Trace } from "../support/link.ts";
-import { NumberOffers, type PackageNumbers } from "../support/offers.ts";
+import { playoutOf, SimulatedDownloader, Trace } from "../support/link.ts";
+import { NumberTables, type PackageNumbers } from "../support/offers.ts";
 import { readVectors } from "./files.ts";
 
 const { packages } = readVectors("sessions") as { packages: PackageNumbers[] };
@@ -45,24 +45,25 @@ class Watched extends SimulatedDownloader {
 }
 
 class Viewer {
-  readonly catalogue = new Catalogue(new NumberOffers(DRAWN));
+  readonly offers = new Offers(new NumberTables(DRAWN));
   readonly settings;
   readonly playout: Playout;
-  readonly stores = new Stores(this.catalogue);
+  readonly stores = new Stores(this.offers);
+  readonly planner = whole(this.offers);
   readonly downloader: Watched;
 
   constructor(settings = {}, trace = FAST) {
     this.settings = sessionSettings({ loops: 1, startupS: 0, ...settings });
-    this.playout = new Playout(this.catalogue, this.settings);
-    this.downloader = new Watched({ trace, rttS: 0.05 }, this.catalogue);
+    this.playout = playoutOf(this.offers, this.settings);
+    this.downloader = new Watched({ trace, rttS: 0.05 }, this.offers);
   }
 
   /** The events of a session from a position until one is the last. */
   async watch(policy: string, from: number, isLast: (event: SessionEvent) => boolean = () => false) {
-    const parts = { ...this, policy: makePolicy(policy, this.catalogue), from };
+    const parts = { ...this, policy: makePolicy(policy, this.offers) };
     const stop = new AbortController();
     const events: SessionEvent[] = [];
-    for await (const event of new Session(parts).run(stop.signal)) {
+    for await (const event of new Session(parts, stop.signal, from).run()) {
       events.push(event);
       if (isLast(event)) stop.abort();
     }
@@ -86,15 +87,6 @@ test("a seek goes on with the tables and keys that are there", async () => {
   assert.equal(later[0].kind, "state"); // the second group was begun: its table and keys are there
   assert.ok(!later.some(({ batch }) => batch.tables.includes("airgs.json")));
   assert.ok(viewer.stores.downloads.length > read);
-});
-
-test("keys that were forgotten are fetched again", async () => {
-  const viewer = new Viewer();
-  await viewer.watch("fixed:0", 0, enqueued(3));
-  viewer.playout.restart();
-  viewer.stores.keys.forget({ loop: 0, group: 0 });
-  await viewer.watch("fixed:0", 1, enqueued(1));
-  assert.equal(viewer.downloader.requests.at(-1)?.kind, "group");
 });
 
 test("another policy takes over from what is committed", async () => {
@@ -195,9 +187,10 @@ test("the end can be moved while it plays", async () => {
 
 test("without measured quality only fixed rungs can be played", () => {
   const viewer = new Viewer();
-  (viewer.catalogue.tables.root as { views: object }).views = { reference: "none" };
-  assert.throws(() => new Session({ ...viewer, policy: makePolicy("paper", viewer.catalogue) }), /measured/);
-  assert.ok(new Session({ ...viewer, policy: makePolicy("fixed:0", viewer.catalogue) }));
+  (viewer.offers.tables.root as { views: object }).views = { reference: "none" };
+  const { signal } = new AbortController();
+  assert.throws(() => new Session({ ...viewer, policy: makePolicy("paper", viewer.offers) }, signal), /measured/);
+  assert.ok(new Session({ ...viewer, policy: makePolicy("fixed:0", viewer.offers) }, signal));
 });
 
 test("settings that cannot work", () => {

@@ -6,7 +6,6 @@
 import {
   GRID_POINTS,
   HORIZON_S,
-  HORIZON_SEGMENTS,
   LOW_BUFFER_DB,
   PAST_DOWNLOADS,
   RESERVE_S,
@@ -14,7 +13,8 @@ import {
   SWITCH_DB,
 } from "../../generated/constants.ts";
 import { type Decision, select } from "../ladder.ts";
-import { bufferS, type Download, fullLadder, knownKeys, limitS, type PlayerState, segmentS, shownS } from "./state.ts";
+import { NONE, type SegmentOffer, sizesOf, type Units } from "../offers.ts";
+import { bufferS, type Download, fullLadder, limitS, type PlayerState, segmentS, shownS } from "./state.ts";
 
 /** bit/s: harmonic mean of the last downloads over 1 + the worst relative error of predicting them so. */
 export function discountedThroughput(history: readonly Download[]): number {
@@ -82,20 +82,35 @@ export function chooseRobustMpc(state: PlayerState): Decision {
 const downloadS = (model: Pick<Model, "latencyS" | "rateBps">, bytes: number): number =>
   (bytes > 0 ? model.latencyS : 0) + (8 * bytes) / model.rateBps;
 
-/** The positions looked at, this one first. */
+/** The segments looked at, the next one first. */
 function horizon(state: PlayerState): Step[] {
-  const c = state.catalogue;
   const steps: Step[] = [];
   let total = 0;
-  for (const { segment, startsGroup } of c.upcoming(state.position, HORIZON_SEGMENTS, state.end)) {
+  for (const [i, { offer, loop }] of state.ahead.entries()) {
     if (steps.length && total >= HORIZON_S) break;
-    const known = () => knownKeys(state, state.position + steps.length);
-    const sizesOf = () => (startsGroup ? c.bytesAtStart(segment, known()) : c.bytesAfter(segment));
-    const sizes = steps.length ? sizesOf() : new Float64Array(0); // those of the first are in its options
-    steps.push({ seconds: shownS(state, segment), sizes, quality: c.quality(segment) });
-    total += steps[steps.length - 1].seconds;
+    const known = loop === state.ahead[0].loop ? state.decoded : NONE; // in a later loop, keys are fetched again
+    const sizes = i ? sizesAfter(offer, state.ahead[i - 1].offer, known) : new Float64Array(0); // the options have them
+    const seconds = shownS(state, offer);
+    steps.push({ seconds, sizes, quality: Float64Array.from(offer.rungs, ({ psnr }) => psnr) });
+    total += seconds;
   }
   return steps;
+}
+
+/**
+ * (P · R) bytes of rung r after rung p of the segment before, at place p R + r; (R) where that makes no difference.
+ *
+ * `known` are units that are decoded by then; of the group that goes on, rung p alone says what is.
+ */
+export function sizesAfter(offer: SegmentOffer, before: SegmentOffer, known: Units): Float64Array {
+  if (offer.startsGroup && offer.base === null) return sizesOf(offer, NONE);
+  const others = offer.startsGroup ? known : NONE;
+  const table = new Float64Array(before.rungs.length * offer.rungs.length);
+  for (const [p, { units }] of before.rungs.entries()) {
+    const held = new Set(units.map(({ unit }) => unit));
+    table.set(sizesOf(offer, { has: (unit) => others.has(unit) || held.has(unit) }), p * offer.rungs.length);
+  }
+  return table;
 }
 
 /** (R · B) best total of what follows the first step, by its rung and the buffer that it leaves. */

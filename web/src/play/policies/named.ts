@@ -1,13 +1,67 @@
-// The table of policies by name.
-import { HORIZON_SEGMENTS, type POLICY_NAMES } from "../../generated/constants.ts";
-import type { Catalogue } from "../catalogue.ts";
+// The policies by name: Algorithm 1 of the paper (arXiv 2512.20943) with its cases defined, and as printed; rules of
+// the throughput and of the buffer; one rung for ever; and the controller of mpc.ts.
+import { DEFAULT_BETA, HORIZON_SEGMENTS, type POLICY_NAMES, RESERVE_S, SAFETY } from "../../generated/constants.ts";
+import { type Decision, frameBudget, select, selectLiteral } from "../ladder.ts";
+import type { Offers } from "../offers.ts";
 import { ConfigError } from "../settings.ts";
-import { chooseBola } from "./bola.ts";
-import { chooseFixed } from "./fixed.ts";
 import { chooseRobustMpc } from "./mpc.ts";
-import { choosePaper, choosePaperLiteral, choosePaperNoCliff } from "./paper.ts";
-import type { Policy } from "./state.ts";
-import { chooseThroughput } from "./throughput.ts";
+import type { PlayerState, Policy } from "./state.ts";
+import { beforeCliff, budgetBytes, bufferS, estimateThroughput, fullLadder, limitS, segmentS } from "./state.ts";
+
+/** Algorithm 1 over the measured sizes and qualities of this very segment. */
+const choosePaper = (state: PlayerState): Decision => choosePaperNoCliff(beforeCliff(state));
+
+/** The search of Algorithm 1 alone: the best rung that fits. */
+const choosePaperNoCliff = (state: PlayerState): Decision => select(fullLadder(state), budgetBytes(state));
+
+/** Algorithm 1 as printed: C = B / R over the segment, no buffer, round trip or safety; undefined: the last level.
+ *
+ * Its levels are the rungs with the finest keys, whole group keys in the sizes.
+ */
+function choosePaperLiteral(state: PlayerState, beta = DEFAULT_BETA): Decision {
+  const { rungs } = state.ahead[0].offer;
+  const finest = state.options.filter(({ index }) => rungs[index].quality === 0);
+  const levels = finest.length ? finest : state.options;
+  const budget = frameBudget(estimateThroughput(state.history), 1 / segmentS(state));
+  const answer = selectLiteral(levels, budget, beta);
+  const { index, sizeBytes } = levels[answer ?? levels.length - 1];
+  const reason = answer === null ? "Algorithm 1 leaves it undefined" : `Algorithm 1 for ${budget.toFixed(0)} B`;
+  return { index, fits: sizeBytes <= budget, reason, sizeBytes };
+}
+
+/** The best rung within SAFETY · B over the segment's own length. */
+const chooseThroughput = (state: PlayerState): Decision =>
+  select(fullLadder(state), (SAFETY * estimateThroughput(state.history) * segmentS(state)) / 8);
+
+/** BOLA-BASIC, Lyapunov optimisation of the buffer (Spiteri et al., INFOCOM 2016): the rung with the largest
+ * (V (u + g) − Q) / size, whose utilities come from measured quality.
+ *
+ * u is quality in nepers above the smallest rung, Q the buffer in seconds. V and g are such that the smallest rung is
+ * left at RESERVE_S (a third of a smaller buffer) and the best one scores nothing when the buffer is full.
+ */
+function chooseBola(state: PlayerState): Decision {
+  const rungs = fullLadder(state);
+  const last = rungs[rungs.length - 1];
+  if (rungs.length === 1) return { index: last.index, fits: true, reason: "one rung", sizeBytes: last.sizeBytes };
+  const utility = rungs.map((rung) => ((rung.quality - last.quality) * Math.log(10)) / 20);
+  const limit = Math.max(limitS(state) - segmentS(state), segmentS(state));
+  const reserve = Math.min(RESERVE_S, limit / 3);
+  const better = rungs.slice(0, -1);
+  const bend = Math.max(...better.map((p, i) => (utility[i] * last.sizeBytes) / (p.sizeBytes - last.sizeBytes)));
+  const v = (limit - reserve) / (utility[0] + bend);
+  const g = bend + reserve / v;
+  const scores = rungs.map((p, i) => (v * (utility[i] + g) - bufferS(state)) / Math.max(1, p.sizeBytes));
+  const most = Math.max(...scores);
+  const { index, sizeBytes } = rungs[most <= 0 ? 0 : scores.indexOf(most)];
+  return { index, fits: true, reason: `buffer ${bufferS(state).toFixed(2)} s`, sizeBytes };
+}
+
+/** One rung for every segment; the smallest one where it cannot be had. */
+function chooseFixed(state: PlayerState, rung: number): Decision {
+  const smallest = state.options.reduce((a, b) => (b.sizeBytes < a.sizeBytes ? b : a));
+  const { index, sizeBytes } = state.options.find((option) => option.index === rung) ?? smallest;
+  return { index, fits: true, reason: "fixed", sizeBytes };
+}
 
 type Name = (typeof POLICY_NAMES)[number];
 
@@ -29,7 +83,7 @@ export const ADAPTIVE: ReadonlyMap<string, Policy> = new Map(
 );
 
 /** Name of the policy that plays what is wished for; "auto" is the best rung where no quality was measured to weigh. */
-export function wishedPolicy(wishes: { quality: string; policy: string }, { measured }: Catalogue): string {
+export function wishedPolicy(wishes: { quality: string; policy: string }, { measured }: Offers): string {
   if (wishes.quality !== "auto") return `fixed:${wishes.quality}`;
   return measured ? wishes.policy : "fixed:0";
 }
@@ -38,15 +92,15 @@ export function wishedPolicy(wishes: { quality: string; policy: string }, { meas
  *
  * Throws ConfigError for other names.
  */
-export function makePolicy(name: string, catalogue: Catalogue): Policy {
+export function makePolicy(name: string, offers: Offers): Policy {
   const known = ADAPTIVE.get(name);
   if (known) return known;
-  const rung = fixedRung(name, catalogue);
+  const rung = fixedRung(name, offers);
   const choose: Policy["choose"] = (state) => chooseFixed(state, rung);
   return { name, choose, mayAbandon: false, mayReplace: false, needsQuality: false, horizon: 1 };
 }
 
-function fixedRung(name: string, { names, tables }: Catalogue): number {
+function fixedRung(name: string, { names, tables }: Offers): number {
   const levels = tables.root.levels.length;
   const wanted = name.startsWith("fixed:") ? name.slice("fixed:".length) : "";
   if (names.includes(wanted)) return names.indexOf(wanted);

@@ -1,7 +1,7 @@
 // What a policy is, what it knows, and the estimates that several policies share.
 import { BUFFER_SHARE, HALF_LIVES_S, SAFETY } from "../../generated/constants.ts";
-import type { Catalogue, KeyUnits } from "../catalogue.ts";
 import { buildLadder, type Decision, type Option } from "../ladder.ts";
+import type { SegmentOffer, Units } from "../offers.ts";
 
 /** A finished batch, as the throughput estimate sees it. */
 export interface Download {
@@ -12,13 +12,10 @@ export interface Download {
 
 /** What is known when a segment is to be requested. Times are seconds of the downloader's clock. */
 export interface PlayerState {
-  catalogue: Catalogue;
-  /** Of the segment in the session. */
-  position: number;
-  /** Positions of the session; may be Infinity. */
-  end: number;
-  /** Key units of the groups of this loop over the sequence, by group. */
-  decoded: ReadonlyMap<number, KeyUnits>;
+  /** What the next segments offer, with their loops over the sequence: as many as the policy looks at, one at least. */
+  ahead: readonly { offer: SegmentOffer; loop: number }[];
+  /** Key units that are decoded in the loop of the next segment. */
+  decoded: Units;
   /** Every rung that can be had, with its wire bytes. */
   options: readonly Option[];
   nowS: number;
@@ -50,16 +47,11 @@ export interface Policy {
   horizon: number;
 }
 
-/** What is decoded for a position: nothing for one in a later loop over the sequence, where keys are new. */
-export function knownKeys({ catalogue, position, decoded }: PlayerState, at: number): ReadonlyMap<number, KeyUnits> {
-  return catalogue.place(at).loop === catalogue.place(position).loop ? decoded : new Map();
-}
-
 /** Seconds for which a segment is on the screen. */
-export const shownS = (state: PlayerState, segment: number): number => state.catalogue.seconds(segment) / state.speed;
+export const shownS = (state: PlayerState, offer: SegmentOffer): number => offer.seconds / state.speed;
 
 /** Seconds for which the segment to be requested is on the screen. */
-export const segmentS = (state: PlayerState): number => shownS(state, state.catalogue.index(state.position));
+export const segmentS = (state: PlayerState): number => shownS(state, state.ahead[0].offer);
 
 /** Seconds until what is at hand has been shown. */
 export const bufferS = (state: PlayerState): number => Math.max(0, state.deadlineS - state.nowS);
@@ -98,9 +90,12 @@ export const fullLadder = (state: PlayerState): Option[] =>
 
 /** The same with those rungs alone whose level is not past the cliff of its segment; with all, if there are none. */
 export function beforeCliff(state: PlayerState): PlayerState {
-  const { catalogue, options } = state;
-  const levels = catalogue.levels(catalogue.index(state.position));
+  const { rungs } = state.ahead[0].offer;
+  const finest = rungs.filter(({ quality }) => quality === 0);
+  const levels = finest.map(({ level, stateBytes, psnr, saved }) => {
+    return { index: level, sizeBytes: stateBytes, quality: psnr, saved };
+  });
   const least = buildLadder(levels).at(-1)?.sizeBytes ?? 0;
-  const kept = options.filter(({ index }) => levels[catalogue.rungs[index][1]].sizeBytes >= least);
-  return kept.length ? { ...state, options: kept } : state;
+  const options = state.options.filter(({ index }) => rungs[index].stateBytes >= least);
+  return options.length ? { ...state, options } : state;
 }
