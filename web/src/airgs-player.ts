@@ -25,8 +25,8 @@
 // It is a block, as wide as there is room and 16:9, unless CSS says otherwise. Colours: --airgs-accent, --airgs-background,
 // --airgs-panel. Parts: frame, picture, poster, controls, timeline, menu, panel, card.
 import { Player } from "./airgs.ts";
+import type { PlayerLike, PlayerSettings } from "./ui/desk.ts";
 import { PlayerElement } from "./ui/element.ts";
-import type { PlayerLike, PlayerSettings } from "./ui/player-like.ts";
 
 export * from "./airgs.ts";
 

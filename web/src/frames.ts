@@ -1,4 +1,5 @@
 // Frames as Gaussians, for programs that draw with an engine of their own: those of all tiles. N rows, C colours each.
+import { concat } from "./format/concat.ts";
 import { canonicalGaussians, shownGaussians } from "./format/gaussians.ts";
 import { levelled } from "./format/region.ts";
 import type { Canonical, Gaussians, Region, Root, StateFrame, World } from "./format/types.ts";
@@ -112,12 +113,10 @@ export class FrameReader {
     const group = tables.groupOf(segment);
     const last = await before?.catch(() => null);
     const wanted = levels[level].tiers;
-    const kept = last?.group === group && last.quality === quality && last.tiers >= wanted ? last : null;
-    const keys = kept ? [] : tables.keysOf(group, quality, tables.unitsOf(level));
-    await this.#fetch([...keys, ...tables.stateFiles(segment, level)]);
-    const tiers = kept?.tiers ?? wanted;
+    const same = last?.group === group && last.quality === quality && last.tiers >= wanted ? last : null;
+    const tiers = same?.tiers ?? wanted;
     const tiles = tables.tiles.map((tile) => {
-      return this.#tile(segment, level, { group, tile, quality, tiers }, kept?.tiles[tile]);
+      return this.#tile(segment, level, { group, tile, quality, tiers }, same?.tiles[tile]);
     });
     const { start } = tables.segment(segment);
     return { name, start, group, quality, level, tiers, tiles: await Promise.all(tiles) };
@@ -127,8 +126,8 @@ export class FrameReader {
   async #tile(segment: number, level: number, of: CanonicalName, last: DecodedTile | undefined): Promise<DecodedTile> {
     const { tables } = this.media;
     const canonical = last?.canonical ?? (await this.media.canonical(of));
-    const [table, kept] = [tables.group(of.group), tables.baseTable(of.group)];
-    const base = last?.base ?? canonicalGaussians(tables.root, table, canonical, kept);
+    const [table, other] = [tables.group(of.group), tables.baseTable(of.group)];
+    const base = last?.base ?? canonicalGaussians(tables.root, table, canonical, other);
     const frames: (StateFrame | null)[] = [];
     await this.media.segment(segment, level, of, (t, frame) => {
       frames[t] = frame;
@@ -136,25 +135,16 @@ export class FrameReader {
     });
     return { canonical, base, frames };
   }
-
-  async #fetch(paths: string[]): Promise<void> {
-    const { refused } = await this.media.fetch(paths);
-    for (const refusal of refused.values()) throw refusal;
-  }
 }
 
 /** The rows of tiles, one tile after the other. */
 export function joined(tiles: Gaussians[]): Gaussians {
   if (tiles.length === 1) return tiles[0];
-  const all = (name: keyof Gaussians) => {
-    const array = new Float32Array(tiles.reduce((sum, tile) => sum + tile[name].length, 0));
-    let at = 0;
-    for (const tile of tiles) {
-      array.set(tile[name], at);
-      at += tile[name].length;
-    }
-    return array;
-  };
+  const all = (name: keyof Gaussians) =>
+    concat(
+      tiles.map((tile) => tile[name]),
+      Float32Array,
+    );
   return {
     means: all("means"),
     quaternions: all("quaternions"),

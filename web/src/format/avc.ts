@@ -1,4 +1,4 @@
-// H.264 as far as a reader needs it without decoding: ISO/IEC 14496-10, NAL units (7.3.1) and SPS (7.3.2.1, E.1).
+// H.264 as far as a reader needs it without decoding: ISO/IEC 14496-10, NAL units (7.3.1) and SPS (7.3.2.1).
 import { atlasLines, pages } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
 import type { Sample } from "./mp4.ts";
@@ -11,17 +11,12 @@ export interface Parameters {
   /** Samples of luma after cropping. */
   width: number;
   height: number;
-  /** max_num_reorder_frames; null: not said. */
-  reorder: number | null;
-  /** max_dec_frame_buffering; null: not said. */
-  buffering: number | null;
 }
 
 const IDR = 5;
 const SPS = 7;
 // Profiles whose SPS says which chroma and depths it has: 7.3.2.1.1.
 const HIGH = [100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135];
-const EXTENDED_SAR = 255;
 
 /** The NAL units of a sample. Throws FormatError(bad_picture). */
 export function nalUnits(sample: Uint8Array, where: string): Uint8Array[] {
@@ -56,9 +51,6 @@ export function readParameters(sample: Uint8Array, where: string): Parameters {
   if (!unit) throw new FormatError("bad_picture", where, "expected a sequence parameter set before the IDR picture");
   return readSps(new Bits(unit, where));
 }
-
-/** The codec of a sample with an SPS: avc1.PPCCLL. */
-export const codecString = (sample: Uint8Array, where: string) => readParameters(sample, where).codec;
 
 /**
  * The samples of each page of `frames` pictures of an atlas, in decoding order.
@@ -102,8 +94,7 @@ function readSps(bits: Bits): Parameters {
   const [left, right, top, bottom] = bits.read(1) ? [bits.ue(), bits.ue(), bits.ue(), bits.ue()] : [0, 0, 0, 0];
   const width = 16 * wide - 2 * (left + right);
   const height = (2 - frameOnly) * (16 * units - 2 * (top + bottom));
-  const [reorder, buffering] = bits.read(1) ? readVui(bits) : [null, null];
-  return { codec: `avc1.${codec.toUpperCase()}`, width, height, reorder, buffering };
+  return { codec: `avc1.${codec.toUpperCase()}`, width, height };
 }
 
 /** Chroma, depths and scaling matrices. */
@@ -139,51 +130,16 @@ function skipOrder(bits: Bits): void {
   for (let left = bits.ue(); left > 0; left--) bits.ue();
 }
 
-/** max_num_reorder_frames and max_dec_frame_buffering: E.1.1. */
-function readVui(bits: Bits): [number, number] | [null, null] {
-  if (bits.read(1) && bits.read(8) === EXTENDED_SAR) bits.skip(32);
-  if (bits.read(1)) bits.skip(1); // overscan
-  if (bits.read(1)) {
-    bits.skip(4);
-    if (bits.read(1)) bits.skip(24);
-  }
-  if (bits.read(1)) {
-    bits.ue();
-    bits.ue();
-  }
-  if (bits.read(1)) bits.skip(65); // timing
-  const hypothetical = [skipHrd(bits), skipHrd(bits)];
-  if (hypothetical.includes(true)) bits.skip(1);
-  bits.skip(1); // pic_struct_present_flag
-  if (!bits.read(1)) return [null, null];
-  bits.skip(1);
-  for (let i = 0; i < 4; i++) bits.ue();
-  return [bits.ue(), bits.ue()];
-}
-
-/** Whether there were parameters of a hypothetical reference decoder: E.1.2. */
-function skipHrd(bits: Bits): boolean {
-  if (!bits.read(1)) return false;
-  const count = bits.ue() + 1;
-  bits.skip(8);
-  for (let i = 0; i < count; i++) {
-    bits.ue();
-    bits.ue();
-    bits.skip(1);
-  }
-  bits.skip(20);
-  return true;
-}
-
 /** The bits of a NAL unit without its emulation prevention bytes. */
 class Bits {
   #data: Uint8Array;
-  #where: string;
   #at = 0;
 
-  constructor(unit: Uint8Array, where: string) {
+  constructor(
+    unit: Uint8Array,
+    readonly where: string,
+  ) {
     this.#data = unit.filter((byte, i) => !(byte === 3 && i > 1 && !unit[i - 1] && !unit[i - 2]));
-    this.#where = where;
   }
 
   read(count: number): number {
@@ -213,6 +169,6 @@ class Bits {
   }
 
   refuse(what: string): FormatError {
-    return new FormatError("bad_picture", this.#where, `expected a parameter set of 8-bit 4:2:0 H.264, got ${what}`);
+    return new FormatError("bad_picture", this.where, `expected a parameter set of 8-bit 4:2:0 H.264, got ${what}`);
   }
 }

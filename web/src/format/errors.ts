@@ -17,12 +17,13 @@ export type Reason =
 
 /** A package that breaks the format: one line that says where, what was expected and what came. */
 export class FormatError extends Error {
+  override name = "FormatError";
+
   constructor(
     readonly reason: Reason,
     readonly where: string,
     readonly detail: string,
   ) {
     super(`${where}: ${detail} (${reason})`);
-    this.name = "FormatError";
   }
 }

@@ -32,22 +32,21 @@ export function readEscapes(reader: ColumnReader, frames: number, planes: number
 
 /** The bases of an atlas from picture to picture; every picture of a file is to be asked for, in order. */
 export class Bases {
-  #escapes: Escapes;
-  #atlas: Atlas;
   #offsets: Uint32Array;
   #now = new Map<number, number>();
   #at = 0;
 
-  constructor(escapes: Escapes, atlas: Atlas) {
-    this.#escapes = escapes;
-    this.#atlas = atlas;
+  constructor(
+    readonly escapes: Escapes,
+    readonly atlas: Atlas,
+  ) {
     this.#offsets = rowOffsets(atlas);
   }
 
   /** What changes with picture `t`; null: nothing. */
   next(t: number): BaseChanges | null {
-    const { index, jumps } = this.#escapes;
-    const { rows, planes } = this.#atlas;
+    const { index, jumps } = this.escapes;
+    const { rows, planes } = this.atlas;
     const area = planes.length * rows;
     const first = this.#at;
     while (this.#at < index.length && index[this.#at]! < (t + 1) * area) this.#at++;
@@ -56,7 +55,7 @@ export class Bases {
     const bases = new Int32Array(this.#at - first);
     for (let e = first; e < this.#at; e++) {
       const sample = index[e]! % area;
-      const texel = planeCorner(this.#atlas, Math.floor(sample / rows)) + this.#offsets[sample % rows]!;
+      const texel = planeCorner(this.atlas, Math.floor(sample / rows)) + this.#offsets[sample % rows]!;
       const base = (this.#now.get(texel) ?? 0) + jumps[e]!;
       this.#now.set(texel, base | 0);
       texels[e - first] = texel;

@@ -47,18 +47,17 @@ export function readMedia(data: Uint8Array, where: string): Media {
 }
 
 class Reader {
-  #data: Uint8Array;
   #view: DataView;
-  #where: string;
 
-  constructor(data: Uint8Array, where: string) {
-    this.#data = data;
+  constructor(
+    readonly data: Uint8Array,
+    readonly where: string,
+  ) {
     this.#view = new DataView(data.buffer, data.byteOffset, data.byteLength);
-    this.#where = where;
   }
 
   media(): Media {
-    const boxes = this.#boxes(0, this.#data.length);
+    const boxes = this.#boxes(0, this.data.length);
     const own = boxes[0]?.kind === "uuid" ? boxes.shift()! : null;
     const kinds = boxes.map((box) => box.kind).join(" ");
     if (kinds !== "moof mdat") throw this.#bad(`expected one moof and one mdat, got ${kinds.slice(0, 80)}`);
@@ -67,10 +66,10 @@ class Reader {
   }
 
   #columns({ start, stop }: Box): Uint8Array {
-    const type = [...this.#data.subarray(start, Math.min(start + UUID_BYTES, stop))];
+    const type = [...this.data.subarray(start, Math.min(start + UUID_BYTES, stop))];
     const text = type.map((byte) => byte.toString(16).padStart(2, "0")).join("");
     if (text !== COLUMNS_UUID) throw this.#bad(`expected the uuid ${COLUMNS_UUID}, got ${text}`);
-    return this.#data.subarray(start + UUID_BYTES, stop);
+    return this.data.subarray(start + UUID_BYTES, stop);
   }
 
   #samples(moof: Box, mdat: Box): Sample[] {
@@ -84,7 +83,7 @@ class Reader {
       if (size <= 0 || size > mdat.stop - at) {
         throw this.#bad(`sample ${samples.length} of ${size} bytes at ${at} of ${mdat.stop}`);
       }
-      samples.push({ data: this.#data.subarray(at, at + size), time: time + offset, duration });
+      samples.push({ data: this.data.subarray(at, at + size), time: time + offset, duration });
       at += size;
       time += duration;
     }
@@ -137,7 +136,7 @@ class Reader {
     for (let at = start; at < stop; ) {
       const size = stop - at < BOX_HEADER ? 0 : this.#view.getUint32(at);
       if (size < BOX_HEADER || size > stop - at) throw this.#bad(`a box of ${size} bytes at ${at} of ${stop}`);
-      const kind = String.fromCharCode(...this.#data.subarray(at + 4, at + BOX_HEADER));
+      const kind = String.fromCharCode(...this.data.subarray(at + 4, at + BOX_HEADER));
       boxes.push({ kind, start: at + BOX_HEADER, stop: at + size });
       at += size;
     }
@@ -151,6 +150,6 @@ class Reader {
   }
 
   #bad(detail: string): FormatError {
-    return new FormatError("bad_picture", this.#where, detail);
+    return new FormatError("bad_picture", this.where, detail);
   }
 }

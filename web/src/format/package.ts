@@ -4,20 +4,20 @@
 import { INIT_PATH, PAGE, ROOT_PATH } from "../generated/constants.ts";
 import { group as groupSchema, page as pageSchema } from "../generated/schema.ts";
 import { FormatError } from "./errors.ts";
-import { inflate } from "./gzip.ts";
 import { countPages, GroupIndex, MissingTableError } from "./index.ts";
-import { parseRoot, parseTable } from "./parse.ts";
+import { inflate, parseRoot, parseTable } from "./parse.ts";
 import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath, tileFolder } from "./paths.ts";
+import { Recent } from "./recent.ts";
 import { checkGroup, checkKept, checkPage } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment, Tier, Tile } from "./types.ts";
 
-const KEPT = 1024; // tables of groups
+const MOST_TABLES = 1024; // tables of groups
 /** What of the root may differ while a package grows. */
 const GROWS = new Set(["frames", "index", "decisions", "live"]);
 
-/** The root, and the pages and tables of groups that were added to it. The tables last used are kept. */
+/** The root, and the pages and tables of groups that were added to it. The tables last used stay. */
 export class Tables {
-  #groups = new Map<number, Group>();
+  #groups = new Recent<number, Group>(MOST_TABLES);
   /** What pages must begin with, since it stood in a root before; by their paths. */
   #starts = new Map<string, Page>();
 
@@ -58,18 +58,12 @@ export class Tables {
     const entry = this.index.entry(number);
     const table = parseTable(await inflate(bytes, where), groupSchema, where) as Group;
     checkGroup(this.root, entry, table, number);
-    const others = new Map(this.#groups).set(number, table);
+    const others = new Map(this.#groups.entries()).set(number, table);
     for (const [n, one] of others) {
       const base = others.get((one.keeps ?? 0) - 1);
       if (base && (one === table || base === table)) checkKept(one, base, groupPath(n + 1));
     }
-    this.#groups.delete(number);
-    this.#groups.set(number, table);
-    for (const oldest of this.#groups.keys()) {
-      if (this.#groups.size <= KEPT) break;
-      this.#groups.delete(oldest);
-    }
-    return table;
+    return this.#groups.set(number, table);
   }
 
   /** Takes in a page or the table of a group, whose digest it checks; other paths are left alone. */
@@ -94,13 +88,9 @@ export class Tables {
   /** The table of a group. Throws MissingTableError for it, or for a page that has yet to say where it is. */
   group(number: number): Group {
     const found = this.#groups.get(number);
-    if (!found) {
-      this.index.entry(number);
-      throw new MissingTableError(groupPath(number + 1));
-    }
-    this.#groups.delete(number); // the order of a Map is that of adding: the last used is the last
-    this.#groups.set(number, found);
-    return found;
+    if (found) return found;
+    this.index.entry(number);
+    throw new MissingTableError(groupPath(number + 1));
   }
 
   /** The group that a segment belongs to. */

@@ -20,9 +20,9 @@ import { pages, planeHeight } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
 import type { Entry } from "./index.ts";
 import { groupPath } from "./paths.ts";
+import { isSimilarity } from "./region.ts";
 import { colourChannels } from "./steps.ts";
 import type { Atlas, FileEntry, Group, Page, Region, Root, Segment, Tier, Tile } from "./types.ts";
-import { isSimilarity } from "./world.ts";
 
 const bad = (where: string, detail: string) => new FormatError("bad_value", where, detail);
 const sum = (numbers: number[]) => numbers.reduce((total, number) => total + number, 0);

@@ -22,11 +22,21 @@ export class Bell {
   }
 }
 
-/** Waits so many milliseconds, or until one of the others comes. */
-export function pause(ms: number, ...others: Promise<unknown>[]): Promise<void> {
-  let timer: ReturnType<typeof setTimeout> | undefined;
-  const late = new Promise<unknown>((resolve) => {
-    timer = setTimeout(resolve, ms);
+/** Waits so many milliseconds. */
+export const pause = (ms: number): Promise<void> => new Promise((resolve) => setTimeout(resolve, ms));
+
+/** Waits so many milliseconds; less long where the browser says that it is online again, or the signal aborts. */
+export function untilOnline(ms: number, signal: AbortSignal): Promise<void> {
+  return new Promise((resolve) => {
+    const timer = setTimeout(end, ms);
+    function end() {
+      clearTimeout(timer);
+      signal.removeEventListener("abort", end);
+      globalThis.removeEventListener?.("online", end);
+      resolve();
+    }
+    signal.addEventListener("abort", end);
+    globalThis.addEventListener?.("online", end);
+    if (signal.aborted) end();
   });
-  return Promise.race([late, ...others]).then(() => clearTimeout(timer));
 }

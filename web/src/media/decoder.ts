@@ -1,5 +1,5 @@
 // H.264 through WebCodecs: coded pictures in, samples of decoded pictures out, in the order in which they are shown.
-import { annexB, codecString } from "../format/avc.ts";
+import { annexB, readParameters } from "../format/avc.ts";
 import { FormatError } from "../format/errors.ts";
 import type { Sample } from "../format/mp4.ts";
 import { Bell } from "./bell.ts";
@@ -116,7 +116,7 @@ export class LumaDecoder {
   /** The decoder, made or configured anew where that is necessary. */
   async #ready({ clip }: Pass): Promise<VideoDecoder> {
     const { width: codedWidth, height: codedHeight, where } = clip;
-    const codec = codecString(clip.samples[0].data, where);
+    const { codec } = readParameters(clip.samples[0].data, where);
     const config = { codec, codedWidth, codedHeight, hardwareAcceleration: this.#acceleration };
     const name = JSON.stringify(config);
     if (this.#decoder?.state !== "configured") this.#make();

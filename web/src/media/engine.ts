@@ -3,23 +3,22 @@ import { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
 import { locate } from "../format/paths.ts";
+import { Recent } from "../format/recent.ts";
 import type { Canonical, StateFrame } from "../format/types.ts";
 import { ATTEMPTS, MAX_ROOT_BYTES, ROOT_PATH } from "../generated/constants.ts";
 import { Ahead } from "./ahead.ts";
-import { type FileAsk, fetchBatch } from "./batch.ts";
-import { ByteStore } from "./byte-store.ts";
+import { ByteStore, type FileAsk, fetchBatch } from "./batch.ts";
 import { aborted, toWire } from "./errors.ts";
-import { FileClient } from "./http.ts";
+import { checkReprDigest, FileClient } from "./http.ts";
 import type { Calls, CanonicalName, Opened, WireBatch } from "./messages.ts";
 import { PictureDecoder } from "./pictures.ts";
 import { type Probe, probeBrowser } from "./probe.ts";
-import { checkReprDigest } from "./repr-digest.ts";
 import { decodeCanonical, type Positions, readPositions } from "./spaces.ts";
 import { decodeStates } from "./states.ts";
 
 const STORED_BYTES = 64 * 2 ** 20;
 const MOST_SEGMENTS = 2; // of which something is decoded and not shown
-const KEPT_SPACES = 4; // of each tile, whose positions are kept for the segments over them
+const MOST_SPACES = 4; // of each tile, whose positions stay for the segments over them
 
 /** What goes with a call. */
 export interface Context<Event> {
@@ -31,11 +30,11 @@ export interface Context<Event> {
 /** An open package. */
 export class Engine {
   readonly #store = new ByteStore(STORED_BYTES);
-  readonly #spaces = new Map<string, Positions>();
+  readonly #spaces: Recent<string, Positions>;
   readonly #ahead: Ahead;
   readonly #keys: PictureDecoder;
   /** Of states: as many as were needed side by side, and those of them that nobody uses now. */
-  readonly #states: PictureDecoder[] = [];
+  readonly #states = new Set<PictureDecoder>();
   readonly #idle: PictureDecoder[] = [];
 
   private constructor(
@@ -45,6 +44,7 @@ export class Engine {
     aheadBytes: number,
   ) {
     this.#ahead = new Ahead(aheadBytes, MOST_SEGMENTS);
+    this.#spaces = new Recent(MOST_SPACES * tables.root.tiles);
     this.#keys = new PictureDecoder(probe);
   }
 
@@ -99,7 +99,7 @@ export class Engine {
     await this.#gather(this.#keysOf(name), signal);
     const found = await decodeCanonical(this.tables, this.#read, name, this.#keys, { signal });
     const { means, units, depths } = found;
-    this.#keep(name, { means, units, depths });
+    this.#spaces.set(nameOf(name), { means, units, depths });
     return { ...found, means: means.slice(), units: units.slice(), depths: depths.slice() };
   }
 
@@ -117,36 +117,21 @@ export class Engine {
       for (let t = 0; t < stop - start; t++) emit({ t, frame: null });
       return stop - start;
     }
-    const { group, tile, tiers } = of;
     await this.#gather(this.#spaces.has(nameOf(of)) ? [where] : [where, ...this.#keysOf(of)], signal);
-    const file = {
-      segment: index,
-      group,
-      level,
-      tile,
-      tiers,
-      positions: this.#positions(of),
-      bytes: this.#read(where),
-      where,
-    };
+    const file = { ...of, segment: index, level, positions: this.#positions(of), bytes: this.#read(where), where };
     const give = (t: number, frame: StateFrame) => {
       this.#ahead.give(id, index, t, frame.luma.length + frame.means.byteLength);
       emit({ t, frame });
     };
     const options = { signal, room: () => this.#ahead.room(id, signal) };
-    const decoder = this.#idle.pop() ?? this.#another();
+    const decoder = this.#idle.pop() ?? new PictureDecoder(this.probe);
+    this.#states.add(decoder);
     try {
       await decodeStates(this.tables, file, decoder, give, options);
     } finally {
       this.#idle.push(decoder);
     }
     return stop - start;
-  }
-
-  #another(): PictureDecoder {
-    const decoder = new PictureDecoder(this.probe);
-    this.#states.push(decoder);
-    return decoder;
   }
 
   /** The page has shown a frame. */
@@ -198,16 +183,7 @@ export class Engine {
   };
 
   #positions(name: CanonicalName): Positions {
-    const found = this.#spaces.get(nameOf(name)) ?? readPositions(this.tables, this.#read, name);
-    this.#keep(name, found);
-    return found;
-  }
-
-  #keep(name: CanonicalName, positions: Positions): void {
-    this.#spaces.delete(nameOf(name)); // the order of a Map is that of adding: the last used is the last
-    this.#spaces.set(nameOf(name), positions);
-    const kept = KEPT_SPACES * this.tables.root.tiles;
-    for (const oldest of [...this.#spaces.keys()].slice(0, -kept)) this.#spaces.delete(oldest);
+    return this.#spaces.of(nameOf(name), () => readPositions(this.tables, this.#read, name));
   }
 }
 

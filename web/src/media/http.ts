@@ -2,9 +2,10 @@
 //
 // A server that cannot be reached, or says that it is busy, is waited for. Any other fault is the file's: after some of
 // them the file cannot be had, as one with status 404 at once.
+import { concat } from "../format/concat.ts";
 import { FormatError, type Reason } from "../format/errors.ts";
 import { BACKOFF_S, BUSY, GARBLED, HEADER_BYTES, LONGEST_PAUSE_S, TIMEOUT_S } from "../generated/constants.ts";
-import { pause } from "./bell.ts";
+import { untilOnline } from "./bell.ts";
 import { TransportError } from "./errors.ts";
 
 const TO_ASK_AGAIN: readonly Reason[] = GARBLED;
@@ -155,7 +156,7 @@ class Answer {
       parts.push(value);
       size += value.length;
     }
-    return parts.length === 1 ? parts[0] : join(parts, size);
+    return parts.length === 1 ? parts[0] : concat(parts, Uint8Array);
   }
 
   #listen(): void {
@@ -169,26 +170,10 @@ class Answer {
   }
 }
 
-function join(parts: Uint8Array[], size: number): Uint8Array {
-  const whole = new Uint8Array(size);
-  let at = 0;
-  for (const part of parts) {
-    whole.set(part, at);
-    at += part.length;
-  }
-  return whole;
-}
-
 /** A quarter of a second, longer each time, and not the same for everybody who lost the same server. */
 async function rest(tries: number, signal: AbortSignal): Promise<void> {
   const longest = 1e3 * Math.min(LONGEST_PAUSE_S, BACKOFF_S * 2 ** tries);
-  const done = new AbortController();
-  const over = new Promise<void>((resolve) => {
-    signal.addEventListener("abort", () => resolve(), { signal: done.signal });
-    globalThis.addEventListener?.("online", () => resolve(), { signal: done.signal });
-  });
-  await pause(longest * (0.5 + 0.5 * Math.random()), over);
-  done.abort();
+  await untilOnline(longest * (0.5 + 0.5 * Math.random()), signal);
 }
 
 function refusal(path: string, status: number): FormatError {
@@ -200,3 +185,21 @@ function refusal(path: string, status: number): FormatError {
 const plain = ({ reason, where, detail }: FormatError) => new FormatError(reason, where, detail);
 
 const reason = (error: unknown) => (error instanceof Error ? error.message : String(error));
+
+const SHA256 = /\bsha-256=:([A-Za-z0-9+/]+=*):/;
+
+/**
+ * Throws FormatError(hash_mismatch) for bytes that are not those of the header Repr-Digest (RFC 9530), the only check of
+ * airgs.json, which no table leads to.
+ *
+ * One of an answer that travelled compressed is of the compressed bytes, which a page does not see: it says nothing, as one
+ * without SHA-256.
+ */
+export async function checkReprDigest(where: string, bytes: Uint8Array, headers: Headers): Promise<void> {
+  const expected = headers.has("Content-Encoding") ? null : SHA256.exec(headers.get("Repr-Digest") ?? "");
+  if (!expected) return;
+  const hash = await crypto.subtle.digest("SHA-256", bytes as Uint8Array<ArrayBuffer>);
+  if (btoa(String.fromCharCode(...new Uint8Array(hash))) !== expected[1]) {
+    throw new FormatError("hash_mismatch", where, "the SHA-256 differs from the one in the headers of the answer");
+  }
+}

@@ -21,10 +21,7 @@ async function answer({ id, call, args }: Request): Promise<Calls[typeof call]["
       return found.opened;
     }
     if (!engine) throw new Error("expected open() before anything else");
-    if (call === "fetch") return await engine.fetch(args as Calls["fetch"]["args"], context);
-    if (call === "refreshRoot") return await engine.refreshRoot(args as Calls["refreshRoot"]["args"], context);
-    if (call === "canonical") return await engine.canonical(args as Calls["canonical"]["args"], context);
-    return await engine.segment(args as Calls["segment"]["args"], context);
+    return await engine[call](args as never, context as never);
   } finally {
     underWay.delete(id);
   }

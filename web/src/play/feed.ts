@@ -1,5 +1,6 @@
 // What brings files: one session after another over the same playout and stores, each until its end, or until another
 // one is wanted.
+import { untilOnline } from "../media/bell.ts";
 import { TransportError } from "../media/errors.ts";
 import type { SessionEvent } from "./downloader.ts";
 import type { Planner } from "./fetch-plan.ts";
@@ -69,7 +70,7 @@ export class Feed {
   async #fetch(from: number, signal: AbortSignal): Promise<void> {
     this.#from = from;
     while (!(await this.#session(signal))) {
-      await retry(signal);
+      await untilOnline(1e3 * RETRY_S, signal);
       if (signal.aborted) return;
       this.#from = (this.#parts.playout.last?.position ?? this.#from - 1) + 1;
     }
@@ -96,20 +97,4 @@ export class Feed {
     const onProblem = (error: unknown) => this.#parts.onProblem(error, false);
     await new Repairs({ ...this.#parts, downloader: this.#downloader, onProblem }, signal).run();
   }
-}
-
-/** Wait until a server that was lost is tried again, or the signal aborts. */
-async function retry(signal: AbortSignal): Promise<void> {
-  if (signal.aborted) return;
-  const done = new AbortController();
-  await new Promise<void>((resolve) => {
-    const timer = setTimeout(resolve, 1e3 * RETRY_S);
-    const end = () => {
-      clearTimeout(timer);
-      resolve();
-    };
-    signal.addEventListener("abort", end, { signal: done.signal });
-    addEventListener("online", end, { signal: done.signal });
-  });
-  done.abort();
 }

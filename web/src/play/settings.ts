@@ -3,10 +3,7 @@ import { SESSION, VIEW_BUFFER_S } from "../generated/constants.ts";
 
 /** Settings that cannot work, or a policy that does not exist. */
 export class ConfigError extends Error {
-  constructor(message: string) {
-    super(message);
-    this.name = "ConfigError";
-  }
+  override name = "ConfigError";
 }
 
 export interface SessionSettings {

@@ -3,10 +3,7 @@ import { ROW_WIDTH } from "./shaders.ts";
 
 /** A renderer that cannot do what it is asked on this machine: one line that says what was expected and what came. */
 export class RenderError extends Error {
-  constructor(message: string) {
-    super(message);
-    this.name = "RenderError";
-  }
+  override name = "RenderError";
 }
 
 type Internal = "R8UI" | "R32I" | "R32UI" | "RGBA32UI" | "RGBA32F" | "RGBA16F" | "RGB10_A2";

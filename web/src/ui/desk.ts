@@ -1,8 +1,35 @@
-// What the parts of the element know of it.
-
+// What the parts of the element know of it, and what it asks of a player.
+import type { Player, PlayerOptions } from "../play/player.ts";
 import type { RungInfo } from "../play/rungs.ts";
 import type { Orbit } from "./orbit.ts";
-import type { PlayerLike } from "./player-like.ts";
+
+/** `Player`, or one that only pretends, in tests. */
+export type PlayerLike = EventTarget &
+  Pick<Player, "open" | "play" | "pause" | "seek" | "close" | "paused" | "ended" | "live" | "loop" | "speed"> &
+  Pick<Player, "currentTime" | "duration" | "fps" | "buffered" | "rungs" | "rung" | "quality" | "policy"> &
+  Pick<Player, "region" | "camera" | "stats" | "resize">;
+
+export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | "viewAdaptive">;
+
+/** A part of the time line, in seconds, and the number of its rung. */
+export type Part = Player["buffered"][number];
+
+/** What a player tells. */
+export const EVENTS = [
+  "open",
+  "firstpicture",
+  "rung",
+  "stall",
+  "resume",
+  "time",
+  "progress",
+  "ended",
+  "pause",
+  "play",
+  "problem",
+  "lost",
+  "restored",
+] as const;
 
 /** Everything that a viewer can do, from wherever. */
 export interface Desk {

@@ -1,28 +1,32 @@
 // The element itself: attributes, properties, methods; one view at a time.
 
 import { card } from "./cards.ts";
+import type { PlayerLike, PlayerSettings } from "./desk.ts";
 import { make } from "./dom.ts";
-import type { PlayerLike, PlayerSettings } from "./player-like.ts";
 import STYLE from "./style.css";
 import { lacking, type Trouble, troubleOf } from "./trouble.ts";
 import { type Owner, View } from "./view.ts";
 
-/** An element with a player and its controls; a subclass says which player. */
 /** Workers and servers, which import this with all the rest, have no elements. */
 const Base = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
 
+/** Attributes that properties of the same name reflect: those that are there or not, and texts with their defaults. */
+const FLAGS = ["autoplay", "controls", "loop"] as const;
+const TEXTS = new Map([
+  ["policy", ""],
+  ["poster", ""],
+  ["quality", "auto"],
+]);
+
+/** An element with a player and its controls; a subclass says which player. */
 export abstract class PlayerElement extends Base implements Owner {
-  static readonly observedAttributes = [
-    "src",
-    "poster",
-    "controls",
-    "loop",
-    "policy",
-    "quality",
-    "budget",
-    "all-tiles",
-    "view-region",
-  ];
+  static readonly observedAttributes = ["all-tiles", "budget", "view-region", "src", ...FLAGS, ...TEXTS.keys()];
+  declare autoplay: boolean;
+  declare controls: boolean;
+  declare loop: boolean;
+  declare policy: string;
+  declare poster: string;
+  declare quality: string;
   readonly #root = this.attachShadow({ mode: "open", delegatesFocus: true });
   #view: View | null = null;
   #end = new AbortController();
@@ -108,54 +112,6 @@ export abstract class PlayerElement extends Base implements Owner {
     this.setAttribute("src", src);
   }
 
-  get poster(): string {
-    return this.getAttribute("poster") ?? "";
-  }
-
-  set poster(poster: string) {
-    this.setAttribute("poster", poster);
-  }
-
-  get autoplay(): boolean {
-    return this.hasAttribute("autoplay");
-  }
-
-  set autoplay(autoplay: boolean) {
-    this.toggleAttribute("autoplay", autoplay);
-  }
-
-  get loop(): boolean {
-    return this.hasAttribute("loop");
-  }
-
-  set loop(loop: boolean) {
-    this.toggleAttribute("loop", loop);
-  }
-
-  get controls(): boolean {
-    return this.hasAttribute("controls");
-  }
-
-  set controls(controls: boolean) {
-    this.toggleAttribute("controls", controls);
-  }
-
-  get quality(): string {
-    return this.getAttribute("quality") || "auto";
-  }
-
-  set quality(quality: string) {
-    this.setAttribute("quality", quality);
-  }
-
-  get policy(): string {
-    return this.getAttribute("policy") ?? "";
-  }
-
-  set policy(policy: string) {
-    this.setAttribute("policy", policy);
-  }
-
   get viewRegion(): "bounded" | "free" {
     return this.getAttribute("view-region") === "free" ? "free" : "bounded";
   }
@@ -196,4 +152,25 @@ export abstract class PlayerElement extends Base implements Owner {
     const why = card(trouble, () => this.again(), this.#end.signal);
     this.#root.replaceChildren(make("style", {}, STYLE), make("div", { class: "frame broken" }, why));
   }
+}
+
+for (const name of FLAGS) {
+  Object.defineProperty(PlayerElement.prototype, name, {
+    get: function (this: HTMLElement) {
+      return this.hasAttribute(name);
+    },
+    set: function (this: HTMLElement, there: boolean) {
+      this.toggleAttribute(name, there);
+    },
+  });
+}
+for (const [name, otherwise] of TEXTS) {
+  Object.defineProperty(PlayerElement.prototype, name, {
+    get: function (this: HTMLElement) {
+      return this.getAttribute(name) || otherwise;
+    },
+    set: function (this: HTMLElement, text: string) {
+      this.setAttribute(name, text);
+    },
+  });
 }

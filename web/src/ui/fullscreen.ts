@@ -1,16 +1,8 @@
-// Full screen; where a browser has none for elements (iPhone), the element fills the window instead.
-
-interface Webkit extends HTMLElement {
-  webkitRequestFullscreen?(): void;
-}
-interface WebkitDocument extends Document {
-  webkitFullscreenElement?: Element | null;
-  webkitExitFullscreen?(): void;
-}
+// Full screen; where a browser has none for elements (iPhone), the element fills the window instead. Browsers with
+// WebCodecs need no prefixes.
 
 /** The attribute of an element that fills the window. */
 const FILLS = "fills-window";
-const CHANGES = ["fullscreenchange", "webkitfullscreenchange"];
 
 export class FullScreen {
   #overflow = "";
@@ -20,35 +12,20 @@ export class FullScreen {
     changed: () => void,
     signal: AbortSignal,
   ) {
-    for (const name of CHANGES) document.addEventListener(name, changed, { signal });
+    document.addEventListener("fullscreenchange", changed, { signal });
     signal.addEventListener("abort", () => this.#fill(false));
   }
 
   get on(): boolean {
-    const current = document.fullscreenElement ?? (document as WebkitDocument).webkitFullscreenElement;
+    const current = document.fullscreenElement;
     return this.host.hasAttribute(FILLS) || (!!current && (current === this.host || current.contains(this.host)));
   }
 
   async toggle(): Promise<void> {
     if (this.host.hasAttribute(FILLS)) this.#fill(false);
-    else if (this.on) await this.#exit();
-    else await this.#enter();
-  }
-
-  async #enter(): Promise<void> {
-    const host: Webkit = this.host;
-    try {
-      if (host.requestFullscreen) await host.requestFullscreen();
-      else if (host.webkitRequestFullscreen) host.webkitRequestFullscreen();
-      else this.#fill(true);
-    } catch {
-      this.#fill(true); // a frame without the permission
-    }
-  }
-
-  async #exit(): Promise<void> {
-    if (document.exitFullscreen) await document.exitFullscreen();
-    else (document as WebkitDocument).webkitExitFullscreen?.();
+    else if (this.on) await document.exitFullscreen();
+    else if (!this.host.requestFullscreen) this.#fill(true);
+    else await this.host.requestFullscreen().catch(() => this.#fill(true)); // a frame without the permission
   }
 
   #fill(fills: boolean): void {

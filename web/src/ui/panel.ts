@@ -1,53 +1,55 @@
 // The panel of figures, for those who want to know.
 
 import type { RungInfo } from "../play/rungs.ts";
+import type { PlayerStats } from "../play/statistics.ts";
 import { ranked, stripes } from "./colours.ts";
 import type { Desk } from "./desk.ts";
 import { iconButton, make, write } from "./dom.ts";
 import { History } from "./graph.ts";
 import { decibels, rate, rungTitle, SOURCES, size } from "./words.ts";
 
-const ROWS = {
-  rung: "Quality",
-  psnr: "PSNR claimed",
-  throughput: "Throughput",
-  buffer: "Buffer",
-  bytes: "Received",
-  tiles: "Tiles shown",
-  fps: "Frames shown",
-  dropped: "Frames dropped",
-  stalls: "Stalls",
-  picture: "Drawn at",
-  luma: "Decoding",
-  region: "Region",
-} as const;
-
 /** In words: how exactly this browser decodes (the player refuses to play where it does not). */
 const LUMA = { exact: "exact", invertible: "exact, by a table" } as const;
+
+/** What is shown: its label, and its text; null: not at all. */
+const ROWS: readonly (readonly [string, (desk: Desk, stats: PlayerStats) => string | null])[] = [
+  ["Quality", ({ rungs }, { rung }) => nameOf(rungs[rung ?? -1])],
+  ["PSNR claimed", (_, { psnr }) => decibels(psnr)],
+  ["Throughput", (_, { throughputBps }) => rate(throughputBps)],
+  ["Buffer", (_, { bufferS }) => `${bufferS.toFixed(1)} s`],
+  ["Received", (_, { bytes }) => size(bytes)],
+  ["Tiles shown", (_, { tiles }) => (tiles && tiles.all > 1 ? `${tiles.shown} of ${tiles.all}` : null)],
+  [
+    "Frames shown",
+    (_, { framesShown, displayFps: fps }) => `${framesShown} (${fps.toFixed(fps < 10 ? 1 : 0)} pictures/s)`,
+  ],
+  ["Frames dropped", (_, { framesShown, framesDropped }) => shareOf(framesDropped, framesShown + framesDropped)],
+  ["Stalls", (_, { stalls, stallS }) => (stalls ? `${stalls} (${stallS.toFixed(1)} s)` : "none")],
+  ["Drawn at", ({ picture, scale }) => `${picture.join(" × ")}${scale < 1 ? ` (${Math.round(100 * scale)} %)` : ""}`],
+  ["Decoding", (_, { luma }) => (luma ? LUMA[luma] : "–")],
+  ["Region", ({ player: { region } }) => (region ? SOURCES[region.source] : "–")],
+];
+
+const nameOf = (rung?: RungInfo) => (rung ? `${rate(1000 * rung.kbps)} · ${rung.name}` : "–");
+const shareOf = (part: number, all: number) => `${part}${all ? ` (${((100 * part) / all).toFixed(1)} %)` : ""}`;
 
 export class Panel {
   readonly node: HTMLElement;
   readonly close = iconButton("close", "Close");
-  readonly #cells = Object.fromEntries(Object.keys(ROWS).map((key) => [key, make("dd")])) as Record<
-    keyof typeof ROWS,
-    HTMLElement
-  >;
+  readonly #cells = ROWS.map(() => make("dd"));
   readonly #history: History;
   /** Those that the legend shows. */
   #rungs: readonly RungInfo[] = [];
   readonly #legend = make("div", { class: "legend" });
 
   constructor(readonly desk: Desk) {
-    const list = make("dl");
-    for (const [key, label] of Object.entries(ROWS)) {
-      list.append(make("div", {}, make("dt", {}, label), this.#cells[key as keyof typeof ROWS]));
-    }
+    const rows = ROWS.map(([label], i) => make("div", {}, make("dt", {}, label), this.#cells[i]));
     this.#history = new History(desk);
     this.node = make(
       "section",
       { class: "panel", part: "panel", "aria-label": "Figures of playing", hidden: true, tabindex: -1 },
       make("div", { class: "head" }, "Figures", this.close),
-      list,
+      make("dl", {}, ...rows),
       this.#history.node,
       this.#legend,
     );
@@ -61,36 +63,18 @@ export class Panel {
     this.node.hidden = !open;
   }
 
-  /** Four times a second, shown or not: the history has to be kept. */
+  /** Four times a second, shown or not: the history goes on. */
   update(): void {
     this.#history.sample();
     if (!this.open) return;
-    for (const [key, text] of Object.entries(this.#texts())) write(this.#cells[key as keyof typeof ROWS], text);
+    const { stats } = this.desk.player;
+    ROWS.forEach(([, text], i) => {
+      const words = text(this.desk, stats);
+      this.#cells[i].parentElement!.hidden = words === null;
+      write(this.#cells[i], words ?? "");
+    });
     this.#history.draw();
     if (this.#rungs !== this.desk.rungs) this.#fillLegend();
-    const { tiles } = this.desk.player.stats;
-    this.#cells.tiles.parentElement!.hidden = !tiles || tiles.all < 2;
-  }
-
-  #texts(): Record<keyof typeof ROWS, string> {
-    const { player, scale, picture } = this.desk;
-    const { stats } = player;
-    const rung = stats.rung === null ? undefined : this.desk.rungs[stats.rung];
-    const all = stats.framesShown + stats.framesDropped;
-    return {
-      rung: rung ? `${rate(1000 * rung.kbps)} · ${rung.name}` : "–",
-      psnr: decibels(stats.psnr),
-      throughput: rate(stats.throughputBps),
-      buffer: `${stats.bufferS.toFixed(1)} s`,
-      bytes: size(stats.bytes),
-      tiles: stats.tiles ? `${stats.tiles.shown} of ${stats.tiles.all}` : "–",
-      fps: `${stats.framesShown} (${stats.displayFps.toFixed(stats.displayFps < 10 ? 1 : 0)} pictures/s)`,
-      dropped: `${stats.framesDropped}${all ? ` (${((100 * stats.framesDropped) / all).toFixed(1)} %)` : ""}`,
-      stalls: stats.stalls ? `${stats.stalls} (${stats.stallS.toFixed(1)} s)` : "none",
-      picture: `${picture[0]} × ${picture[1]}${scale < 1 ? ` (${Math.round(100 * scale)} %)` : ""}`,
-      luma: stats.luma ? LUMA[stats.luma] : "–",
-      region: player.region ? SOURCES[player.region.source] : "–",
-    };
   }
 
   #fillLegend(): void {

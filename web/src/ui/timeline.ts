@@ -1,10 +1,8 @@
 // The time line: where we are, what is there in which quality, and a way to go elsewhere.
 
 import { stripes } from "./colours.ts";
-import type { Desk } from "./desk.ts";
+import type { Desk, Part } from "./desk.ts";
 import { make, write } from "./dom.ts";
-import type { Part } from "./player-like.ts";
-import { seen } from "./seen.ts";
 import { clock, rungTitle, spoken } from "./words.ts";
 
 const STEP_S = 5;
@@ -135,4 +133,23 @@ export class Timeline {
     event.preventDefault();
     this.desk.skip(skip);
   }
+}
+
+/** A longer way between two pictures is a jump: nothing was seen in between. */
+const JUMP_S = 1;
+
+/** What was seen, in order of time seen, with a picture at `time` in a rung: it takes the place of what was there. */
+export function seen(parts: readonly Part[], time: number, rung: number): Part[] {
+  const last = parts.at(-1);
+  const goesOn = last && last.rung === rung && time >= last.stop && time - last.stop < JUMP_S;
+  const grown = { start: goesOn ? last.start : time, stop: time, rung };
+  const others = (goesOn ? parts.slice(0, -1) : parts).flatMap((part) => {
+    if (part.start > grown.stop || part.stop <= grown.start) return [part];
+    const rest = [
+      { ...part, stop: Math.min(part.stop, grown.start) },
+      { ...part, start: Math.max(part.start, grown.stop) },
+    ];
+    return rest.filter((one) => one.stop > one.start);
+  });
+  return [...others, grown];
 }

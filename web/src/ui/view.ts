@@ -1,16 +1,15 @@
 // One life of the element: from a source to a player, a camera and controls, until it is closed.
 
+import type { Problem } from "../play/playback.ts";
 import type { RungInfo } from "../play/rungs.ts";
 import { rungColours } from "./colours.ts";
 import type { Desk } from "./desk.ts";
+import { EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
 import { FullScreen } from "./fullscreen.ts";
 import { Gestures } from "./gestures.ts";
 import { listenToKeys } from "./keys.ts";
-import { News } from "./news.ts";
 import { Orbit } from "./orbit.ts";
-import { EVENTS, type PlayerLike, type PlayerSettings } from "./player-like.ts";
-import { pictureSize } from "./scale.ts";
-import { Sharpness } from "./sharpness.ts";
+import { pictureSize, Sharpness } from "./sharpness.ts";
 import { type Looks, Shell } from "./shell.ts";
 import { troubleOf } from "./trouble.ts";
 
@@ -24,6 +23,10 @@ const CLICK_MS = 280;
 const LONGEST_S = 0.1;
 
 const GUESSED = "No cameras came with this scene: the first view is a guess.";
+const OFFLINE = "There is no network. Trying again …";
+const LOST = "The graphics card has been taken away. Waiting for it …";
+/** So long a trouble stays to be read when it is over. */
+const READ_MS = 2500;
 const OUTSIDE = "Outside the viewing region: no quality is promised here.";
 
 /** What a view is made of: the attributes of the element. */
@@ -51,7 +54,6 @@ export class View implements Desk {
   picture: readonly [number, number] = [1, 1];
   readonly #end = new AbortController();
   readonly #shell: Shell;
-  readonly #news: News;
   readonly #full: FullScreen;
   readonly #sharpness = new Sharpness(() => this.#resize());
   readonly #still = window.matchMedia("(prefers-reduced-motion: reduce)");
@@ -72,7 +74,6 @@ export class View implements Desk {
     this.#shell = new Shell(this, plan, root);
     this.player = owner.create(this.#shell.canvas, plan.settings);
     this.#full = new FullScreen(owner.host, () => this.wake(), this.signal);
-    this.#news = new News(this.#shell, (error) => this.#fail(error));
     this.#listen();
     this.#watch.observe(this.#shell.frame);
     this.#shell.stir();
@@ -253,15 +254,15 @@ export class View implements Desk {
     const { host } = this.owner;
     const retell = (event: Event) => {
       const detail: unknown = event instanceof CustomEvent ? event.detail : null;
-      this.#news.hear(event.type, detail);
+      this.#hear(event.type, detail);
       host.dispatchEvent(new CustomEvent(event.type, { detail }));
       this.wake();
     };
     for (const name of EVENTS) player.addEventListener(name, retell, { signal });
     const on = { signal };
     this.#still.addEventListener("change", () => (this.orbit.reduced = this.#still.matches), on);
-    window.addEventListener("offline", () => this.#news.offline(), on);
-    window.addEventListener("online", () => this.#news.online(), on);
+    window.addEventListener("offline", () => this.#shell.notes.show("network", OFFLINE), on);
+    window.addEventListener("online", () => this.#shell.notes.hide("network", READ_MS), on);
     listenToKeys(this.#shell.frame, this, signal);
     new Gestures(
       this.#shell.scene,
@@ -270,6 +271,23 @@ export class View implements Desk {
       () => this.full || host.hasAttribute("capture"),
       signal,
     );
+  }
+
+  /** What is shown of an event of the player. */
+  #hear(name: string, detail: unknown): void {
+    const { notes } = this.#shell;
+    if (name === "firstpicture") this.#shell.showPicture();
+    else if (name === "stall" || name === "resume") this.#shell.waiting = name === "stall";
+    else if (name === "progress") notes.hide("network", READ_MS);
+    else if (name === "lost") notes.show("lost", LOST);
+    else if (name === "restored") notes.hide("lost");
+    else if (name === "pause" || name === "ended") this.#shell.stir();
+    else if (name === "problem") this.#problem(detail as Problem);
+  }
+
+  #problem({ message, fatal, error }: Problem): void {
+    if (fatal) this.#fail(error ?? new Error(message));
+    else this.#shell.notes.show("network", navigator.onLine ? message : OFFLINE);
   }
 
   /** A click plays and pauses, a finger shows and hides the controls, as players of videos do. */

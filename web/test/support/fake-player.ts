@@ -4,7 +4,7 @@ import type { Problem } from "../../src/play/playback.ts";
 import type { RungInfo } from "../../src/play/rungs.ts";
 import type { PlayerStats } from "../../src/play/statistics.ts";
 import type { ViewState } from "../../src/play/view.ts";
-import type { Part, PlayerLike } from "../../src/ui/player-like.ts";
+import type { Part, PlayerLike } from "../../src/ui/desk.ts";
 
 export interface Pretence {
   duration: number;
@@ -102,7 +102,7 @@ export class FakePlayer extends EventTarget implements PlayerLike {
     this.#tell("pause");
   }
 
-  seek(seconds: number): void {
+  async seek(seconds: number): Promise<void> {
     this.calls.push(`seek ${seconds.toFixed(2)}`);
     this.#time = seconds;
     this.ended = false;
@@ -127,7 +127,7 @@ export class FakePlayer extends EventTarget implements PlayerLike {
     return this.#opened ? this.pretence.region : null;
   }
 
-  get rungs(): readonly RungInfo[] {
+  get rungs(): RungInfo[] {
     return this.#opened ? this.pretence.rungs : [];
   }
 

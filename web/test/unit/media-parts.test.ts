@@ -3,10 +3,10 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
 import { Ahead } from "../../src/media/ahead.ts";
-import { ByteStore } from "../../src/media/byte-store.ts";
+import { ByteStore } from "../../src/media/batch.ts";
 import { aborted, fromWire, TransportError, toWire, UnsupportedError } from "../../src/media/errors.ts";
+import { checkReprDigest } from "../../src/media/http.ts";
 import { buffersOf } from "../../src/media/messages.ts";
-import { checkReprDigest } from "../../src/media/repr-digest.ts";
 
 test("the files used least lately go first", () => {
   const store = new ByteStore(100);

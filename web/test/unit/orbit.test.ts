@@ -3,8 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Region } from "../../src/format/types.ts";
 import { angle, cross, dot, length, minus, turned, unit, type Vector } from "../../src/format/vector.ts";
-import { Orbit } from "../../src/ui/orbit.ts";
-import { rubber, softened } from "../../src/ui/wall.ts";
+import { Orbit, rubber, softened } from "../../src/ui/orbit.ts";
 
 const REGION: Region = {
   source: "cameras",

@@ -2,11 +2,10 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { gzipSync } from "node:zlib";
 import { Ajv2020 } from "ajv/dist/2020.js";
-import { checkTable } from "../../src/format/check.ts";
 import { FormatError } from "../../src/format/errors.ts";
-import { inflate } from "../../src/format/gzip.ts";
 import { MissingTableError } from "../../src/format/index.ts";
 import { Tables } from "../../src/format/package.ts";
+import { checkTable, inflate } from "../../src/format/parse.ts";
 import {
   groupPath,
   keyMediaPath,

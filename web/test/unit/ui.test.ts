@@ -2,8 +2,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { rampColour, rungColours, stripes } from "../../src/ui/colours.ts";
-import { pictureSize, ScaleChooser } from "../../src/ui/scale.ts";
-import { seen } from "../../src/ui/seen.ts";
+import { pictureSize, ScaleChooser } from "../../src/ui/sharpness.ts";
+import { seen } from "../../src/ui/timeline.ts";
 import { clock, rate, size, spoken } from "../../src/ui/words.ts";
 
 test("times read as on a clock, with hours where the whole has them", () => {

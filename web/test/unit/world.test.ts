@@ -1,9 +1,8 @@
 // Which way is up, as a package tells it: what is refused, and what players make of it.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { firstView, levelled, upright } from "../../src/format/region.ts";
+import { firstView, isSimilarity, levelled, upOf, upright } from "../../src/format/region.ts";
 import type { Region, Root, World } from "../../src/format/types.ts";
-import { isSimilarity, upOf } from "../../src/format/world.ts";
 import { Orbit } from "../../src/ui/orbit.ts";
 
 const worldOf = (...transform: number[]): World => ({ transform, metric: false });
