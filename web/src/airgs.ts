@@ -4,15 +4,16 @@
 //     const player = await open(document.querySelector("canvas"), "https://example.org/fox.airgs/");
 //     player.on("rung", () => console.log(player.rungs[player.rung].name));
 //     player.play();
-import { Player, type PlayerOptions } from "./play/player.ts";
+import type { PlayerOptions } from "./play/playback.ts";
+import { Player } from "./play/player.ts";
 
 export { FormatError, type Reason } from "./format/errors.ts";
 export type { Place, Region, Root, World } from "./format/types.ts";
 export { TransportError, UnsupportedError } from "./media/errors.ts";
-export type { Problem } from "./play/playback.ts";
-export { Player, type PlayerOptions } from "./play/player.ts";
+export type { PlayerOptions, Problem } from "./play/playback.ts";
+export { Player } from "./play/player.ts";
+export type { ViewState } from "./play/sight.ts";
 export type { PlayerStats } from "./play/statistics.ts";
-export type { ViewState } from "./play/view.ts";
 
 /** Opens a package for a canvas. Nothing moves until `play`. Throws what `Player.open` does. */
 export async function open(canvas: HTMLCanvasElement, src: string, options: PlayerOptions = {}): Promise<Player> {

@@ -3,26 +3,17 @@
 import { untilOnline } from "../media/bell.ts";
 import { TransportError } from "../media/errors.ts";
 import type { SessionEvent } from "./downloader.ts";
-import type { Planner } from "./fetch-plan.ts";
 import { HttpDownloader, type Source } from "./http-downloader.ts";
-import type { Offers } from "./offers.ts";
-import type { Playout } from "./playout.ts";
 import { makePolicy } from "./policies/named.ts";
+import type { Shared } from "./receiver.ts";
 import { Repairs } from "./repairs.ts";
 import { Session } from "./session.ts";
-import type { SessionSettings } from "./settings.ts";
-import type { Stores } from "./stores.ts";
 
 /** A session that lost its server is begun again so much later, seconds, if the browser does not say that it is back. */
 const RETRY_S = 5;
 
-export interface FeedParts {
+export interface FeedParts extends Shared {
   media: Source;
-  offers: Offers;
-  settings: SessionSettings;
-  playout: Playout;
-  stores: Stores;
-  planner: Planner;
   /** The name of the policy of the next session. */
   policy: () => string;
   onEvent: (event: SessionEvent) => void;

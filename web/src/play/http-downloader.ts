@@ -71,17 +71,29 @@ export class HttpDownloader implements Downloader {
     }
   }
 
+  /** Looks at a download every CHECK_S from its first byte on, and ends it where it is given up. */
   private async batch(request: Request, paths: string[], giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival> {
     const sentS = this.now();
     const expectedBytes = this.offers.wire(paths);
-    const watch = new Watch(giveUp, expectedBytes, signal, () => this.now());
+    const ending = new AbortController();
+    const end = () => ending.abort();
+    signal.addEventListener("abort", end);
+    if (signal.aborted) end();
+    let timer: ReturnType<typeof setInterval> | undefined;
+    let bytes = 0;
+    const onProgress = (come: number) => {
+      bytes = come;
+      const firstS = this.now();
+      const look = (atS: number) => giveUp?.({ atS, elapsedS: atS - firstS, bytes, expectedBytes }) && end();
+      if (giveUp) timer ??= setInterval(() => look(this.now()), 1000 * CHECK_S);
+    };
     try {
-      const onProgress = (bytes: number) => watch.progress(bytes);
-      const came = await this.source.fetch(paths, { signal: watch.signal, onProgress });
+      const came = await this.source.fetch(paths, { signal: ending.signal, onProgress });
       if (!came.cached && came.bytes > 0) this.shortestS = Math.min(this.shortestS, came.firstByteS - sentS);
       return arrival(request, came, came.whole.length + came.refused.size < paths.length);
     } finally {
-      watch.end();
+      clearInterval(timer);
+      signal.removeEventListener("abort", end);
     }
   }
 }
@@ -90,46 +102,6 @@ function arrival(request: Request, came: Fetched, abandoned: boolean): Arrival {
   const whole = filesOf(request.batch).filter((path) => came.whole.includes(path));
   const { firstByteS, endS: atS, refused, cached } = came;
   return { request, firstByteS, atS, bytes: Math.max(1, came.bytes), whole, refused, abandoned, cached };
-}
-
-/** Looks at a download every CHECK_S from its first byte on, and ends it where it is given up. */
-class Watch {
-  private readonly ending = new AbortController();
-  private readonly abort = () => this.ending.abort();
-  private timer: ReturnType<typeof setInterval> | null = null;
-  private bytes = 0;
-
-  constructor(
-    private readonly giveUp: GiveUp | null,
-    private readonly expectedBytes: number,
-    private readonly outer: AbortSignal,
-    private readonly now: () => number,
-  ) {
-    if (outer.aborted) this.abort();
-    outer.addEventListener("abort", this.abort);
-  }
-
-  get signal(): AbortSignal {
-    return this.ending.signal;
-  }
-
-  progress(bytes: number): void {
-    this.bytes = bytes;
-    if (this.timer !== null || !this.giveUp) return;
-    const firstS = this.now();
-    this.timer = setInterval(() => this.look(firstS), 1000 * CHECK_S);
-  }
-
-  end(): void {
-    if (this.timer !== null) clearInterval(this.timer);
-    this.outer.removeEventListener("abort", this.abort);
-  }
-
-  private look(firstS: number): void {
-    const { bytes, expectedBytes } = this;
-    const atS = this.now();
-    if (this.giveUp?.({ atS, elapsedS: atS - firstS, bytes, expectedBytes })) this.abort();
-  }
 }
 
 /** Let a session over a growing package begin with its newest group, whose place pages may have to tell. */

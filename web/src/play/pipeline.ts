@@ -4,10 +4,8 @@ import { FormatError } from "../format/errors.ts";
 import { Recent } from "../format/recent.ts";
 import type { Atlas, Canonical, StateFrame } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
-import type { Offers } from "./offers.ts";
-import type { Playout } from "./playout.ts";
+import type { Shared } from "./receiver.ts";
 import type { Slot } from "./slot.ts";
-import type { KeyStore } from "./stores.ts";
 
 const LEAD_S = 1; // of play that is decoded ahead: what is decoded can no longer be replaced by a better rung
 const NOTHING = { luma: new Uint8Array(0), means: new Float32Array(0) };
@@ -44,11 +42,8 @@ export interface Clip {
 export const isDecoded = ({ layers }: Clip, frame: number): boolean =>
   layers.every(({ late, frames }) => late || frames[frame] !== undefined);
 
-export interface PipelineParts {
+export interface PipelineParts extends Pick<Shared, "offers" | "stores" | "playout"> {
   media: Media;
-  offers: Offers;
-  stores: { keys: KeyStore };
-  playout: Playout;
   /** A frame has come, or a segment turned out to be of no use. */
   onProgress: () => void;
   onProblem: (error: unknown) => void;

@@ -1,6 +1,5 @@
 // An open package on its way to the canvas: files are fetched by a session, decoded ahead by a pipeline, and shown by a
 // screen when their time has come. The schedule (`Playout`) is what these three agree on.
-import type { Root } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
 import type { TargetFormat } from "../render/target.ts";
@@ -11,20 +10,38 @@ import type { Offers } from "./offers.ts";
 import { type Clip, isDecoded, Pipeline } from "./pipeline.ts";
 import { EARLY, Playout } from "./playout.ts";
 import { wishedPolicy } from "./policies/named.ts";
-import { type RungInfo, RungTotals } from "./rungs.ts";
+import { RungTotals } from "./rungs.ts";
 import { Screen } from "./screen.ts";
 import { byView, sessionSettings } from "./settings.ts";
+import type { ViewState } from "./sight.ts";
 import { Watcher } from "./sight.ts";
 import type { PlayerStats, Statistics } from "./statistics.ts";
 import { Stores } from "./stores.ts";
-import type { ViewState } from "./view.ts";
 
 const TIME_EVENT_S = 0.25;
 /** A page that is kept from showing anything for longer loses no frames by it, seconds. */
 const LONGEST_TICK_S = 0.25;
 
+export interface PlayerOptions {
+  /** Name of a policy: robust-mpc (default), throughput, bola, paper, paper-literal; both also with -no-cliff. */
+  policy?: string;
+  /** Whether the sequence begins again at its end; default true. */
+  loop?: boolean;
+  /** Most media time that is fetched ahead, seconds; default 10. */
+  bufferS?: number;
+  /** Most Gaussians that are fetched and shown of a group; default: any number. */
+  budget?: number;
+  /**
+   * Whether only those tiles are fetched that the viewer is expected to see, where a package has several, and no more than a
+   * second ahead; default true.
+   */
+  viewAdaptive?: boolean;
+  /** What splats are blended into; default: half floats, where the browser has them. */
+  target?: TargetFormat;
+}
+
 /** What the viewer wants; it may change at any time. */
-export interface Wishes {
+export interface Wishes extends PlayerOptions {
   policy: string;
   /** "auto": what the policy chooses; else the name of a rung. */
   quality: string;
@@ -32,11 +49,6 @@ export interface Wishes {
   paused: boolean;
   speed: number;
   readonly bufferS: number;
-  /** Most Gaussians of a group; any number without it. */
-  readonly budget?: number;
-  /** Fetch the tiles that are expected in sight, where a package has several; without it true. */
-  readonly viewAdaptive?: boolean;
-  readonly target?: TargetFormat;
 }
 
 /** What the event "problem" tells. */
@@ -53,10 +65,10 @@ const nowS = () => performance.now() / 1e3;
 export class Playback {
   readonly screen: Screen;
   readonly #watcher = new Watcher();
-  readonly #playout: Playout;
+  readonly playout: Playout;
   readonly #feed: Feed;
   readonly #pipeline: Pipeline;
-  readonly #rungs: RungTotals;
+  readonly rungs: RungTotals;
   readonly #end = new AbortController();
   #shown: { clip: Clip; frame: number } | null = null;
   /** What follows what is on the screen; null: whatever was sought. */
@@ -87,8 +99,8 @@ export class Playback {
     const stores = new Stores(offers);
     const playout = new Playout(offers, settings, this.#lastPosition());
     const parts = { media, offers, stores, playout };
-    this.#playout = playout;
-    this.#rungs = new RungTotals(offers);
+    this.playout = playout;
+    this.rungs = new RungTotals(offers);
     this.#feed = new Feed({
       ...parts,
       settings,
@@ -107,7 +119,7 @@ export class Playback {
       onLost: () => this.tell("lost"),
       onRestored: () => this.#try(() => this.#restored()),
     });
-    this.#playout.onChange(() => this.#pipeline.wake());
+    this.playout.onChange(() => this.#pipeline.wake());
     document.addEventListener("visibilitychange", () => this.follow(), { signal: this.#end.signal });
   }
 
@@ -142,9 +154,9 @@ export class Playback {
   follow(): void {
     const now = nowS();
     const { paused, speed } = this.wishes;
-    if (speed !== this.#playout.speed) this.#playout.setSpeed(now, speed);
+    if (speed !== this.playout.speed) this.playout.setSpeed(now, speed);
     const hold = (why: "pause" | "hidden", held: boolean) =>
-      held ? this.#playout.freeze(now, why) : this.#playout.thaw(now, why);
+      held ? this.playout.freeze(now, why) : this.playout.thaw(now, why);
     hold("pause", paused);
     hold("hidden", document.hidden); // a page that nobody sees shows nothing
   }
@@ -157,9 +169,9 @@ export class Playback {
   }
 
   #goOn(signal: AbortSignal): void {
-    const position = this.#playout.firstFree(nowS()) ?? this.#feed.from;
-    this.#playout.truncate(position);
-    this.#playout.end = this.#lastPosition();
+    const position = this.playout.firstFree(nowS()) ?? this.#feed.from;
+    this.playout.truncate(position);
+    this.playout.end = this.#lastPosition();
     this.#feed.run(position, signal);
   }
 
@@ -177,8 +189,8 @@ export class Playback {
       this.#locating = false;
       this.#pipeline.clear();
       this.#next = null;
-      this.#playout.end = this.#lastPosition();
-      this.#playout.restart((near - this.offers.span(position).start) / fps);
+      this.playout.end = this.#lastPosition();
+      this.playout.restart((near - this.offers.span(position).start) / fps);
       this.#feed.run(position, signal);
     } catch (error) {
       if (signal.aborted) return;
@@ -203,24 +215,12 @@ export class Playback {
     return (this.offers.span(clip.position).start + frame) / this.offers.fps;
   }
 
-  get buffered(): { start: number; stop: number; rung: number }[] {
-    return this.#playout.buffered(nowS());
-  }
-
-  get rungs(): RungInfo[] {
-    return this.#rungs.read();
-  }
-
   get rung(): number | null {
     return this.#shown?.clip.rung ?? null;
   }
 
-  get root(): Root {
-    return this.media.tables.root;
-  }
-
   get stats(): PlayerStats {
-    return this.statistics.read(nowS(), this.#playout, this.media.luma, this.#shown?.clip ?? null);
+    return this.statistics.read(nowS(), this.playout, this.media.luma, this.#shown?.clip ?? null);
   }
 
   #lastPosition(): number {
@@ -246,7 +246,7 @@ export class Playback {
     if (this.#end.signal.aborted) return;
     requestAnimationFrame(this.#tick);
     const now = nowS();
-    if (now - this.#ticked > LONGEST_TICK_S) this.#playout.freeze(this.#ticked, "display");
+    if (now - this.#ticked > LONGEST_TICK_S) this.playout.freeze(this.#ticked, "display");
     this.#ticked = now;
     this.#try(() => {
       this.#advance(now);
@@ -256,12 +256,12 @@ export class Playback {
 
   /** Show the frame that is due; where it is not decoded, the schedule waits for it. */
   #advance(now: number): void {
-    const due = this.#playout.at(now);
+    const due = this.playout.at(now);
     const there = due === null || this.#show(due.slot.position, due.slot.rung, due.frame);
-    if (there) this.#playout.thaw(now, "display");
-    else this.#playout.freeze(now, "display");
-    const done = there && this.#playout.done(now);
-    this.#tellWaiting(!there || (this.#playout.waits(now) && !done));
+    if (there) this.playout.thaw(now, "display");
+    else this.playout.freeze(now, "display");
+    const done = there && this.playout.done(now);
+    this.#tellWaiting(!there || (this.playout.waits(now) && !done));
     if (done && !this.#ended) this.tell("ended");
     this.#ended = done;
   }

@@ -3,31 +3,12 @@ import { firstView, levelled } from "../format/region.ts";
 import type { Region, World } from "../format/types.ts";
 import { DEFAULT_POLICY, HEADER_BYTES, SESSION } from "../generated/constants.ts";
 import { Media } from "../media/client.ts";
-import type { TargetFormat } from "../render/target.ts";
 import { joinNewest } from "./http-downloader.ts";
 import { Offers } from "./offers.ts";
-import { Playback, type Problem, type Wishes } from "./playback.ts";
+import { Playback, type PlayerOptions, type Problem, type Wishes } from "./playback.ts";
 import type { RungInfo } from "./rungs.ts";
+import type { ViewState } from "./sight.ts";
 import { type PlayerStats, Statistics } from "./statistics.ts";
-import type { ViewState } from "./view.ts";
-
-export interface PlayerOptions {
-  /** Name of a policy: robust-mpc (default), throughput, bola, paper, paper-literal; both also with -no-cliff. */
-  policy?: string;
-  /** Whether the sequence begins again at its end; default true. */
-  loop?: boolean;
-  /** Most media time that is fetched ahead, seconds; default 10. */
-  bufferS?: number;
-  /** Most Gaussians that are fetched and shown of a group; default: any number. */
-  budget?: number;
-  /**
-   * Whether only those tiles are fetched that the viewer is expected to see, where a package has several, and no more than a
-   * second ahead; default true.
-   */
-  viewAdaptive?: boolean;
-  /** What splats are blended into; default: half floats, where the browser has them. */
-  target?: TargetFormat;
-}
 
 /** Where somebody stands who has not opened a package. */
 const NOWHERE: ViewState = { position: [0, 0, 0], forward: [0, 0, 1], up: [0, -1, 0], fovY: 50, near: 0.01 };
@@ -77,7 +58,7 @@ export class Player extends EventTarget {
       media.close();
       throw error;
     }
-    const region = levelled(this.#playback.root);
+    const region = levelled(this.#playback.media.tables.root);
     this.camera = this.#view ?? { ...firstView(region), near: region.near };
     this.resize(this.#size.width, this.#size.height);
     this.#tell("open");
@@ -173,12 +154,12 @@ export class Player extends EventTarget {
 
   /** Parts of the sequence that are at hand, seconds, with the numbers of their rungs. */
   get buffered(): { start: number; stop: number; rung: number }[] {
-    return this.#playback?.buffered ?? [];
+    return this.#playback?.playout.buffered(performance.now() / 1e3) ?? [];
   }
 
   /** What can be chosen, the best quality of keys first; figures are of the part of the package that was seen. */
   get rungs(): RungInfo[] {
-    return this.#playback?.rungs ?? [];
+    return this.#playback?.rungs.read() ?? [];
   }
 
   /** The number of the rung on the screen. */
@@ -208,12 +189,12 @@ export class Player extends EventTarget {
 
   /** Where the quality of the package is promised. */
   get region(): Region | null {
-    return this.#playback && levelled(this.#playback.root);
+    return this.#playback && levelled(this.#playback.media.tables.root);
   }
 
   /** Where the scene stands in a world with y up, as far as somebody told. */
   get world(): World | null {
-    return this.#playback?.root.world ?? null;
+    return this.#playback?.media.tables.root.world ?? null;
   }
 
   /** Where the viewer stands; drawn at the next frame of the display. */

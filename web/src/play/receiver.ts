@@ -8,15 +8,19 @@ import type { Download, Policy } from "./policies/state.ts";
 import type { SessionSettings } from "./settings.ts";
 import type { Stores } from "./stores.ts";
 
-/** What a session is made of. */
-export interface SessionParts {
+/** What fetches and shows share of a package. */
+export interface Shared {
   offers: Offers;
-  downloader: Downloader;
-  policy: Policy;
   settings: SessionSettings;
   playout: Playout;
   stores: Stores;
   planner: Planner;
+}
+
+/** What a session is made of. */
+export interface SessionParts extends Shared {
+  downloader: Downloader;
+  policy: Policy;
 }
 
 /** Fetch a batch; meanwhile its files are known to be coming, and then which of them are of no use. */

@@ -3,26 +3,21 @@
 import { LOOK_S } from "../generated/constants.ts";
 import { TransportError } from "../media/errors.ts";
 import { type Arrived, type Downloader, type GiveUp, isComplete, type Request } from "./downloader.ts";
-import type { Lack, Planner } from "./fetch-plan.ts";
+import type { Lack } from "./fetch-plan.ts";
 import type { Option } from "./ladder.ts";
 import { type Batch, filesOf } from "./offers.ts";
-import type { Playout } from "./playout.ts";
 import { estimateThroughput } from "./policies/state.ts";
-import { fetchBatch } from "./receiver.ts";
+import { fetchBatch, type Shared } from "./receiver.ts";
 import { usable } from "./replacing.ts";
 import type { Slot } from "./slot.ts";
-import type { Stores } from "./stores.ts";
 
 /** After a link has failed, seconds. */
 const RETRY_S = 1;
 /** As many connections as browsers open to a server over HTTP/1.1. */
 const MOST_AT_ONCE = 6;
 
-export interface RepairParts {
-  planner: Planner;
+export interface RepairParts extends Shared {
   downloader: Downloader;
-  playout: Playout;
-  stores: Stores;
   onEvent: (event: Arrived) => void;
   /** Something went wrong that is not the link. */
   onProblem: (error: unknown) => void;

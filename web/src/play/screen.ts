@@ -6,7 +6,7 @@ import { Sorter } from "../render/sorter.ts";
 import type { TargetFormat } from "../render/target.ts";
 import { farToNear } from "../render/tile-order.ts";
 import type { Clip, Layer } from "./pipeline.ts";
-import { cameraOf, type ViewState } from "./view.ts";
+import { cameraOf, type ViewState } from "./sight.ts";
 
 /** A canonical space on the GPU, and what it shows of a tile of which clip. */
 interface Stage {

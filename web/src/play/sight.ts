@@ -3,16 +3,37 @@
 // A player knows how its viewer stands and moved until now. It expects the movement to go on and to die down, so that
 // after t seconds DECAY_S · (1 − exp(−t / DECAY_S)) seconds of it have passed. Measured in docs/results/tiles.md.
 import type { Camera, Tile } from "../format/types.ts";
-import { along, length, minus, scaled, type Vector } from "../format/vector.ts";
+import { across, along, cross, dot, length, minus, scaled, turned, unit, type Vector } from "../format/vector.ts";
 import { BEFORE_S, CORNERS, DECAY_S, SMALL_TURN } from "../generated/constants.ts";
-import { cameraOf, type ViewState } from "./view.ts";
 
 const DEGREES = 180 / Math.PI;
 
-type Matrix = Float64Array; // of a camera: (16) row by row
+/** Who looks from where; vectors are of length 1, positions in world units. */
+export interface ViewState {
+  position: Vector;
+  forward: Vector;
+  up: Vector;
+  /** Vertical field of view in degrees. */
+  fovY: number;
+  /** What is nearer is not drawn, world units. */
+  near: number;
+}
 
-/** Where a camera stands. */
-function positionOf(m: Matrix): Vector {
+/** The camera of a picture of `width` × `height` pixels. */
+export function cameraOf(view: ViewState, width: number, height: number): Camera {
+  const right = cross(view.forward, across(view.up, view.forward));
+  const down = cross(view.forward, right);
+  const worldToCamera = new Float64Array(16);
+  [right, down, view.forward].forEach((axis, line) => {
+    worldToCamera.set([...axis, -dot(axis, view.position)], 4 * line);
+  });
+  worldToCamera[15] = 1;
+  const focal = height / 2 / Math.tan((view.fovY * Math.PI) / 360);
+  return { width, height, fx: focal, fy: focal, cx: width / 2, cy: height / 2, near: view.near, worldToCamera };
+}
+
+/** Where the camera of a matrix (16, row by row) stands. */
+function positionOf(m: Float64Array): Vector {
   const axis = (i: number) => -(m[i] * m[3] + m[4 + i] * m[7] + m[8 + i] * m[11]);
   return [axis(0), axis(1), axis(2)];
 }
@@ -43,30 +64,16 @@ export function expected(view: Camera, { turn, shift }: Velocity, aheadS: number
   const passedS = DECAY_S * (1 - Math.exp(-Math.max(0, aheadS) / DECAY_S));
   const m = view.worldToCamera;
   const position = along(positionOf(m), shift, passedS);
-  const rotation = rotationOf(scaled(turn, passedS));
   const worldToCamera = new Float64Array(16);
-  for (let i = 0; i < 3; i++) {
-    for (let j = 0; j < 3; j++) {
-      const value = rotation[i][0] * m[j] + rotation[i][1] * m[4 + j] + rotation[i][2] * m[8 + j];
-      worldToCamera[4 * i + j] = value;
-      worldToCamera[4 * i + 3] -= value * position[j];
+  for (let j = 0; j < 3; j++) {
+    const column = turned([m[j], m[4 + j], m[8 + j]], unit(turn), length(turn) * passedS);
+    for (let i = 0; i < 3; i++) {
+      worldToCamera[4 * i + j] = column[i];
+      worldToCamera[4 * i + 3] -= column[i] * position[j];
     }
   }
   worldToCamera[15] = 1;
   return { ...view, worldToCamera };
-}
-
-/** The rows of the matrix of a rotation vector, radians (Rodrigues). */
-function rotationOf(vector: Vector): [Vector, Vector, Vector] {
-  const angle = length(vector);
-  const [x, y, z] = angle > 0 ? scaled(vector, 1 / angle) : [0, 0, 0];
-  const [c, s] = [Math.cos(angle), Math.sin(angle)];
-  const d = 1 - c;
-  return [
-    [c + x * x * d, x * y * d - z * s, x * z * d + y * s],
-    [y * x * d + z * s, c + y * y * d, y * z * d - x * s],
-    [z * x * d - y * s, z * y * d + x * s, c + z * z * d],
-  ];
 }
 
 /** Parts of space, P of them, each as CORNERS points on every axis of a box, its corners among them. */

@@ -60,15 +60,17 @@ export function prepareKeys(programs: Programs, degree: number): string[] {
 
 /** Uploads key pictures when it is made, and draws the canonical space from them when the programs are there. */
 export class KeyPasses {
-  readonly #gl: WebGL2RenderingContext;
-  readonly #into: RowTextures;
   readonly #parts: Part[] = [];
-  readonly #base: KeyCoding | null;
   readonly #picked: Texture;
 
-  /** `base` is the coding of the group whose rows are kept, and is let go of with the pictures. */
-  constructor(gl: WebGL2RenderingContext, into: RowTextures, parts: KeyPart[], own: KeyCoding, base: KeyCoding | null) {
-    [this.#gl, this.#into, this.#base] = [gl, into, base];
+  /** `base` is the coding of the group whose rows are reused, and is let go of with the pictures. */
+  constructor(
+    private readonly gl: WebGL2RenderingContext,
+    private readonly into: RowTextures,
+    parts: KeyPart[],
+    own: KeyCoding,
+    private readonly base: KeyCoding | null,
+  ) {
     const picked = new Uint32Array(into.rows);
     let first = 0;
     for (const { atlas, kept, luma, bases } of parts) {
@@ -78,13 +80,7 @@ export class KeyPasses {
       samples.upload();
       const rows = Math.min(kept ? kept.length : atlas.rows, into.rows - first);
       const coding = (kept && base) ?? own;
-      this.#parts.push({
-        samples,
-        codes: codeTable(atlas, coding.steps, KEY_AT.colour),
-        coding,
-        first,
-        rows,
-      });
+      this.#parts.push({ samples, codes: codeTable(atlas, coding.steps, KEY_AT.colour), coding, first, rows });
       for (let i = 0; i < rows; i++) picked[first + i] = kept ? kept[i] : i;
       first += rows;
     }
@@ -95,8 +91,8 @@ export class KeyPasses {
 
   /** Draws the row textures and lets go of the pictures. `noBases` stands in where a tier has none. */
   run(programs: Programs, noBases: Texture): void {
-    const gl = this.#gl;
-    const { rotations, sizes, layers, degree } = this.#into;
+    const { gl } = this;
+    const { rotations, sizes, layers, degree } = this.into;
     const textures = ({ samples, coding }: Part) => [
       samples.luma,
       samples.bases ?? noBases,
@@ -119,14 +115,14 @@ export class KeyPasses {
   free(): void {
     for (const { samples } of this.#parts) samples.free();
     this.#parts.length = 0;
-    for (const one of [this.#picked, this.#base?.transform]) if (one) this.#gl.deleteTexture(one.handle);
+    for (const one of [this.#picked, this.base?.transform]) if (one) this.gl.deleteTexture(one.handle);
   }
 
   /** Draws all parts into a framebuffer, which it deletes. */
   #pass(into: WebGLFramebuffer, use: (part: Part) => InUse): void {
-    const gl = this.#gl;
+    const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, into);
-    gl.viewport(0, 0, ROW_WIDTH, this.#into.places.height);
+    gl.viewport(0, 0, ROW_WIDTH, this.into.places.height);
     for (const part of this.#parts) {
       const { at } = use(part);
       const { samples, codes, coding, first, rows } = part;

@@ -22,19 +22,17 @@ export interface InUse {
 }
 
 export class Programs {
-  readonly #gl: WebGL2RenderingContext;
   readonly #parallel: KHR_parallel_shader_compile | null;
   readonly #made = new Map<string, Compiled>();
 
-  constructor(gl: WebGL2RenderingContext) {
-    this.#gl = gl;
+  constructor(private readonly gl: WebGL2RenderingContext) {
     this.#parallel = gl.getExtension("KHR_parallel_shader_compile");
   }
 
   /** Begins to compile a program unless it has begun. */
   prepare(name: string, source: () => Source): void {
     if (this.#made.has(name)) return;
-    const gl = this.#gl;
+    const gl = this.gl;
     const text = source();
     const program = gl.createProgram();
     const shaders = [text.vertex, text.fragment].map((code, i) => {
@@ -56,7 +54,7 @@ export class Programs {
       const made = this.#made.get(name);
       if (!made) return false;
       if (made.uniforms || !this.#parallel) return true;
-      return this.#gl.getProgramParameter(made.program, this.#parallel.COMPLETION_STATUS_KHR) === true;
+      return this.gl.getProgramParameter(made.program, this.#parallel.COMPLETION_STATUS_KHR) === true;
     });
   }
 
@@ -65,7 +63,7 @@ export class Programs {
    * compile.
    */
   use(name: string, textures: readonly Texture[]): InUse {
-    const gl = this.#gl;
+    const gl = this.gl;
     const made = this.#made.get(name)!;
     gl.useProgram(made.program);
     made.uniforms ??= this.#link(name, made);
@@ -78,12 +76,12 @@ export class Programs {
   }
 
   free(): void {
-    for (const { program } of this.#made.values()) this.#gl.deleteProgram(program);
+    for (const { program } of this.#made.values()) this.gl.deleteProgram(program);
     this.#made.clear();
   }
 
   #link(name: string, { program, shaders, source }: Compiled): Map<string, WebGLUniformLocation> {
-    const gl = this.#gl;
+    const gl = this.gl;
     const uniforms = new Map<string, WebGLUniformLocation>();
     if (gl.getProgramParameter(program, gl.LINK_STATUS) !== true && !gl.isContextLost()) {
       const words = [...shaders.map((shader) => gl.getShaderInfoLog(shader)), gl.getProgramInfoLog(program)];

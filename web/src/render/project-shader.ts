@@ -2,7 +2,9 @@
 //
 // The arithmetic is that of airgs_codec/render/cpu_kernels.py. The covariance of the picture is [[xx, xy], [xy, yy]]
 // px²; its determinant is taken by Cauchy-Binet, whose terms do not cancel.
-import { DILATION, OPACITY_MARGIN, SH_C0, SH_C1, SH_C2, SH_C3, STATE_AT } from "../generated/constants.ts";
+import type { Camera } from "../format/types.ts";
+import { DILATION, MARGIN, OPACITY_MARGIN, SH_C0, SH_C1, SH_C2, SH_C3, STATE_AT } from "../generated/constants.ts";
+import type { InUse } from "./programs.ts";
 import { CODES, colours, each, HEAD, layerSteps, ROW_WIDTH, three } from "./shaders.ts";
 
 // The signs are those of INRIA's files; FORMAT.md, section 5. d: direction from the viewer, dd: its squares.
@@ -135,4 +137,33 @@ void main() {
   uvec2 tint = uvec2(packHalf2x16(rgb.rg), packHalf2x16(vec2(rgb.b, 0.0)));
   second = uvec4(floatBitsToUint(vec2(xy / yy, reach)), tint);
 }`;
+}
+
+/** Sets the uniforms of VIEW, for a picture of `size` pixels instead of the camera's. */
+export function setView(gl: WebGL2RenderingContext, at: InUse["at"], camera: Camera, size: [number, number]): void {
+  const [width, height] = size;
+  const m = camera.worldToCamera;
+  const [x, y] = [width / camera.width, height / camera.height];
+  const [fx, fy, cx, cy] = [camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y];
+  const eye = [0, 1, 2].map((axis) => -(m[axis] * m[3] + m[4 + axis] * m[7] + m[8 + axis] * m[11]));
+  const near32 = eye.map(Math.fround);
+  gl.uniform3f(at("right"), m[0], m[1], m[2]);
+  gl.uniform3f(at("down"), m[4], m[5], m[6]);
+  gl.uniform3f(at("ahead"), m[8], m[9], m[10]);
+  gl.uniform3fv(at("eye"), near32);
+  gl.uniform3fv(
+    at("eyeRest"),
+    eye.map((value, axis) => value - near32[axis]),
+  );
+  gl.uniform4f(at("lens"), fx, fy, cx, cy);
+  const [left, top] = [-cx - MARGIN * width, -cy - MARGIN * height];
+  gl.uniform4f(
+    at("bounds"),
+    left / fx,
+    (left + (1 + 2 * MARGIN) * width) / fx,
+    top / fy,
+    (top + (1 + 2 * MARGIN) * height) / fy,
+  );
+  gl.uniform2f(at("size"), width, height);
+  gl.uniform1f(at("near"), camera.near);
 }

@@ -6,13 +6,12 @@ import { colourChannels } from "../format/steps.ts";
 import type { Atlas, BaseChanges, Camera, Canonical, Group, Root } from "../format/types.ts";
 import { prepareKeys, setCodes } from "./key-passes.ts";
 import { Programs } from "./programs.ts";
-import { projection } from "./project-shader.ts";
+import { projection, setView } from "./project-shader.ts";
 import { Scene } from "./scene.ts";
 import { ROW_WIDTH, WHOLE } from "./shaders.ts";
 import { QUADS, SHOW, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./splat-shaders.ts";
-import { flipped, Target, type TargetFormat, targetFormat } from "./target.ts";
+import { Target, type TargetFormat, targetFormat } from "./target.ts";
 import { RenderError, type Texture, texture, writeRows } from "./textures.ts";
-import { setView } from "./view.ts";
 
 export { RenderError, Scene };
 
@@ -190,22 +189,9 @@ export class Renderer {
     else scene.free();
   }
 
-  /**
-   * (4 · width · height) r, g, b, 1 of what was drawn last, neither clipped nor rounded to 8 bits, the top line first.
-   */
-  readFloat(): Float32Array {
-    return this.lost || !this.#picture ? new Float32Array(0) : this.#picture.readFloat(this.background);
-  }
-
-  /** (4 · width · height) r, g, b, 255 of the canvas, the top line first; in the same task as `draw`. */
-  readBytes(): Uint8Array {
-    const gl = this.#gl;
-    if (this.lost) return new Uint8Array(0);
-    const [width, height] = [gl.drawingBufferWidth, gl.drawingBufferHeight];
-    const raw = new Uint8Array(4 * width * height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, raw);
-    return flipped(raw, new Uint8Array(raw.length), 4 * width);
+  /** What was drawn last; null: nothing. */
+  get picture(): Target | null {
+    return this.lost ? null : this.#picture;
   }
 
   /** Releases all that it holds, scenes too. */

@@ -5,24 +5,25 @@ import { BLOCK } from "../generated/constants.ts";
 import { RenderError, type Texture, texture, write } from "./textures.ts";
 
 /**
- * Bases are kept here and go to the GPU with `upload`, and then only strips of 16 lines in which something changed: few
+ * Bases stand here and go to the GPU with `upload`, and then only strips of 16 lines in which something changed: few
  * samples jump in a frame, and blocks of 16 lines hold neighbours.
  */
 export class Samples {
-  readonly #gl: WebGL2RenderingContext;
   readonly #width: number;
   readonly #height: number;
   readonly #pages: number;
   readonly luma: Texture;
   bases: Texture | null = null;
-  #kept: Int32Array | null = null;
+  #all: Int32Array | null = null;
   /** A strip: 1 if a sample of it may have another base than 0. */
   #used = new Uint8Array(0);
   /** A strip: 1 if the GPU does not have its bases yet. */
   #changed = new Uint8Array(0);
 
-  constructor(gl: WebGL2RenderingContext, atlas: Atlas) {
-    this.#gl = gl;
+  constructor(
+    private readonly gl: WebGL2RenderingContext,
+    atlas: Atlas,
+  ) {
     this.#pages = pages(atlas);
     [this.#width, this.#height] = this.#pages ? [atlas.width, atlas.height] : [1, 1];
     const most: number | null = gl.getParameter(gl.MAX_ARRAY_TEXTURE_LAYERS); // null: the context was lost
@@ -38,18 +39,18 @@ export class Samples {
       throw new RenderError(`luma: expected ${this.#pages * page} samples, got ${luma.length}`);
     }
     for (let layer = 0; layer < this.#pages; layer++) {
-      write(this.#gl, this.luma, { y: 0, width: this.#width, height: this.#height, layer }, luma, layer * page);
+      write(this.gl, this.luma, { y: 0, width: this.#width, height: this.#height, layer }, luma, layer * page);
     }
   }
 
   /** Takes what changes with the next picture. */
   change({ texels, bases }: BaseChanges): void {
     if (!texels.length) return;
-    const kept = this.#keep();
+    const all = this.#held();
     const strip = BLOCK * this.#width;
     for (let i = 0; i < texels.length; i++) {
       const n = Math.floor(texels[i] / strip);
-      kept[texels[i]] = bases[i];
+      all[texels[i]] = bases[i];
       this.#used[n] = 1;
       this.#changed[n] = 1;
     }
@@ -60,7 +61,7 @@ export class Samples {
     const strip = BLOCK * this.#width;
     this.#used.forEach((used, n) => {
       if (!used) return;
-      this.#kept!.fill(0, n * strip, (n + 1) * strip);
+      this.#all!.fill(0, n * strip, (n + 1) * strip);
       this.#changed[n] = 1;
       this.#used[n] = 0;
     });
@@ -68,8 +69,8 @@ export class Samples {
 
   /** Brings the bases on the GPU up to date. */
   upload(): void {
-    if (!this.#kept) return;
-    this.bases ??= texture(this.#gl, "R32I", [this.#width, this.#height], this.#pages);
+    if (!this.#all) return;
+    this.bases ??= texture(this.gl, "R32I", [this.#width, this.#height], this.#pages);
     const strips = this.#height / BLOCK;
     for (let first = 0; first < this.#changed.length; first++) {
       if (!this.#changed[first]) continue;
@@ -77,22 +78,22 @@ export class Samples {
       let next = first;
       while (next < (layer + 1) * strips && this.#changed[next]) this.#changed[next++] = 0;
       const box = { y: (first % strips) * BLOCK, width: this.#width, height: (next - first) * BLOCK, layer };
-      write(this.#gl, this.bases, box, this.#kept, first * BLOCK * this.#width);
+      write(this.gl, this.bases, box, this.#all, first * BLOCK * this.#width);
       first = next - 1;
     }
   }
 
   free(): void {
-    this.#gl.deleteTexture(this.luma.handle);
-    if (this.bases) this.#gl.deleteTexture(this.bases.handle);
+    this.gl.deleteTexture(this.luma.handle);
+    if (this.bases) this.gl.deleteTexture(this.bases.handle);
   }
 
-  #keep(): Int32Array {
-    if (this.#kept) return this.#kept;
+  #held(): Int32Array {
+    if (this.#all) return this.#all;
     const strips = (this.#pages * this.#height) / BLOCK;
-    this.#kept = new Int32Array(this.#pages * this.#height * this.#width);
+    this.#all = new Int32Array(this.#pages * this.#height * this.#width);
     this.#used = new Uint8Array(strips);
     this.#changed = new Uint8Array(strips);
-    return this.#kept;
+    return this.#all;
   }
 }

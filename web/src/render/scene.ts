@@ -48,20 +48,19 @@ export class Scene {
   /** Camera of what is in `firsts` and `seconds`; null: out of date. */
   projectedFor: string | null = null;
   freed = false;
-  readonly #gl: WebGL2RenderingContext;
-  readonly #root: Root;
-  readonly #group: Group;
-  readonly #tile: number;
-  readonly #depths: Uint8Array;
   /** The level of the pictures that come next. */
   #next: LevelView | null = null;
 
   /** `base` is the table of the group whose rows it keeps, if it keeps any. */
-  constructor(gl: WebGL2RenderingContext, root: Root, group: Group, canonical: Canonical, base: Group | null) {
+  constructor(
+    private readonly gl: WebGL2RenderingContext,
+    private readonly root: Root,
+    private readonly group: Group,
+    private readonly canonical: Canonical,
+    base: Group | null,
+  ) {
     this.rows = canonical.depths.length;
     this.degree = root.sh_degree;
-    [this.#gl, this.#root, this.#group] = [gl, root, group];
-    [this.#tile, this.#depths] = [canonical.tile, canonical.depths];
     const channels = colourChannels(root.sh_degree);
     const layers = Math.ceil(channels / 4);
     const size = rowSize(gl, this.rows);
@@ -94,9 +93,9 @@ export class Scene {
       return;
     }
     this.#drop();
-    const atlas = this.#group.tiles[this.#tile].levels[level];
-    const codes = codeTable(atlas, stateSteps(this.#root, this.#group, level), STATE_AT.colour);
-    this.#next = { level, atlas, codes, samples: new Samples(this.#gl, atlas) };
+    const atlas = this.group.tiles[this.canonical.tile].levels[level];
+    const codes = codeTable(atlas, stateSteps(this.root, this.group, level), STATE_AT.colour);
+    this.#next = { level, atlas, codes, samples: new Samples(this.gl, atlas) };
   }
 
   /** The level that pictures are of. */
@@ -116,13 +115,13 @@ export class Scene {
     if (view === this.shown) return;
     this.shown?.samples.free();
     [this.shown, this.#next] = [view, null];
-    writeRows(this.#gl, this.ranks, ranksOf(this.#depths, view.level));
+    writeRows(this.gl, this.ranks, ranksOf(this.canonical.depths, view.level));
   }
 
   free(): void {
     if (this.freed) return;
     this.freed = true;
-    const gl = this.#gl;
+    const { gl } = this;
     const own = [this.places, this.rotations, this.sizes, this.ranks, this.layers, this.transform, this.order];
     for (const { handle } of [...own, this.firsts, this.seconds]) gl.deleteTexture(handle);
     gl.deleteFramebuffer(this.projection);

@@ -1,4 +1,5 @@
-// The order in which Gaussians are blended. N rows of a group, V of them in front of the viewer.
+// The order in which Gaussians are blended, and the worker that finds it, one request after the other; sorter.ts is its
+// other end. N rows of a group, V of them in front of the viewer.
 import type { Camera } from "../format/types.ts";
 import { FAR } from "../generated/constants.ts";
 
@@ -85,4 +86,37 @@ function firstPlaces(counts: Uint32Array): void {
     counts[digit] = before;
     before += count;
   }
+}
+
+/** Means of a key, which stay until others come for it. `view`: sort them; null: forget them. */
+export interface SortRequest {
+  key: string;
+  means: Float32Array | null;
+  view: DepthView | null;
+}
+
+/** What comes of a request with a view: the rows, or null where no means were given for its key. */
+export type SortAnswer = Uint32Array<ArrayBuffer> | null;
+
+/** The global scope of a worker, which the types of pages do not have. */
+interface Scope {
+  onmessage: (event: MessageEvent<SortRequest>) => void;
+  postMessage(answer: SortAnswer, transfer: Transferable[]): void;
+}
+
+/** What the thread does from now on. */
+export function run(): void {
+  const sorter = new DepthSorter();
+  const known = new Map<string, Float32Array>();
+  const scope = globalThis as unknown as Scope;
+  scope.onmessage = ({ data: { key, means, view } }) => {
+    if (means) known.set(key, means);
+    if (!view) {
+      known.delete(key);
+      return;
+    }
+    const last = known.get(key);
+    const rows = last ? sorter.order(last, view) : null;
+    scope.postMessage(rows, rows ? [rows.buffer] : []);
+  };
 }

@@ -1,8 +1,7 @@
 // Depth orders for the page, made by a worker. N rows of a group.
-import { start } from "worker:./sort-worker.ts";
+import { start } from "worker:./sort.ts";
 import type { Camera } from "../format/types.ts";
-import { type DepthView, depthView } from "./sort.ts";
-import type { SortAnswer, SortRequest } from "./sort-worker.ts";
+import { type DepthView, depthView, type SortAnswer, type SortRequest } from "./sort.ts";
 
 type Resolve = (rows: SortAnswer) => void;
 
@@ -17,13 +16,11 @@ interface Waiting {
  * and the older one gives null.
  */
 export class Sorter {
-  readonly #worker: Worker;
   readonly #waiting = new Map<string, Waiting>();
   #sorting: Resolve | null = null;
   #closed = false;
 
-  constructor(worker: Worker = start()) {
-    this.#worker = worker;
+  constructor(private readonly worker: Worker = start()) {
     worker.onmessage = ({ data }: MessageEvent<SortAnswer>) => this.#finish(data);
     worker.onerror = () => this.#finish(null);
   }
@@ -55,7 +52,7 @@ export class Sorter {
 
   close(): void {
     this.#closed = true;
-    this.#worker.terminate();
+    this.worker.terminate();
     for (const { resolve } of this.#waiting.values()) resolve(null);
     this.#waiting.clear();
     this.#sorting?.(null);
@@ -80,6 +77,6 @@ export class Sorter {
   }
 
   #post(request: SortRequest): void {
-    if (!this.#closed) this.#worker.postMessage(request);
+    if (!this.#closed) this.worker.postMessage(request);
   }
 }

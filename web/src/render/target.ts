@@ -25,63 +25,39 @@ export function targetFormat(gl: WebGL2RenderingContext, wanted: TargetFormat): 
 export class Target {
   readonly picture: Texture;
   readonly handle: WebGLFramebuffer;
-  readonly #gl: WebGL2RenderingContext;
-  readonly #floats: boolean;
+  readonly floats: boolean;
   /** What the largest number of the picture stands for; 1 of floats. */
   readonly brightest: number;
 
-  constructor(gl: WebGL2RenderingContext, format: TargetFormat, size: [number, number]) {
-    this.#gl = gl;
-    this.#floats = format === "rgba16f";
-    this.brightest = this.#floats ? 1 : BRIGHTEST;
-    this.picture = texture(gl, this.#floats ? "RGBA16F" : "RGB10_A2", size);
+  constructor(
+    private readonly gl: WebGL2RenderingContext,
+    format: TargetFormat,
+    size: [number, number],
+  ) {
+    this.floats = format === "rgba16f";
+    this.brightest = this.floats ? 1 : BRIGHTEST;
+    this.picture = texture(gl, this.floats ? "RGBA16F" : "RGB10_A2", size);
     this.handle = framebuffer(gl, [this.picture]);
   }
 
   /** Begins a picture. */
   clear(background: Colour): void {
-    const gl = this.#gl;
+    const { gl } = this;
     const { width, height } = this.picture;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.handle);
     gl.viewport(0, 0, width, height);
-    const [r, g, b] = this.#floats ? [0, 0, 0] : background;
+    const [r, g, b] = this.floats ? [0, 0, 0] : background;
     gl.clearColor(r / this.brightest, g / this.brightest, b / this.brightest, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
   }
 
   /** What is behind the picture that α lets through; black where it is part of the picture. */
   behind(background: Colour): Colour {
-    return this.#floats ? background : [0, 0, 0];
-  }
-
-  /**
-   * (4 · width · height) r, g, b before `background`, and 1; neither clipped nor rounded to 8 bits; the top line first.
-   */
-  readFloat(background: Colour): Float32Array {
-    const gl = this.#gl;
-    const { width, height } = this.picture;
-    const raw = this.#floats ? new Float32Array(4 * width * height) : new Uint32Array(width * height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.handle);
-    gl.readPixels(0, 0, width, height, gl.RGBA, this.#floats ? gl.FLOAT : gl.UNSIGNED_INT_2_10_10_10_REV, raw);
-    const out = new Float32Array(4 * width * height).fill(1);
-    const behind = this.behind(background);
-    for (let i = 0; i < out.length; i += 4) {
-      for (let c = 0; c < 3; c++) {
-        const bits = (raw[i / 4] >> (10 * c)) & 1023;
-        out[i + c] = this.#floats ? raw[i + c] + (1 - raw[i + 3]) * behind[c] : (bits / 1023) * BRIGHTEST;
-      }
-    }
-    return flipped(out, new Float32Array(out.length), 4 * width);
+    return this.floats ? background : [0, 0, 0];
   }
 
   free(): void {
-    this.#gl.deleteTexture(this.picture.handle);
-    this.#gl.deleteFramebuffer(this.handle);
+    this.gl.deleteTexture(this.picture.handle);
+    this.gl.deleteFramebuffer(this.handle);
   }
-}
-
-/** Lines of `width` numbers in the other order, into `out`. */
-export function flipped<T extends Float32Array | Uint8Array>(from: T, out: T, width: number): T {
-  for (let at = 0; at < from.length; at += width) out.set(from.subarray(at, at + width), from.length - width - at);
-  return out;
 }

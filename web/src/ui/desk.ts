@@ -1,5 +1,6 @@
 // What the parts of the element know of it, and what it asks of a player.
-import type { Player, PlayerOptions } from "../play/player.ts";
+import type { PlayerOptions } from "../play/playback.ts";
+import type { Player } from "../play/player.ts";
 import type { RungInfo } from "../play/rungs.ts";
 import type { Orbit } from "./orbit.ts";
 

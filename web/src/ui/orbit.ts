@@ -14,7 +14,7 @@ import {
   type Vector,
   vector,
 } from "../format/vector.ts";
-import type { ViewState } from "../play/view.ts";
+import type { ViewState } from "../play/sight.ts";
 
 /** From where, and in what direction (length 1). */
 interface Pose {

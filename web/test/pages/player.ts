@@ -1,7 +1,7 @@
 // What the player does on a page, one check a visit. Query: src, check, and what the check takes.
 import { open, type Player } from "../../src/airgs.ts";
 import { firstView } from "../../src/format/region.ts";
-import { cameraOf } from "../../src/play/view.ts";
+import { cameraOf } from "../../src/play/sight.ts";
 import { canvas, gl, number, query, shown, sleep, src, start, until } from "../support/player-page.ts";
 
 let draws = 0; // into the canvas, since somebody looked

@@ -2,6 +2,7 @@
 import type { Camera } from "../../src/format/types.ts";
 import { Renderer, type RendererOptions, type Scene } from "../../src/render/renderer.ts";
 import { Sorter } from "../../src/render/sorter.ts";
+import { readBytes, readFloat } from "../support/read-pixels.ts";
 import { Decoded, type Frame, type Rung } from "./decoded.ts";
 
 const query = new URLSearchParams(location.search);
@@ -22,7 +23,7 @@ const clipped = (value: number) => Math.min(1, Math.max(0, value));
 
 /** What is on the canvas against r, g, b of `truth`; the background is black. */
 function compare(renderer: Renderer, truth: Float32Array): { bytes: number; floats: number } {
-  const [bytes, floats] = [renderer.readBytes(), renderer.readFloat()];
+  const [bytes, floats] = [readBytes(renderer, canvas), readFloat(renderer, canvas)];
   let [inBytes, inFloats] = [0, 0];
   for (let i = 0; i < truth.length; i++) {
     const at = 4 * Math.floor(i / 3) + (i % 3);
@@ -123,10 +124,10 @@ async function levels(data: Decoded) {
     stage.renderer.level(scene, level);
     for (const [t, frame] of groups[0].segments[0].entries()) {
       if (t === 0 && found.length) {
-        const before = stage.renderer.readFloat();
+        const before = readFloat(stage.renderer, canvas);
         scene.projectedFor = null;
         stage.draw(scene, camera); // a level alone changes nothing that is shown
-        const after = stage.renderer.readFloat();
+        const after = readFloat(stage.renderer, canvas);
         if (before.some((value, i) => value !== after[i])) stage.errors.push("level: drawn at once");
       }
       stage.step(scene, frame, true, group.tiles[0].levels[level]);
@@ -150,14 +151,14 @@ async function change(data: Decoded) {
   stage.step(old, frames[0], true, first.group.tiles[0].levels[level]);
   await stage.order(old, frames[0].means, camera);
   stage.draw(old, camera);
-  const before = stage.renderer.readBytes();
+  const before = readBytes(stage.renderer, canvas);
   const next = stage.renderer.scene(data.root, second.group, second.canonical, second.base);
   stage.renderer.level(next, level);
   stage.step(next, frames[1], true, second.group.tiles[0].levels[level]);
   const early = stage.renderer.ready(next) || stage.renderer.draw([next], camera);
   stage.draw(old, camera);
   const between = compare(stage.renderer, frames[0].pictures[0]);
-  const same = stage.renderer.readBytes().every((value, i) => value === before[i]);
+  const same = readBytes(stage.renderer, canvas).every((value, i) => value === before[i]);
   await stage.order(next, frames[1].means, camera);
   stage.renderer.free(old);
   stage.draw(next, camera);
@@ -199,7 +200,7 @@ async function lost(data: Decoded) {
     renderer.order(one, Uint32Array.of(0));
   }
   const idle = [renderer.lost, renderer.busy, renderer.ready(dead), renderer.draw([scene], camera)];
-  const sizes = [renderer.readBytes().length, renderer.readFloat().length];
+  const sizes = [readBytes(renderer, canvas).length, readFloat(renderer, canvas).length];
   renderer.free(dead);
   const back = heard("webglcontextrestored");
   setTimeout(() => extension.restoreContext());
@@ -220,15 +221,15 @@ async function sizes(data: Decoded) {
   const half = { ...camera, width: camera.width / 2, height: camera.height / 2 };
   const halves = { fx: camera.fx / 2, fy: camera.fy / 2, cx: camera.cx / 2, cy: camera.cy / 2 };
   stage.draw(scene, camera);
-  const whole = stage.renderer.readBytes();
+  const whole = readBytes(stage.renderer, canvas);
   stage.renderer.draw([scene], { ...half, ...halves }); // the canvas keeps its size
   stage.look("size");
-  const scaled = stage.renderer.readBytes();
+  const scaled = readBytes(stage.renderer, canvas);
   [canvas.width, canvas.height] = [37, 91];
   const odd = stage.renderer.draw([scene], camera);
   stage.look("odd size");
-  const corner = Array.from(stage.renderer.readBytes().subarray(0, 4));
-  const length = stage.renderer.readBytes().length;
+  const corner = Array.from(readBytes(stage.renderer, canvas).subarray(0, 4));
+  const length = readBytes(stage.renderer, canvas).length;
   stage.renderer.dispose();
   stage.renderer.dispose();
   const disposed = stage.renderer.draw([scene], camera);

@@ -2,8 +2,8 @@
 import type { Region } from "../../src/format/types.ts";
 import type { Problem } from "../../src/play/playback.ts";
 import type { RungInfo } from "../../src/play/rungs.ts";
+import type { ViewState } from "../../src/play/sight.ts";
 import type { PlayerStats } from "../../src/play/statistics.ts";
-import type { ViewState } from "../../src/play/view.ts";
 import type { Part, PlayerLike } from "../../src/ui/desk.ts";
 
 export interface Pretence {

@@ -1,7 +1,7 @@
 // Requests for orders: which are made, which are overtaken. A worker that answers when it is told to stands in.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import type { SortRequest } from "../../src/render/sort-worker.ts";
+import type { SortRequest } from "../../src/render/sort.ts";
 import { Sorter } from "../../src/render/sorter.ts";
 
 const CAMERA = {

@@ -9,9 +9,8 @@ import { makePolicy } from "../../src/play/policies/named.ts";
 import { Repairs } from "../../src/play/repairs.ts";
 import { Session } from "../../src/play/session.ts";
 import { byView, sessionSettings } from "../../src/play/settings.ts";
-import { Boxes, expected, velocityOf, Watcher } from "../../src/play/sight.ts";
+import { Boxes, cameraOf, expected, type ViewState, velocityOf, Watcher } from "../../src/play/sight.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { cameraOf, type ViewState } from "../../src/play/view.ts";
 import { playoutOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { type GroupNumbers, NumberTables } from "../support/offers.ts";
 
