@@ -31,8 +31,8 @@ from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.settings import DELTAS, FIRST_A_VIEW, PRESETS, STATIC, Temporal, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
+    from airgs_codec.train.pipeline import Run
     from airgs_codec.train.record import Model
-    from airgs_codec.train.run import Run
 
 DEFAULTS = TrainSettings()
 
@@ -148,8 +148,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(args: argparse.Namespace) -> int:
     require_torch()
     from airgs_codec.render.backend import open_renderer
+    from airgs_codec.train.pipeline import open_run
     from airgs_codec.train.report import write_report
-    from airgs_codec.train.run import open_run
 
     if args.report:
         require_matplotlib("--report")
@@ -175,14 +175,14 @@ def _run(args: argparse.Namespace) -> int:
         run_training(run, quiet=args.json)
     model = run.model
     if args.report:
-        write_report(model, run.pictures.with_exposure(model.record.exposure), args.report, renderer, jobs)
+        write_report(model, run.capture.pictures.with_exposure(model.record.exposure), args.report, renderer, jobs)
     print(json.dumps(summary(model)) if args.json else as_words(model, args.report))
     return 0
 
 
 def _train_in_jobs(args: argparse.Namespace, run: Run) -> list[Record]:
     """Train by jobs; gives who did which."""
-    from airgs_codec.train.chunk_jobs import train_in_jobs
+    from airgs_codec.train.pipeline import train_in_jobs
 
     bar = Bar(args.json)
     try:
@@ -195,7 +195,7 @@ def _train_in_jobs(args: argparse.Namespace, run: Run) -> list[Record]:
 
 def _train_part(args: argparse.Namespace, scene: MultiviewScene, settings: TrainSettings, device: str) -> int:
     """Do the jobs, and write no model."""
-    from airgs_codec.train.chunk_jobs import train_part
+    from airgs_codec.train.pipeline import train_part
 
     bar = Bar(args.json)
     try:

@@ -20,8 +20,8 @@ from airgs_codec.train.data.structure import find_poses
 from airgs_codec.train.settings import TrainSettings
 
 if TYPE_CHECKING:
+    from airgs_codec.train.pipeline import Run
     from airgs_codec.train.record import FrameRecord, Model
-    from airgs_codec.train.run import Run
 
 CUDA_VIEWS = 4  # an iteration sees on a GPU, which a single picture does not fill
 
@@ -33,7 +33,7 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
     """
     require_torch()
     from airgs_codec.render.backend import open_renderer
-    from airgs_codec.train.run import open_run
+    from airgs_codec.train.pipeline import open_run
 
     pose_rig(scene, quiet=quiet)
     views = with_held_out(open_scene(scene, fps=fps), None)
@@ -62,7 +62,7 @@ def pose_rig(scene: Path, *, frame: int = 0, shared_lens: bool = False, quiet: b
 
 def run_training(run: Run, *, quiet: bool) -> Model:
     """Train frame after frame with a progress bar; `follow_training` says what is done."""
-    from airgs_codec.train.run import train_frames
+    from airgs_codec.train.pipeline import train_frames
 
     bar = Bar(quiet)
     return follow_training(run, train_frames(run, bar), bar, quiet=quiet)

@@ -6,46 +6,64 @@ A frame is in the group of the one before unless its quality falls, or a chunk o
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import torch
 
 from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.usage import Usage
 from airgs_codec.train.data.multiview import MultiviewScene
-from airgs_codec.train.data.pictures import Pictures, View
-from airgs_codec.train.data.plates import Masks, Plates, find_moving, settle
+from airgs_codec.train.data.pictures import Pictures, View, pictures_for
+from airgs_codec.train.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
 from airgs_codec.train.fit.exposure import ExposureModel
 from airgs_codec.train.fit.temporal import static_shares
+from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Group, Trainer, make_trainer
 from airgs_codec.train.loss.target import Exposure
 from airgs_codec.train.quality import mean_psnr, mean_ssim
-from airgs_codec.train.record import FrameRecord, TrainedFrame
+from airgs_codec.train.record import FrameRecord, Model, Span, TrainedFrame
 from airgs_codec.train.settings import TrainSettings
-from airgs_codec.train.stages import FrameBefore, FrameViews, Group, Trainer, make_trainer
+from airgs_codec.train.usage import group_usage
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Capture:
     """What every frame of a scene is fitted with."""
 
     scene: MultiviewScene
+    settings: TrainSettings
+    device: str  # cpu or cuda
     pictures: Pictures
-    trainer: Trainer
     plates: Plates = field(default_factory=dict)  # of every training camera; none: nothing is known to rest
     _moving: dict[int, Masks] = field(init=False, default_factory=dict)  # of the last frame that was a target
 
     @staticmethod
-    def of(scene: MultiviewScene, pictures: Pictures, settings: TrainSettings, device: str) -> Capture:
+    def of(scene: MultiviewScene, settings: TrainSettings, device: str) -> Capture:
         """A scene whose plates and exposure are not known. `device`: cpu or cuda."""
-        if device == "cpu":
+        return Capture(scene, settings, device, pictures_for(scene, settings))
+
+    @cached_property
+    def trainer(self) -> Trainer:
+        """What all fits share. Opened when a fit asks for it: who only writes what others fitted needs no device.
+
+        Raises ConfigError where the device is not there.
+        """
+        if self.device == "cpu":
             torch.set_num_threads(1)  # the kernels have their own threads, and two pools fight over the cores
-        return Capture(scene, pictures, make_trainer(settings, pictures.train(0), scene.points, device))
+        return make_trainer(self.settings, self.pictures.train(0), self.scene.points, self.device)
 
     def with_exposure(self, exposure: Exposure) -> Capture:
         """The same, its pictures as the average camera would have exposed them."""
         return replace(self, pictures=self.pictures.with_exposure(exposure)) if exposure else self
+
+    def with_plates(self, plates: Iterable[Plate]) -> Capture:
+        """The same that knows what rests; `plates`: of every training camera, or none at all."""
+        names = [camera.name for camera in self.scene.cameras if not camera.held_out]
+        stored = [stored_plate(plate, len(names)) for plate in plates]
+        return replace(self, plates=dict(zip(names, stored, strict=True)) if stored else {})
 
     def views(self, frame: int) -> list[View]:
         """The training views of a frame. Raises SceneError when there are none, or a picture cannot be read."""
@@ -66,6 +84,18 @@ class Capture:
         self._moving.clear()
         self._moving[frame] = now.moving
         return FrameViews(frame, now.views, Masks(a | b for a, b in zip(before, now.moving, strict=True)))
+
+    def usage(self, read: Callable[[int], Gaussians], span: Span, progress: Progress = silent) -> Usage:
+        """The usage of a group over its frames [start, stop), which `read` gives, and all its training views."""
+        return group_usage(read, self.pictures, self.trainer.renderer, span, progress)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class First:
+    """The first frame of a run, which all chunks start from."""
+
+    gaussians: Gaussians
+    exposure: Exposure = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,8 +119,8 @@ class _Fitted:
     static: dict[str, float] = field(default_factory=dict)  # as in `FrameRecord`
 
 
-def chunks(frames: int, group_frames: int | None) -> list[tuple[int, int]]:
-    """Frames [start, stop) of each chunk of a run of so many frames: all, unless `group_frames` cuts it."""
+def chunks(frames: int, group_frames: int | None) -> list[Span]:
+    """The frames of each chunk of a run of so many frames: all, unless `group_frames` cuts it."""
     size = group_frames or frames
     return [(start, min(start + size, frames)) for start in range(0, frames, size)]
 
@@ -109,14 +139,17 @@ def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
 
 
 def train_chunk(
-    capture: Capture, frames: range, first: Gaussians, at: Position | None, progress: Progress = silent
+    capture: Capture, frames: range, first: Gaussians, at: Position | None = None, progress: Progress = silent
 ) -> Iterator[TrainedFrame]:
-    """Frames one after another.
+    """Fit frames one after another.
 
     `at`: what the first of them is fitted from, in the group of the frame before unless its quality falls. None: it is
-    a keyframe that starts from the Gaussians of the run's `first` frame, so that nothing between them need be known.
-    Raises what `train` does.
+    a keyframe that starts from the Gaussians of the run's `first` frame, so that nothing between them need be known; or
+    it is that frame itself, which is not fitted again. Raises what `train` does.
     """
+    if at is None and frames.start == 0:
+        group = capture.trainer.start_group(first, capture.views(0))
+        at, frames = Position(FrameBefore(first, None), group), frames[1:]
     for frame in frames:
         begun, named = time.perf_counter(), _named(progress, frame, len(capture.scene))
         if at is None:
@@ -132,9 +165,22 @@ def train_chunk(
         yield _trained(capture, frame, fitted, begun)
 
 
-def after_first(capture: Capture, first: Gaussians) -> Position:
-    """What the second frame of a run is fitted from."""
-    return Position(FrameBefore(first, None), capture.trainer.start_group(first, capture.views(0)))
+def position_after(capture: Capture, model: Model) -> Position:
+    """What the frame behind the last finished one of a model is fitted from."""
+    last = model.record.frames[-1].frame
+    start = model.record.group_start(last + 1)
+    group = capture.trainer.start_group(model.read(start), capture.views(start))
+    if group.networks is not None and last > start:
+        group.networks.load(model.networks())
+    return Position(frame_before(model, last + 1), group)
+
+
+def frame_before(model: Model, frame: int) -> FrameBefore:
+    """What a frame, at least 1, starts from; its velocity is known from the third frame of a group on."""
+    before = model.read(frame - 1)
+    if frame - 1 == model.record.group_start(frame):
+        return FrameBefore(before, None)
+    return FrameBefore(before, before.means - model.read(frame - 2).means)
 
 
 def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Progress) -> _Fitted:

@@ -12,7 +12,7 @@ A run that was killed goes on behind the last record. All that the next frame de
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -22,17 +22,20 @@ import numpy as np
 
 from airgs_codec._files import PART_SUFFIX, atomic_path, to_json, write_json
 from airgs_codec.errors import ConfigError, SceneError
-from airgs_codec.scene.camera import BLACK
+from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import USAGE_NAME
 from airgs_codec.scene.sequence_json import write_settings
 from airgs_codec.scene.usage import Usage, save_usage
+from airgs_codec.train.data.multiview import MultiviewScene
 from airgs_codec.train.loss.target import Exposure
-from airgs_codec.train.settings import BUDGET
+from airgs_codec.train.settings import BUDGET, TrainSettings
 
 RECORD_NAME = "training.json"
 VERSION = 2
+
+Span = tuple[int, int]  # frames [start, stop)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +75,15 @@ class Record:
     frames: tuple[FrameRecord, ...] = ()  # the finished ones
     exposure: Exposure = field(default_factory=dict)
 
+    @staticmethod
+    def of(scene: MultiviewScene, background: Background, settings: TrainSettings) -> Record:
+        """The record of a run that has no frame yet, whose pictures are before a background."""
+        cameras = [f"{c.name} {c.split} {c.width}x{c.height} near {c.near:g}" for c in scene.cameras]
+        first = Path(scene.frames[0][0].source.where()).name
+        named = {"name": scene.path.resolve().name, "first picture": first, "cameras": cameras}
+        same = {**named, "background": list(background)}
+        return Record(same, settings.table(), len(scene), str(scene.fps))
+
     @property
     def complete(self) -> bool:
         """Whether every frame is there."""
@@ -81,7 +93,7 @@ class Record:
         """The frames that start a group."""
         return [f.frame for f in self.frames if f.kind != "frame"]
 
-    def spans(self) -> list[tuple[int, int]]:
+    def spans(self) -> list[Span]:
         """Frames [start, stop) of each group."""
         starts = self.keyframes()
         return list(zip(starts, [*starts[1:], len(self.frames)], strict=True))
@@ -134,8 +146,8 @@ class Model:
             self._networks(frame.frame - 1).unlink(missing_ok=True)
         return frame
 
-    def keep_first(self, count: int) -> None:
-        """Forget all frames behind the first `count`."""
+    def cut(self, count: int) -> None:
+        """Remove all frames behind the first `count`."""
         self.record = replace(self.record, frames=self.record.frames[:count])
         self._write_settings()
         self.write_record()
@@ -149,9 +161,16 @@ class Model:
         red, green, blue = self.record.scene.get("background", BLACK)
         write_settings(self.folder, Fraction(self.record.fps), self.record.keyframes(), (red, green, blue))
 
-    def write_cameras(self, transforms: dict[str, Any]) -> None:
-        """Write the cameras of the run as transforms.json."""
-        write_json(self.folder / "transforms.json", transforms)
+    def write_cameras(self, cameras: Sequence[Camera]) -> None:
+        """Write the cameras of the run as a nerfstudio transforms.json without pictures."""
+        frames = []
+        for c in cameras:
+            matrix = np.linalg.inv(c.world_to_camera) @ OPENGL_TO_OPENCV
+            intrinsics = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
+            entry = {"camera": c.name, "split": c.split, "file_path": "", **intrinsics}
+            frames.append({**entry, "near": c.near, "transform_matrix": matrix.tolist()})
+        fps = float(Fraction(self.record.fps))
+        write_json(self.folder / "transforms.json", {"camera_model": "PINHOLE", "fps": fps, "frames": frames})
 
     def networks(self) -> dict[str, np.ndarray]:
         """Weights after the last finished frame. Raises SceneError when they are not there."""
@@ -162,7 +181,7 @@ class Model:
         except (OSError, ValueError, EOFError) as error:
             raise SceneError(f"{path}: expected the networks of an unfinished run: {error}") from error
 
-    def finish(self, usage: Mapping[tuple[int, int], Usage]) -> None:
+    def finish(self, usage: Mapping[Span, Usage]) -> None:
         """Write the usage of each group of a complete run, and remove the weights, which nothing needs any more."""
         save_usage(self.folder / USAGE_NAME, usage)
         self._networks(self.record.frames[-1].frame).unlink(missing_ok=True)

@@ -12,17 +12,18 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.rows import middle_frame
 from airgs_codec.progress import Progress, silent
+from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.fit.parameters import ATTRIBUTES, Parameters
-from airgs_codec.train.stages import Trainer
+from airgs_codec.train.fit.temporal import codec_steps
 
 
 def group_usage(
     read: Callable[[int], Gaussians],
     pictures: Pictures,
-    trainer: Trainer,
+    renderer: Renderer,
     span: tuple[int, int],
     progress: Progress = silent,
 ) -> Usage:
@@ -32,12 +33,12 @@ def group_usage(
     """
     middle = middle_frame(*span)
     base = read(middle)
-    steps = trainer.steps(base, pictures.train(middle))
+    steps = codec_steps(base, [view.camera for view in pictures.train(middle)], renderer=renderer)
     n = len(base)
     total, peak, hits, moved = np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n)
     for done, frame in enumerate(range(*span), 1):
         g = read(frame)
-        loaded, seen = trainer.renderer.load(g), np.zeros(n)
+        loaded, seen = renderer.load(g), np.zeros(n)
         for view in pictures.train(frame):
             c = loaded.contribution(view.camera)
             total += c.total
@@ -53,6 +54,6 @@ def change_in_steps(a: Gaussians, b: Gaussians, steps: Parameters) -> NDArray[np
     """(N,) Euclidean length of the change from a to b over all channels, each in codec steps."""
     square = np.zeros(len(a))
     for name in ATTRIBUTES:
-        d = (getattr(b, name) - getattr(a, name)) / steps[name].cpu().numpy()
+        d = (getattr(b, name) - getattr(a, name)) / steps[name].numpy()
         square += np.square(d.astype(np.float64)).reshape(len(a), -1).sum(axis=1)
     return np.sqrt(square)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.run import train
+from airgs_codec.train.pipeline import train
 from tests.support.multiview_files import write_views
 from tests.support.training import SETTINGS, write_blobs
 from tests.support.views import coloured_cloud, moved, ring

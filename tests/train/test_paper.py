@@ -8,17 +8,17 @@ import torch
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.render.absgrad import AbsGrad
-from airgs_codec.train import stages
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit import adam, optimise
+from airgs_codec.train.fit import trainer as fits
 from airgs_codec.train.fit.densify import Densifier, growth_of_3dgs
 from airgs_codec.train.fit.parameters import from_gaussians, render
 from airgs_codec.train.fit.points import scene_extent
+from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Trainer
 from airgs_codec.train.loss.photometric import windowed_ssim
-from airgs_codec.train.run import train
+from airgs_codec.train.pipeline import train
 from airgs_codec.train.settings import Temporal, TrainSettings, preset
-from airgs_codec.train.stages import FrameBefore, FrameViews, Trainer
 from tests.support.scenes import random_gaussians
 from tests.support.training import SETTINGS
 from tests.support.views import moved, random_parameters, ring, views_of
@@ -122,8 +122,8 @@ def test_a_frame_in_a_group_moves_by_six_networks_with_a_raw_sum(seen, degree, c
 
 def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
     """L_3DGS and the surrogate of L_inf are in the loss; L^k_temp is applied by its proximal map, to U rows."""
-    monkeypatch.setattr(stages, "residual_seeds", lambda *_: pytest.fail("seeds were looked for"))
-    monkeypatch.setattr(stages, "find_wrong", lambda *_: pytest.fail("seeds were looked for"))
+    monkeypatch.setattr(fits, "residual_seeds", lambda *_: pytest.fail("seeds were looked for"))
+    monkeypatch.setattr(fits, "find_wrong", lambda *_: pytest.fail("seeds were looked for"))
     before = truth()
     rows = len(before)
     views = views_of(moved(before, slice(0, 20), (0.1, 0.0, 0.0)), ring(4))

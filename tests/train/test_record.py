@@ -9,7 +9,7 @@ import pytest
 from airgs_codec.errors import ConfigError
 from airgs_codec.train.data.multiview import with_near
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.run import train
+from airgs_codec.train.pipeline import train
 from tests.support.training import APPEARS, SETTINGS
 
 

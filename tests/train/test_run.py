@@ -13,9 +13,9 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.run import train
+from airgs_codec.train.fit.trainer import Trainer
+from airgs_codec.train.pipeline import train
 from airgs_codec.train.settings import Temporal
-from airgs_codec.train.stages import Trainer
 from tests.support.training import APPEARS, SETTINGS
 from tests.support.views import ring
 

@@ -8,13 +8,14 @@ from airgs_codec.analysis.sensitivity import measure_usage
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.errors import SceneError
 from airgs_codec.render import measure_contribution
+from airgs_codec.render.backend import CPU
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.scene.usage import load_usage
 from airgs_codec.train.data.pictures import pictures_for
 from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.fit.temporal import codec_steps
 from airgs_codec.train.record import FrameRecord, Record, TrainedFrame, open_model
 from airgs_codec.train.settings import TrainSettings
-from airgs_codec.train.stages import make_trainer
 from airgs_codec.train.usage import group_usage
 from tests.support.multiview_files import write_views
 from tests.support.views import coloured_cloud, moved, ring
@@ -53,9 +54,8 @@ def test_motion_is_measured_against_the_middle_frame(tmp_path):
         record = FrameRecord(t, "frame" if t else "first", 40, 0, 30.0, None, None, None, {}, 0.0)
         model.commit(TrainedFrame(frame, record))
     pictures = pictures_for(scene, settings)
-    trainer = make_trainer(settings, pictures.train(0), None, "cpu")
-    usage = group_usage(model.read, pictures, trainer, (0, 4))
-    steps = trainer.steps(frames[2], pictures.train(2))["means"][0].numpy()
+    usage = group_usage(model.read, pictures, CPU, (0, 4))
+    steps = codec_steps(frames[2], [view.camera for view in pictures.train(2)])["means"][0].numpy()
     seen = max(measure_contribution(g, view.camera).peak[0] for view in pictures.train(0))
     assert usage.moved[0] == pytest.approx(seen * 0.2 / steps[0], rel=1e-5)
     assert (usage.moved[1:] == 0).all()

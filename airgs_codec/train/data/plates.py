@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.media.image import box_mean, to_bytes, to_floats
-from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.camera import Camera
 from airgs_codec.train.data.kept import Kept
 from airgs_codec.train.data.multiview import MultiviewScene
@@ -88,34 +87,15 @@ def _lens(camera: Camera) -> tuple[float, ...]:
     return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
 
 
-def find_plates(scene: MultiviewScene, pictures: Pictures, progress: Progress = silent) -> Plates:
-    """The plates of the training cameras; none where a camera moves or there are too few frames.
+def plate_sources(scene: MultiviewScene) -> list[tuple[int, list[int]]]:
+    """What plates are taken from: training cameras, counted as the scene does, and the frames of each.
 
-    Camera after camera, so that no more than SAMPLES pictures are held; the plates of large rigs are kept on disk.
-    Raises SceneError for a picture that cannot be read.
+    None where a camera moves or there are too few frames.
     """
-    frames, cameras = plate_frames(scene), plate_cameras(scene)
-    if not frames:
-        return {}
-    plates = {}
-    for done, index in enumerate(cameras, 1):
-        plate = find_plate(pictures, index, frames)
-        plates[scene.cameras[index].name] = keep_plate(plate, len(cameras))
-        progress("what rests", done, len(cameras))
-    return plates
-
-
-def plate_frames(scene: MultiviewScene) -> list[int]:
-    """The frames that plates are taken from; none where a camera moves or there are too few frames."""
     if len(scene) < FEWEST or not stands_still(scene):
         return []
     frames: list[int] = np.unique(np.linspace(0, len(scene) - 1, SAMPLES).round().astype(int)).tolist()
-    return frames
-
-
-def plate_cameras(scene: MultiviewScene) -> list[int]:
-    """Which cameras have plates, those that are trained on, counted as the scene does."""
-    return [i for i, camera in enumerate(scene.cameras) if not camera.held_out]
+    return [(i, frames) for i, camera in enumerate(scene.cameras) if not camera.held_out]
 
 
 def find_plate(pictures: Pictures, camera: int, frames: Sequence[int]) -> Plate:
@@ -123,7 +103,7 @@ def find_plate(pictures: Pictures, camera: int, frames: Sequence[int]) -> Plate:
     return plate_of([to_bytes(pictures.view(frame, camera).target.rgb) for frame in frames])
 
 
-def keep_plate(plate: Plate, count: int) -> Plate:
+def stored_plate(plate: Plate, count: int) -> Plate:
     """The plate, on disk where `count` of its size would take too much memory."""
     return replace(plate, rgb=_on_disk(plate.rgb)) if plate.rgb.nbytes * count > PICTURE_BYTES else plate
 

@@ -6,7 +6,7 @@ import pytest
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.run import train
+from airgs_codec.train.pipeline import train
 from tests.support.training import SETTINGS, write_blobs
 from tools.lab.bench import keyframe
 from tools.lab.command import Lab

@@ -9,10 +9,13 @@ import pytest
 from airgs_codec.media.image import box_mean
 from airgs_codec.train.data import plates as data_plates
 from airgs_codec.train.data.multiview import with_held_out
-from airgs_codec.train.data.pictures import Pictures, View
-from airgs_codec.train.data.plates import WINDOW, Plate, find_plates, plate_of, settle, stands_still
+from airgs_codec.train.data.pictures import View
+from airgs_codec.train.data.plates import WINDOW, Plate, plate_of, settle, stands_still
 from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.frames import Capture
 from airgs_codec.train.loss.target import Target
+from airgs_codec.train.pipeline import rested
+from airgs_codec.train.settings import TrainSettings
 from tests.support.paths import FOX_VIEWS
 from tests.support.views import ring
 
@@ -110,8 +113,8 @@ def test_plates_are_seen_through_the_exposure_of_their_camera():
 
 def test_real_pictures_are_nowhere_changed_by_more_than_the_tolerance():
     scene = with_held_out(open_scene(FOX_VIEWS), None)
-    pictures = Pictures(scene)
-    plates = find_plates(scene, pictures)
+    capture = rested(Capture.of(scene, TrainSettings(), "cpu"))
+    pictures, plates = capture.pictures, capture.plates
     assert set(plates) == {camera.name for camera in scene.cameras if not camera.held_out}
     for view in pictures.train(3):
         settled = settled_one(view, plates[view.camera.name])
@@ -136,7 +139,7 @@ def test_cameras_that_move_have_no_plates(what):
     shots = shots[1:] if what == "missing" else [shots[0], replace(shots[1], camera=changed), *shots[2:]]
     scene = replace(scene, frames=(*scene.frames[:2], tuple(shots), *scene.frames[3:]))
     assert not stands_still(scene)
-    assert find_plates(scene, Pictures(scene)) == {}
+    assert rested(Capture.of(scene, TrainSettings(), "cpu")).plates == {}
 
 
 def test_cameras_of_one_name_have_no_plates():
@@ -151,11 +154,11 @@ def test_cameras_of_one_name_have_no_plates():
 
 def test_plates_of_large_rigs_are_on_disk_and_settled_targets_are_kept_within_their_bytes(monkeypatch):
     scene = with_held_out(open_scene(FOX_VIEWS), None)
-    pictures = Pictures(scene)
-    small = find_plates(scene, pictures)
+    capture = rested(Capture.of(scene, TrainSettings(), "cpu"))
+    pictures, small = capture.pictures, capture.plates
     monkeypatch.setattr(data_plates, "PICTURE_BYTES", 128 * 128 * 3 * len(small) - 1)
     monkeypatch.setattr(data_plates, "TARGET_BYTES", 3 * 128 * 128 * 36)
-    large = find_plates(scene, pictures)
+    large = rested(capture).plates
     for name, plate in large.items():
         assert isinstance(plate.rgb, np.memmap) and not isinstance(small[name].rgb, np.memmap)
         np.testing.assert_array_equal(plate.rgb, small[name].rgb)

@@ -17,7 +17,7 @@ from airgs_codec.package.store import Package, open_package
 from airgs_codec.progress import Progress
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.train.data.multiview import MultiviewScene
-from airgs_codec.train.run import train
+from airgs_codec.train.pipeline import train
 from airgs_codec.train.settings import TrainSettings
 from tools.lab.baselines.method import Footage, Shown
 

@@ -26,8 +26,8 @@ from airgs_codec.train.fit.densify import Densifier, Growth, strongest
 from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import ATTRIBUTES, from_gaussians, to_gaussians
 from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates
+from airgs_codec.train.fit.trainer import FrameViews, Trainer, make_trainer
 from airgs_codec.train.settings import TrainSettings
-from airgs_codec.train.stages import FrameViews, Trainer, make_trainer
 from tools.lab.baselines.hashgrid import FieldSettings
 from tools.lab.baselines.method import Footage, Shown, frame_path
 from tools.lab.baselines.transformation import CacheDriven, Region, apply_cache, region_of

@@ -28,8 +28,8 @@ from airgs_codec.train.fit.adam import BETAS
 from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import Parameters, from_gaussians, to_gaussians
 from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates
+from airgs_codec.train.fit.trainer import FIRST_REGULARISERS, FrameViews, Trainer, make_trainer
 from airgs_codec.train.settings import TrainSettings
-from airgs_codec.train.stages import FIRST_REGULARISERS, FrameViews, Trainer, make_trainer
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
 from tools.lab.baselines.method import Footage, Shown
 from tools.lab.baselines.residual import ResidualLoss

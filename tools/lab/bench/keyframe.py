@@ -15,16 +15,15 @@ import torch
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import with_held_out
-from airgs_codec.train.data.pictures import View, pictures_for
-from airgs_codec.train.data.plates import find_plates
+from airgs_codec.train.data.pictures import View
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit.parameters import Parameters
-from airgs_codec.train.frames import Capture
+from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Trainer
+from airgs_codec.train.frames import Capture, frame_before
+from airgs_codec.train.pipeline import rested
 from airgs_codec.train.quality import mean_psnr
 from airgs_codec.train.record import Model, read_model
-from airgs_codec.train.run import frame_before
 from airgs_codec.train.settings import settings_from_table
-from airgs_codec.train.stages import FrameBefore, FrameViews, Trainer
 from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of, setting
 
 WARM = (25, 50, 100, 200, 400, 800, 1500)  # iterations
@@ -90,9 +89,7 @@ def open_case(scene_folder: Path, model_folder: Path, frame: int | None, max_siz
     if max_size is not None:
         settings = replace(settings, max_size=max_size)
     scene = with_held_out(open_scene(scene_folder), None)
-    capture = Capture.of(scene, pictures_for(scene, settings), settings, "cpu")
-    plates = find_plates(scene, capture.pictures) if settings.knows_rest else {}
-    capture = replace(capture.with_exposure(model.record.exposure), plates=plates)
+    capture = rested(Capture.of(scene, settings, "cpu")).with_exposure(model.record.exposure)
     before, pictures = frame_before(model, frame), capture.pictures
     steps = capture.trainer.steps(before.gaussians, pictures.train(frame - 1))
     return Case(capture.trainer, capture.target(frame, frame - 1), before, steps, pictures.held_out(frame))

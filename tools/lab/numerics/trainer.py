@@ -14,13 +14,12 @@ from typing import Any
 
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out
-from airgs_codec.train.data.pictures import pictures_for
-from airgs_codec.train.data.plates import find_plates
 from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Trainer
 from airgs_codec.train.frames import Capture
+from airgs_codec.train.pipeline import rested
 from airgs_codec.train.quality import mean_psnr
 from airgs_codec.train.settings import TrainSettings
-from airgs_codec.train.stages import FrameBefore, FrameViews, Trainer
 from tools.lab.numerics.rows import FOX_VIEWS, Bench, Place, Point, Row
 from tools.lab.timing import seconds_of
 
@@ -46,8 +45,7 @@ class Case:
     @cached_property
     def capture(self) -> Capture:
         """What all fits share."""
-        capture = Capture.of(self.scene, pictures_for(self.scene, BASE), BASE, "cpu")
-        return replace(capture, plates=find_plates(self.scene, capture.pictures))
+        return rested(Capture.of(self.scene, BASE, "cpu"))
 
     @cached_property
     def first(self) -> FrameViews:

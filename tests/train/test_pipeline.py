@@ -21,11 +21,11 @@ from airgs_codec.jobs.store import WorkFolder
 from airgs_codec.jobs.work import Part, Work
 from airgs_codec.media.image import read_picture, write_png
 from airgs_codec.render.cpu import one_thread
-from airgs_codec.train import chunk_jobs
-from airgs_codec.train.chunk_jobs import TrainJobs, train_in_jobs, train_part
+from airgs_codec.train import pipeline
 from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.frames import Capture
+from airgs_codec.train.pipeline import CHUNKS, FIRST, REST, Farm, Piece, open_run, train, train_in_jobs, train_part
 from airgs_codec.train.record import read_model
-from airgs_codec.train.run import Run, open_run, train
 from tests.support.jobs import square
 from tests.support.training import SETTINGS
 from tests.train.test_record import StopError, files, killed_at
@@ -117,18 +117,18 @@ def test_parts_in_any_order_leave_a_model_that_only_has_to_be_written(scene, exp
 
 
 def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp_path, monkeypatch, done):
-    work, fit = Work(WorkFolder(tmp_path / "work")), chunk_jobs.train_chunk
+    work, fit = Work(WorkFolder(tmp_path / "work")), pipeline.train_chunk
 
     def stop(capture, frames, *more):
         if frames.start == 2:
             raise StopError
         return fit(capture, frames, *more)
 
-    monkeypatch.setattr(chunk_jobs, "train_chunk", stop)
+    monkeypatch.setattr(pipeline, "train_chunk", stop)
     with pytest.raises(StopError):
         train_with(scene, tmp_path / "m", work)
     assert len(read_model(tmp_path / "m").record.frames) == 1  # the first frame is there for all that go on
-    monkeypatch.setattr(chunk_jobs, "train_chunk", fit)
+    monkeypatch.setattr(pipeline, "train_chunk", fit)
     done.clear()
     train_with(scene, tmp_path / "m", work, resume=True)
     assert done == SPANS[1:] and files(tmp_path / "m") == expected
@@ -156,14 +156,18 @@ def test_a_model_that_was_written_in_part_is_finished_by_either(scene, expected,
 
 
 @pytest.mark.parametrize("length", [1, 2])
-def test_whoever_writes_the_model_measures_nothing_that_jobs_have(scene, tmp_path, monkeypatch, length):
+def test_whoever_writes_the_model_measures_nothing_that_jobs_have(scene, tmp_path, length):
     """The machine of the command may have no GPU: the usage of all groups comes from jobs, those written before too."""
     settings, work = replace(CHUNKED, group_frames=length), Work(WorkFolder(tmp_path / "work"))
-    monkeypatch.setattr(Run, "capture", lambda run: pytest.fail("something is measured here"))
-    frames = train_in_jobs(open_run(scene, tmp_path / "m", settings), work)
+
+    def train_blindly(**more):
+        run = open_run(scene, tmp_path / "m", settings, **more)
+        return train_in_jobs(replace(run, capture=replace(run.capture, pictures=None)), work)  # nothing to measure with
+
+    frames = train_blindly()
     assert [next(frames).frame for _ in range(3)] == [0, 1, 2]
     frames.close()
-    assert train_with(scene, tmp_path / "m", work, settings, resume=True)[-1] == 3
+    assert [f.frame for f in train_blindly(resume=True)][-1] == 3
     assert read_model(tmp_path / "m").finished()
 
 
@@ -187,8 +191,9 @@ def test_all_that_a_chunk_reads_is_in_its_name(scene, tmp_path):
     first = work.put(1)
 
     def names(scene=scene, settings=CHUNKED, device="cpu", first=first):
-        jobs = TrainJobs.of(scene, settings, device, work)
-        return jobs.chunk((2, 4), first).entry
+        farm = Farm.of(Capture.of(scene, settings, device), work)
+        piece = Piece("some frames", (2, 3), ((2, 4),))
+        return farm.job(CHUNKS, piece, (first, *(job.result for job in farm.jobs(REST)))).entry
 
     moved = replace(scene.frames[2][1].camera, world_to_camera=np.eye(4))
     shots = (scene.frames[2][0], replace(scene.frames[2][1], camera=moved), *scene.frames[2][2:])
@@ -210,7 +215,7 @@ def test_a_cluster_gives_jobs_to_workers_that_have_what_they_need(scene, expecte
         engine = DaskEngine.at(cluster.scheduler_address)
         try:
             work = Work(WorkFolder(tmp_path / "work"), engine)
-            monkeypatch.setattr(TrainJobs, "_needs", {"GPU": 1})
+            monkeypatch.setattr(Farm, "needs", {"GPU": 1})
             train_with(scene, tmp_path / "m", work)
             assert files(tmp_path / "m") == expected
             job = Job("square", "", "a" * 64, square, (3, str(tmp_path)), needs={"FPGA": 1})
@@ -221,9 +226,10 @@ def test_a_cluster_gives_jobs_to_workers_that_have_what_they_need(scene, expecte
 
 
 def test_a_job_on_a_gpu_says_so(scene, tmp_path):
-    jobs = {d: TrainJobs.of(scene, CHUNKED, d, Work(WorkFolder(tmp_path / "work"))) for d in ("cpu", "cuda")}
-    assert jobs["cuda"].first().needs == {"GPU": 1} and not jobs["cpu"].first().needs
-    assert not any(job.needs for job in jobs["cuda"].plates)
+    work = Work(WorkFolder(tmp_path / "work"))
+    cpu, cuda = (Farm.of(Capture.of(scene, CHUNKED, device), work) for device in ("cpu", "cuda"))
+    assert [job.needs for job in cuda.jobs(FIRST)] == [{"GPU": 1}] and not any(job.needs for job in cpu.jobs(FIRST))
+    assert cuda.jobs(REST) and not any(job.needs for job in cuda.jobs(REST))
 
 
 @pytest.mark.parametrize(
