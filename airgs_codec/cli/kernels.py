@@ -22,7 +22,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba, as in `cli.
 
 from airgs_codec.coding import rangecoder
 from airgs_codec.render import cpu_kernels
-from airgs_codec.train.loss import kernels as loss_kernels
+from airgs_codec.train.fit import kernels as loss_kernels
 
 _TILES = "f4[:,::1], i8[::1], i4[::1], i4[::1], i8, i8"  # `Tiles.arguments` and the size of a picture
 _SCENE = "f4[:,::1], f4[:,::1], f4[:,::1], f4[::1], f4[:,:,::1], i8, f8[:,::1], f8[::1], i8, i8"

@@ -248,7 +248,7 @@ def _iterations(text: str) -> dict[str, int]:
 
 def summary(model: Model) -> dict[str, object]:
     """The record as JSON has it, and what it comes to: means over frames; PSNR as `psnr_definition` says."""
-    from airgs_codec.train.quality import PSNR_DEFINITION
+    from airgs_codec.train.fit.losses import PSNR_DEFINITION
 
     frames = model.record.frames
     held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]

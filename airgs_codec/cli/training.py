@@ -16,7 +16,7 @@ from airgs_codec.cli.common import Bar
 from airgs_codec.errors import ConfigError
 from airgs_codec.train.data.multiview import with_held_out
 from airgs_codec.train.data.readers import is_unposed, open_scene
-from airgs_codec.train.data.structure import find_poses
+from airgs_codec.train.data.rig import find_poses
 from airgs_codec.train.settings import TrainSettings
 
 if TYPE_CHECKING:

@@ -17,13 +17,10 @@ from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 from airgs_codec.train.data.multiview import MultiviewScene
-from airgs_codec.train.data.pictures import Pictures, View, pictures_for
+from airgs_codec.train.data.pictures import Exposure, Pictures, View, pictures_for
 from airgs_codec.train.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
-from airgs_codec.train.fit.exposure import ExposureModel
-from airgs_codec.train.fit.temporal import static_shares
+from airgs_codec.train.fit.losses import ExposureModel, mean_psnr, mean_ssim, static_shares
 from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Group, Trainer, make_trainer
-from airgs_codec.train.loss.target import Exposure
-from airgs_codec.train.quality import mean_psnr, mean_ssim
 from airgs_codec.train.record import FrameRecord, Model, Span, TrainedFrame
 from airgs_codec.train.settings import TrainSettings
 from airgs_codec.train.usage import group_usage

@@ -19,8 +19,14 @@ from airgs_codec.jobs.job import Job, Stored
 from airgs_codec.jobs.work import Work
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.usage import Usage
-from airgs_codec.train.data.contents import Contents, content_of, read_contents, with_frames, without_masks
-from airgs_codec.train.data.multiview import MultiviewScene
+from airgs_codec.train.data.multiview import (
+    Contents,
+    MultiviewScene,
+    content_of,
+    read_contents,
+    with_frames,
+    without_masks,
+)
 from airgs_codec.train.data.plates import Plate, find_plate, plate_sources
 from airgs_codec.train.frames import Capture, First, chunks, position_after, train_chunk, train_first
 from airgs_codec.train.record import FrameRecord, Model, Record, Span, TrainedFrame, open_model

@@ -29,7 +29,7 @@ from airgs_codec.scene.sequence import USAGE_NAME
 from airgs_codec.scene.sequence_json import write_settings
 from airgs_codec.scene.usage import Usage, save_usage
 from airgs_codec.train.data.multiview import MultiviewScene
-from airgs_codec.train.loss.target import Exposure
+from airgs_codec.train.data.pictures import Exposure
 from airgs_codec.train.settings import BUDGET, TrainSettings
 
 RECORD_NAME = "training.json"

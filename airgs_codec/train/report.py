@@ -21,7 +21,7 @@ from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.media.image import label, to_bytes, write_png
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.quality import PSNR_DEFINITION
+from airgs_codec.train.fit.losses import PSNR_DEFINITION
 from airgs_codec.train.record import FrameRecord, Model
 
 _BLUE, _ORANGE, _GREEN, _RED = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b"

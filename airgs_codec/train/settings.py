@@ -25,7 +25,7 @@ BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 
 @dataclass(frozen=True, slots=True)
 class Temporal:
-    """Weight and unit of the temporal loss; see `fit.temporal`."""
+    """Weight and unit of the temporal loss; see `fit.losses`."""
 
     weight: float = 1e-3
     unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally

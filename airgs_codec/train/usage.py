@@ -16,8 +16,8 @@ from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.usage import Usage
 from airgs_codec.train.data.pictures import Pictures
+from airgs_codec.train.fit.losses import codec_steps
 from airgs_codec.train.fit.parameters import ATTRIBUTES, Parameters
-from airgs_codec.train.fit.temporal import codec_steps
 
 
 def group_usage(

@@ -14,7 +14,7 @@ from airgs_codec.package.store import open_package
 from airgs_codec.train.data.multiview import with_held_out
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.quality import PSNR_DEFINITION
+from airgs_codec.train.fit.losses import PSNR_DEFINITION
 from airgs_codec.train.record import read_model
 from tests.support.training import SETTINGS, write_blobs
 

@@ -8,11 +8,10 @@ from airgs_codec.render import cuda
 from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.train.data.pictures import View
+from airgs_codec.train.fit.losses import mean_psnr, photometric
 from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import ATTRIBUTES, from_gaussians, render, render_views
-from airgs_codec.train.fit.per_gaussian import PerGaussian
-from airgs_codec.train.loss.photometric import photometric
-from airgs_codec.train.quality import mean_psnr
+from airgs_codec.train.fit.variables import PerGaussian
 from tests.support.scenes import random_gaussians
 from tests.support.views import coloured_cloud, moved, ring, views_of
 from tools.lab.bench.devices import compare

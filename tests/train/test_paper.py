@@ -10,13 +10,13 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit import adam, optimise
+from airgs_codec.train.fit import optimise, parameters
 from airgs_codec.train.fit import trainer as fits
-from airgs_codec.train.fit.densify import Densifier, growth_of_3dgs
+from airgs_codec.train.fit.grow import Densifier, growth_of_3dgs
+from airgs_codec.train.fit.losses import windowed_ssim
 from airgs_codec.train.fit.parameters import from_gaussians, render
 from airgs_codec.train.fit.points import scene_extent
 from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Trainer
-from airgs_codec.train.loss.photometric import windowed_ssim
 from airgs_codec.train.pipeline import train
 from airgs_codec.train.settings import Temporal, TrainSettings, preset
 from tests.support.scenes import random_gaussians
@@ -40,7 +40,7 @@ class Seen:
 @pytest.fixture
 def seen(monkeypatch):
     """Everything that a fit shows while it runs."""
-    seen, draw, add, step = Seen(), optimise.render_views, optimise.Losses.add, adam.Adam.step
+    seen, draw, add, step = Seen(), optimise.render_views, optimise.Losses.add, parameters.Adam.step
 
     def look(p, cameras, *rest):
         seen.gaussians.append({name: value.detach().clone() for name, value in p.items()})
@@ -58,7 +58,7 @@ def seen(monkeypatch):
 
     monkeypatch.setattr(optimise, "render_views", look)
     monkeypatch.setattr(optimise.Losses, "add", note)
-    monkeypatch.setattr(adam.Adam, "step", move)
+    monkeypatch.setattr(parameters.Adam, "step", move)
     return seen
 
 
@@ -151,7 +151,7 @@ def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
 def test_the_proximal_map_of_the_last_iteration_is_that_of_the_l1_norm(seen):
     """One Adam step from D, then |D| shrinks by rate x weight / sqrt(v): the minimiser of the norm in Adam's metric."""
     d, weight, rate = torch.tensor([0.5, -0.5, 1e-4]), 0.3, 0.01
-    a = adam.Adam({"x": d}, {"x": rate})
+    a = parameters.Adam({"x": d}, {"x": rate})
     a.parameters["x"].grad = torch.tensor([2.0, 2.0, 2.0])
     a.step({"x": torch.full((3,), weight)})
     stepped = d - rate * 1.0  # the first step of Adam is rate x sign

@@ -13,7 +13,7 @@ from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.scene.usage import load_usage
 from airgs_codec.train.data.pictures import pictures_for
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.temporal import codec_steps
+from airgs_codec.train.fit.losses import codec_steps
 from airgs_codec.train.record import FrameRecord, Record, TrainedFrame, open_model
 from airgs_codec.train.settings import TrainSettings
 from airgs_codec.train.usage import group_usage

@@ -1,15 +1,16 @@
 """The pictures of a multi-view scene as they are trained on: undistorted, shrunk, masked, exposed alike.
 
-Pictures are read when they are asked for and kept in 8 bits at training size; targets in float32 are made of them when
-they are needed. Of both, those used last are kept, so that memory is bounded however many pictures there are. H x W
-pixels.
+Pictures are read when they are asked for and buffered in 8 bits at training size; targets in float32 are made of them
+when they are needed. Of both, those used last are buffered, so that memory is bounded however many pictures there are.
+H x W pixels, n = 3 W interleaved samples a row.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,6 @@ from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera, with_pixels
 from airgs_codec.train.data.kept import Kept
 from airgs_codec.train.data.multiview import MultiviewScene, Shot
-from airgs_codec.train.loss.target import Exposure, Stored, Target
 from airgs_codec.train.settings import RANDOM, TrainSettings, named_background
 
 PICTURE_BYTES = 1 << 30  # of pictures in 8 bits: 40 in 4K, or 170 in 1080p
@@ -211,3 +211,70 @@ def _read(shot: Shot) -> NDArray[np.uint8]:
 
 def _full_size(shot: Shot) -> tuple[int, int]:
     return shot.lens.size if shot.lens else (shot.camera.width, shot.camera.height)
+
+
+Exposure = Mapping[str, Sequence[float]]  # camera -> gains r, g, b and offsets r, g, b
+
+
+class Target:
+    """A picture to be matched."""
+
+    def __init__(self, rgb: NDArray[np.float32], clear: NDArray[np.float32] | None = None) -> None:
+        """`rgb`: (H, W, 3), 0..1. `clear`: (H, W) share of the background in it; None: not known."""
+        self.rgb = np.ascontiguousarray(rgb, np.float32)
+        self.clear = clear
+        self.moments: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None  # (H, n), by `fit.losses.moments`
+        self.on_device: Any = None  # a tensor of `rgb`, where the loss is computed on a device
+
+    @property
+    def rows(self) -> NDArray[np.float32]:
+        """The samples (H, n)."""
+        return self.rgb.reshape(len(self.rgb), -1)
+
+    def before(self, there: Background, now: Background) -> Target:
+        """The picture before the background `now` instead of the one that is there. Raises ValueError without alpha."""
+        if self.clear is None:
+            raise ValueError("expected a picture whose background is known")
+        change = np.subtract(now, there).astype(np.float32)
+        return Target(self.rgb + self.clear[..., None] * change, self.clear)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that its arrays hold when the moments are known, in bytes."""
+        return 3 * self.rgb.nbytes + (0 if self.clear is None else self.clear.nbytes)
+
+    def target(self) -> Target:
+        """Itself: a picture that is at hand."""
+        return self
+
+    def expect(self) -> None:
+        """Nothing: it is at hand."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stored:
+    """A picture in 8 bits, 3 or 4 bytes a pixel, of which a target takes 36 or 40."""
+
+    rgb: NDArray[np.uint8]  # (H, W, 3) before the background of the scene
+    clear: NDArray[np.uint8] | None = None  # (H, W) share of the background in it; None: not known
+
+    @property
+    def nbytes(self) -> int:
+        """Memory that its arrays hold, in bytes."""
+        return self.rgb.nbytes + (0 if self.clear is None else self.clear.nbytes)
+
+    def target(self, exposure: Sequence[float] | None) -> Target:
+        """The picture in float32, as the average camera would have exposed it; None: exposed as it is."""
+        rgb = to_floats(self.rgb)
+        if exposure is not None:
+            rgb = exposed_alike(rgb, exposure)
+        return Target(rgb, None if self.clear is None else to_floats(self.clear))
+
+
+def exposed_alike(picture: NDArray[np.float32], values: Sequence[float]) -> NDArray[np.float32]:
+    """The picture (H, W, 3) as the average camera would have exposed it; colours may leave 0..1.
+
+    `values`: gains and offsets of the camera that took it, as in `Exposure`.
+    """
+    gains, offsets = np.array(values, np.float32).reshape(2, 3)
+    return (picture - offsets) / gains

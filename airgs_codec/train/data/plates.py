@@ -21,8 +21,16 @@ from airgs_codec.media.image import box_mean, to_bytes, to_floats
 from airgs_codec.scene.camera import Camera
 from airgs_codec.train.data.kept import Kept
 from airgs_codec.train.data.multiview import MultiviewScene
-from airgs_codec.train.data.pictures import PICTURE_BYTES, TARGET_BYTES, Picture, Pictures, View
-from airgs_codec.train.loss.target import Exposure, Target, exposed_alike
+from airgs_codec.train.data.pictures import (
+    PICTURE_BYTES,
+    TARGET_BYTES,
+    Exposure,
+    Picture,
+    Pictures,
+    Target,
+    View,
+    exposed_alike,
+)
 
 FEWEST = 3  # frames of a run that has plates
 SAMPLES = 16  # most frames that a plate is the median of

@@ -12,13 +12,12 @@ import numpy as np
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.formats.table import has_frames
-from airgs_codec.train.data.colmap_folder import has_colmap, read_colmap
+from airgs_codec.train.data.colmap import has_colmap, read_colmap
 from airgs_codec.train.data.hifi4g import has_hifi4g, read_hifi4g
 from airgs_codec.train.data.multiview import MultiviewScene, Points
-from airgs_codec.train.data.panoptic import has_panoptic, read_panoptic
 from airgs_codec.train.data.poses_bounds import has_poses_bounds, read_poses_bounds
 from airgs_codec.train.data.rig import has_rig, read_rig
-from airgs_codec.train.data.transforms import has_transforms, read_transforms
+from airgs_codec.train.data.transforms import has_panoptic, has_transforms, read_panoptic, read_transforms
 
 POINT_FILES = (
     "points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "sparse_pc.ply", "points3d.npy",
@@ -52,7 +51,7 @@ def is_multiview(folder: Path) -> bool:
 
 
 def is_unposed(folder: Path) -> bool:
-    """Whether a folder has videos of cameras whose poses must be found first (`train.data.structure.find_poses`)."""
+    """Whether a folder has videos of cameras whose poses must be found first (`train.data.rig.find_poses`)."""
     return has_rig(folder) and not any(entry.recognise(folder) for entry in FORMATS if entry.recognise is not has_rig)
 
 

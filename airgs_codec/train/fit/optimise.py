@@ -1,25 +1,29 @@
 """The loop that fits Gaussians to pictures: first frames, keyframes and frames in a group all run through it.
 
-N Gaussians, V views.
+It may begin with pictures of half the size: large motion is a small one there, and an iteration costs less.
+
+N Gaussians, V views, H x W pixels.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from airgs_codec.errors import TrainingError
+from airgs_codec.media.image import resize
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render.absgrad import AbsGrad
-from airgs_codec.train.data.halved import can_be_halved, halve
-from airgs_codec.train.data.pictures import View
-from airgs_codec.train.fit.exposure import ExposureModel
+from airgs_codec.render.cpu import TILE, Redraw, Render
+from airgs_codec.scene.camera import with_pixels
+from airgs_codec.train.data.pictures import Picture, Target, View
+from airgs_codec.train.fit.losses import LAMBDA, ExposureModel, photometric
 from airgs_codec.train.fit.parameters import Parameters, render_views
-from airgs_codec.train.loss.photometric import LAMBDA, photometric
 
 LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite; rows are added no more often
 
@@ -140,3 +144,51 @@ def optimise(
 def _before(view: View, rng: np.random.Generator) -> View:
     """The view before a random background."""
     return view.before(tuple(rng.uniform(size=3).tolist()))
+
+
+LEAST = 160  # pixels on the shorter side of a picture that is halved: smaller ones lose what moves in them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Halved:
+    """A picture at half its size."""
+
+    whole: Picture
+    size: tuple[int, int]  # width and height
+
+    def target(self) -> Target:
+        """The picture in float32. Raises SceneError where it cannot be read."""
+        whole = self.whole.target()
+        return Target(resize(whole.rgb, *self.size), None if whole.clear is None else resize(whole.clear, *self.size))
+
+    def expect(self) -> None:
+        """It will be asked for soon."""
+        self.whole.expect()
+
+
+def can_be_halved(views: Sequence[View]) -> bool:
+    """Whether all pictures are large enough."""
+    return all(min(view.camera.width, view.camera.height) >= LEAST for view in views)
+
+
+def halve(view: View) -> View:
+    """The view at half its size, or half a pixel more. A tile is drawn again where one of the four in it would be."""
+    size = -(-view.camera.width // 2), -(-view.camera.height // 2)
+    redraw = view.redraw and _halve_redraw(view.redraw, size)
+    return View(with_pixels(view.camera, *size), Halved(view.picture, size), redraw)
+
+
+def _halve_redraw(redraw: Redraw, size: tuple[int, int]) -> Redraw:
+    def rest() -> Render:
+        whole = redraw.rest()
+        return Render(resize(whole.rgb, *size), resize(whole.transmittance, *size))
+
+    return replace(redraw, tiles=_any_of_four(redraw.tiles, size), rest=rest)
+
+
+def _any_of_four(tiles: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """(down, across) of pictures of a size, from (down', across') of pictures twice as large."""
+    across, down = (-(-pixels // TILE) for pixels in size)
+    padded = np.zeros((2 * down, 2 * across), np.bool_)
+    padded[: tiles.shape[0], : tiles.shape[1]] = tiles
+    return np.asarray(padded.reshape(down, 2, across, 2).any(axis=(1, 3)))

@@ -19,9 +19,8 @@ from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.data.plates import Masks
 from airgs_codec.train.fit.active import Resting, Scope, find_active
-from airgs_codec.train.fit.densify import LOW_OPACITY, Densifier, Growth, growth_of_3dgs
-from airgs_codec.train.fit.exposure import ExposureModel
-from airgs_codec.train.fit.mlp import MlpDriven, Networks
+from airgs_codec.train.fit.grow import LOW_OPACITY, Densifier, Growth, find_wrong, growth_of_3dgs, residual_seeds
+from airgs_codec.train.fit.losses import ExposureModel, better, codec_steps, mean_psnr, temporal_weights
 from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import (
     ATTRIBUTES,
@@ -31,11 +30,8 @@ from airgs_codec.train.fit.parameters import (
     to_gaussians,
     zeros_like,
 )
-from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates, Regularisers
 from airgs_codec.train.fit.points import initial_points, scene_extent
-from airgs_codec.train.fit.seeds import find_wrong, residual_seeds
-from airgs_codec.train.fit.temporal import codec_steps, temporal_weights
-from airgs_codec.train.quality import better, mean_psnr
+from airgs_codec.train.fit.variables import MlpDriven, Networks, PerGaussian, Rates, Regularisers
 from airgs_codec.train.settings import BUDGET, RANDOM, TrainSettings
 
 START_OPACITY = 0.1  # of the points that a first frame starts from

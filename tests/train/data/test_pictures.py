@@ -12,6 +12,7 @@ from airgs_codec.media.image import resize
 from airgs_codec.train.data.multiview import MultiviewScene, Shot
 from airgs_codec.train.data.pictures import PICTURE_BYTES, TARGET_BYTES, Pictures
 from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.fit.losses import moments
 from tests.support.multiview_files import write_panoptic, write_rgba, write_views
 from tests.support.views import coloured_cloud, ring
 
@@ -57,7 +58,7 @@ def test_eighty_cameras_are_never_all_in_memory():
     pictures = Pictures(scene, picture_bytes=PICTURE_BYTES // 100, target_bytes=TARGET_BYTES // 100)
     most = 0
     for view in pictures.train(0) + pictures.train(0)[::-1]:
-        assert view.target.moments[0].shape == (216, 3 * 384)
+        assert moments(view.target)[0].shape == (216, 3 * 384)
         most = max(most, pictures.nbytes)
     assert 0.9 * (PICTURE_BYTES + TARGET_BYTES) < 100 * most <= PICTURE_BYTES + TARGET_BYTES
     assert 80 < len(reads) < 160  # those that were seen last were at hand on the way back
@@ -123,7 +124,7 @@ def test_what_is_transparent_shows_the_background(tmp_path, background, left):
         moved.target.rgb[:, 24:], (1, 0, 0)
     )
     target = view.target
-    assert target.nbytes == target.rgb.nbytes + target.clear.nbytes + sum(part.nbytes for part in target.moments)
+    assert target.nbytes == target.rgb.nbytes + target.clear.nbytes + sum(part.nbytes for part in moments(target))
 
 
 def test_masks_leave_the_background_and_opaque_pictures_have_no_random_one(tmp_path):

@@ -9,11 +9,10 @@ import pytest
 from airgs_codec.media.image import box_mean
 from airgs_codec.train.data import plates as data_plates
 from airgs_codec.train.data.multiview import with_held_out
-from airgs_codec.train.data.pictures import View
+from airgs_codec.train.data.pictures import Target, View
 from airgs_codec.train.data.plates import WINDOW, Plate, plate_of, settle, stands_still
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.frames import Capture
-from airgs_codec.train.loss.target import Target
 from airgs_codec.train.pipeline import rested
 from airgs_codec.train.settings import TrainSettings
 from tests.support.paths import FOX_VIEWS

@@ -5,7 +5,7 @@ import pytest
 from airgs_codec.cli.train import main as train_main
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.train.data.readers import is_multiview, is_unposed, open_scene
-from airgs_codec.train.data.structure import find_poses
+from airgs_codec.train.data.rig import find_poses
 from tests.support.multiview_files import plain, write_video
 from tests.support.rigs import SIZE, aligned_errors, film_rig, rig
 

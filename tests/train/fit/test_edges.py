@@ -8,12 +8,10 @@ import torch
 
 from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.fit.adam import Adam
+from airgs_codec.train.fit.losses import codec_steps, mean_psnr
 from airgs_codec.train.fit.optimise import Schedule, optimise
-from airgs_codec.train.fit.parameters import from_gaussians, to_gaussians
-from airgs_codec.train.fit.per_gaussian import PerGaussian
-from airgs_codec.train.fit.temporal import codec_steps
-from airgs_codec.train.quality import mean_psnr
+from airgs_codec.train.fit.parameters import Adam, from_gaussians, to_gaussians
+from airgs_codec.train.fit.variables import PerGaussian
 from tests.support.views import coloured_cloud, ring, views_of
 
 CAMERAS = ring(2, size=32)

@@ -5,10 +5,9 @@ import pytest
 
 from airgs_codec.render import render
 from airgs_codec.train.data.multiview import Points
+from airgs_codec.train.fit.losses import mean_psnr, static_shares
 from airgs_codec.train.fit.points import scene_extent
-from airgs_codec.train.fit.temporal import static_shares
 from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Trainer
-from airgs_codec.train.quality import mean_psnr
 from airgs_codec.train.settings import Temporal, TrainSettings
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, ring, views_of
 

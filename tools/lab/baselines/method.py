@@ -20,7 +20,7 @@ from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.quality import mean_psnr, mean_ssim
+from airgs_codec.train.fit.losses import mean_psnr, mean_ssim
 
 RECORD = "frames.json"
 

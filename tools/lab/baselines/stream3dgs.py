@@ -22,11 +22,11 @@ from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, to_matrices
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.active import Resting
-from airgs_codec.train.fit.densify import Densifier, Growth, strongest
+from airgs_codec.train.fit.grow import Densifier, Growth, strongest
 from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import ATTRIBUTES, from_gaussians, to_gaussians
-from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates
 from airgs_codec.train.fit.trainer import FrameViews, Trainer, make_trainer
+from airgs_codec.train.fit.variables import PerGaussian, Rates
 from airgs_codec.train.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings
 from tools.lab.baselines.method import Footage, Shown, frame_path

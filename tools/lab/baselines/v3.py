@@ -24,11 +24,10 @@ from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.morton import morton_encode
-from airgs_codec.train.fit.adam import BETAS
 from airgs_codec.train.fit.optimise import Schedule, optimise
-from airgs_codec.train.fit.parameters import Parameters, from_gaussians, to_gaussians
-from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates
+from airgs_codec.train.fit.parameters import BETAS, Parameters, from_gaussians, to_gaussians
 from airgs_codec.train.fit.trainer import FIRST_REGULARISERS, FrameViews, Trainer, make_trainer
+from airgs_codec.train.fit.variables import PerGaussian, Rates
 from airgs_codec.train.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
 from tools.lab.baselines.method import Footage, Shown

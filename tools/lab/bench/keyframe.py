@@ -17,11 +17,11 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.multiview import with_held_out
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.fit.losses import mean_psnr
 from airgs_codec.train.fit.parameters import Parameters
 from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Trainer
 from airgs_codec.train.frames import Capture, frame_before
 from airgs_codec.train.pipeline import rested
-from airgs_codec.train.quality import mean_psnr
 from airgs_codec.train.record import Model, read_model
 from airgs_codec.train.settings import settings_from_table
 from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of, setting

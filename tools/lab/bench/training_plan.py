@@ -22,12 +22,10 @@ from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
-from airgs_codec.train.data.pictures import PICTURE_BYTES, TARGET_BYTES
-from airgs_codec.train.fit.adam import Adam
-from airgs_codec.train.fit.parameters import Parameters, from_gaussians, render_views
-from airgs_codec.train.fit.per_gaussian import PerGaussian, Rates
-from airgs_codec.train.loss.photometric import photometric
-from airgs_codec.train.loss.target import Stored, Target
+from airgs_codec.train.data.pictures import PICTURE_BYTES, TARGET_BYTES, Stored, Target
+from airgs_codec.train.fit.losses import moments, photometric
+from airgs_codec.train.fit.parameters import Adam, Parameters, from_gaussians, render_views
+from airgs_codec.train.fit.variables import PerGaussian, Rates
 from airgs_codec.train.settings import TrainSettings
 from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of, setting
 
@@ -112,9 +110,9 @@ def measure(g: Gaussians, cameras: Sequence[Camera], device: str) -> Parts:
     base = from_gaussians(g, device)
     targets = [Target(cpu.render(g, camera).rgb.clip(0, 1)) for camera in cameras]
     stored = Stored((targets[0].rgb * 255).astype(np.uint8))
-    made = min(seconds_of(lambda: stored.target(None).moments)[0].cpu for _ in range(REPEATS))
+    made = min(seconds_of(lambda: moments(stored.target(None)))[0].cpu for _ in range(REPEATS))
     for target in targets:
-        _ = target.moments
+        moments(target)
     if device == "cuda":
         torch.cuda.reset_peak_memory_stats()
     variables = PerGaussian(base, 5.0)

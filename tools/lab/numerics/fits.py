@@ -13,16 +13,12 @@ import numpy as np
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.train.data.pictures import View
-from airgs_codec.train.fit.adam import Adam
+from airgs_codec.train.data.pictures import Target, View
+from airgs_codec.train.fit.losses import better, codec_steps, photometric, temporal_weights
 from airgs_codec.train.fit.optimise import Schedule, optimise
-from airgs_codec.train.fit.parameters import Parameters, from_gaussians, render_views, to_gaussians
-from airgs_codec.train.fit.per_gaussian import PerGaussian
-from airgs_codec.train.fit.temporal import codec_steps, temporal_weights
+from airgs_codec.train.fit.parameters import Adam, Parameters, from_gaussians, render_views, to_gaussians
 from airgs_codec.train.fit.trainer import MOVING_RATES
-from airgs_codec.train.loss.photometric import photometric
-from airgs_codec.train.loss.target import Target
-from airgs_codec.train.quality import better
+from airgs_codec.train.fit.variables import PerGaussian
 from airgs_codec.train.settings import TrainSettings
 from tools.lab.numerics.outcome import BOUNDED, INVISIBLE, UNFIT, Case, Judged, fit_end, grid
 from tools.lab.numerics.problems import AXES, EXTENT, Axis, Problem, needles

@@ -16,8 +16,8 @@ from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit import parameters
+from airgs_codec.train.fit.losses import mean_psnr
 from airgs_codec.train.fit.parameters import from_gaussians
-from airgs_codec.train.quality import mean_psnr
 from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud, ring
 from tools.lab.baselines.method import Footage, frame_path, run_method

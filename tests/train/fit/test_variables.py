@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from airgs_codec.train.fit.mlp import MlpDriven, Networks
 from airgs_codec.train.fit.parameters import ATTRIBUTES, from_gaussians
+from airgs_codec.train.fit.variables import MlpDriven, Networks
 from tests.support.scenes import random_gaussians
 
 

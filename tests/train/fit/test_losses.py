@@ -1,4 +1,4 @@
-"""The fused loss and its gradient against the definition."""
+"""The losses of pictures against their definitions, and what a change costs in codec steps."""
 
 import math
 
@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.train.loss.photometric import LAMBDA, _on_cuda, photometric, windowed_ssim
-from airgs_codec.train.loss.target import Target
+from airgs_codec.coding.steps import StepSettings
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.train.data.pictures import Target
+from airgs_codec.train.fit.losses import LAMBDA, _on_cuda, codec_steps, photometric, temporal_weights, windowed_ssim
+from airgs_codec.train.fit.parameters import ATTRIBUTES
+from airgs_codec.train.settings import Temporal
+from tests.support.scenes import random_gaussians
+from tests.support.views import ring
 
 
 @pytest.mark.parametrize("shape", [(16, 16), (7, 33), (40, 5), (1, 1)])
@@ -59,3 +65,25 @@ def test_a_nan_in_the_picture_is_a_nan_in_the_loss():
     picture = torch.zeros(12, 12, 3)
     picture[3, 4, 1] = torch.nan
     assert math.isnan(photometric(picture, Target(np.zeros((12, 12, 3), np.float32))).loss.item())
+
+
+def test_codec_steps_are_positive_and_finite_at_extremes():
+    g = random_gaussians(12, 1)
+    logits = np.array([0, 100, -100, 20, -20, 1, 2, 3, 4, 5, 6, 7], np.float32)
+    g = Gaussians(g.means, g.quaternions * 1e-3, g.log_scales, logits, g.sh_dc, g.sh_rest)
+    steps = codec_steps(g, ring(3))
+    for name in ATTRIBUTES:
+        assert steps[name].shape == getattr(g, name).shape
+        assert torch.isfinite(steps[name]).all() and (steps[name] > 0).all()
+    assert steps["opacity_logits"][0] == pytest.approx(0.058 * 4)
+    half = StepSettings().state.quaternions / 2 * np.linalg.norm(g.quaternions, axis=1, keepdims=True)
+    np.testing.assert_allclose(steps["quaternions"], np.broadcast_to(half, (12, 4)), rtol=1e-5)
+
+
+def test_temporal_weights_have_the_unit_they_say():
+    steps = {"means": torch.tensor([[0.5, 0.5, 0.5], [2.0, 2.0, 2.0]])}
+    assert temporal_weights(Temporal(0.4, "step"), steps)["means"].tolist() == [
+        pytest.approx([0.4] * 3),
+        pytest.approx([0.1] * 3),
+    ]
+    assert temporal_weights(Temporal(0.4, "raw"), steps)["means"].tolist() == [pytest.approx([0.4] * 3)] * 2

@@ -1,4 +1,4 @@
-"""Densification: the ramp to the budget, splits and clones, absolute gradients, what shows nothing."""
+"""Rows are added where the loss or what has appeared asks for them, and removed where they show nothing."""
 
 import math
 
@@ -7,10 +7,18 @@ import pytest
 import torch
 
 from airgs_codec.render.absgrad import AbsGrad
-from airgs_codec.train.fit.densify import Densifier, Growth, is_visible, split_or_clone, strongest
+from airgs_codec.train.fit.grow import (
+    Densifier,
+    Growth,
+    find_wrong,
+    is_visible,
+    residual_seeds,
+    split_or_clone,
+    strongest,
+)
+from airgs_codec.train.fit.losses import photometric
 from airgs_codec.train.fit.parameters import from_gaussians, render
-from airgs_codec.train.loss.photometric import photometric
-from tests.support.views import coloured_cloud, moved, random_parameters, ring, views_of
+from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, random_parameters, ring, views_of
 
 
 def test_growth_ends_at_the_budget_and_never_passes_it():
@@ -79,3 +87,14 @@ def test_absolute_gradients_are_largest_where_the_picture_is_wrong():
 def test_absolute_gradients_cannot_be_read_before_the_backward_pass():
     with pytest.raises(RuntimeError, match="backward"):
         AbsGrad().read()
+
+
+def test_seeds_lie_in_what_appeared():
+    old = coloured_cloud()
+    views = views_of(joined(old, appeared()), ring(8))
+    seeds = residual_seeds(old, views, find_wrong(old, views), 120, 1.0, np.random.default_rng(0))
+    assert 0 < len(seeds) <= 120
+    # The ball can be seen to 0.45 from its centre (0.24 + 3 sigma of 0.07), and a pixel is 0.1 wide there.
+    assert np.linalg.norm(seeds.means - BALL, axis=1).max() < 0.6
+    same = views_of(old, ring(8))
+    assert residual_seeds(old, same, find_wrong(old, same), 120, 1.0, np.random.default_rng(0)) is None

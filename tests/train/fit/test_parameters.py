@@ -4,8 +4,7 @@ import math
 
 import torch
 
-from airgs_codec.train.fit.adam import BETAS, Adam
-from airgs_codec.train.fit.parameters import ATTRIBUTES
+from airgs_codec.train.fit.parameters import ATTRIBUTES, BETAS, Adam
 from tests.support.views import random_parameters
 
 

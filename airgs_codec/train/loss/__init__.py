@@ -1,1 +1,0 @@
-"""How far a rendered picture is from the filmed one, with gradients."""
