@@ -112,28 +112,50 @@ class Encoded:
         return Package(MemoryFiles("encoded package", {INIT_NAME: self.init, **files}), self.manifest, 0)
 
 
-def encode_sequence(prepared: PreparedSequence, settings: EncodeSettings, work: Work) -> Encoded:
-    """Do all that a package needs but its quality.
+@dataclass(frozen=True, slots=True, eq=False)
+class Measuring:
+    """What the quality of a package is measured by."""
+
+    original: PreparedSequence  # with all SH bands
+    rounds: Rounds  # of pictures; a count of 0: none are measured
+
+
+def encode_sequence(
+    prepared: PreparedSequence, settings: EncodeSettings, work: Work, measuring: Measuring | None = None
+) -> Encoded:
+    """Do all that a package needs but its quality, and of that what is measured in any case, window by window.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails.
     """
+    segments = [len(split_segments(span, settings.segment_s, prepared.sequence.fps)) for span in prepared.spans]
+    firsts = list(itertools.accumulate(segments, initial=0))
+    bases: list[int | None] = []
+    files: list[Job] = []
+    tables: list[Group] = []
+    for window in prepared.windows:
+        work.run([prepared.job(SURVEY, g) for g in window])
+        work.run([prepared.job(KEY, g, settings) for g in window])
+        bases += _choose_bases(prepared, bases, window, settings, work)
+        for g in window:
+            given = {**_coded(prepared, g, bases[g], settings), "first_segment": Read(firsts[g], firsts[g])}
+            files.append(prepared.job(STATES, g, settings, given))
+        work.run(files[window.start :])
+        tables += [work.result(one).table for one in files[window.start :]]
+        base = max(g for g, of in enumerate(bases) if of is None)
+        manifest, init = _package_of(prepared, settings, tables)
+        encoded = Encoded(manifest, init, tuple(files), prepared.job(KEY, base, settings), work)
+        if measuring and measuring.rounds.count and len(prepared.windows) > 1:
+            work.run(_quality_jobs(encoded, measuring.original, Round(0, measuring.rounds.count), window, firsts[-1]))
+    return encoded
+
+
+def _package_of(
+    prepared: PreparedSequence, settings: EncodeSettings, tables: Sequence[Group]
+) -> tuple[Manifest, bytes]:
+    """The tables of a package that has these groups, and its initialisation segment."""
     clock = Clock.of(prepared.sequence.fps)
-    everyone = range(len(prepared))
-    work.run([prepared.job(SURVEY, g) for g in everyone])
-    work.run([prepared.job(KEY, g, settings) for g in everyone])
-    bases = _choose_bases(prepared, settings, work)
-    segments = [len(split_segments(span, settings.segment_s, clock.fps)) for span in prepared.spans]
-    files = []
-    for g, first in zip(everyone, itertools.accumulate(segments, initial=0), strict=False):
-        given = {**_coded(prepared, g, bases[g], settings), "first_segment": Read(first, first)}
-        files.append(prepared.job(STATES, g, settings, given))
-    work.run(files)
-    tables: list[Group] = [work.result(one).table for one in files]
     init = init_segment(clock.timescale, *largest_picture(tables))
-    about = _about(prepared, settings, tables)
-    last = len(prepared) - 1 if bases[-1] is None else bases[-1]
-    manifest = build_manifest(about, clock, file_entry(init), Groups.of(tables))
-    return Encoded(manifest, init, files, prepared.job(KEY, last, settings), work)
+    return build_manifest(_about(prepared, settings, tables), clock, file_entry(init), Groups.of(tables)), init
 
 
 def _coded(prepared: PreparedSequence, group: int, base: int | None, settings: EncodeSettings) -> dict[str, Read]:
@@ -144,17 +166,20 @@ def _coded(prepared: PreparedSequence, group: int, base: int | None, settings: E
     return {"coded": made_by(prepared.job(REUSE, group, settings, {"base": of})), "base": of}
 
 
-def _choose_bases(prepared: PreparedSequence, settings: EncodeSettings, work: Work) -> list[int | None]:
-    """Choose for each group the earlier one whose rows it reuses; None where it reuses none.
+def _choose_bases(
+    prepared: PreparedSequence, before: Sequence[int | None], window: range, settings: EncodeSettings, work: Work
+) -> list[int | None]:
+    """Choose for each group of a window the earlier one whose rows it reuses; None where it reuses none.
 
-    Groups that might reuse rows of the same one are tried at the same time, ever more while they do.
+    `before`: what was chosen for the groups before them. Groups that might reuse rows of the same one are tried at the
+    same time, ever more while they do.
     """
     if settings.keys != KEPT:
-        return [None] * len(prepared)
-    bases: list[int | None] = [None]
-    base, together = 0, 1
-    while len(bases) < len(prepared):
-        tried = range(len(bases), min(len(prepared), len(bases) + together))
+        return [None] * len(window)
+    bases = list(before) or [None]
+    base, together = max(g for g, of in enumerate(bases) if of is None), 1
+    while len(bases) < window.stop:
+        tried = range(len(bases), min(window.stop, len(bases) + together))
         of = made_by(prepared.job(KEY, base, settings))
         jobs = [prepared.job(REUSE, g, settings, {"base": of}) for g in tried]
         work.run(jobs)
@@ -165,32 +190,41 @@ def _choose_bases(prepared: PreparedSequence, settings: EncodeSettings, work: Wo
             if not reuses:
                 base, together = g, 1
                 break
-    return bases
+    return bases[window.start :]
 
 
-def measure_quality(encoded: Encoded, original: PreparedSequence, rounds: Rounds) -> Manifest:
+def measure_quality(encoded: Encoded, measuring: Measuring) -> Manifest:
     """Measure every segment, level and key quality of an encoded package; gives its tables with their quality.
 
-    `original` has all SH bands; `measure.measure_groups` says what is measured.
+    `measure.measure_groups` says how.
     """
     m, work = encoded.manifest, encoded.work
-    root = root_of(m)
-    tables = Read((root, list(m.groups)), (root.levels, root.qualities))
-    files = [made_by(job) for job in encoded.files]
-
-    def job(group: int, asked: Round) -> Job:
-        keeps = m.groups[group].keeps
-        pictures = pictures_of(original.views, m, group, asked)
-        base = NOTHING if keeps is None else files[keeps - 1]
-        given = {"tables": tables, "pictures": Read(pictures, pictures), "files": files[group], "base_files": base}
-        return original.job(QUALITY, group, None, given)
+    everyone = range(len(m.groups))
 
     def ask(asked: Round) -> list[RoundErrors]:
-        jobs = [job(group, asked) for group in range(len(m.groups))]
+        jobs = _quality_jobs(encoded, measuring.original, asked, everyone, len(m.segments))
         work.run(jobs)
         return [work.result(one) for one in jobs]
 
-    return measure_groups(m, range(len(m.groups)), original.views, rounds, ask).whole(m)
+    return measure_groups(m, everyone, measuring.original.views, measuring.rounds, ask).whole(m)
+
+
+def _quality_jobs(
+    encoded: Encoded, original: PreparedSequence, asked: Round, groups: range, segments: int
+) -> list[Job]:
+    """The jobs that measure a round of some groups of a package, which has so many segments in the end."""
+    m = encoded.manifest
+    root = root_of(m)
+    tables = Read((root, list(m.groups)), (root.levels, root.qualities))
+    files = [made_by(job) for job in encoded.files]
+    jobs = []
+    for group in groups:
+        keeps = m.groups[group].keeps
+        pictures = pictures_of(original.views, m, group, asked, segments)
+        base = NOTHING if keeps is None else files[keeps - 1]
+        given = {"tables": tables, "pictures": Read(pictures, pictures), "files": files[group], "base_files": base}
+        jobs.append(original.job(QUALITY, group, None, given))
+    return jobs
 
 
 def _about(prepared: PreparedSequence, settings: EncodeSettings, groups: Sequence[Group]) -> Provenance:

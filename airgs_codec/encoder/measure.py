@@ -92,9 +92,9 @@ class Measured:
         return replace(m, groups=Groups.of(self.groups), views=replace(m.views, measured=self.pictures))
 
 
-def pictures_of(views: ViewPlan, m: Manifest, group: int, asked: Round) -> list[Pictures]:
-    """Draw the pictures of a round for each segment of a group of a package."""
-    first, total = m.segments_of(group).start, len(m.segments)
+def pictures_of(views: ViewPlan, m: Manifest, group: int, asked: Round, total: int) -> list[Pictures]:
+    """Draw the pictures of a round for each segment of a group of a package, which has `total` segments in the end."""
+    first = m.segments_of(group).start
     return [
         views.measure(asked.number * total + first + place, segment.start, segment.stop, asked.count)
         for place, segment in enumerate(m.groups[group].segments)

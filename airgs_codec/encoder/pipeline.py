@@ -7,6 +7,7 @@ here or on a farm (`batch`); `do` calls it at once (`live`).
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -43,6 +44,7 @@ from airgs_codec.package.memory import MemoryFiles
 from airgs_codec.package.store import Package, manifest_of
 from airgs_codec.package.tables import Group, Root
 from airgs_codec.render.backend import Renderer
+from airgs_codec.scene.gaussians import SH_REST
 from airgs_codec.scene.sequence import GaussianSequence
 
 
@@ -212,10 +214,24 @@ class PreparedSequence:
     views: ViewPlan
     notes: tuple[str, ...] = ()  # on rows and groups, for people
     attribution: str = ""
+    together: int | None = None  # bytes of frames that are held while groups are encoded; None: nobody holds any
 
     def __len__(self) -> int:
         """Count groups."""
         return len(self.spans)
+
+    @cached_property
+    def windows(self) -> tuple[range, ...]:
+        """Groups that are taken through all steps together, as many as are held, so that no frame is read again."""
+        starts, size = [0], 0
+        for span in self.spans if self.together is not None else ():
+            headers = self.sequence.headers[span.start : span.stop]
+            own = sum(4 * header.count * (14 + 3 * SH_REST[header.sh_degree]) for header in headers)
+            if size and size + own > (self.together or 0):
+                starts.append(span.index)
+                size = 0
+            size += own
+        return tuple(itertools.starmap(range, itertools.pairwise([*starts, len(self.spans)])))
 
     def without_bands(self, sh_degree: int) -> PreparedSequence:
         """Take no SH bands above `sh_degree`."""

@@ -13,6 +13,7 @@ from airgs_codec.encoder.pipeline import LENGTHS, PreparedSequence, Read, chosen
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views
 from airgs_codec.jobs.digest import digest
+from airgs_codec.jobs.engines import InProcess
 from airgs_codec.jobs.work import Work
 from airgs_codec.scene.frames import HeldFrames
 from airgs_codec.scene.sequence import GaussianSequence
@@ -31,7 +32,9 @@ class Ordered:
 
 @contextmanager
 def holding_frames(sequence: GaussianSequence) -> Iterator[GaussianSequence]:
-    """Hold frames once they are read, so that each is read once where memory holds all of them, and let go at last.
+    """Hold frames once they are read, and let go of all at last.
+
+    Each is read once where memory holds all of them, else twice: to name it, and while its group is encoded.
 
     Processes of an engine read on their own.
     """
@@ -65,7 +68,9 @@ def prepare(ordered: Ordered, settings: EncodeSettings, work: Work, attribution:
     grouping = _plan_groups(sequence, ordered.names, views, settings, work)
     notes = (*ordered.rows.notes, *grouping.notes)
     credit = sequence.attribution if attribution is None else attribution
-    return PreparedSequence(sequence, ordered.names, number_groups(grouping.spans), views, notes, credit)
+    together = held_bytes() if isinstance(work.engine, InProcess) else None  # processes read on their own
+    spans = number_groups(grouping.spans)
+    return PreparedSequence(sequence, ordered.names, spans, views, notes, credit, together)
 
 
 def number_groups(spans: Sequence[tuple[int, int]]) -> tuple[GroupSpan, ...]:

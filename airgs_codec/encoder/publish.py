@@ -165,7 +165,7 @@ def _encode(
     with holding_frames(sequence) as held:
         ordered, rows_s = order_rows(held, settings, work), watch.lap()
         original = prepare(ordered, settings, work, attribution)
-        work.run([original.job(SURVEY, group) for group in range(len(original))])
+        work.run([original.job(SURVEY, group) for group in original.windows[0]])
         survey_s = watch.lap()
         found, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
         rounds, given = Rounds(settings.measure_pictures), settings.levels != DEFAULT_LEVELS

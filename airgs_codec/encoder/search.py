@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.batch import Encoded, encode_sequence, measure_quality
+from airgs_codec.encoder.batch import Encoded, Measuring, encode_sequence, measure_quality
 from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.pipeline import PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
@@ -156,10 +156,11 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
     def trial(factor: float) -> float:
         nonlocal rounds
         work.progress(f"trial {next(numbers)}: quality factor {factor:.3g}", 0, 1)
-        encoded = encode_sequence(prepared, top.at(factor), work)
+        measuring = Measuring(original, rounds)
+        encoded = encode_sequence(prepared, top.at(factor), work, measuring if goal.kind == PSNR else None)
         if goal.kind != PSNR:
             return kilobytes_a_frame(encoded.manifest, settings)
-        tables = measure_quality(encoded, original, rounds)
+        tables = measure_quality(encoded, measuring)
         rounds = rounds.again(tables.views.measured // original.views.measured(rounds.count))  # the same ones for all
         measured = pooled_quality(tables, 0, 0)
         assert measured is not None

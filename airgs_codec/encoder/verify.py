@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.encoder.batch import Encoded, encode_sequence, measure_quality
+from airgs_codec.encoder.batch import Encoded, Measuring, encode_sequence, measure_quality
 from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.pipeline import GroupFiles, PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
@@ -76,11 +76,12 @@ def encode_verified(attempt: Attempt) -> Verified:
     stories: list[str] = []
     watch, encode_s, measure_s = Stopwatch(), 0.0, 0.0
     for number in itertools.count(1):
-        encoded = encode_sequence(attempt.prepared, attempt.settings, attempt.work)
+        measuring = Measuring(attempt.original, attempt.rounds)
+        encoded = encode_sequence(attempt.prepared, attempt.settings, attempt.work, measuring)
         encode_s += watch.lap()
         if not attempt.rounds.count:
             return Verified(encoded.manifest, encoded, attempt.settings, (), encode_s, 0.0)
-        manifest = measure_quality(encoded, attempt.original, attempt.rounds)
+        manifest = measure_quality(encoded, measuring)
         repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
         measure_s += watch.lap()
         if repair is None:

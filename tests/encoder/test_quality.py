@@ -34,7 +34,7 @@ def measured(small, monkeypatch, unsure):
     errors = defaultdict(list)
 
     def ask(asked):
-        pictures = pictures_of(views, package.manifest, 0, asked)
+        pictures = pictures_of(views, package.manifest, 0, asked, len(package.manifest.segments))
         found = measure_round(package, sequence, views.renderer, 0, pictures)
         for segment, of_segment in enumerate(found):
             for level, of_level in enumerate(of_segment):

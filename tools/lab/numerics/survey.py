@@ -107,7 +107,8 @@ def own(subject: Subject, place: Place) -> list[Row]:
     rounds = Rounds(int(place.setting))
 
     def ask(asked: Round) -> list[RoundErrors]:
-        drawn = [pictures_of(views, package.manifest, group, asked) for group in groups]
+        m = package.manifest
+        drawn = [pictures_of(views, m, group, asked, len(m.segments)) for group in groups]
         return [
             measure_round(package, subject.scene.sequence, views.renderer, group, pictures)
             for group, pictures in zip(groups, drawn, strict=True)
