@@ -1,1 +1,1 @@
-"""What pictures say about a scene: groups, usage, sensitivity, importance."""
+"""Findings of pictures about a scene: groups, usage, sensitivity, importance."""

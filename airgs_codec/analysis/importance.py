@@ -1,4 +1,4 @@
-"""What a scene does not need: chosen by the error that leaving it out makes in rendered pictures. N Gaussians."""
+"""Parts that a scene does not need, chosen by the error that pictures rendered without them have. N Gaussians."""
 
 from __future__ import annotations
 
@@ -46,16 +46,16 @@ def pooled_error(errors: Sequence[float]) -> float:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeptRows:
+class WrittenRows:
     """Rows that are written, and what leaving the others out costs."""
 
     rows: NDArray[np.intp]  # ascending
     error: float  # pooled error of pictures without the others
 
     @staticmethod
-    def all(count: int) -> KeptRows:
+    def all(count: int) -> WrittenRows:
         """All of `count` rows, at no error."""
-        return KeptRows(np.arange(count), 0.0)
+        return WrittenRows(np.arange(count), 0.0)
 
 
 class RowPruning:
@@ -68,7 +68,7 @@ class RowPruning:
         errors: dict[int, float],
         renderer: Renderer = CPU,
     ) -> None:
-        """`rank` is the (N,) `importance` of the rows; `errors` keeps what has been rendered: rows left out -> error.
+        """`rank` is the (N,) `importance` of the rows; `errors` holds what has been rendered: rows left out -> error.
 
         Whoever asks for the same pictures again gives the same dictionary, at first an empty one.
         """
@@ -81,11 +81,11 @@ class RowPruning:
 
     @cached_property
     def _seen(self) -> list[tuple[Without, NDArray[np.float32]]]:
-        """What draws each picture without some rows, and the whole picture."""
+        """Give what draws each picture without some rows, and the whole picture."""
         drawn = [self._renderer.load(g).without(camera) for g, camera in self._pictures]
         return [(without, without(None)) for without in drawn]
 
-    def within(self, allowed: float) -> KeptRows:
+    def within(self, allowed: float) -> WrittenRows:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
 
         Their number is found by bisection to PRECISION, beginning with the rows of importance 0.
@@ -99,18 +99,18 @@ class RowPruning:
                 low = middle
             else:
                 high = middle
-        return KeptRows(np.sort(self._order[low:]), self._errors[low])
+        return WrittenRows(np.sort(self._order[low:]), self._errors[low])
 
-    def error_of(self, kept: int) -> float:
-        """Pooled error of pictures of only the `kept` most important rows."""
-        left_out = len(self._order) - kept
+    def error_of(self, written: int) -> float:
+        """Pooled error of pictures of only the `written` most important rows."""
+        left_out = len(self._order) - written
         return self._errors[left_out] if left_out in self._errors else self._error(left_out)
 
     def _error(self, count: int) -> float:
         """Pooled error of pictures without the `count` least important rows."""
-        kept = np.ones(len(self._order), bool)
-        kept[self._order[:count]] = False
-        errors = [mse(without(kept), full) for without, full in self._seen]
+        written = np.ones(len(self._order), bool)
+        written[self._order[:count]] = False
+        errors = [mse(without(written), full) for without, full in self._seen]
         return self._errors.setdefault(count, pooled_error(errors))
 
 

@@ -87,7 +87,7 @@ def _heaviest_slab(values: Vectors, weights: Vectors, heights: Vectors) -> tuple
 
 @dataclass(frozen=True, slots=True)
 class _Look:
-    """What one camera says about the scene, in world units."""
+    """Distances of one camera to the scene, in world units."""
 
     camera: Camera
     distance: float  # to the content along the view axis, median over the picture

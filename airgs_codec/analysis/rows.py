@@ -193,7 +193,7 @@ class Restored:
 
     @property
     def notes(self) -> list[str]:
-        """What happened, and what it costs, in a sentence each."""
+        """Tell what happened, and what it costs, in a sentence each."""
         notes = []
         if self.matched:
             how = f"matched again, {self.sure:.1%} of them with confidence"

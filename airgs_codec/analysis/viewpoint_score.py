@@ -31,12 +31,12 @@ HALF = 0.5  # opacity of a pixel that has a depth
 ROUGH = 0.2  # counts 1 / e
 AHEAD = 0.7  # cosine
 WIDEST = 1e9  # world units; what is larger or further squares to more than float32 holds
-LEAST = 1e-12  # keeps 0 / 0 out where nothing is drawn
+LEAST = 1e-12  # avoids 0 / 0 where nothing is drawn
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What a sample of the rows looks like from one camera."""
+    """The looks of a sample of the rows from one camera."""
 
     surface: float  # share of the picture that is explained by Gaussians that are small in it and flat
     covered: float  # share of the picture that Gaussians cover
@@ -80,7 +80,7 @@ class Sample:
         return Sample(cpu.activate(grown), _covariances(chosen), flatness(chosen))
 
     def look(self, camera: Camera) -> Look:
-        """What `camera` sees."""
+        """Return what `camera` sees."""
         sizes, distances = self._angles(camera)
         worth = self.flatness * np.exp(-sizes[:, None] / ANGLES).mean(axis=1)
         depths = np.log(distances / distances.min())

@@ -64,7 +64,7 @@ class Pose:
 
     @staticmethod
     def tried(sample: Sample, position: Vector, direction: Vector) -> Pose:
-        """What is seen of a sample from `position` along `direction`, of any length."""
+        """Look at a sample from `position` along `direction`, of any length."""
         pose = Pose(position, unit(direction))
         return replace(pose, look=sample.look(pose.camera("tried", TRIED_SIZE)))
 
@@ -84,10 +84,10 @@ class Search:
         self._low, self._high = np.quantile(self._means, [0.05, 0.95], axis=0)
         self.poses: list[Pose] = []
 
-    def scatter(self, count: int, kept: int) -> None:
+    def scatter(self, count: int, again: int) -> None:
         """Try poses at random: half of them anywhere in the box of the scene, half about something to see.
 
-        The best `kept` of them, as few rows tell, are looked at again with more.
+        The best of them, `again` many, as few rows tell, are looked at again with more.
         """
         extent, tried = float((self._high - self._low).max()), []
         for i in range(count):
@@ -99,7 +99,7 @@ class Search:
                 away = extent * 10 ** self._rng.uniform(-1, 0.2)
                 place = target + away * unit(self._rng.normal(size=3))
             tried.append(Pose.tried(self._coarse, place, target - place))
-        for pose in best_apart(tried, kept):
+        for pose in best_apart(tried, again):
             self._try(pose.position, pose.direction)
 
     def refine(self, rounds: int) -> None:

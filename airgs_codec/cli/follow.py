@@ -93,7 +93,7 @@ def _kept(published: PublishedGroup) -> int:
 
 
 def _bytes(published: PublishedGroup) -> int:
-    """Of the files of the top rung."""
+    """Bytes of the files of the top rung."""
     group = published.group
     keys = sum(unit.sidecar.bytes + unit.pictures[0].bytes for unit in group.units)
     return keys + sum(segment.levels[0].bytes for segment in group.segments)

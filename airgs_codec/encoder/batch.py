@@ -114,7 +114,7 @@ class Encoded:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measuring:
-    """What the quality of a package is measured by."""
+    """The pictures that the quality of a package is measured by."""
 
     original: PreparedSequence  # with all SH bands
     rounds: Rounds  # of pictures; a count of 0: none are measured
@@ -228,7 +228,7 @@ def _quality_jobs(
 
 
 def _about(prepared: PreparedSequence, settings: EncodeSettings, groups: Sequence[Group]) -> Provenance:
-    """What a package says of where it comes from, with a line on the groups that reuse rows, if any do."""
+    """Say where a package comes from, with a line on the groups that reuse rows, if any do."""
     views, reusing = prepared.views, [group for group in groups if group.keeps is not None]
     decisions = [*views.notes, *prepared.notes]
     if reusing:

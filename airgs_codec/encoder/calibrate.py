@@ -124,7 +124,7 @@ def get_step(steps: StepSettings, name: str) -> float:
 
 
 def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
-    """The same steps but one."""
+    """Change one step of some."""
     side, _, attribute = name.partition(".")
     changed: Any = replace(getattr(steps, side), **{attribute: value}) if attribute else value
     return replace(steps, **{side: changed})
@@ -190,7 +190,7 @@ def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slo
 
 
 def _row_slope(sample: CalibrationSample, subject: Subject) -> Slope:
-    """The same for the error that leaving out rows may make: what TRIAL times as much would save."""
+    """The slope of the error that leaving out rows may make, from what TRIAL times as much would save."""
     steps = subject.settings.steps
     kept = subject.pruning.within(steps.rows * TRIAL)
     fewer = sample.take(np.isin(subject.layout.rows[sample.index], kept.rows)).cost(steps)
@@ -231,7 +231,7 @@ def key_factors() -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Withholding:
-    """What withholding updates would do to the pictures of a group."""
+    """The errors that withholding updates would make in pictures of a group."""
 
     score: NDArray[np.float64]  # (N,) of updates, the least one is withheld first
     errors: tuple[float, ...]  # rendered, of withholding each of SHARES of the updates
@@ -317,7 +317,7 @@ def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.flo
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What a scene asks for at quality 1; the fields are those of EncodeSettings."""
+    """Settings that a scene asks for at quality 1; the fields are those of EncodeSettings."""
 
     steps: StepSettings
     levels: tuple[LevelSettings, ...]

@@ -237,7 +237,7 @@ def key_bytes(
 def key_sidecar(
     layout: GroupLayout, unit: int, depths: NDArray[np.uint8], base: GroupLayout | None = None
 ) -> KeySidecar:
-    """What the sidecar of a unit holds; `depths` (N,) are those of all rows, `base` is whose rows are reused."""
+    """Make the sidecar of a unit; `depths` (N,) are those of all rows, `base` is whose rows are reused."""
     coded, reused = layout.sidecar(layout.coded_rows(unit), depths), layout.reused_rows(unit)
     if base is None:
         return coded

@@ -45,7 +45,7 @@ class PublishedGroup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Publisher:
-    """What the first group has settled for all that follow."""
+    """Choices that the first group has settled for all that follow."""
 
     package: GrowingPackage
     settings: EncodeSettings  # nothing is left to calibrate

@@ -137,14 +137,14 @@ def _with_errors(m: Manifest, segment: Segment, errors: SegmentErrors, turn: int
 
 
 def _originals(sequence: GaussianSequence, pictures: Pictures, renderer: Renderer) -> Source:
-    """What the original shows in some pictures, whose frames are repaired together."""
+    """Draw the original in some pictures, whose frames are repaired together."""
     numbers = sorted({number for number, _ in pictures})
     frames = sequence.load(numbers).frames
     return draw_frames(lambda number: frames[numbers.index(number)], renderer)
 
 
 def _rung(package: Package, rung: tuple[int, int], base: Canonical, pictures: Pictures, renderer: Renderer) -> Source:
-    """What `rung`, a segment's level over the canonical space of all units in a key quality, shows in pictures.
+    """Draw `rung`, a segment's level over the canonical space of all units in a key quality, in some pictures.
 
     They are asked for in their order, by ascending frames.
     """

@@ -1,4 +1,4 @@
-"""What a group's pictures can do without, by what rendering without it shows.
+"""Parts that a group's pictures can do without, by what rendering without them shows.
 
 T frames and N rows of the group, n rows of its first level, C colour channels. States are in a file, which is read by
 channels, by rows or by frames as each step needs them. Each decision comes with a note for the tables, None where
@@ -151,7 +151,7 @@ def _band_bytes(g: Gaussians, band: int, step: float) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyOmissions:
-    """What the key of a group can do without."""
+    """Parts that the key of a group can do without."""
 
     layout: GroupLayout
     values: NDArray[np.float64]  # (7 + C, N) key channels
@@ -223,7 +223,7 @@ def _estimate_states(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StateOmissions:
-    """What the states of a group can do without."""
+    """Parts that the states of a group can do without."""
 
     layout: GroupLayout
     values: StateValues  # of the finest key quality

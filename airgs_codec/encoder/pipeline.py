@@ -60,7 +60,7 @@ class CodedKey:
 
     @property
     def base(self) -> BaseGroup:
-        """What a viewer of it knows, where it reuses no rows itself."""
+        """Return what a viewer of it knows, where it reuses no rows itself."""
         return BaseGroup(
             self.layout, [part.channels for part in self.decoded], [part.space for part in self.decoded], self.bytes
         )

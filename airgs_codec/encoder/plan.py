@@ -14,7 +14,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.importance import KeptRows, RowPruning
+from airgs_codec.analysis.importance import RowPruning, WrittenRows
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, LEAK, Sensitivity
 from airgs_codec.coding.channels import Canonical, dequantise_key, key_channels
 from airgs_codec.coding.colour import colour_transform
@@ -215,7 +215,7 @@ class GroupLayout:
         return slice(self.reused_rows(unit).stop, self.unit_rows(unit).stop)
 
     def take(self, order: NDArray[np.intp]) -> GroupLayout:
-        """The same rows in another order."""
+        """Put rows into another order."""
         names = ("rows", "units", "codes", "classes", "base_rows")
         arrays = {name: getattr(self, name)[order] for name in names}
         parts = {name: getattr(self, name).take(order) for name in ("key", "usage", "sensitivity")}
@@ -249,7 +249,7 @@ class GroupLayout:
 
 
 def lay_out(
-    loaded: Repaired, survey: Survey, written: KeptRows, settings: EncodeSettings, fps: Fraction
+    loaded: Repaired, survey: Survey, written: WrittenRows, settings: EncodeSettings, fps: Fraction
 ) -> GroupLayout:
     """Order, units, steps and transforms of a group: `loaded` are its frames, of which some rows are `written`."""
     steps = settings.steps.scaled(settings.quality)
@@ -294,10 +294,10 @@ def prune_rows(frames: Sequence[Gaussians], survey: Survey) -> RowPruning:
     return RowPruning(ShownPictures(frames, survey.checks), survey.importance, survey.removals, survey.renderer)
 
 
-def keep_rows(frames: Sequence[Gaussians], survey: Survey, settings: EncodeSettings) -> KeptRows:
+def keep_rows(frames: Sequence[Gaussians], survey: Survey, settings: EncodeSettings) -> WrittenRows:
     """Rows of a group that are written: all, or those that pictures cannot do without."""
     if settings.keep_all or not survey.trusted:
-        return KeptRows.all(len(frames[0]))
+        return WrittenRows.all(len(frames[0]))
     return prune_rows(frames, survey).within(settings.steps.rows * settings.quality)
 
 

@@ -37,7 +37,7 @@ PACKAGE_ENTRY = "package"  # of a store: what the last encode that was whole cam
 
 @dataclass(frozen=True, slots=True)
 class EncodeReport:
-    """What was encoded, and how many seconds each part of the work took."""
+    """A package that was encoded, and how many seconds each part of the work took."""
 
     manifest: Manifest
     manifest_bytes: int  # all tables and manifest.mpd together

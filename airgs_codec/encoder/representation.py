@@ -107,14 +107,14 @@ def _encode_checked(
 
 
 def encode_parallel(tasks: Sequence[Callable[[], Representation]], threads: int) -> list[Representation]:
-    """What the tasks give, in order: x264 releases the interpreter lock, so threads serve."""
+    """Return what the tasks give, in order: x264 releases the interpreter lock, so threads serve."""
     with ThreadPoolExecutor(threads) as pool:
         return [future.result() for future in [pool.submit(task) for task in tasks]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorModel:
-    """What is known of the errors of an atlas before its pictures are decoded."""
+    """A bound on the errors of an atlas before its pictures are decoded."""
 
     units: NDArray[np.float64]  # (channels,) s, what a code counts
     largest: NDArray[np.float64]  # (channels,) largest |value|

@@ -85,7 +85,7 @@ class CalibrationSample:
         )
 
     def cost(self, steps: StepSettings, attributes: Sequence[str] = STATE.attributes) -> Cost:
-        """What coding the keys and states of these attributes costs at `steps`."""
+        """Estimate what coding the keys and states of these attributes costs at `steps`."""
         size, errors = 0.0, np.zeros(len(self.classes))
         for attribute in attributes:
             key_bytes, base = self.code_key(steps, 1.0, (attribute,))
@@ -186,7 +186,7 @@ def block_rows(rows: int, most: int) -> NDArray[np.intp]:
 
 @dataclass(frozen=True, slots=True)
 class LengthCost:
-    """What groups of one length cost at equal steps, estimated."""
+    """The estimated cost of groups of one length at equal steps."""
 
     frames: int  # of a group
     bytes: float  # a frame
@@ -249,7 +249,7 @@ class _Trial:
         return _Trial(run, frames, numbers, sensitivity, settings, sequence, views.trusted)
 
     def cost(self, length: int) -> LengthCost:
-        """What groups of so many frames cost."""
+        """Estimate the cost of groups of so many frames."""
         window = _window(self.run, length)
         sample = self._sample(window)
         steps = self.settings.steps

@@ -1,4 +1,4 @@
-"""The quality factor at which the top rung reaches a PSNR or a size, and what keeps it from a better one. N rows."""
+"""The quality factor at which the top rung reaches a PSNR or a size, and what holds it back. N rows."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class OutOfReachError(ConfigError):
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What the top rung is to reach."""
+    """A PSNR or a size that the top rung is to reach."""
 
     kind: str  # PSNR or SIZE
     value: float  # dB, or kB a frame
@@ -146,7 +146,7 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
     """Find the quality factor that brings the top rung to its goal: an attempt at it, from which nothing is expected.
 
     It is measured with the pictures that the search took. Raises ConfigError for a goal out of reach. The error then
-    names what keeps pictures from a higher PSNR.
+    names what holds pictures back from a higher PSNR.
     """
     prepared, original, settings, work = attempt.prepared, attempt.original, attempt.settings, attempt.work
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
@@ -209,7 +209,7 @@ def _widen(group: Group, settings: EncodeSettings) -> Group:
 
 
 def _others(files: list[FileEntry]) -> list[FileEntry]:
-    """The same with digests that differ, as those of other files do."""
+    """Give files of these sizes whose digests differ, as those of other files do."""
     return [FileEntry(f.bytes, digest(f"{i} {f.sha256}".encode()) if f.bytes else "") for i, f in enumerate(files)]
 
 

@@ -1,4 +1,4 @@
-"""What decides the bytes of a package besides the scene."""
+"""The settings that decide the bytes of a package besides the scene."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ class EncodeSettings:
 
     @property
     def scaled_price(self) -> float:
-        """`byte_price` at this quality: error grows with the square of the steps. 0 where all is kept."""
+        """`byte_price` at this quality: error grows with the square of the steps. 0 where nothing is left out."""
         return 0.0 if self.keep_all else self.byte_price * self.quality**2
 
     def at(self, quality: float) -> EncodeSettings:

@@ -122,7 +122,7 @@ def code_states(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RankedStates:
-    """What the changes of rows are worth."""
+    """Rows ranked by what their changes are worth."""
 
     score: NDArray[np.float64]  # (N,) that ranks updates for pruning
     moving: NDArray[np.bool_]  # (N,) rows that some level may carry

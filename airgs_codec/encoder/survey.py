@@ -176,7 +176,7 @@ class GroupSpan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Survey:
-    """What views of all frames say about the rows of a group."""
+    """Findings of views of all frames about the rows of a group."""
 
     span: GroupSpan
     checks: Pictures  # other ones, which show what leaving out would do

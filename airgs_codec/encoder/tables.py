@@ -1,4 +1,4 @@
-"""What was coded -> files of the package and their tables. K key units (tiers of tiles), L levels, P tiles."""
+"""Coded groups -> files of the package and their tables. K key units (tiers of tiles), L levels, P tiles."""
 
 from __future__ import annotations
 
@@ -42,11 +42,11 @@ class CodedGroup:
     state_pictures: Sequence[Sequence[Representation]]  # L x P
     boxes: Sequence[tuple[list[float], list[float]]]  # of each tile two corners
     first_segment: int  # how many segments the groups before it have
-    base: BaseGroup | None  # whose rows it keeps, if it keeps any
+    base: BaseGroup | None  # whose rows it reuses, if it reuses any
 
     @property
-    def keeps(self) -> GroupLayout | None:
-        """The group whose rows it keeps."""
+    def reuses(self) -> GroupLayout | None:
+        """The group whose rows it reuses."""
         return self.base.layout if self.base else None
 
     @property
@@ -80,7 +80,7 @@ def _key_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
         rows, place = layout.unit_rows(unit), group.place(unit)
         if rows.start == rows.stop:
             continue
-        sidecar = key_sidecar(layout, unit, group.states.depths, group.keeps)
+        sidecar = key_sidecar(layout, unit, group.states.depths, group.reuses)
         yield paths.key_sidecar_path(*place, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
         for q, (atlas, representation) in enumerate(zip(keys.units[unit], pictures, strict=True)):
             if not atlas.atlas.rows:
@@ -163,7 +163,7 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
         segments=_segment_tables(group, files),
         left_out=[*group.keys.left_out, *states.left_out],
         repairs=list(layout.notes),
-        keeps=group.keeps.span.index + 1 if group.keeps else None,
+        keeps=group.reuses.span.index + 1 if group.reuses else None,
     )
 
 

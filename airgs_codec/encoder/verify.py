@@ -36,7 +36,7 @@ BLAME = 0.2  # share of the error from which a part of it is to blame
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attempt:
-    """What is to be encoded, and what is expected of it."""
+    """A sequence that is to be encoded, and what is expected of it."""
 
     prepared: PreparedSequence
     original: PreparedSequence  # with all SH bands
@@ -94,7 +94,7 @@ def encode_verified(attempt: Attempt) -> Verified:
 
 
 def find_repair(attempt: Attempt, encoded: Encoded, measured: Manifest) -> Repair | None:
-    """What must change in a package whose quality was measured; None where every rung is as it should be."""
+    """Say what must change in a package whose quality was measured; None where every rung is as it should be."""
     if attempt.given:
         return None
     quality = [_rung_psnr(measured, j) for j in range(len(measured.levels))]
@@ -180,7 +180,7 @@ def _part_errors(attempt: Attempt, encoded: Encoded) -> tuple[float, float]:
 def _errors_of_group(
     coded: GroupFiles, frames: Sequence[Gaussians], views: Sequence[View], renderer: Renderer
 ) -> Iterator[tuple[float, float]]:
-    """The same errors of each view of a group; views count its frames from 0."""
+    """Give the errors of `_part_errors` for each view of a group; views count its frames from 0."""
     canonical, rows, static = mean_frame(frames), np.sort(coded.rows), coded.rows[coded.depths == STATIC]
     whole = draw_ahead(draw_frames(frames.__getitem__, renderer), views)
     parts = (lambda place: frames[place].take(rows)), (lambda place: _held(frames[place], canonical, static))

@@ -37,7 +37,7 @@ from tools.lab.paper.states import SHARES, GroupStates, checking_views, kept_row
 if TYPE_CHECKING:
     from tools.lab.command import Lab
 
-KeptRows = Mapping[float, NDArray[np.bool_]]  # pruned share -> (n,) rows whose changes are sent
+WrittenRows = Mapping[float, NDArray[np.bool_]]  # pruned share -> (n,) rows whose changes are sent
 Chooser = Callable[["Server", int, float], float]  # server, frame of the group, budget in bytes -> pruned share
 
 
@@ -66,7 +66,7 @@ class ClosedLoopSettings:
     renderer: Renderer = CPU
 
 
-def encode_change(change: NDArray[np.int32], kept: KeptRows, share: float) -> bytes:
+def encode_change(change: NDArray[np.int32], kept: WrittenRows, share: float) -> bytes:
     """The message of (10 + C, n) whole steps, of which only the rows in `kept[share]` are sent.
 
     One byte for the share, one bit for each channel that changes, then those channels in the adaptive range coder. A
@@ -81,7 +81,7 @@ def encode_change(change: NDArray[np.int32], kept: KeptRows, share: float) -> by
     return head + encode_columns([(column, 1) for column in zigzag])
 
 
-def decode_change(message: bytes, kept: KeptRows, channels: int) -> NDArray[np.int32]:
+def decode_change(message: bytes, kept: WrittenRows, channels: int) -> NDArray[np.int32]:
     """(10 + C, n) whole steps of a message, zeros in the rows that it withholds; `channels` is 10 + C.
 
     Raises FormatError for a message that is cut short or too long.
@@ -103,7 +103,7 @@ def decode_change(message: bytes, kept: KeptRows, channels: int) -> NDArray[np.i
 class Server:
     """The server's side of one viewer in one group; `send` advances it by a frame."""
 
-    def __init__(self, states: GroupStates, kept: KeptRows) -> None:
+    def __init__(self, states: GroupStates, kept: WrittenRows) -> None:
         scaled = states.values / states.steps[:, None].astype(np.float32)
         self.wanted = np.rint(scaled).astype(np.int32)  # (T, 10 + C, n) D_t in steps
         self.sent = np.zeros_like(self.wanted[0])  # (10 + C, n) D'_t
@@ -138,7 +138,7 @@ class Server:
 class Viewer:
     """The viewer's side in one group: what it has decoded so far, in steps."""
 
-    def __init__(self, states: GroupStates, kept: KeptRows) -> None:
+    def __init__(self, states: GroupStates, kept: WrittenRows) -> None:
         self.held = np.zeros(states.values.shape[1:], np.int32)  # (10 + C, n)
         self._kept = kept
 
@@ -181,7 +181,7 @@ class _Group:
     """What both sides know of a group before its first frame."""
 
     states: GroupStates
-    kept: KeptRows
+    kept: WrittenRows
     fps: float
 
 
