@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from airgs_codec.encoder.settings import EncodeSettings
     from airgs_codec.errors import AirgsError
     from airgs_codec.inspect.validate import validate
-    from airgs_codec.package.store import open_package
+    from airgs_codec.package.package import open_package
     from airgs_codec.play.session import simulate
     from airgs_codec.play.settings import SessionSettings
     from airgs_codec.play.trace import open_trace
@@ -53,7 +53,7 @@ _HOMES = {
     "SessionSettings": "play.settings",
     "decode": "decoder.decode",
     "encode": "encoder.publish",
-    "open_package": "package.store",
+    "open_package": "package.package",
     "open_sequence": "scene.sequence",
     "open_trace": "play.trace",
     "simulate": "play.session",

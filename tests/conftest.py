@@ -73,7 +73,6 @@ def demo_copy(demo_package, tmp_path):
 @pytest.fixture(scope="session")
 def bucket():
     """The address of a bucket in a server of object stores, for all tests; each has a prefix of its own."""
-    pytest.importorskip("obstore", reason="obstore, the extra `cloud`, is not installed")
     pytest.importorskip("moto", reason="moto, a server for tests, is not installed")
     from tests.support.servers import object_store
 

@@ -11,8 +11,8 @@ from tests.support.paths import PACKAGE
 
 ROOT = "the root"
 ORDER = (
-    ROOT, "media", "scene", "package", "coding", "decoder", "render", "jobs", "analysis", "train", "play", "serve",
-    "encoder", "inspect", "cli",
+    ROOT, "places", "media", "scene", "package", "coding", "decoder", "render", "jobs", "analysis", "train", "play",
+    "serve", "encoder", "inspect", "cli",
 )  # fmt: skip
 MAY_IMPORT = {
     "torch": {
@@ -44,7 +44,7 @@ MAY_IMPORT = {
     "distributed": {"jobs/dask_engine.py"},
     "aiohttp": {"play/http.py", "play/http_files.py"},
     "hypercorn": {"serve/server.py"},
-    "obstore": {"_stores.py"},
+    "obstore": {"places/place.py"},
     "starlette": {"serve/app.py", "serve/server.py"},
 }
 MODULES = {path.relative_to(PACKAGE).as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 import airgs_codec as airgs
 from airgs_codec.media.image import label, to_bytes
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 from airgs_codec.play.report.film import screen_frames
 from airgs_codec.play.report.viewer import Viewer
 from airgs_codec.play.session import SessionLog

@@ -6,7 +6,6 @@ import argparse
 import json
 from pathlib import Path
 
-from airgs_codec._files import atomic_path
 from airgs_codec.cli.baking import UNTOLD, add_baking, is_told, told_baking
 from airgs_codec.cli.common import PACKAGE, Bar, add_views, parse_range
 from airgs_codec.errors import ConfigError
@@ -23,6 +22,7 @@ from airgs_codec.inspect.sides import (
     shared_views,
 )
 from airgs_codec.media.image import write_png
+from airgs_codec.places.whole import atomic_path
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.formats.table import is_clip
 

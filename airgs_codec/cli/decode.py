@@ -9,9 +9,9 @@ from collections.abc import Iterator, Sequence
 from airgs_codec.cli.common import PACKAGE, Bar, parse_range, run_command
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.region import background_of
-from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.world import misread
 from airgs_codec.scene.formats.write import Numbered, Target, choose_target, format_keys, write_frames
 

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from airgs_codec._settings import about
-from airgs_codec._stores import is_address
 from airgs_codec.cli.baking import add_baking, is_told, told_baking
 from airgs_codec.cli.common import Bar, add_views, expect_rate, fraction, run_command
 from airgs_codec.cli.encoding import add_encoding, told_settings
@@ -31,6 +30,7 @@ from airgs_codec.inspect.text import format_summary
 from airgs_codec.jobs.report import write_report
 from airgs_codec.package.region import place_view
 from airgs_codec.package.tables import Region
+from airgs_codec.places.place import is_address
 from airgs_codec.scene.growing import GrowingFolder
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence, read_attribution
 from airgs_codec.train.data.readers import is_multiview

@@ -24,12 +24,12 @@ from airgs_codec.inspect.sides import compared_views, region_views, rung_streams
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.inspect.validate import exceeded, validate
-from airgs_codec.jobs.store import open_store
 from airgs_codec.media.metrics import Difference, Quality
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background
-from airgs_codec.package.store import open_package
 from airgs_codec.package.world import up_of
+from airgs_codec.places.results import open_store
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.camera import UP, orbit_views
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence

@@ -11,7 +11,6 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from airgs_codec._files import to_json
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
 from airgs_codec.cli.baking import add_baking, told_baking
@@ -19,10 +18,11 @@ from airgs_codec.cli.common import PACKAGE, Bar, add_device, add_views, run_comm
 from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.package.region import before_background
-from airgs_codec.package.store import Package, find_faults, open_package
+from airgs_codec.places.place import Folder
+from airgs_codec.places.whole import to_json
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.http import HttpDownloader, fetch_beside
 from airgs_codec.play.http_files import HttpSettings

@@ -13,8 +13,8 @@ from pathlib import Path
 from airgs_codec._report import require_matplotlib
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.engines import Engine, InProcess, Processes
-from airgs_codec.jobs.store import WorkFolder, open_store
 from airgs_codec.jobs.work import Part, Work
+from airgs_codec.places.results import open_store
 from airgs_codec.progress import Progress
 
 DASK = re.compile(r"dask(?::(.+))?")
@@ -67,7 +67,7 @@ def told_work(args: argparse.Namespace, progress: Progress) -> Iterator[Work]:
     if args.report:
         require_matplotlib("--report")
     with tempfile.TemporaryDirectory(prefix="airgs-work-") as folder:
-        store = open_store(args.work) if args.work else WorkFolder(Path(folder), lasting=False)
+        store = open_store(args.work) if args.work else open_store(Path(folder), lasting=False)
         engine = _engine(args)
         try:
             yield Work(store, engine, args.part or Part(), progress)

@@ -23,7 +23,7 @@ from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidec
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.layout import COLOUR, KEY, STATE
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 from airgs_codec.package.tables import STATIC, Atlas, Group, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 
 
 def measure_decoding(package: Package) -> float:

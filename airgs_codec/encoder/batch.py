@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 from airgs_codec._settings import available_cores
 from airgs_codec.encoder.calibrate import Calibration
-from airgs_codec.encoder.calibration import cache
 from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
 from airgs_codec.encoder.omit import omit_bands
 from airgs_codec.encoder.pipeline import (
@@ -37,10 +36,11 @@ from airgs_codec.jobs.job import Job
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.fragments import init_segment
 from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.package.memory import MemoryFiles
+from airgs_codec.package.package import Package, root_of
 from airgs_codec.package.paths import INIT_NAME
-from airgs_codec.package.store import Package, root_of
 from airgs_codec.package.tables import Group, file_entry
+from airgs_codec.places.place import Memory
+from airgs_codec.places.results import user_cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,20 +60,17 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
         return Calibrated(prepared, settings, None, (), False)
     work.progress("calibration", 0, 1)
     subject = _longest(prepared)
-    name = cache.name_of(prepared.contents[subject], prepared.views, settings)
-    trial = prepared.job(CALIBRATION, subject, replace(settings, threads=available_cores()))
+    once = replace(settings, quality=1.0, tiles=1, threads=available_cores())  # what is found holds for all of them
+    found, cached = work.cached(prepared.job(CALIBRATION, subject, once), user_cache("calibration"))
+    calibration: Calibration = found
     survey = work.result(prepared.job(SURVEY, subject))
-    cached = None if work.store.has(trial.entry) else cache.load(name)  # parts must not differ by what each has cached
-    calibration: Calibration = cached or work.result(trial)
-    if cached is None:
-        cache.keep(name, calibration)
     expected = calibration.expected * settings.quality**2 if settings.calibrate == "ladder" else None
     settings = calibration.apply(settings)
     step = settings.steps.key.sh_rest * settings.quality
     bands, note = omit_bands(prepared.sequence, survey, step, settings.scaled_price)
     if note is None:
-        return Calibrated(prepared, settings, expected, (), cached is not None)
-    return Calibrated(prepared.without_bands(bands), settings, expected, (note,), cached is not None)
+        return Calibrated(prepared, settings, expected, (), cached)
+    return Calibrated(prepared.without_bands(bands), settings, expected, (note,), cached)
 
 
 def _longest(prepared: PreparedSequence) -> int:
@@ -109,7 +106,7 @@ class Encoded:
         """Give all of it in memory, to look at."""
         parts = [self.group(number).files for number in range(len(self.files))]
         files = {path: data for part in parts for path, data in part.items()}
-        return Package(MemoryFiles("encoded package", {INIT_NAME: self.init, **files}), self.manifest, 0)
+        return Package(Memory("encoded package", {INIT_NAME: self.init, **files}), self.manifest, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

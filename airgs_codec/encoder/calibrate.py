@@ -70,7 +70,6 @@ LEVELS = ((1.0, 0, 3), (1.6, 1, 3), (2.3, 1, 2), (3.4, 2, 2), (4.8, 2, 1))
 FACTORS = (0.1, 0.2, 0.35, 0.6, 1.0, 1.6, 2.4, 3.5, 5.0, 8.0)  # on the steps, for which a share is chosen
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withholds, tried
 CORES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.42, 0.35, 0.28)  # of the rows, in the first key tiers together, tried
-REVISION = 6  # of this method, for the cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,13 +19,12 @@ from airgs_codec.encoder.settings import DEFAULT_LEVELS, KEPT, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views
 from airgs_codec.encoder.verify import Attempt, encode_verified
 from airgs_codec.jobs.work import temporary_work
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.storage import Storage, open_storage
-from airgs_codec.package.store import root_of
+from airgs_codec.package.package import root_of, write_file
+from airgs_codec.package.publish import GrowingPackage, staged_package
 from airgs_codec.package.tables import Group
-from airgs_codec.package.writing import GrowingPackage
+from airgs_codec.places.place import Folder, Place, place_at
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.growing import GrowingFolder
 from airgs_codec.scene.sequence import GaussianSequence
@@ -74,7 +73,7 @@ class _Publisher:
         if reused is None:
             self.bases[:] = [(key, group)]
         for path, data in group.files.items():
-            self.package.files.write(path, data)
+            write_file(self.package.files, path, data)
         self.package.add(self._measured(sequence, known, base_files if reused else None))
 
     def _measured(self, sequence: GaussianSequence, known: dict[str, Any], base: GroupFiles | None) -> Group:
@@ -109,7 +108,7 @@ def follow(
 
     Raises SceneError, CodecError and ConfigError as `publish.encode` does.
     """
-    storage = open_storage(path)
+    place = place_at(path)
     publisher: _Publisher | None = None
     group_frames = settings.group_frames or DEFAULT_GROUP_FRAMES
     try:
@@ -119,7 +118,7 @@ def follow(
                 notes = rows.notes
                 for start, stop in _parts(rows, first, last):
                     if publisher is None:
-                        publisher = _begin(rows.sequence, stop, storage, settings, attribution, progress)
+                        publisher = _begin(rows.sequence, stop, place, settings, attribution, progress)
                     else:
                         publisher.publish(rows.sequence, start, stop)
                     yield _published(publisher.package.manifest, whole, notes)
@@ -156,7 +155,7 @@ def _parts(rows: Restored, first: int, last: int) -> list[tuple[int, int]]:
 def _begin(
     sequence: GaussianSequence,
     stop: int,
-    storage: Storage,
+    place: Place,
     settings: EncodeSettings,
     attribution: str | None,
     progress: Progress,
@@ -168,7 +167,7 @@ def _begin(
     rounds = Rounds(settings.measure_pictures)
     given = settings.levels != DEFAULT_LEVELS
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
-    with temporary_work(progress) as work, storage.staged() as stage:
+    with temporary_work(progress) as work, staged_package(place) as stage:
         names = look_at_frames(part, work)[0]
         original = PreparedSequence(part, names, number_groups([(0, stop)]), views, (), credit)
         found = calibrate_sequence(original, settings, work)
@@ -179,7 +178,7 @@ def _begin(
         finish(verified, manifest).write(work.store, Folder(stage), LiveClock(available, datetime.now(UTC)))
         base = verified.encoded.base_key(), verified.encoded.group(0)
     turns = manifest.views.measured // max(1, views.measured(rounds.count))
-    package = GrowingPackage(storage, manifest, available)
+    package = GrowingPackage(place, manifest, available)
     sh_degree = found.prepared.sequence.sh_degree
     return _Publisher(package, verified.settings, views, sh_degree, rounds.again(turns), [base])
 

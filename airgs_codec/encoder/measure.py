@@ -13,7 +13,7 @@ from airgs_codec.decoder.decode import decode_canonical, decode_segment, fewer_t
 from airgs_codec.encoder.survey import Pictures, ViewPlan
 from airgs_codec.media.metrics import Difference, pool
 from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Group, Segment, SegmentLevel
 from airgs_codec.render.backend import Renderer
 from airgs_codec.render.compare import Source, compare, draw_ahead, draw_frames, in_order

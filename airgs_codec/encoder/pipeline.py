@@ -38,11 +38,11 @@ from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
 from airgs_codec.encoder.survey import GroupSpan, Pictures, Survey, ViewPlan, survey_group
 from airgs_codec.encoder.tables import CodedGroup, finish_group
-from airgs_codec.jobs.digest import code_digest, digest
+from airgs_codec.jobs.digest import digest
 from airgs_codec.jobs.job import Job
-from airgs_codec.package.memory import MemoryFiles
-from airgs_codec.package.store import Package, manifest_of
+from airgs_codec.package.package import Package, manifest_of
 from airgs_codec.package.tables import Group, Root
+from airgs_codec.places.place import Memory
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.gaussians import SH_REST
 from airgs_codec.scene.sequence import GaussianSequence
@@ -149,7 +149,7 @@ def measure_files(
     `tables`: those of the package; `pictures`: of each of its segments.
     """
     files = {**own.files, **(base.files if base else {})}
-    package = Package(MemoryFiles("encoded groups", files), manifest_of(*tables), 0)
+    package = Package(Memory("encoded groups", files), manifest_of(*tables), 0)
     number = [table.start for table in tables[1]].index(own.table.start)
     return measure_round(package, original, renderer, number, pictures)
 
@@ -183,8 +183,8 @@ class Step:
     def job(self, label: str, known: Mapping[str, Read]) -> Job:
         """Name the result of the step by the content of all that it reads; `label` says to people which frames."""
         reads = [known[name] for name in self.reads]
-        entry = digest(code_digest(), self.name, *(read.name for read in reads))
-        return Job(self.name, label, entry, self.function, tuple(read.value for read in reads), code=code_digest())
+        names, values = [read.name for read in reads], tuple(read.value for read in reads)
+        return Job.of(self.name, label, self.function, values, names)
 
     def do(self, known: dict[str, Any]) -> Any:
         """Take the step here and now; what it makes is returned, and known from then on."""

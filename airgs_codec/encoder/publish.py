@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -19,16 +18,15 @@ from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
 from airgs_codec.errors import WorkError
 from airgs_codec.jobs.digest import code_digest
 from airgs_codec.jobs.job import Record, Stored, read_result
-from airgs_codec.jobs.store import Store
 from airgs_codec.jobs.work import Work, temporary_work
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
+from airgs_codec.package.package import manifest_of, root_of, write_file
 from airgs_codec.package.paths import INIT_NAME
-from airgs_codec.package.storage import Storage, open_storage
-from airgs_codec.package.store import manifest_of, root_of
+from airgs_codec.package.publish import staged_package, write_tables
 from airgs_codec.package.tables import Group, Root
-from airgs_codec.package.writing import write_tables
+from airgs_codec.places.place import Folder, Place, place_at
+from airgs_codec.places.results import Store, pack, unpack
 from airgs_codec.progress import Stopwatch
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -61,17 +59,17 @@ class Finished:
     init: bytes
     entries: Sequence[str]  # of a store: the `GroupFiles` of each group
 
-    def write(self, store: Store, place: Storage, clock: LiveClock | None = None) -> int:
+    def write(self, store: Store, place: Place, clock: LiveClock | None = None) -> int:
         """Write all files, tables last; gives the length of tables and manifest.mpd together.
 
         `clock`: of a package that grows. Raises WorkError where results are gone from the store.
         """
-        place.write(INIT_NAME, self.init)
+        write_file(place, INIT_NAME, self.init)
         for entry in self.entries:
             group = read_result(store, Stored(entry))
             assert isinstance(group, GroupFiles)
             for path, data in group.files.items():
-                place.write(path, data)
+                write_file(place, path, data)
         return write_tables(place, manifest_of(self.root, self.groups), clock)
 
 
@@ -95,9 +93,9 @@ def encode(
     margin below 0, a goal out of reach or a `path` with other files in it; then `path` is as it was. TransportError for
     an object store that does not answer, WorkError for workers that die.
     """
-    with open_storage(path).staged() as stage, _at(work) as at:
+    with staged_package(place_at(path)) as stage, _at(work) as at:
         report, finished = _encode(sequence, settings, goal, attribution, at)
-        at.store.write(PACKAGE_ENTRY, pickle.dumps((code_digest(), finished)))
+        at.store.write(PACKAGE_ENTRY, pack((code_digest(encode), finished)))
         return replace(report, manifest_bytes=finished.write(at.store, Folder(stage)))
 
 
@@ -114,9 +112,9 @@ def encode_part(
     Several runs with the same store share the jobs: `work.part` says which come first here. Each ends when all are
     done, and does those that nobody else has done. Raises what `encode` raises.
     """
-    work.store.write(PACKAGE_ENTRY, pickle.dumps((code_digest(), None)))  # what was there is not this package
+    work.store.write(PACKAGE_ENTRY, pack((code_digest(encode), None)))  # what was there is not this package
     report, finished = _encode(sequence, settings, goal, attribution, work)
-    work.store.write(PACKAGE_ENTRY, pickle.dumps((code_digest(), finished)))
+    work.store.write(PACKAGE_ENTRY, pack((code_digest(encode), finished)))
     return report
 
 
@@ -126,7 +124,7 @@ def merge(store: Store, path: str | Path) -> tuple[Manifest, int]:
     Raises WorkError where there is no whole package, and what `encode` raises for `path`.
     """
     finished = _last_package(store)
-    with open_storage(path).staged() as stage:
+    with staged_package(place_at(path)) as stage:
         size = finished.write(store, Folder(stage))
     return manifest_of(finished.root, finished.groups), size
 
@@ -134,10 +132,10 @@ def merge(store: Store, path: str | Path) -> tuple[Manifest, int]:
 def _last_package(store: Store) -> Finished:
     data = store.read(PACKAGE_ENTRY)
     try:
-        code, finished = (code_digest(), None) if data is None else pickle.loads(data)
-    except (pickle.UnpicklingError, AttributeError, ImportError, TypeError, ValueError):
+        code, finished = (code_digest(encode), None) if data is None else unpack(data)
+    except (TypeError, ValueError):
         code, finished = "", None
-    if code != code_digest():
+    if code != code_digest(encode):
         raise WorkError(f"{store.name}: expected a work folder of this version of airgs-codec, got one of another")
     if finished is None:
         raise WorkError(f"{store.name}: expected a work folder with all parts of a package, which no part has finished")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from airgs_codec.coding.atlas import extract
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.layout import KEY, STATE, Layout
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Atlas
 
 

@@ -19,8 +19,8 @@ from airgs_codec.coding.quantize import from_codes
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.package import Package
 from airgs_codec.package.paths import tile_folder
-from airgs_codec.package.store import Package
 from airgs_codec.package.tables import STATIC, Group, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
 from airgs_codec.scene.sequence import GaussianSequence

@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec._stores import Store, is_address
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.summary import rung_bytes
 from airgs_codec.media.metrics import Quality
 from airgs_codec.package.manifest import pooled_quality
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.region import CHECKING, background_of, draw_views
-from airgs_codec.package.store import Package, open_package
 from airgs_codec.package.tables import Region
+from airgs_codec.places.place import is_address, place_at
 from airgs_codec.render import Camera
 from airgs_codec.scene.camera import BLACK, UP, Background, orbit_views
 from airgs_codec.scene.formats.form import Axes
@@ -57,7 +57,7 @@ class Side:
 def is_package(place: str) -> bool:
     """Whether a package is at a place. Raises ConfigError for an address that cannot be, TransportError."""
     if is_address(place):
-        return Store.at(place).open(JSON_NAME) is not None
+        return place_at(place).exists(JSON_NAME)
     return Path(place, JSON_NAME).is_file()
 
 

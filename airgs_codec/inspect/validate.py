@@ -15,11 +15,11 @@ from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.inspect.errors import Measured
 from airgs_codec.media.h264 import BRIGHTEST, DARKEST, decode_pictures, in_range, open_segment
 from airgs_codec.package.mpd_check import check_mpd
+from airgs_codec.package.package import Package, find_file, open_files
 from airgs_codec.package.packing import MAX_ROOT_BYTES
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path
-from airgs_codec.package.storage import Files, open_storage
-from airgs_codec.package.store import Package, open_files
 from airgs_codec.package.tables import Atlas
+from airgs_codec.places.place import Place, place_at
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -40,10 +40,10 @@ def validate(path: str | Path) -> list[Finding]:
 
     Raises TransportError where a store does not answer.
     """
-    return validate_files(open_storage(path))
+    return validate_files(place_at(path))
 
 
-def validate_files(files: Files) -> list[Finding]:
+def validate_files(files: Place) -> list[Finding]:
     """Everything that is wrong with the package of these files: an empty list for a good one.
 
     Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
@@ -89,7 +89,7 @@ def _attempt(where: str, work: Callable[[], object]) -> list[Finding]:
 
 
 def _check_mpd(package: Package) -> None:
-    size, read = package.files.open(MPD_NAME)
+    size, read = find_file(package.files, MPD_NAME)
     if size > MAX_ROOT_BYTES:
         raise FormatError("too_large", MPD_NAME, f"expected at most {MAX_ROOT_BYTES} bytes")
     check_mpd(read(), package.manifest)

@@ -1,14 +1,16 @@
-"""Names of content: equal values have equal names on every machine and in every process."""
+"""Names of content and of code: equal values have equal names on every machine and in every process."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
+import importlib.metadata
 import json
-from collections.abc import Mapping
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,12 @@ import numpy as np
 
 from airgs_codec.media.h264 import library_versions
 
-PACKAGE = Path(__file__).parent.parent
+LIBRARIES = {  # modules that are imported -> distributions whose versions decide results
+    "cv2": "opencv-contrib-python-headless", "gsplat": "gsplat", "numba": "numba", "numpy": "numpy",
+    "pycolmap": "pycolmap", "scipy": "scipy", "torch": "torch",
+}  # fmt: skip
+_TYPES_ONLY = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.MULTILINE)
+_IMPORT = re.compile(r"^[ \t]*(?:from (\S+) import (\([^)]*\)|.*)|import (.*))$", re.MULTILINE)
 
 
 def digest(*values: Any) -> str:
@@ -54,23 +61,74 @@ def _add(h: hashlib._Hash, value: Any) -> None:
         raise TypeError(f"expected plain values, arrays or dataclasses, got {type(value).__qualname__}")
 
 
-@cache
-def code_digest(*libraries: str) -> str:
-    """SHA-256 of this package's own code and of the versions of what it computes with.
+def code_digest(function: Callable[..., Any]) -> str:
+    """SHA-256 of the code that a function may run, and of the versions of what it computes with.
 
-    `libraries`: further packages whose versions count, where they are installed. Results of other versions are not
-    taken.
+    That is its module and all that this imports, directly or not, of the package that it is in and of this one.
     """
-    more = {name: _version(name) for name in libraries}
-    versions = [library_versions(), np.__version__, version("numba"), more]
-    h = hashlib.sha256(json.dumps(versions, sort_keys=True).encode())
-    for path in sorted(PACKAGE.rglob("*.py")):
-        h.update(path.relative_to(PACKAGE).as_posix().encode() + b"\0" + path.read_bytes())
+    while isinstance(function, partial):
+        function = function.func
+    return _digest_of_module(module_name(function))
+
+
+def module_name(function: Callable[..., Any]) -> str:
+    """The module of a function, by the name that others import it by."""
+    name = function.__module__
+    spec = sys.modules["__main__"].__spec__ if name == "__main__" else None
+    return spec.name if spec is not None else name
+
+
+@cache
+def _digest_of_module(name: str) -> str:
+    h = hashlib.sha256()
+    used: set[str] = set()
+    for module, path in sorted(modules_run(name).items()):
+        text = path.read_text(encoding="utf-8")
+        used.update(found.partition(".")[0] for found in _imports(text))
+        h.update(f"{module} {len(text)} {text}".encode())
+    versions = {library: _version(library) for library in sorted(LIBRARIES.keys() & used)}
+    h.update(json.dumps([versions, library_versions() if "av" in used else None], sort_keys=True).encode())
     return h.hexdigest()
 
 
-def _version(name: str) -> str | None:
+def modules_run(name: str) -> dict[str, Path]:
+    """The file of a module and of every module that it imports, directly or not, of its package and of this one."""
+    roots = {top: _folder(top) for top in {name.partition(".")[0], "airgs_codec"}}
+    found: dict[str, Path] = {}
+    todo = [name]
+    while todo:
+        module = todo.pop()
+        top, *inner = module.split(".")
+        if top not in roots or module in found:
+            continue
+        if (path := _file(roots[top].joinpath(*inner))) is None:
+            continue  # no module, but a name in one
+        found[module] = path
+        todo.append(module.rpartition(".")[0])
+        todo.extend(_imports(path.read_text(encoding="utf-8")))
+    return found
+
+
+def _folder(top: str) -> Path:
+    """The folder of a package that is imported; of a script, which is none, a folder without modules."""
+    module = sys.modules.get(top) or importlib.import_module(top)
+    paths = list(getattr(module, "__path__", []))
+    return Path(paths[0]) if paths else Path(getattr(module, "__file__", None) or ".").with_suffix("")
+
+
+def _file(stem: Path) -> Path | None:
+    return next((path for path in (stem.with_suffix(".py"), stem / "__init__.py") if path.is_file()), None)
+
+
+def _imports(text: str) -> Iterator[str]:
+    """Names of modules that a text imports for more than types, and of what it imports from them."""
+    for module, names, modules in _IMPORT.findall(_TYPES_ONLY.sub("", text)):
+        each = [part.split()[0] for part in re.sub(r"#.*|[()]", "", modules or names).split(",") if part.strip()]
+        yield from each if modules else [module, *(f"{module}.{name}" for name in each)]
+
+
+def _version(library: str) -> str | None:
     try:
-        return version(name)
-    except PackageNotFoundError:
+        return importlib.metadata.version(LIBRARIES[library])
+    except importlib.metadata.PackageNotFoundError:
         return None

@@ -7,9 +7,9 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from airgs_codec._files import write_bytes
 from airgs_codec._report import new_figure, page
 from airgs_codec.jobs.job import Record
+from airgs_codec.places.whole import write_bytes
 
 NAME = "jobs.html"  # of the page where it lies beside others
 WIDTH, ROW_HEIGHT = 11.0, 0.35  # inches

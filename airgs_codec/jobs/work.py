@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import pickle
+import dataclasses
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from airgs_codec.errors import WorkError
+from airgs_codec.errors import AirgsError, WorkError
 from airgs_codec.jobs.digest import code_digest, digest
 from airgs_codec.jobs.engines import Engine, InProcess
-from airgs_codec.jobs.job import Job, LostResultError, Record, Stored, load, perform, read_record
-from airgs_codec.jobs.store import Store, WorkFolder
+from airgs_codec.jobs.job import Job, LostResultError, Record, Stored, load, packages_of, perform, read_record
+from airgs_codec.places.results import Store, open_store, pack
 from airgs_codec.progress import Progress, silent
 
 LOSSES = 100  # results that are found to be gone while jobs of one kind are done, and made again
@@ -73,19 +73,35 @@ class Work:
     def result(self, job: Job) -> Any:
         """The result of a job, which is done here where it is not there."""
         self.asked[job.entry] = job
-        found = load(self.store, job.entry)
+        found = load(self.store, job.entry, packages_of(job))
         if found is None:
             self.run([job])
-            found = load(self.store, job.entry)
+            found = load(self.store, job.entry, packages_of(job))
         if found is None:
             raise WorkError(f"{self.store.name}: expected the result that was just written, {job.entry[:12]}, got none")
         return found[0]
 
+    def cached(self, job: Job, cache: Store) -> tuple[Any, bool]:
+        """Return the result of a job and whether it came from a cache, which gets it otherwise.
+
+        A result that is in the store is taken from there, so that runs that share it have the same. A cache that cannot
+        be read or written is no reason to fail.
+        """
+        if not self.store.has(job.entry):
+            with suppress(OSError, AirgsError):
+                if found := load(cache, job.entry, packages_of(job)):
+                    self.store.write(job.entry, pack(found[0]))
+                    return found[0], True
+        value = self.result(job)
+        with suppress(OSError, AirgsError):
+            cache.write(job.entry, pack(value))
+        return value, False
+
     def put(self, value: Any) -> Stored:
         """A value as an argument of jobs, stored once by the name of its content. Raises TypeError as `digest` does."""
-        entry = digest(code_digest(), value)
+        entry = digest(code_digest(type(value)) if dataclasses.is_dataclass(value) else "", value)
         if not self.store.has(entry):
-            self.store.write(entry, pickle.dumps(value, protocol=5))
+            self.store.write(entry, pack(value))
         return Stored(entry)
 
     def map(self, stage: str, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -110,4 +126,4 @@ def _numbered(function: Callable[..., Any], place: int, *arguments: Any) -> tupl
 def temporary_work(progress: Progress = silent) -> Iterator[Work]:
     """Work in this process whose results nobody needs afterwards."""
     with tempfile.TemporaryDirectory(prefix="airgs-work-") as folder:
-        yield Work(WorkFolder(Path(folder), lasting=False), progress=progress)
+        yield Work(open_store(Path(folder), lasting=False), progress=progress)

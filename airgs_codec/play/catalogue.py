@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.package import Package
 from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.package.store import Package
 from airgs_codec.play.events import Batch
 from airgs_codec.play.ladder import Option, saved_shares
 from airgs_codec.play.rows import Rows

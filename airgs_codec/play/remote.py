@@ -7,10 +7,10 @@ import dataclasses
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import count_groups
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.package import check_digest, open_manifest
 from airgs_codec.package.packing import MAX_ROOT_BYTES
 from airgs_codec.package.parse import parse_root
 from airgs_codec.package.paths import JSON_NAME, group_path, locate
-from airgs_codec.package.store import check_digest, open_manifest
 from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
 from airgs_codec.play.catalogue import Catalogue
 

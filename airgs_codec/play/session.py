@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import FormatError
+from airgs_codec.package.package import Package
 from airgs_codec.package.paths import FileKind, file_kind
-from airgs_codec.package.store import Package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import Downloader, SimulatedDownloader
 from airgs_codec.play.events import Arrival, Arrived, BatchKind, Cut, Event, Lost, Replaced, Shown, TileReady

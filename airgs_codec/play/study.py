@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.figures import FIGURES, KINDS
 from airgs_codec.play.keys import TableStore

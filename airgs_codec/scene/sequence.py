@@ -5,18 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._stores import is_address
 from airgs_codec.errors import SceneError
+from airgs_codec.places.mirror import LOCAL, Files, Habits, Mirror
+from airgs_codec.places.place import is_address
 from airgs_codec.scene.camera import BLACK, Background, Camera
+from airgs_codec.scene.cameras import colmap
+from airgs_codec.scene.cameras.read import NAMES as CAMERA_NAMES
 from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
 from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
-from airgs_codec.scene.files import LOCAL, Files
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
+from airgs_codec.scene.formats.gltf import external_buffers
+from airgs_codec.scene.formats.ply_elements import HEADER_END, MAX_HEADER
+from airgs_codec.scene.formats.sog import META_NAME
 from airgs_codec.scene.formats.table import (
     CLIP_SUFFIXES,
     Found,
@@ -28,14 +33,27 @@ from airgs_codec.scene.formats.table import (
 )
 from airgs_codec.scene.frames import HeldFrames, LazyFrames
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.mirror import Mirror
 from airgs_codec.scene.repair import Repaired, repair
-from airgs_codec.scene.sequence_json import DEFAULTS, frame_rate, read_settings
+from airgs_codec.scene.sequence_json import DEFAULTS, SETTINGS_NAME, frame_rate, read_settings
 from airgs_codec.scene.usage import Usage, load_usage
 
 ATTRIBUTION_NAME = "ATTRIBUTION.txt"
 USAGE_NAME = "usage.npz"
 KEPT_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not kept in memory
+
+
+def _is_small(name: str) -> bool:
+    """Whether an object is one of the small files by which frames and cameras are found."""
+    path = PurePosixPath(name)
+    by_name = path.name in {SETTINGS_NAME, META_NAME, *CAMERA_NAMES}
+    return by_name or ("sparse" in path.parts and path.name in colmap.CAMERA_PARTS)
+
+
+def _find_parts(path: Path) -> list[str]:
+    return external_buffers(path) if path.suffix.lower() == ".gltf" else []
+
+
+HABITS = Habits(_is_small, ((".ply", HEADER_END, MAX_HEADER),), "sparse", _find_parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +161,7 @@ def open_sequence(
 ) -> GaussianSequence:
     """Open a folder of frames, a file of one frame or a clip; rows are read only when they are asked for.
 
-    It may be at an address, s3://, gs:// or az://: then files are fetched when they are read (`scene.mirror`).
+    It may be at an address, s3://, gs:// or az://: then files are fetched when they are read (`places.mirror`).
 
     Frames are of any format in `scene.formats.table.FRAMES`, all of the same, in natural order of their names (frame2
     before frame10); of an INRIA model the newest iteration is taken. Beside them may lie
@@ -169,7 +187,7 @@ def open_sequence(
     """
     rate = None if bake_fps is None else frame_rate(str(folder), bake_fps)
     bake = Bake(rate, None if duration is None else Fraction(str(duration)))
-    files, place = Mirror.at(str(folder)) if is_address(folder) else (LOCAL, Path(folder))
+    files, place = Mirror.at(str(folder), HABITS) if is_address(folder) else (LOCAL, Path(folder))
     with files.naming():
         return replace(_open(files, place, bake, views, fps), files=files)
 

@@ -8,8 +8,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from airgs_codec._files import write_json
 from airgs_codec.errors import SceneError
+from airgs_codec.places.whole import write_json
 from airgs_codec.scene.camera import BLACK, Background
 
 DEFAULT_FPS = Fraction(30)

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._files import atomic_path
 from airgs_codec.errors import SceneError
+from airgs_codec.places.whole import atomic_path
 
 MEASURES = ("importance", "max", "sum", "hits")  # the first is `analysis.importance`
 

@@ -21,16 +21,15 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._stores import is_address
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import to_bytes, write_jpeg
-from airgs_codec.package.folder import Folder
+from airgs_codec.package.package import Package, find_file, open_package, read_file, root_of, write_file
 from airgs_codec.package.parse import parse_root
 from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME
 from airgs_codec.package.region import first_place, levelled, place_view
-from airgs_codec.package.staging import staged
-from airgs_codec.package.store import Package, open_package, read_file, root_of
+from airgs_codec.places.place import Folder, is_address
+from airgs_codec.places.whole import staged_folder
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import render
 from airgs_codec.scene.camera import resized
@@ -76,7 +75,7 @@ def export_page(
     opened = dict(map(_open, packages))
     if not opened or len(opened) < len(packages):
         raise ConfigError(f"{folder}: expected packages of different names, got {', '.join(map(str, packages))}")
-    with staged(target, _is_site, "exported page") as stage:
+    with staged_folder(target, _is_site, "exported page") as stage:
         (stage / PLAIN).touch()
         (stage / PLAYER_SCRIPT).write_bytes(script)
         (stage / POSTERS).mkdir()
@@ -123,12 +122,12 @@ def _copy(package: Package, name: str, target: Folder, progress: Progress) -> in
             paths = m.group_files(number - 1) if number else [INIT_NAME, *m.table_files()]
             entries = [m.entry(path) for path in paths]
             for path, data in zip(paths, pool.map(read_file, repeat(source), paths, entries), strict=True):
-                size += target.write(path, data).bytes
+                size += write_file(target, path, data).bytes
             progress(f"copying {name}", 1 + number, batches)
-    roots = {path: source.open(path)[1]() for path in (MPD_NAME, JSON_NAME)}
+    roots = {path: find_file(source, path)[1]() for path in (MPD_NAME, JSON_NAME)}
     if parse_root(roots[JSON_NAME]) != root_of(m):
         raise ConfigError(f"{source.name}: expected a package that stays as it is, got one that changed meanwhile")
-    return size + sum(target.write(path, data).bytes for path, data in roots.items())
+    return size + sum(write_file(target, path, data).bytes for path, data in roots.items())
 
 
 def _poster(package: Package) -> NDArray[np.uint8]:

@@ -18,8 +18,8 @@ from urllib.parse import quote
 
 from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
+from airgs_codec.package.package import open_package
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME
-from airgs_codec.package.store import open_package
 
 PAGE = Path(__file__).parent / "page"
 PLAYER_PAGE, PLAYER_SCRIPT = "player.html", "airgs-player.js"

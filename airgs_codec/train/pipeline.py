@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from airgs_codec.errors import ConfigError, SceneError
-from airgs_codec.jobs.digest import code_digest, digest
 from airgs_codec.jobs.engines import NOTHING, Needs
 from airgs_codec.jobs.job import Job, Stored
 from airgs_codec.jobs.work import Work
@@ -31,8 +30,6 @@ from airgs_codec.train.data.plates import Plate, find_plate, plate_sources
 from airgs_codec.train.frames import Capture, First, chunks, position_after, train_chunk, train_first
 from airgs_codec.train.record import FrameRecord, Model, Record, Span, TrainedFrame, open_model
 from airgs_codec.train.settings import TrainSettings
-
-LIBRARIES = ("torch", "gsplat", "scipy", "opencv-contrib-python-headless")  # whose versions decide results, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -339,9 +336,9 @@ class Farm:
 
     def job(self, step: Step, piece: Piece, reads: tuple[Stored, ...]) -> Job:
         """The job of a piece."""
-        code, more = code_digest(*LIBRARIES), (*piece.which, *reads)
+        more = (*piece.which, *reads)
         settings = replace(self.settings, group_frames=None)  # a chunk says which frames it has
         task = Task(with_frames(self.scene, {0, *piece.frames}), settings, self.device)
-        entry = digest(code, step.name, settings, self.device, content_of(task.scene, self.contents), more)
+        content = (settings, self.device, content_of(task.scene, self.contents), more)
         needs = self.needs if step.fits else NOTHING
-        return Job(step.name, piece.label, entry, do_piece, (step.name, task, *more), code, LIBRARIES, needs)
+        return Job.of(step.name, piece.label, do_piece, (step.name, task, *more), content, needs)

@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec._files import PART_SUFFIX, atomic_path, to_json, write_json
 from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.places.whole import PART_SUFFIX, atomic_path, to_json, write_json
 from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians

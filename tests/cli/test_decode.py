@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from airgs_codec.cli import decode
 from airgs_codec.decoder.decode import decode as decode_frame
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats import write
 from airgs_codec.scene.formats.table import FRAMES, read_frame
 from airgs_codec.scene.sequence import open_sequence

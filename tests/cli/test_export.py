@@ -16,8 +16,8 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.image import read_picture, to_bytes
 from airgs_codec.media.metrics import psnr
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import place_view
-from airgs_codec.package.store import open_package
 from airgs_codec.render import render
 from airgs_codec.serve import export
 from airgs_codec.serve.export import export_page

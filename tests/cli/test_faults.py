@@ -12,8 +12,9 @@ import pytest
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package.folder import Folder
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
+from airgs_codec.package.publish import staged_package
+from airgs_codec.places.place import Folder
 from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX, VALID
@@ -102,7 +103,7 @@ def test_a_kill_in_the_middle_leaves_the_old_package(scene, target, tmp_path):
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert validate(target) == [] and open_package(target).manifest.frames == 3
-    with Folder(target).staged():  # another run at work
+    with staged_package(Folder(target)):  # another run at work
         command("encode", scene, "-o", target, *ENCODE, check=True)
         assert len(list(tmp_path.glob(".out.airgs.*.stage"))) == 1  # its folder stays, that of the killed run is gone
     assert not list(tmp_path.glob(".out.airgs.*"))

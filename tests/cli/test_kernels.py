@@ -5,7 +5,7 @@ from numba.core.sigutils import normalize_signature
 
 from airgs_codec.cli.kernels import BACKWARD, FORWARD
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.render import cpu
 from airgs_codec.scene.camera import orbit_views
 from tests.support.paths import GOLDEN

@@ -11,7 +11,7 @@ import pytest
 from airgs_codec.cli.play import main
 from airgs_codec.decoder.decode import Part, decode_frames
 from airgs_codec.media.image import to_bytes
-from airgs_codec.package.store import find_faults, open_package
+from airgs_codec.package.package import find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.report import film
 from airgs_codec.play.report.viewer import path_of

@@ -7,13 +7,11 @@ import shutil
 
 import pytest
 
-pytest.importorskip("obstore", reason="obstore, the extra `cloud`, is not installed")
-
-from airgs_codec import _stores
 from airgs_codec.cli import decode, encode, manifest, play
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package import storage
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
+from airgs_codec.package.publish import staged_package
+from airgs_codec.places.place import place_at
 from tests.support.mutations import read_files
 from tests.support.page import put_page
 from tests.support.paths import VALID
@@ -39,13 +37,13 @@ def scene(tmp_path):
 def package(bucket):
     """An address with a package, which no test changes."""
     address = f"{bucket}/moving"
-    with storage.open_storage(address).staged() as stage:
+    with staged_package(place_at(address)) as stage:
         shutil.copytree(VALID / "moving", stage, dirs_exist_ok=True)
     return address
 
 
 def contents(address):
-    files = storage.open_storage(address)
+    files = place_at(address)
     return {name: files.open(name)[1]() for name in files.paths()}
 
 
@@ -130,16 +128,10 @@ def test_a_bucket_that_is_not_there_is_told_before_the_work(bucket, scene, capsy
     assert "bucket does not exist" in capsys.readouterr().err
 
 
-def test_a_missing_extra_is_named(monkeypatch, capsys):
-    monkeypatch.setattr(_stores.importlib.util, "find_spec", lambda name: None)
-    assert manifest.main(["inspect", "s3://scenes/x"]) == 2
-    assert "airgs-codec[cloud]" in capsys.readouterr().err
-
-
 def test_a_changed_object_is_refused(place, capsys):
-    with storage.open_storage(place).staged() as stage:
+    with staged_package(place_at(place)) as stage:
         shutil.copytree(VALID / "moving", stage, dirs_exist_ok=True)
-    files = storage.open_storage(place)
+    files = place_at(place)
     name = next(name for name in files.paths() if name.startswith("state/"))
     files.write(name, b"of another package")
     files.write("state/L0/999.m4s", b"of nobody")

@@ -10,7 +10,7 @@ import pytest
 from airgs_codec.cli.encode import main as encode_main
 from airgs_codec.cli.train import main as train_main
 from airgs_codec.media.image import read_picture, to_bytes, write_png
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.train.data.multiview import with_held_out
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene

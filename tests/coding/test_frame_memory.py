@@ -4,7 +4,7 @@ import numpy as np
 
 from airgs_codec.coding.kernels import FrameMemory
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from tests.support.paths import GOLDEN
 
 LIKE = np.zeros((1000, 3), np.float32)

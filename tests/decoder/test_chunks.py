@@ -8,7 +8,7 @@ import pytest
 from airgs_codec.coding import kernels
 from airgs_codec.coding.atlas import read_codes
 from airgs_codec.decoder.decode import decode_frames, decode_state
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import Atlas
 from tests.support.paths import GOLDEN, VALID
 

@@ -5,7 +5,7 @@ import pytest
 
 from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_segment
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from tests.support.paths import VALID
 
 

@@ -13,7 +13,7 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.errors import measure_errors
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.report.film import screen_frames

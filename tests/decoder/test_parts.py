@@ -7,7 +7,7 @@ import pytest
 from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.manifest import Groups
-from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.tables import NO_FILE
 from tests.support.paths import GOLDEN
 

@@ -13,8 +13,8 @@ from airgs_codec.errors import SceneError
 from airgs_codec.inspect.compare import claimed_quality, compare_streams
 from airgs_codec.inspect.sides import rung_streams
 from airgs_codec.media.metrics import Picture, psnr
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import MEASURING, before_background, draw_views
-from airgs_codec.package.store import open_package
 from airgs_codec.render import render
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence

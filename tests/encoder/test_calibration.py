@@ -9,10 +9,11 @@ import pytest
 from airgs_codec.analysis.rows import plan_groups
 from airgs_codec.coding.steps import StepSettings
 from airgs_codec.encoder.calibrate import STEPS, Subject, calibrate, get_step, solve_steps, with_step
-from airgs_codec.encoder.calibration import cache
+from airgs_codec.encoder.pipeline import CALIBRATION
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.jobs.work import temporary_work
+from airgs_codec.places.results import open_store, pack
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
 from airgs_codec.scene.usage import Usage, save_usage
@@ -37,16 +38,17 @@ def calibration(fox):
     return calibrate(sequence, survey, FAST)
 
 
-def test_a_calibration_is_the_same_every_time_and_survives_the_cache(fox, calibration):
+def test_a_calibration_is_the_same_every_time_and_survives_the_cache(fox, calibration, tmp_path):
     sequence, survey, views = fox
     assert calibrate(sequence, survey, FAST) == calibration
-    name = cache.name_of("frames", views, FAST)
-    cache.keep(name, calibration)
-    assert cache.load(name) == calibration
-    assert cache.name_of("frames", views, replace(FAST, quality=2.0)) == name  # quality multiplies what was calibrated
-    assert cache.name_of("frames", views, replace(FAST, segment_s=0.5)) != name
-    (cache.folder() / f"{name}.json").write_text('{"steps": 3}')
-    assert cache.load(name) is None
+    cache = open_store(tmp_path / "cache")
+    with temporary_work() as work:
+        prepared = prepared_as_one_group(sequence, views, work)
+        job = prepared.job(CALIBRATION, 0, FAST)
+        assert prepared.job(CALIBRATION, 0, replace(FAST, segment_s=0.5)).entry != job.entry
+        cache.write(job.entry, pack(calibration))
+        assert work.cached(job, cache) == (calibration, True)
+        assert work.cached(job, cache) == (calibration, False)  # the store of the work has it now
 
 
 def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_path):
@@ -57,7 +59,7 @@ def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_pat
         sequence = open_sequence(folder)
         views = ViewPlan.of(sequence, 24)
         with temporary_work() as work:
-            return cache.name_of(prepared_as_one_group(sequence, views, work).contents[0], views, FAST)
+            return prepared_as_one_group(sequence, views, work).job(CALIBRATION, 0, FAST).entry
 
     digests = [digest()]
     for number in (1, 2, 4):  # neither first, canonical nor last

@@ -12,7 +12,7 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import SceneError
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.growing import GrowingFolder

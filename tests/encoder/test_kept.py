@@ -13,8 +13,8 @@ from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.manifest import Groups
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import MEASURING, draw_views
-from airgs_codec.package.store import Package, open_package
 from airgs_codec.render import render
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.manifests import with_tiers

@@ -8,7 +8,7 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence

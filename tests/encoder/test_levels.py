@@ -11,7 +11,7 @@ from airgs_codec.encoder.plan import assign_depths, assign_tiers
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import STATIC
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import moving_frames, write_sequence

@@ -14,7 +14,7 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, as_in_paper, as_preview
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.jobs.work import temporary_work
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import STATIC
 from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
 from airgs_codec.scene.usage import MEASURES, Usage, save_usage

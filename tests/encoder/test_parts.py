@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 
-from airgs_codec import _stores
 from airgs_codec.cli import encode as command
 from airgs_codec.cli import manifest
 from airgs_codec.encoder.publish import encode, encode_part, merge
@@ -15,8 +14,8 @@ from airgs_codec.errors import WorkError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs import work as work_module
 from airgs_codec.jobs.engines import Processes
-from airgs_codec.jobs.store import WorkFolder, open_store
 from airgs_codec.jobs.work import Part, Work
+from airgs_codec.places.results import open_store
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.mutations import read_files
@@ -48,7 +47,7 @@ def expected(scene, tmp_path_factory):
 def test_processes_write_the_same_bytes(scene, expected, tmp_path):
     engine = Processes(2)
     try:
-        work = Work(WorkFolder(tmp_path / "work"), engine)
+        work = Work(open_store(tmp_path / "work"), engine)
         report = encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=work)
     finally:
         engine.close()
@@ -58,7 +57,7 @@ def test_processes_write_the_same_bytes(scene, expected, tmp_path):
 
 
 def test_parts_in_any_order_are_merged_to_the_same_bytes(scene, expected, tmp_path):
-    store = WorkFolder(tmp_path / "work")
+    store = open_store(tmp_path / "work")
     with pytest.raises(WorkError, match="which no part has finished"):
         merge(store, tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -69,18 +68,17 @@ def test_parts_in_any_order_are_merged_to_the_same_bytes(scene, expected, tmp_pa
 
 
 def test_an_object_store_holds_the_work_of_parts(scene, expected, bucket, tmp_path):
-    pytest.importorskip("obstore", reason="obstore, the extra `cloud`, is not installed")
     store = open_store(f"{bucket}/work")
     encode_part(open_sequence(scene), SETTINGS, Work(pickle.loads(pickle.dumps(store))))
     merge(store, tmp_path / "out")
     assert read_files(tmp_path / "out") == expected
     store.write("ab", b"1")
-    _stores.Store.at(store.name).put("ab/ab", b"damaged", {})
+    store.place.write("ab/ab", b"damaged")
     assert store.read("ab") is None and not store.has("ab")
 
 
 def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp_path, monkeypatch):
-    store, done = WorkFolder(tmp_path / "work"), []
+    store, done = open_store(tmp_path / "work"), []
     perform = work_module.perform
 
     def some(where, job):
@@ -106,7 +104,7 @@ def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp
 def test_one_frame_that_changes_is_the_only_group_that_is_made_again(scene, tmp_path, monkeypatch):
     frames = moving_frames(120, 8)
     folder = write_sequence(tmp_path / "scene", frames)
-    settings, store, done = EncodeSettings(**{**PLAIN, "keys": "apart"}), WorkFolder(tmp_path / "work"), []
+    settings, store, done = EncodeSettings(**{**PLAIN, "keys": "apart"}), open_store(tmp_path / "work"), []
     encode(open_sequence(folder), tmp_path / "out", settings, work=Work(store))
     write_ply(sorted(folder.glob("*.ply"))[6], frames[2])
     perform = work_module.perform
@@ -124,7 +122,7 @@ def test_a_goal_is_reached_with_the_same_bytes(scene, tmp_path):
     sequence, goal = open_sequence(scene), Goal(PSNR, 41.5)
     settings = EncodeSettings(**PLAIN)
     encode(sequence, tmp_path / "whole", settings, goal=goal)
-    store = WorkFolder(tmp_path / "work")
+    store = open_store(tmp_path / "work")
     encode_part(sequence, settings, Work(store), goal=goal)
     merge(store, tmp_path / "merged")
     assert read_files(tmp_path / "merged") == read_files(tmp_path / "whole")

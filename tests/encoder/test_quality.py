@@ -11,7 +11,7 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.media.metrics import psnr
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import moving_frames, write_sequence
 

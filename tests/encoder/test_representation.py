@@ -23,7 +23,7 @@ from airgs_codec.media.h264 import (
     open_segment,
     state_codec,
 )
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import moving_frames, write_sequence
 

@@ -17,9 +17,10 @@ from airgs_codec.errors import ConfigError, FormatError, SceneError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.store import open_package, root_of
+from airgs_codec.package.package import open_package, root_of
+from airgs_codec.package.publish import staged_package
+from airgs_codec.places.place import Folder
 from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
@@ -307,7 +308,7 @@ def test_values_that_no_code_holds_are_refused_and_leave_the_old_package(tmp_pat
 def test_a_folder_that_is_no_package_is_never_replaced(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("years of work")
-    with pytest.raises(ConfigError, match="other files"), Folder(tmp_path / "out").staged():
+    with pytest.raises(ConfigError, match="other files"), staged_package(Folder(tmp_path / "out")):
         raise AssertionError("unreachable")
     assert (tmp_path / "out" / "thesis.tex").exists()
 

@@ -11,7 +11,7 @@ from airgs_codec.encoder.search import PSNR, SIZE, Goal, find_quality
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.manifest import pooled_quality
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import write_demo
 

@@ -10,8 +10,8 @@ from airgs_codec.inspect.compare import compare_streams
 from airgs_codec.inspect.sides import rung_streams
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.media.metrics import Picture, psnr
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import draw_views
-from airgs_codec.package.store import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.temporal import FLASHES, temporal_cameras, temporal_frames, write_temporal
 

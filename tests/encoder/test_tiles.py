@@ -12,7 +12,7 @@ from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.validate import exceeded, validate
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.gaussians import join_rows
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.regions import region

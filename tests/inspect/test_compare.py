@@ -20,7 +20,7 @@ from airgs_codec.inspect.compare import (
 from airgs_codec.inspect.sides import left_out, open_side
 from airgs_codec.media.image import to_bytes
 from airgs_codec.media.metrics import PSNR_CAP, mse, psnr
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.render import render
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import VALID

@@ -12,7 +12,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value

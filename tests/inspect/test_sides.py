@@ -15,8 +15,8 @@ from airgs_codec.inspect.sides import (
     shared_views,
 )
 from airgs_codec.inspect.summary import summarise
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import CHECKING, draw_views
-from airgs_codec.package.store import open_package
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import VALID
 from tests.support.regions import arc

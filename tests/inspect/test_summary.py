@@ -14,7 +14,7 @@ from airgs_codec.inspect.text import format_summary
 from airgs_codec.media.image import read_png
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.manifest import pooled_quality
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import LeftOut
 from tests.support.manifests import in_groups, tiny_manifest, with_segments, with_tiers
 from tests.support.paths import VALID

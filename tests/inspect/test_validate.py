@@ -16,9 +16,9 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.media.fragments import with_columns
 from airgs_codec.media.h264 import ClosedGop, encode_gop, key_codec
 from airgs_codec.media.mp4 import read_segment
-from airgs_codec.package.memory import MemoryFiles
+from airgs_codec.package.package import open_files, open_package
 from airgs_codec.package.paths import JSON_NAME, FileKind, file_kind
-from airgs_codec.package.store import open_files, open_package
+from airgs_codec.places.place import Memory
 from tests.makers.refusals import TABLE, media_alone
 from tests.support.mutations import (
     Files,
@@ -119,7 +119,7 @@ def test_fewer_pictures_than_frames_are_refused():
     grey = ClosedGop([np.full((atlas.height, atlas.width), 128, np.uint8)], 0, 1000)
     coded = encode_gop(grey, (atlas.width, atlas.height), Fraction(24), key_codec("veryfast"))
     data = with_columns(coded.media, read_segment(MOVING[path]).columns or b"")
-    package = open_files(MemoryFiles("fewer", with_file(MOVING, path, data)))
+    package = open_files(Memory("fewer", with_file(MOVING, path, data)))
     with pytest.raises(FormatError, match=r"state/L0/1\.m4s: expected 4 pictures, got 1"):
         list(decode_segment(package, 0, decode_canonical(package, 0, 0), 0, range(4)))
 

@@ -5,8 +5,8 @@ import pytest
 from airgs_codec.errors import FormatError, WorkError
 from airgs_codec.jobs.dask_engine import DaskEngine
 from airgs_codec.jobs.job import Job
-from airgs_codec.jobs.store import WorkFolder
 from airgs_codec.jobs.work import Work
+from airgs_codec.places.results import open_store
 from tests.support.jobs import die, die_once, refuse, square
 
 
@@ -18,7 +18,7 @@ def engine():
 
 
 def test_a_worker_that_dies_loses_nothing(tmp_path, engine):
-    work = Work(WorkFolder(tmp_path / "work"), engine)
+    work = Work(open_store(tmp_path / "work"), engine)
     jobs = [Job("square", "", f"{n:064x}", square, (n, str(tmp_path))) for n in range(7)]
     jobs.insert(3, Job("die", "", "d" * 64, die_once, (7, str(tmp_path))))
     work.run(jobs)
@@ -27,7 +27,7 @@ def test_a_worker_that_dies_loses_nothing(tmp_path, engine):
 
 
 def test_errors_come_whole_and_a_job_that_kills_its_workers_is_given_up(tmp_path, engine):
-    work = Work(WorkFolder(tmp_path / "work"), engine)
+    work = Work(open_store(tmp_path / "work"), engine)
     with pytest.raises(FormatError, match="expected another number") as caught:
         work.run([Job("refuse", "", "a" * 64, refuse, (3,))])
     assert caught.value.reason == "bad_value"

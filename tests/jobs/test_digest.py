@@ -1,12 +1,21 @@
-"""Names of content tell values apart by what they hold, not by who holds them."""
+"""Names of content tell values apart by what they hold, and names of code tell functions apart by what they run."""
 
+import ast
+import shutil
+import subprocess
+import sys
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
 
+from airgs_codec.encoder.pipeline import code_key
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.jobs.digest import digest
+from airgs_codec.jobs.digest import code_digest, digest, modules_run
+from airgs_codec.train.pipeline import do_piece
+from tests.support.jobs import square
+from tests.support.paths import PACKAGE
 
 
 @dataclass
@@ -33,3 +42,62 @@ def test_equal_content_has_one_name_and_any_change_another():
 def test_what_has_no_content_is_refused(value):
     with pytest.raises(TypeError):
         digest(value)
+
+
+def imported(path):
+    """Names that a module of this package imports for more than types, as its syntax tree has them."""
+    tree = ast.parse(path.read_text())
+    tree.body = [
+        node for node in tree.body if not (isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test))
+    ]
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+
+
+@pytest.mark.parametrize("function", [code_key, do_piece])
+def test_the_code_of_a_function_is_all_that_its_module_imports(function):
+    found = modules_run(function.__module__)
+    for path in found.values():
+        for name in imported(path):
+            parts = name.split(".")
+            if parts[0] != "airgs_codec":
+                continue
+            stem = PACKAGE.joinpath(*parts[1:])
+            if stem.with_suffix(".py").is_file() or (stem / "__init__.py").is_file():
+                assert name in found, f"{path} imports {name}"
+    above = ("airgs_codec.play", "airgs_codec.serve", "airgs_codec.inspect", "airgs_codec.cli")
+    assert "airgs_codec" in found and not any(name.startswith(above) for name in found)
+
+
+def test_a_function_has_the_code_of_its_own_package_as_well():
+    assert {"tests.support.jobs", "airgs_codec.jobs.job"} <= modules_run(square.__module__).keys()
+    assert code_digest(square) == code_digest(partial(square, 3)) != code_digest(code_key)
+
+
+EDITS = """
+from pathlib import Path
+from airgs_codec.jobs.digest import _digest_of_module
+
+JOBS = {"train": "airgs_codec.train.pipeline", "encode": "airgs_codec.encoder.pipeline"}
+for edited in ("play/player.py", "encoder/publish.py", "train/pipeline.py", "render/cpu.py", "scene/gaussians.py"):
+    before = {job: _digest_of_module.__wrapped__(module) for job, module in JOBS.items()}
+    with Path("airgs_codec", edited).open("a") as file:
+        file.write("# an edit")
+    print(edited, *(job for job, module in JOBS.items() if _digest_of_module.__wrapped__(module) != before[job]))
+"""
+
+
+def test_an_edit_renames_the_results_that_it_may_change_and_no_others(tmp_path):
+    shutil.copytree(PACKAGE, tmp_path / "airgs_codec", ignore=shutil.ignore_patterns("__pycache__", "page"))
+    command = [sys.executable, "-B", "-c", EDITS]
+    done = subprocess.run(command, cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)}, check=True, capture_output=True)
+    assert done.stdout.decode().splitlines() == [
+        "play/player.py",
+        "encoder/publish.py",
+        "train/pipeline.py train",
+        "render/cpu.py train encode",
+        "scene/gaussians.py train encode",
+    ]

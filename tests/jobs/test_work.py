@@ -7,8 +7,8 @@ import pytest
 from airgs_codec.errors import FormatError, WorkError
 from airgs_codec.jobs.engines import DEATHS, InProcess, Processes
 from airgs_codec.jobs.job import Job, perform
-from airgs_codec.jobs.store import WorkFolder, seal, unseal
 from airgs_codec.jobs.work import Part, Work
+from airgs_codec.places.results import open_store, seal, unseal
 from tests.support.jobs import calls, die, die_once, refuse, square, total
 
 
@@ -25,7 +25,7 @@ def squares(folder, count=8):
 
 @pytest.mark.parametrize("several", [False, True])
 def test_jobs_are_done_once_and_their_results_are_read_by_others(tmp_path, processes, several):
-    work = Work(WorkFolder(tmp_path / "work"), processes if several else InProcess())
+    work = Work(open_store(tmp_path / "work"), processes if several else InProcess())
     jobs, seen = squares(tmp_path), []
     replace(work, progress=lambda *words: seen.append(words)).run(jobs[:5])
     work.run(jobs + jobs)
@@ -41,7 +41,7 @@ def test_jobs_are_done_once_and_their_results_are_read_by_others(tmp_path, proce
 
 
 def test_a_damaged_result_is_made_again(tmp_path):
-    work, jobs = Work(WorkFolder(tmp_path / "work", lasting=False)), squares(tmp_path, 2)
+    work, jobs = Work(open_store(tmp_path / "work", lasting=False)), squares(tmp_path, 2)
     work.run(jobs)
     file = tmp_path / "work" / jobs[0].entry[:2] / jobs[0].entry
     file.write_bytes(file.read_bytes()[:-1])
@@ -52,15 +52,15 @@ def test_a_damaged_result_is_made_again(tmp_path):
 def test_a_result_that_is_gone_is_one_line(tmp_path):
     lost = Job("total", "", "a" * 64, total, (squares(tmp_path)[3].result,))
     with pytest.raises(WorkError, match="which is gone"):
-        perform(WorkFolder(tmp_path / "work"), lost)
+        perform(open_store(tmp_path / "work"), lost)
     other = Job("square", "", "b" * 64, square, (1, str(tmp_path)), code="another version")
     with pytest.raises(WorkError, match="expected the version of airgs-codec"):
-        perform(WorkFolder(tmp_path / "work"), other)
+        perform(open_store(tmp_path / "work"), other)
 
 
 @pytest.mark.parametrize("several", [False, True])
 def test_results_that_are_gone_when_others_read_them_are_made_again(tmp_path, processes, several):
-    work = Work(WorkFolder(tmp_path / "work"), processes if several else InProcess())
+    work = Work(open_store(tmp_path / "work"), processes if several else InProcess())
     jobs = squares(tmp_path, 4)
     work.run(jobs)
     joined = [Job("total", "", f"{n:064x}"[::-1], total, (jobs[n].result, jobs[n + 1].result)) for n in (1, 2)]
@@ -76,13 +76,13 @@ def test_every_part_begins_with_its_own_jobs_and_ends_with_all(tmp_path):
     orders = [[int(job.entry, 16) for job in Part(index, 3).order(jobs)] for index in range(3)]
     assert orders == [[0, 3, 6, 5, 4, 2, 1], [1, 4, 6, 5, 3, 2, 0], [2, 5, 6, 4, 3, 1, 0]]
     for index in (1, 0, 2):
-        Work(WorkFolder(tmp_path / "work"), part=Part(index, 3)).run(jobs)
+        Work(open_store(tmp_path / "work"), part=Part(index, 3)).run(jobs)
     assert calls(tmp_path) == {str(n): 1 for n in range(7)}
 
 
 @pytest.mark.parametrize("several", [False, True])
 def test_errors_of_jobs_come_whole_and_later_jobs_go_on(tmp_path, processes, several):
-    work = Work(WorkFolder(tmp_path / "work"), processes if several else InProcess())
+    work = Work(open_store(tmp_path / "work"), processes if several else InProcess())
     bad = [Job("refuse", "", f"{n:064x}", refuse, (n,)) for n in (50, 51)]
     with pytest.raises(FormatError, match=r"job 5[01]: expected another number \[bad_value\]") as caught:
         work.run(bad)
@@ -94,7 +94,7 @@ def test_errors_of_jobs_come_whole_and_later_jobs_go_on(tmp_path, processes, sev
 def test_a_process_that_dies_is_replaced_and_loses_nothing(tmp_path):
     engine = Processes(2)
     try:
-        work = Work(WorkFolder(tmp_path / "work"), engine)
+        work = Work(open_store(tmp_path / "work"), engine)
         jobs = [*squares(tmp_path, 7), Job("die", "", "d" * 64, die_once, (7, str(tmp_path)))]
         work.run(jobs)
         assert [work.result(job) for job in jobs] == [n * n for n in range(7)] + [7]

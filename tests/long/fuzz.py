@@ -31,12 +31,12 @@ import numpy as np
 
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import AirgsError, FormatError
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.mpd_check import check_mpd
+from airgs_codec.package.package import Package, check_digest, open_manifest
 from airgs_codec.package.parse import parse_root
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, FileKind, file_kind
-from airgs_codec.package.store import Package, check_digest, open_manifest
 from airgs_codec.package.tables import FileEntry
+from airgs_codec.places.place import Folder
 from airgs_codec.scene.gaussians import Gaussians
 from tests.support.mutations import Files, apply, by_chance, honest, read_files
 from tests.support.paths import VALID

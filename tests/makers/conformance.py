@@ -18,14 +18,14 @@ import numpy as np
 
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.mpd import LiveClock
+from airgs_codec.package.package import open_package
 from airgs_codec.package.paths import INIT_NAME
-from airgs_codec.package.store import open_package
+from airgs_codec.package.publish import write_tables
 from airgs_codec.package.tables import Place, Region
 from airgs_codec.package.world import world_from
-from airgs_codec.package.writing import write_tables
+from airgs_codec.places.place import Folder
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import VALID

@@ -20,8 +20,8 @@ from airgs_codec.coding.steps import StepSettings
 from airgs_codec.decoder.decode import decode_key, decode_state
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.paths import tile_folder
-from airgs_codec.package.store import Package, open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX, GOLDEN
 from tests.support.rooms import room_frames

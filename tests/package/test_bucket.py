@@ -3,17 +3,14 @@
 import shutil
 
 import pytest
-
-pytest.importorskip("obstore", reason="obstore, the extra `cloud`, is not installed")
-
 from obstore.exceptions import GenericError
 from obstore.store import MemoryStore
 
-from airgs_codec._stores import Store
 from airgs_codec.errors import ConfigError, FormatError, TransportError
-from airgs_codec.package.bucket import NEW, Bucket
+from airgs_codec.package.package import find_file
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME
-from airgs_codec.package.storage import open_storage
+from airgs_codec.package.publish import NEW, staged_package
+from airgs_codec.places.place import Bucket
 from tests.support.mutations import read_files
 from tests.support.paths import VALID
 
@@ -43,12 +40,12 @@ class FailingStore:
 
 
 def files(store):
-    bucket = Bucket(Store("memory", store))
-    return {name: bucket.open(name)[1]() for name in bucket.paths()}
+    bucket = Bucket("memory", store)
+    return {name: bucket.read(name) for name in bucket.paths()}
 
 
 def publish(store, package):
-    with Bucket(Store("memory", store)).staged() as stage:
+    with staged_package(Bucket("memory", store)) as stage:
         shutil.copytree(package, stage, dirs_exist_ok=True)
 
 
@@ -100,7 +97,7 @@ def _outcome(store, failing, before):
     try:
         publish(failing, OTHER)
     except TransportError:
-        with pytest.raises(KeyboardInterrupt), Bucket(Store("memory", store)).staged():
+        with pytest.raises(KeyboardInterrupt), staged_package(Bucket("memory", store)):
             raise KeyboardInterrupt from None
         found = files(store)
         if not before and JSON_NAME not in found:  # what was cut off is no package; the next one takes its place
@@ -119,7 +116,7 @@ def test_what_is_cut_off_while_it_takes_its_place_is_said():
 
 
 def test_an_error_of_the_writer_changes_nothing(store, before):
-    with pytest.raises(RuntimeError), Bucket(Store("memory", store)).staged() as stage:
+    with pytest.raises(RuntimeError), staged_package(Bucket("memory", store)) as stage:
         shutil.copytree(OTHER, stage, dirs_exist_ok=True)
         raise RuntimeError
     assert files(store) == (read_files(before) if before else {})
@@ -136,7 +133,7 @@ def test_an_upload_that_fails_once_leaves_nothing_behind(store, before):
 def test_foreign_objects_are_never_touched(store, name):
     store.put(name, b"years of work")
     before = files(store)
-    with pytest.raises(ConfigError, match=name), Bucket(Store("memory", store)).staged():
+    with pytest.raises(ConfigError, match=name), staged_package(Bucket("memory", store)):
         raise AssertionError("unreachable")
     assert files(store) == before
 
@@ -155,17 +152,8 @@ def test_players_are_told_what_files_are():
 def test_reading_checks_as_on_disk():
     store = MemoryStore()
     publish(store, OLD)
-    bucket = Bucket(Store("memory", store))
-    size, read = bucket.open(MPD_NAME)
+    bucket = Bucket("memory", store)
+    size, read = find_file(bucket, MPD_NAME)
     assert size == len(read()) == (OLD / MPD_NAME).stat().st_size
     with pytest.raises(FormatError, match="missing_file"):
-        bucket.open("key/T0/99.bin")
-
-
-def test_addresses_are_told_from_folders():
-    assert isinstance(open_storage("s3://bucket/scene"), Bucket)
-    assert open_storage("out/scene.airgs").name == "out/scene.airgs"
-    with pytest.raises(ConfigError, match="s3://, gs://, az://"):
-        open_storage("ftp://host/scene")
-    with pytest.raises(ConfigError, match="s3:///scene"):
-        open_storage("s3:///scene")
+        find_file(bucket, "key/T0/99.bin")

@@ -16,11 +16,11 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.package import packing
 from airgs_codec.package.mpd import LiveClock, adaptation_sets, write_mpd
 from airgs_codec.package.mpd_check import check_mpd
+from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.packing import pack_group, pack_json
 from airgs_codec.package.parse import parse_group, parse_root
 from airgs_codec.package.paths import JSON_NAME, group_path
 from airgs_codec.package.schema import manifest_schema
-from airgs_codec.package.store import open_package, root_of
 from airgs_codec.package.tables import PAGE
 from tests.makers.refusals import BREAKS, TABLE, changes, source_of
 from tests.support.mutations import apply, parse_table, places, set_value

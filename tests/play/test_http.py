@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import ConfigError, FormatError, TransportError
+from airgs_codec.package.package import open_package
 from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.package.store import open_package
 from airgs_codec.play.events import Batch, BatchKind, Request
 from airgs_codec.play.http import HttpDownloader, fetch_beside
 from airgs_codec.play.http_files import HttpSettings

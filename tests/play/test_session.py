@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.references import check_group, check_root
-from airgs_codec.package.store import open_package, root_of
 from airgs_codec.package.tables import Segment
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import SimulatedDownloader

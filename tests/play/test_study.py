@@ -11,8 +11,8 @@ from airgs_codec.cli.manifest import main as inspect_main
 from airgs_codec.cli.play import main
 from airgs_codec.decoder.timing import measure_decoding
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.package import find_faults, open_package
 from airgs_codec.package.region import draw_views
-from airgs_codec.package.store import find_faults, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.figures import FIGURES
 from airgs_codec.play.link import Link

@@ -8,9 +8,9 @@ import time
 
 import pytest
 
-from airgs_codec._files import write_bytes
 from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.tables import digest
+from airgs_codec.places.whole import write_bytes
 from airgs_codec.serve import files as module
 from airgs_codec.serve.files import PackageFiles, media_type
 from tests.support.mutations import read_files

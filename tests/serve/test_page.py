@@ -9,7 +9,7 @@ from urllib.parse import parse_qs, unquote, urljoin, urlsplit
 
 import pytest
 
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.serve import pages
 from airgs_codec.serve.pages import content_policy, look_at, player_address
 from tests.support.page import FILES, INLINE, put_page

@@ -11,9 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from airgs_codec._files import write_bytes
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import digest
+from airgs_codec.places.whole import write_bytes
 from airgs_codec.play.http import HttpDownloader
 from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.session import play

@@ -21,7 +21,7 @@ from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
 from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames
 from airgs_codec.media.h264 import decode_pictures, open_segment
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Atlas
 from airgs_codec.render import cpu
 from airgs_codec.scene.camera import Camera

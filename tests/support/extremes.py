@@ -19,7 +19,7 @@ from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import AirgsError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import random_gaussians, write_sequence

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.inspect.validate import Finding, validate, validate_files
-from airgs_codec.package.memory import MemoryFiles
+from airgs_codec.places.place import Memory
 from tests.support.mutations import Files, Link, read_files, write_files
 from tests.support.paths import INVALID, VALID
 
@@ -80,4 +80,4 @@ def findings(files: Files) -> list[Finding]:
     if any(isinstance(data, Link) for data in files.values()):
         with tempfile.TemporaryDirectory() as folder:
             return validate(write_files(Path(folder), files))
-    return validate_files(MemoryFiles("package", files))
+    return validate_files(Memory("package", files))

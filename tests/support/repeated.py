@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.manifest import Groups
+from airgs_codec.package.package import Package
 from airgs_codec.package.paths import INIT_NAME, key_media_path, key_sidecar_path, state_media_path
-from airgs_codec.package.store import Package
+from airgs_codec.package.publish import write_tables
 from airgs_codec.package.tables import Group
-from airgs_codec.package.writing import write_tables
+from airgs_codec.places.place import Folder
 
 
 def write_repeated(package: Package, folder: Path, times: int, fps: int) -> Path:

@@ -12,7 +12,7 @@ from urllib.request import Request, urlopen
 
 from starlette.types import ASGIApp
 
-from airgs_codec._stores import Store
+from airgs_codec.places.place import bucket_at
 from airgs_codec.serve.app import make_app
 from airgs_codec.serve.files import PackageFiles
 from airgs_codec.serve.server import ServerSettings, listen, serve
@@ -96,8 +96,8 @@ def object_store(bucket: str) -> Iterator[dict[str, str]]:
 
 def put_folder(folder: Path, address: str) -> str:
     """Put the files of a folder below an address, which it gives."""
-    store = Store.at(address)
+    bucket = bucket_at(address)
     for path in sorted(folder.rglob("*")):
         if path.is_file():
-            store.put(path.relative_to(folder).as_posix(), path.read_bytes(), {})
+            bucket.write(path.relative_to(folder).as_posix(), path.read_bytes())
     return address

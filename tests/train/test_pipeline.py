@@ -17,9 +17,9 @@ from airgs_codec.jobs import work as work_module
 from airgs_codec.jobs.dask_engine import DaskEngine
 from airgs_codec.jobs.engines import Processes
 from airgs_codec.jobs.job import Job
-from airgs_codec.jobs.store import WorkFolder
 from airgs_codec.jobs.work import Part, Work
 from airgs_codec.media.image import read_picture, write_png
+from airgs_codec.places.results import open_store
 from airgs_codec.render.cpu import one_thread
 from airgs_codec.train import pipeline
 from airgs_codec.train.data.readers import open_scene
@@ -67,7 +67,7 @@ def expected(scene, compiled, tmp_path_factory):
 def made(scene, compiled, tmp_path_factory):
     """A model folder, and the work that one process has trained it with."""
     folder = tmp_path_factory.mktemp("jobs")
-    work = Work(WorkFolder(folder / "work"))
+    work = Work(open_store(folder / "work"))
     assert train_with(scene, folder / "m", work) == [0, 1, 2, 3]
     return folder / "m", work
 
@@ -88,7 +88,7 @@ def test_jobs_of_one_process_and_of_two_write_the_same_files(scene, expected, ma
     assert files(made[0]) == expected
     engine = Processes(2)
     try:
-        work = Work(WorkFolder(tmp_path / "other"), engine)
+        work = Work(open_store(tmp_path / "other"), engine)
         train_with(scene, tmp_path / "two", work)
     finally:
         engine.close()
@@ -100,12 +100,12 @@ def test_jobs_of_one_process_and_of_two_write_the_same_files(scene, expected, ma
 def test_networks_of_a_chunk_are_those_of_one_process(scene, tmp_path):
     settings, scene = replace(CHUNKED, deltas="mlp", group_frames=3), replace(scene, frames=scene.frames[:3])
     train(scene, tmp_path / "whole", settings)
-    train_with(scene, tmp_path / "jobs", Work(WorkFolder(tmp_path / "work")), settings)
+    train_with(scene, tmp_path / "jobs", Work(open_store(tmp_path / "work")), settings)
     assert files(tmp_path / "jobs") == files(tmp_path / "whole")
 
 
 def test_parts_in_any_order_leave_a_model_that_only_has_to_be_written(scene, expected, tmp_path, done):
-    store = WorkFolder(tmp_path / "work")
+    store = open_store(tmp_path / "work")
     for index in (1, 0):
         train_part(scene, CHUNKED, "cpu", Work(store, part=Part(index, 2)))
     assert [label for label in done if label.startswith("frames")] == SPANS[::-1]
@@ -117,7 +117,7 @@ def test_parts_in_any_order_leave_a_model_that_only_has_to_be_written(scene, exp
 
 
 def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp_path, monkeypatch, done):
-    work, fit = Work(WorkFolder(tmp_path / "work")), pipeline.train_chunk
+    work, fit = Work(open_store(tmp_path / "work")), pipeline.train_chunk
 
     def stop(capture, frames, *more):
         if frames.start == 2:
@@ -138,7 +138,7 @@ def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp
 def test_jobs_go_on_where_one_process_ended(scene, expected, tmp_path, done):
     with pytest.raises(StopError):
         train(scene, tmp_path / "m", CHUNKED, progress=killed_at(3, 2))
-    train_with(scene, tmp_path / "m", Work(WorkFolder(tmp_path / "work")), resume=True)
+    train_with(scene, tmp_path / "m", Work(open_store(tmp_path / "work")), resume=True)
     assert files(tmp_path / "m") == expected
     assert [label for label in done if label.startswith("frame")] == SPANS[1:]
 
@@ -158,7 +158,7 @@ def test_a_model_that_was_written_in_part_is_finished_by_either(scene, expected,
 @pytest.mark.parametrize("length", [1, 2])
 def test_whoever_writes_the_model_measures_nothing_that_jobs_have(scene, tmp_path, length):
     """The machine of the command may have no GPU: the usage of all groups comes from jobs, those written before too."""
-    settings, work = replace(CHUNKED, group_frames=length), Work(WorkFolder(tmp_path / "work"))
+    settings, work = replace(CHUNKED, group_frames=length), Work(open_store(tmp_path / "work"))
 
     def train_blindly(**more):
         run = open_run(scene, tmp_path / "m", settings, **more)
@@ -173,7 +173,7 @@ def test_whoever_writes_the_model_measures_nothing_that_jobs_have(scene, tmp_pat
 
 def test_a_picture_that_changes_is_trained_again_in_its_chunk_alone(blobs, tmp_path, done):
     folder = shutil.copytree(blobs, tmp_path / "scene")
-    settings, work = replace(CHUNKED, static="off"), Work(WorkFolder(tmp_path / "work"))
+    settings, work = replace(CHUNKED, static="off"), Work(open_store(tmp_path / "work"))
     train_with(open_scene(folder, frames=(0, 4)), tmp_path / "before", work, settings)
     assert done == ["frame 0", *SPANS]
     done.clear()
@@ -187,7 +187,7 @@ def test_a_picture_that_changes_is_trained_again_in_its_chunk_alone(blobs, tmp_p
 
 
 def test_all_that_a_chunk_reads_is_in_its_name(scene, tmp_path):
-    work = Work(WorkFolder(tmp_path / "work"))
+    work = Work(open_store(tmp_path / "work"))
     first = work.put(1)
 
     def names(scene=scene, settings=CHUNKED, device="cpu", first=first):
@@ -214,7 +214,7 @@ def test_a_cluster_gives_jobs_to_workers_that_have_what_they_need(scene, expecte
     with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, resources={"GPU": 1}) as cluster:
         engine = DaskEngine.at(cluster.scheduler_address)
         try:
-            work = Work(WorkFolder(tmp_path / "work"), engine)
+            work = Work(open_store(tmp_path / "work"), engine)
             monkeypatch.setattr(Farm, "needs", {"GPU": 1})
             train_with(scene, tmp_path / "m", work)
             assert files(tmp_path / "m") == expected
@@ -226,7 +226,7 @@ def test_a_cluster_gives_jobs_to_workers_that_have_what_they_need(scene, expecte
 
 
 def test_a_job_on_a_gpu_says_so(scene, tmp_path):
-    work = Work(WorkFolder(tmp_path / "work"))
+    work = Work(open_store(tmp_path / "work"))
     cpu, cuda = (Farm.of(Capture.of(scene, CHUNKED, device), work) for device in ("cpu", "cuda"))
     assert [job.needs for job in cuda.jobs(FIRST)] == [{"GPU": 1}] and not any(job.needs for job in cpu.jobs(FIRST))
     assert cuda.jobs(REST) and not any(job.needs for job in cuda.jobs(REST))

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from airgs_codec._files import to_json
 from airgs_codec.errors import ConfigError
+from airgs_codec.places.whole import to_json
 from airgs_codec.train.settings import Temporal, TrainSettings, preset, settings_from_table
 
 

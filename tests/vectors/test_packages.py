@@ -8,10 +8,10 @@ import pytest
 from airgs_codec.coding.colour import colours
 from airgs_codec.decoder.decode import Part, decode_frames
 from airgs_codec.media.h264 import decode_pictures, open_segment
-from airgs_codec.package import store
+from airgs_codec.package import package as opening
 from airgs_codec.package.index import GroupIndex
+from airgs_codec.package.package import open_package
 from airgs_codec.package.paths import group_path
-from airgs_codec.package.store import open_package
 from tests.support.long_index import long_index
 from tests.support.paths import REPOSITORY, VECTORS
 from tests.support.vectors import cases, data
@@ -61,9 +61,9 @@ def test_the_way_to_a_group_of_a_long_package(case):
 
 @pytest.mark.parametrize("case", cases("packages", "startup"), ids=label)
 def test_what_is_fetched_before_the_first_picture(case, monkeypatch):
-    asked, read_file = [store.JSON_NAME], store.read_file
+    asked, read_file = [opening.JSON_NAME], opening.read_file
     monkeypatch.setattr(
-        store, "read_file", lambda folder, path, entry: (asked.append(path), read_file(folder, path, entry))[1]
+        opening, "read_file", lambda folder, path, entry: (asked.append(path), read_file(folder, path, entry))[1]
     )
     show(case)
     assert asked == case["files"]

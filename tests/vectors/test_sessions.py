@@ -2,7 +2,7 @@
 
 from collections import Counter
 
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.link import Link
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings

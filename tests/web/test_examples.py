@@ -12,10 +12,10 @@ import pytest
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.publish import encode
 from airgs_codec.media.metrics import psnr
+from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.packing import pack_json
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.region import levelled
-from airgs_codec.package.store import open_package, root_of
 from airgs_codec.package.tables import World
 from airgs_codec.package.world import world_from
 from airgs_codec.render import look_at, render

@@ -4,7 +4,7 @@ from urllib.parse import quote, urlsplit
 
 import pytest
 
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.serve.export import export_page
 from tests.support.browser import WEB, Answer, missing, serve, visit
 from tests.support.paths import GOLDEN

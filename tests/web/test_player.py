@@ -10,8 +10,8 @@ import pytest
 
 from airgs_codec.decoder.decode import Part, decode, decode_frames
 from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import before_background
-from airgs_codec.package.store import open_package
 from airgs_codec.render.cpu import render
 from airgs_codec.scene.camera import Camera
 from tests.support.browser import WEB, build_pages, missing, serve, visit

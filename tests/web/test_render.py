@@ -11,7 +11,7 @@ import pytest
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import LevelSettings
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.camera import orbit_views
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.sequence import open_sequence

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from airgs_codec._files import write_bytes, write_json
 from airgs_codec._report import new_figure, save_figure, table
 from airgs_codec.errors import ConfigError
+from airgs_codec.places.whole import write_bytes, write_json
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,12 +1,11 @@
 """The one store of results: what an experiment has measured is not measured again, whoever was interrupted.
 
-A result is a job of `airgs_codec.jobs` in a folder. Its name is a digest of what it reads, of the code of the package,
-of the versions of its libraries, and of the module that measures: a result of other code is never taken.
+A result is a job of `airgs_codec.jobs` in a folder. Its name is a digest of what it reads, of the modules that the one
+that measures imports, and of the versions of its libraries: a result of other code is never taken.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +14,8 @@ from typing import Any, TypeVar
 from airgs_codec.jobs.digest import code_digest, digest
 from airgs_codec.jobs.engines import Engine, InProcess
 from airgs_codec.jobs.job import Job, read_record
-from airgs_codec.jobs.store import Store, WorkFolder
 from airgs_codec.jobs.work import Work
+from airgs_codec.places.results import Store, open_store
 from airgs_codec.progress import Progress, silent
 
 T = TypeVar("T")
@@ -33,13 +32,14 @@ class Results:
     @staticmethod
     def at(folder: Path, progress: Progress = silent) -> Results:
         """Those of a folder, which is made when it is needed."""
-        return Results(WorkFolder(folder, lasting=False), progress=progress)
+        return Results(open_store(folder, lasting=False), progress=progress)
 
     def once(self, name: str, reads: Any, make: Callable[[], T]) -> T:
         """The result of this name that was made of `reads`, made now where it is not there.
 
         `reads`: plain values, arrays, dataclasses and mappings of them, as `digest` takes them; of files `content`.
-        The result must be picklable. Raises what `make` raises, TypeError for other `reads`.
+        The result is a value that `airgs_codec.places.results.pack` takes. Raises what `make` raises, TypeError for
+        other `reads`.
         """
         job = Job(name, "", _entry(name, make, reads), make)
         return Work(self.store, progress=self.progress).result(job)
@@ -65,8 +65,7 @@ class Results:
 
 
 def _entry(name: str, function: Callable[..., Any], reads: Any) -> str:
-    source = sys.modules[function.__module__].__file__
-    return digest(name, code_digest(), Path(source).read_bytes() if source else b"", _plain(reads))
+    return digest(name, code_digest(function), _plain(reads))
 
 
 def _plain(value: Any) -> Any:

@@ -12,7 +12,7 @@ from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import FormatError
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.media.movie import write_movie
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.events import Shown
 from airgs_codec.play.report.viewer import Viewer

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec._files import to_json, write_json
 from airgs_codec._report import require_matplotlib, table
 from airgs_codec.errors import ConfigError
+from airgs_codec.places.whole import to_json, write_json
 from airgs_codec.play.figures import FIGURES, headlines, meanings
 from airgs_codec.play.report.study_page import plot_study, study_page
 from airgs_codec.play.study import FEASIBLE_START_S, PolicySummary, Row, Study, summarise

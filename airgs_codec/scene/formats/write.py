@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
-from airgs_codec._files import atomic_path, staged_files
 from airgs_codec.errors import ConfigError
+from airgs_codec.places.whole import atomic_path, staged_files
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, Losses
 from airgs_codec.scene.formats.library import find_command

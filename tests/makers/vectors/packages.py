@@ -14,7 +14,7 @@ from typing import Any
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.decoder.decode import decode_key, decode_state
 from airgs_codec.media.h264 import decode_pictures, open_segment
-from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.tables import unpack_matrix
 from tests.makers.vectors.formulas import Coding, Row, key_row, listed, state_row
 from tests.makers.vectors.tables import PAGE, Tables, pages_to

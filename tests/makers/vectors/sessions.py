@@ -14,8 +14,8 @@ import numpy as np
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.package import open_package
 from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.package.store import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.downloader import GiveUp, SimulatedDownloader
 from airgs_codec.play.events import Arrival, Arrived, Cut, Event, Lost, Replaced, Request, TileReady

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import SceneError
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats.form import Losses
 from airgs_codec.scene.formats.table import COMPRESSED, FRAMES, GLTF, INRIA, SOG, SPLAT, SPZ, format_of, read_frame
 from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians

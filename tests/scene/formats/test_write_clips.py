@@ -9,7 +9,7 @@ import pytest
 
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import SceneError
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats import splat4d
 from airgs_codec.scene.formats.form import Losses
 from airgs_codec.scene.formats.fourdgs import FOUR_DGS

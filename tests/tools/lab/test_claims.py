@@ -10,8 +10,8 @@ from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.inspect.compare import compare_streams
 from airgs_codec.inspect.sides import rung_streams
 from airgs_codec.media.metrics import Picture, psnr
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import draw_views
-from airgs_codec.package.store import open_package
 from airgs_codec.scene.camera import resized
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec.errors import FormatError
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import draw_views
-from airgs_codec.package.store import open_package
 from tests.support.paths import VALID
 from tools.lab.paper import closed_loop
 from tools.lab.paper.closed_loop import (

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.link import Link
 from airgs_codec.play.policies.mpc import GRID_POINTS, Model
 from airgs_codec.play.session import simulate

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import draw_views
-from airgs_codec.package.store import open_package
 from tests.support.manifests import with_segments
 from tests.support.paths import FOX, VALID
 from tests.support.views import ring

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.trace import Trace

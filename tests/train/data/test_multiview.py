@@ -6,8 +6,8 @@ import pytest
 
 from airgs_codec.errors import SceneError
 from airgs_codec.jobs.digest import digest
-from airgs_codec.jobs.store import WorkFolder
 from airgs_codec.jobs.work import Work
+from airgs_codec.places.results import open_store
 from airgs_codec.train.data.multiview import (
     MultiviewScene,
     Shot,
@@ -45,7 +45,7 @@ def test_one_camera_in_eight_is_held_out(tmp_path):
 
 def names(scene: MultiviewScene, tmp_path) -> list[str]:
     """The name of each frame by itself."""
-    contents = read_contents(scene, Work(WorkFolder(tmp_path / "work")))
+    contents = read_contents(scene, Work(open_store(tmp_path / "work")))
     return [digest(content_of(with_frames(scene, [frame]), contents)) for frame in range(len(scene))]
 
 

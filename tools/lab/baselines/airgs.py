@@ -13,7 +13,7 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.progress import Progress
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.train.data.multiview import MultiviewScene

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from airgs_codec._files import atomic_path
 from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.places.whole import atomic_path
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians

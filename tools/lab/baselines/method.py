@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from airgs_codec._files import to_json, write_json
 from airgs_codec.errors import ConfigError
+from airgs_codec.places.whole import to_json, write_json
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from airgs_codec._files import write_bytes
 from airgs_codec.errors import ConfigError
+from airgs_codec.places.whole import write_bytes
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, to_matrices

@@ -24,9 +24,9 @@ from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.inspect.sides import compared_views, rung_streams
 from airgs_codec.inspect.summary import RungSummary, summarise
 from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.package import Package
 from airgs_codec.package.parse import read_region
 from airgs_codec.package.region import draw_views
-from airgs_codec.package.store import Package
 from airgs_codec.render import Camera, read_cameras, render
 from airgs_codec.scene.sequence import GaussianSequence
 from tools.lab import Lab, Page, Section, Table, required, setting, with_fields

@@ -18,8 +18,8 @@ import av
 from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_segment
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.paths import INIT_NAME
-from airgs_codec.package.store import Package, open_package
 from tools.lab import Lab, Page, Row, Section, Table, middle, required, setting, timed
 
 

@@ -22,8 +22,8 @@ from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.dask_engine import DaskEngine
 from airgs_codec.jobs.engines import Engine, InProcess, Processes
 from airgs_codec.jobs.job import Job
-from airgs_codec.jobs.store import WorkFolder
 from airgs_codec.jobs.work import Work
+from airgs_codec.places.results import open_store
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Section, Table, expect_names, rows_of, seconds_of, setting
 from tools.lab.made import make_scene
@@ -93,7 +93,7 @@ def _seconds(folder: Path, name: str, threads: int, engine: Callable[[], Engine]
     def work() -> None:
         made = engine()
         try:
-            settings, work = replace(SETTINGS, threads=threads), Work(WorkFolder(folder / f"{name}.work"), made)
+            settings, work = replace(SETTINGS, threads=threads), Work(open_store(folder / f"{name}.work"), made)
             encode(open_sequence(folder / "scene"), folder / name, settings, work=work)
         finally:
             made.close()
@@ -112,7 +112,7 @@ def waits(count: int, seconds: float) -> Iterator[Timed]:
         with tempfile.TemporaryDirectory() as name:
             engine = make()
             try:
-                work = Work(WorkFolder(Path(name)), engine)
+                work = Work(open_store(Path(name)), engine)
                 work.run([_wait(-1 - n, 0.0) for n in range(WORKERS)])  # imports
                 took, _ = seconds_of(partial(work.run, [_wait(n, seconds) for n in range(count)]))
                 yield Timed(f"{count} jobs of {seconds:g} s", way, took.wall, ideal)

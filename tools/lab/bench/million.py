@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from airgs_codec.encoder.publish import encode
-from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, setting
 from tools.lab.bench.decode import measure, page_of

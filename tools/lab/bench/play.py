@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Ladder, Option, select
 from airgs_codec.play.link import Link

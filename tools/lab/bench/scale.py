@@ -21,9 +21,9 @@ import numpy as np
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.jobs.store import WorkFolder
 from airgs_codec.jobs.work import Work
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
+from airgs_codec.places.results import open_store
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Section, Table, alone, rows_of, setting
 from tools.lab.made import forth_and_back, make_scene
@@ -126,7 +126,7 @@ def take_step(step: str, folder: Path, views: Path | None) -> None:
 
 
 def _work(folder: Path) -> Work:
-    return Work(WorkFolder(folder / "work"))
+    return Work(open_store(folder / "work"))
 
 
 def fit_power(sizes: Sequence[float], values: Sequence[float]) -> tuple[float, float]:

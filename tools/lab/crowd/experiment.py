@@ -14,7 +14,7 @@ from pathlib import Path
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.engines import Processes
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import open_trace
 from tools.lab import Lab, Page, required, setting, with_fields
 from tools.lab.crowd.costs import Prices

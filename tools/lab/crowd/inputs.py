@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from airgs_codec.package.manifest import Manifest, pooled_quality
+from airgs_codec.package.package import Package
 from airgs_codec.package.paths import FileKind, file_kind
-from airgs_codec.package.store import Package
 from tools.lab.page import Row
 
 

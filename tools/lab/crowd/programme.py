@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.package import Package, root_of
 from airgs_codec.package.packing import pack_json
-from airgs_codec.package.store import Package, root_of
 from airgs_codec.package.tables import FileEntry, Group
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.units import NONE, KeyUnits

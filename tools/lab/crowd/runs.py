@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import open_trace
 from tools.lab import Results, Row, content, seconds_of
 from tools.lab.crowd.figures import busiest_bps, cache_rows, edge_row, policy_rows

@@ -14,8 +14,8 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames, decode_segment, decode_state
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.media.metrics import psnr
+from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
-from airgs_codec.package.store import Package
 from airgs_codec.scene.gaussians import Gaussians
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene, picture_error
 from tools.lab.timing import Took, timed

@@ -14,7 +14,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play import bound
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 from airgs_codec.play.catalogue import Catalogue

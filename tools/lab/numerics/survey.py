@@ -17,8 +17,8 @@ from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_grou
 from airgs_codec.encoder.survey import GroupSpan, Pictures, plan_views, survey_group
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.manifest import pooled_quality
+from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
-from airgs_codec.package.store import Package
 from airgs_codec.scene.gaussians import Gaussians
 from tools.lab.numerics.encode import ONE_RUNG, UNIT, at_target
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene, picture_error, shown_frames

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from airgs_codec._settings import setting
 from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
 from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import frame_budget
 from airgs_codec.play.link import Link

@@ -29,7 +29,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import state_codec
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 from airgs_codec.play.ladder import Ladder, Option
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera

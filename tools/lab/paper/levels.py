@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from airgs_codec._settings import setting
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.render import read_cameras
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab.options import required

@@ -21,7 +21,7 @@ import numpy as np
 
 from airgs_codec._settings import setting
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import Trace, open_trace
 from airgs_codec.scene.formats.ply import read_ply
 from tools.lab.baselines.airgs import PACKAGE

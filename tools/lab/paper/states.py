@@ -15,8 +15,8 @@ from airgs_codec.coding.channels import Canonical, StateApplier
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.decoder.decode import decode_canonical, decode_state
 from airgs_codec.package.layout import STATE
+from airgs_codec.package.package import Package
 from airgs_codec.package.region import CHECKING, DECIDING, Region, before_background, draw_views
-from airgs_codec.package.store import Package
 from airgs_codec.package.tables import STATIC
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from airgs_codec._settings import setting
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.study import offsets_of

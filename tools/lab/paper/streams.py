@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 from airgs_codec.play.ladder import Option, saved_shares
 from airgs_codec.play.link import Link
 from airgs_codec.play.study import offsets_of

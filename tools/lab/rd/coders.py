@@ -11,7 +11,7 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.gaussians import Gaussians
 from tools.lab.rd.layouts import CodedGroup, mpeg_anchor_layout, v3_layout
 from tools.lab.rd.subject import Coded, Subject, Trial

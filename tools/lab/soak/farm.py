@@ -12,7 +12,6 @@ from __future__ import annotations
 import errno
 import filecmp
 import os
-import pickle
 import random
 import shutil
 import socket
@@ -20,6 +19,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,8 +28,9 @@ from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.dask_engine import DaskEngine
 from airgs_codec.jobs.report import write_report
-from airgs_codec.jobs.store import WorkFolder
 from airgs_codec.jobs.work import Work
+from airgs_codec.places.place import PLAIN, Folder
+from airgs_codec.places.results import Store, pack, unpack
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Section, Table, seconds_of, setting
 from tools.lab.made import make_scene
@@ -55,17 +56,17 @@ class Options:
 
 
 @dataclass(frozen=True, slots=True)
-class FaultyFolder(WorkFolder):
-    """A store whose writes are slow or fail at random."""
+class FaultyFolder(Folder):
+    """A folder whose writes are slow or fail at random."""
 
-    def write(self, entry: str, data: bytes) -> None:
-        """Put an entry. Raises OSError as on a full disk, now and then."""
+    def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
+        """Write a file. Raises OSError as on a full disk, now and then."""
         chance = random.random()
         if chance < FULL:
             raise OSError(errno.ENOSPC, "No space left on device (made up)", str(self.path))
         if chance < FULL + SLOW:
             time.sleep(SLOW_S)
-        WorkFolder.write(self, entry, data)
+        Folder.write(self, path, data, headers)
 
 
 class Cluster:
@@ -106,11 +107,11 @@ def encode_at(address: str, folder: str) -> None:
     """The encode, as its user would begin it again and again, on the cluster at an address."""
     out, engine = Path(folder), DaskEngine.at(address)
     try:
-        work = Work(FaultyFolder(out / "jobs"), engine)
+        work = Work(Store(FaultyFolder(out / "jobs")), engine)
         report = encode(open_sequence(out / "scene"), out / "farm.airgs", SETTINGS, work=work)
     finally:
         engine.close()
-    (out / "records.pickle").write_bytes(pickle.dumps(report.records))
+    (out / "records").write_bytes(pack(report.records))
 
 
 def run(options: Options, lab: Lab) -> Page:
@@ -122,7 +123,7 @@ def run(options: Options, lab: Lab) -> Page:
     alone, _ = seconds_of(lambda: encode(open_sequence(out / "scene"), out / "one.airgs", SETTINGS))
     made: Counter[str] = Counter()
     took, runs = seconds_of(lambda: torment(options, lab, made))
-    records, same = pickle.loads((out / "records.pickle").read_bytes()), _same(out / "one.airgs", out / "farm.airgs")
+    records, same = unpack((out / "records").read_bytes()), _same(out / "one.airgs", out / "farm.airgs")
     write_report(out / "jobs.html", records)
     failures = ", ".join(f"{count} {name}" for name, count in sorted(made.items()))
     row = {"jobs": len(records), "failures": failures, "made": made.total(), "commands": runs, "same bytes": same}

@@ -26,12 +26,12 @@ from typing import TYPE_CHECKING
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.folder import Folder
 from airgs_codec.package.mpd import LiveClock
+from airgs_codec.package.package import open_package
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, FileKind, file_kind
-from airgs_codec.package.store import open_package
+from airgs_codec.package.publish import GrowingPackage, write_root
 from airgs_codec.package.tables import Group
-from airgs_codec.package.writing import GrowingPackage, write_root
+from airgs_codec.places.place import Folder
 from airgs_codec.play.events import Arrived, BatchKind
 from airgs_codec.play.http import HttpDownloader
 from airgs_codec.play.policies.named import DEFAULT_POLICY, make_policy

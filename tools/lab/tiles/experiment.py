@@ -18,7 +18,7 @@ from airgs_codec.encoder.calibrate import calibrate
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, plan_views, survey_group
-from airgs_codec.package.store import Package, open_package
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.play.link import Link
 from airgs_codec.play.session import SessionLog
 from airgs_codec.play.settings import SessionSettings

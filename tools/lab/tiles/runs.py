@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.link import Link
 from airgs_codec.play.session import SessionLog, simulate

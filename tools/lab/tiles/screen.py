@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.decoder.decode import Part, decode_frames
-from airgs_codec.package.store import Package
+from airgs_codec.package.package import Package
 from airgs_codec.play.session import SessionLog
 from airgs_codec.play.sight import View, half_angles
 from airgs_codec.render.cpu import render

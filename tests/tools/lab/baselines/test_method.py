@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import pytest
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.store import open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene

@@ -1,8 +1,8 @@
-"""A sequence below an address of an object store, as a temporary folder whose files come when they are read.
+"""Files that other code reads by their paths: on this machine, or below an address, from which they come when needed.
 
-The folder has every object of the prefix under its own name from the beginning, as a hole of its length that takes no
-room on the disk. What is read is fetched into it; frames become holes again, the least recently used first, where they
-take more room than `LIMIT`. So whatever reads local files reads these.
+A prefix of an object store is mirrored in a temporary folder. It has every object under its own name from the
+beginning, as a hole of its length that takes no room on the disk. What is read is fetched into it; frames become holes
+again, the least recently used first, where they take more room than `LIMIT`. So whatever reads local files reads these.
 """
 
 from __future__ import annotations
@@ -16,22 +16,60 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import TypeVar
 
-from airgs_codec._stores import PARALLEL, Store
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.cameras import colmap
-from airgs_codec.scene.cameras.read import NAMES as CAMERA_NAMES
-from airgs_codec.scene.files import Files, Read
-from airgs_codec.scene.formats.gltf import external_buffers
-from airgs_codec.scene.formats.ply_elements import HEADER_END, MAX_HEADER
-from airgs_codec.scene.formats.sog import META_NAME
-from airgs_codec.scene.sequence_json import SETTINGS_NAME
+from airgs_codec.places.place import PARALLEL, bucket_at
 
 LIMIT = 2 << 30  # bytes of frames on the disk, beside those that are held
-_HEAD = 1 << 14  # bytes in which the header of a .ply is looked for first
-_KEPT = 2  # mirrors of other processes' sequences that a process keeps
-_AT_ONCE = {SETTINGS_NAME, META_NAME, *CAMERA_NAMES}  # small files, by which frames and cameras are found
+_HEAD = 1 << 14  # bytes in which the header of a file is looked for first
+_REOPENED = 2  # mirrors of other processes' sequences that a process has at most
+
+Read = TypeVar("Read")
+
+
+class Files:
+    """Files of this machine, with which nothing has to be done; what comes from elsewhere overrides all of this."""
+
+    @contextmanager
+    def hold(self, paths: Iterable[Path]) -> Iterator[list[Path]]:
+        """Gives where files, or frames that are folders, can be read whole until the block ends.
+
+        Raises SceneError where one is gone, TransportError; and renames as `naming` does.
+        """
+        yield list(paths)
+
+    def read_headers(self, paths: Sequence[Path], read: Callable[[Path], Read]) -> list[Read]:
+        """What `read` gives of each frame, which looks no further than its header. Raises what `hold` does."""
+        return [read(path) for path in paths]
+
+    def beside(self, path: Path) -> Path | None:
+        """Where a file that may lie beside the frames can be read; None where there is none. Raises TransportError."""
+        return path if path.is_file() else None
+
+    def name_of(self, path: Path) -> str:
+        """A path for people."""
+        return str(path)
+
+    @contextmanager
+    def naming(self) -> Iterator[None]:
+        """A SceneError that the block raises names files for people."""
+        yield
+
+
+LOCAL = Files()
+
+
+@dataclass(frozen=True, slots=True)
+class Habits:
+    """What a mirror must know of the files that are read from it."""
+
+    is_small: Callable[[str], bool]  # whether a name is of a small file, which is fetched at once
+    headers: tuple[tuple[str, bytes, int], ...]  # endings of names, how headers of such files end, their longest
+    beside: str  # a folder whose files belong to a frame that lies beside it
+    find_parts: Callable[[Path], list[str]]  # names of the files, beside a fetched one, that it cannot be read without
 
 
 class Mirror(Files):
@@ -40,45 +78,48 @@ class Mirror(Files):
     `folder` is that of the process that opened the sequence: paths in it name the files wherever it is unpickled.
     """
 
-    def __init__(self, address: str, folder: Path | None = None, *, deep: bool = True, limit: int = LIMIT) -> None:
+    def __init__(
+        self, address: str, habits: Habits, folder: Path | None = None, *, deep: bool = True, limit: int = LIMIT
+    ) -> None:
         """`deep`: with what is below further slashes. `folder`: in the process that opened it, where that is another.
 
         Raises ConfigError, TransportError.
         """
-        self._store, self._deep, self._limit = Store.at(address), deep, limit
+        self._bucket, self._habits, self._deep, self._limit = bucket_at(address), habits, deep, limit
         temporary = tempfile.mkdtemp(prefix="airgs-")
         weakref.finalize(self, shutil.rmtree, temporary, ignore_errors=True)
-        self._here = Path(temporary) / self._store.name.rpartition("/")[2]
+        self._here = Path(temporary) / self._bucket.name.rpartition("/")[2]
         self.folder = folder or self._here
         self._lock = threading.RLock()
         self._frames: OrderedDict[str, int] = OrderedDict()  # lengths of what is whole of them, the last used last
         self._held: Counter[str] = Counter()
         self._fetched: set[str] = set()  # files beside the frames
-        self._sizes = _as_files(self._store.sizes() if deep else self._store.own_sizes() | self._store.sizes("sparse"))
+        listed = self._bucket.sizes() if deep else self._bucket.own_sizes() | self._bucket.sizes(habits.beside)
+        self._sizes = _as_files(listed)
         for name, size in self._sizes.items():
             _make_hole(self._here / name, size)
 
     @staticmethod
-    def at(address: str) -> tuple[Mirror, Path]:
+    def at(address: str, habits: Habits) -> tuple[Mirror, Path]:
         """The mirror of a prefix, or of that of an object, and the path of what the address names.
 
         Raises SceneError where nothing is there, ConfigError, TransportError.
         """
         mirror = place = None
-        if (prefix := Mirror(address))._sizes:
+        if (prefix := Mirror(address, habits))._sizes:
             mirror, place = prefix, prefix.folder
         else:
             holder, _, name = address.rstrip("/").rpartition("/")
-            if not holder.endswith("/") and name in (around := Mirror(holder, deep=False))._sizes:
+            if not holder.endswith("/") and name in (around := Mirror(holder, habits, deep=False))._sizes:
                 mirror, place = around, around.folder / name
         if mirror is None or place is None:
             raise SceneError(f"{address}: expected a prefix with frames below it, or a file, got nothing")
         with ThreadPoolExecutor(PARALLEL) as pool:
-            list(pool.map(mirror.beside, [mirror.folder / name for name in mirror._sizes if _is_needed_at_once(name)]))
+            list(pool.map(mirror.beside, [mirror.folder / name for name in mirror._sizes if habits.is_small(name)]))
         return mirror, place
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _reopened, (self._store.name, self.folder, self._deep, self._limit)
+        return _reopened, (self._bucket.name, self._habits, self.folder, self._deep, self._limit)
 
     @contextmanager
     def hold(self, paths: Iterable[Path]) -> Iterator[list[Path]]:
@@ -96,14 +137,16 @@ class Mirror(Files):
                 self._make_room()
 
     def read_headers(self, paths: Sequence[Path], read: Callable[[Path], Read]) -> list[Read]:
-        """See `Files.read_headers`: of a .ply only the first bytes are fetched, of a folder nothing more."""
+        """See `Files.read_headers`: of files whose header has an end, only the first bytes are fetched."""
         names = [self._name(path) for path in paths]
         with ThreadPoolExecutor(PARALLEL) as pool:
-            list(pool.map(self._fetch_header, filter(_is_ply, names)))
+            list(pool.map(self._fetch_header, filter(self._header_end, names)))
         headers = []
         for start in range(0, len(paths), PARALLEL):
             some = [paths[i] for i in range(start, min(start + PARALLEL, len(paths)))]
-            whole = [path for path in some if not (_is_ply(path.name) or (self._here / self._name(path)).is_dir())]
+            whole = [
+                path for path in some if not (self._header_end(path.name) or (self._here / self._name(path)).is_dir())
+            ]
             with self.hold(whole):
                 headers += [read(self._here / self._name(path)) for path in some]
         return headers
@@ -136,21 +179,20 @@ class Mirror(Files):
     def _told(self, words: str) -> str:
         """Words with the address in place of either folder."""
         for folder in {self._here, self.folder}:
-            words = words.replace(str(folder), self._store.name)
+            words = words.replace(str(folder), self._bucket.name)
         return words
 
     def _fetch_frames(self, names: Iterable[str]) -> list[str]:
         """Have all objects here that frames are of; gives their names."""
         parts = [part for name in names for part in self._parts(name)]
         self._fetch(parts)
-        buffers = [
+        more = [
             f"{name.rpartition('/')[0]}/{other}".lstrip("/")
             for name in parts
-            if name.lower().endswith(".gltf")
-            for other in external_buffers(self._here / name)
+            for other in self._habits.find_parts(self._here / name)
         ]
-        self._fetch(buffers := [name for name in buffers if name in self._sizes])
-        return parts + buffers
+        self._fetch(more := [name for name in more if name in self._sizes])
+        return parts + more
 
     def _parts(self, name: str) -> list[str]:
         """The objects of a file, or of a folder."""
@@ -168,24 +210,25 @@ class Mirror(Files):
             self._frames.move_to_end(name)
 
     def _download(self, name: str) -> int:
-        file = self._here / name
-        part = file.with_name(f".{file.name}.{threading.get_ident()}.part")  # others may be reading what is there
-        try:
-            size = self._store.download(name, part)
-            if size is None:
-                raise SceneError(f"{self._store.name}/{name}: expected the object that was listed, got nothing")
-            part.replace(file)
-        finally:
-            part.unlink(missing_ok=True)
+        size = self._bucket.download(name, self._here / name)
+        if size is None:
+            raise SceneError(f"{self._bucket.name}/{name}: expected the object that was listed, got nothing")
         return size
 
+    def _header_end(self, name: str) -> tuple[bytes, int] | None:
+        """Return how the header of a file ends, and its longest length; None where it has no end that is known."""
+        return next((found[1:] for found in self._habits.headers if name.lower().endswith(found[0])), None)
+
     def _fetch_header(self, name: str) -> None:
-        """Write the first bytes of a .ply into its hole, as far as its header goes."""
+        """Write the first bytes of a file into its hole, as far as its header goes."""
+        ending = self._header_end(name)
+        assert ending is not None
+        end, longest = ending
         size, length = self._sizes[name], _HEAD
-        head = self._store.read_start(name, length) if size else b""
-        while HEADER_END not in head and length < min(size, MAX_HEADER):
+        head = self._bucket.read_start(name, length) if size else b""
+        while end not in head and length < min(size, longest):
             length *= 4
-            head = self._store.read_start(name, length)
+            head = self._bucket.read_start(name, length)
         with self._lock:
             if name not in self._frames:
                 with (self._here / name).open("r+b") as file:
@@ -202,19 +245,10 @@ class Mirror(Files):
             _make_hole(self._here / name, self._sizes[name])
 
 
-def _is_ply(name: str) -> bool:
-    return name.lower().endswith(".ply")
-
-
-@functools.lru_cache(maxsize=_KEPT)
-def _reopened(address: str, folder: Path, deep: bool, limit: int) -> Mirror:
+@functools.lru_cache(maxsize=_REOPENED)
+def _reopened(address: str, habits: Habits, folder: Path, deep: bool, limit: int) -> Mirror:
     """The mirror of a sequence that was pickled in another process, the same for all copies of it in this one."""
-    return Mirror(address, folder, deep=deep, limit=limit)
-
-
-def _is_needed_at_once(name: str) -> bool:
-    path = PurePosixPath(name)
-    return path.name in _AT_ONCE or ("sparse" in path.parts and path.name in colmap.CAMERA_PARTS)
+    return Mirror(address, habits, folder, deep=deep, limit=limit)
 
 
 def _as_files(sizes: dict[str, int]) -> dict[str, int]:

@@ -9,11 +9,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-pytest.importorskip("obstore", reason="obstore, the extra `cloud`, is not installed")
-
-from airgs_codec._stores import Store
 from airgs_codec.errors import ConfigError, SceneError, TransportError
-from airgs_codec.scene import mirror
+from airgs_codec.places import mirror
+from airgs_codec.places.place import Bucket, bucket_at
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.scene.usage import Usage, save_usage
 from tests.support.clip_files import random_rows, splatv_bytes
@@ -33,10 +31,10 @@ def place(bucket, request):
 def fetched(monkeypatch):
     """Times that each object was fetched whole; beginnings of objects count below the name of their format."""
     count = Counter()
-    download, read_start = Store.download, Store.read_start
-    monkeypatch.setattr(Store, "download", lambda s, path, to: count.update([path]) or download(s, path, to))
+    download, read_start = Bucket.download, Bucket.read_start
+    monkeypatch.setattr(Bucket, "download", lambda s, path, to: count.update([path]) or download(s, path, to))
     monkeypatch.setattr(
-        Store, "read_start", lambda s, path, length: count.update(["headers"]) or read_start(s, path, length)
+        Bucket, "read_start", lambda s, path, length: count.update(["headers"]) or read_start(s, path, length)
     )
     return count
 
@@ -156,23 +154,23 @@ def test_errors_name_the_object_in_one_line(place, tmp_path):
         open_sequence("s3://nowhere/x")
     with pytest.raises(ConfigError, match="s3://, gs://, az://"):
         open_sequence("ftp://host/x")
-    store = Store.at(put_folder(write_sequence(tmp_path / "scene", moving_frames(300, 3), fps=12), place))
+    store = bucket_at(put_folder(write_sequence(tmp_path / "scene", moving_frames(300, 3), fps=12), place))
     sequence = open_sequence(place)
     store.delete(["000002.ply"])
     with pytest.raises(SceneError, match=f"^{place}/000002.ply: expected the object that was listed, got nothing$"):
         sequence.load(range(3))
-    store.put("000001.ply", (tmp_path / "scene" / "000001.ply").read_bytes()[:2000], {})
+    store.write("000001.ply", (tmp_path / "scene" / "000001.ply").read_bytes()[:2000])
     with pytest.raises(SceneError, match=f"^{place}/000001.ply: expected 300 vertex rows") as error:
         open_sequence(place).load(range(2))
     assert "\n" not in str(error.value)
-    store.put("usage.npz", b"PK", {})
+    store.write("usage.npz", b"PK")
     with pytest.raises(SceneError, match=f"^{place}/usage.npz: expected usage"):
         open_sequence(place).usage(0, 2)
-    store.put("sequence.json", b"{", {})
+    store.write("sequence.json", b"{")
     with pytest.raises(SceneError, match=f"^{place}/sequence.json: expected"):
         open_sequence(place)
     store.delete(["000000.ply", "sequence.json"])
-    store.put("000001.ply", b"no ply", {})
+    store.write("000001.ply", b"no ply")
     with pytest.raises(SceneError, match=f"^{place}/000001.ply: expected a .ply header"):
         open_sequence(place)
 

@@ -1,4 +1,4 @@
-"""Opening a package, and reading its files with checks."""
+"""Opening a package wherever it lies, reading its files with checks, and writing them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from airgs_codec.package.index import Entry
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.packing import MAX_ROOT_BYTES
 from airgs_codec.package.parse import parse_group, parse_page, parse_root
-from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path, locate
-from airgs_codec.package.storage import Files, open_storage
-from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest
+from airgs_codec.package.paths import JSON_NAME, MEDIA_TYPES, MPD_NAME, ROOTS, group_path, locate
+from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest, file_entry
+from airgs_codec.places.place import BUCKETS, WEB, Place, place_at
 
 Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -> its bytes
 
@@ -22,7 +22,7 @@ Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -
 class Package:
     """An open package: its tables, and its files by their relative paths."""
 
-    files: Files
+    files: Place
     manifest: Manifest
     root_bytes: int  # of airgs.json
     mpd_bytes: int = 0  # of manifest.mpd
@@ -41,14 +41,27 @@ class Package:
         return read_file(self.files, relative, self.manifest.entry(relative))
 
 
-def read_file(files: Files, relative: str, entry: FileEntry) -> bytes:
+def read_file(files: Place, relative: str, entry: FileEntry) -> bytes:
     """A file of a package whose length and digest are known; `Package.read` says what is raised."""
-    size, read = files.open(relative)
+    size, read = find_file(files, relative)
     if size != entry.bytes:
         raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {size}")
     data = read()
     check_digest(relative, data, entry)
     return data
+
+
+def write_file(files: Place, relative: str, data: bytes) -> FileEntry:
+    """Write a file of a package, whole or not at all, and return its entry for the tables. Raises OSError."""
+    files.write(relative, data, _headers(relative))
+    return file_entry(data)
+
+
+def _headers(relative: str) -> dict[str, str]:
+    """What a bucket says of a file to those who fetch it over HTTP; docs/serving.md gives the reasons."""
+    name = relative.rpartition("/")[2]
+    headers = {"Content-Type": MEDIA_TYPES[name[name.index(".") :]]}
+    return headers | {"Cache-Control": "no-cache"} if name in ROOTS else headers
 
 
 def check_digest(relative: str, data: bytes | bytearray, entry: FileEntry) -> None:
@@ -85,13 +98,13 @@ def manifest_of(root: Root, groups: Sequence[Group]) -> Manifest:
 def open_package(path: str | Path) -> Package:
     """Open the package at `path`, a folder or an address: read and check airgs.json; other files are read when needed.
 
-    Raises FormatError: missing_file, too_large, or one of the reasons of `parse_root`; what `open_storage` raises, and
-    TransportError where a store does not answer.
+    Raises FormatError: missing_file, too_large, or one of the reasons of `parse_root`; ConfigError for an address that
+    cannot be, and TransportError where a store does not answer.
     """
-    return open_files(open_storage(path))
+    return open_files(place_at(path, BUCKETS + WEB))
 
 
-def open_files(files: Files) -> Package:
+def open_files(files: Place) -> Package:
     """Open the package of these files, wherever they are; raises as `open_package` does."""
     mpd_bytes, _ = _open_root(files, MPD_NAME)
     size, read = _open_root(files, JSON_NAME)
@@ -102,9 +115,16 @@ def open_files(files: Files) -> Package:
     return Package(files, manifest, len(data), mpd_bytes)
 
 
-def _open_root(files: Files, relative: str) -> tuple[int, Callable[[], bytes]]:
+def find_file(files: Place, relative: str) -> tuple[int, Callable[[], bytes]]:
+    """Return the length of a file of a package, and what reads it. Raises FormatError: missing_file, unsafe_path."""
+    if (found := files.open(relative)) is None:
+        raise FormatError("missing_file", relative, "expected a file, got nothing")
+    return found
+
+
+def _open_root(files: Place, relative: str) -> tuple[int, Callable[[], bytes]]:
     try:
-        return files.open(relative)
+        return find_file(files, relative)
     except FormatError:
         expected = "expected a package with manifest.mpd and airgs.json"
         raise FormatError("missing_file", f"{files.name}/{relative}", expected) from None

@@ -1,0 +1,185 @@
+"""Publishing a package: tables of the groups, full pages of the index, the MPD, and airgs.json last.
+
+Each file is written whole or not at all, and nothing that airgs.json leads to is ever written twice; so a reader finds
+a whole package whenever it looks, also while groups are added.
+
+A finished folder takes the place of another. In a bucket, objects are put whole, but one by one: no two packages can be
+swapped. One that takes the place of another is therefore uploaded below `NEW` first, airgs.json last; from then on it
+is whole, and is copied to its place inside the store. While that goes on, readers find files of both, which the digests
+in the tables tell apart. A run that is cut off before airgs.json is below `NEW` has changed nothing, and the next run
+removes what it left; one that is cut off later is finished by the next run.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from airgs_codec.errors import ConfigError, TransportError
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.mpd import LiveClock, Streams, write_mpd
+from airgs_codec.package.package import open_manifest, read_file, root_of, write_file
+from airgs_codec.package.packing import build_index, extend_index, pack_group, pack_json
+from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME, belongs, group_path
+from airgs_codec.package.tables import FileEntry, Group
+from airgs_codec.places.place import PARALLEL, Bucket, Folder, Place
+from airgs_codec.places.whole import staged_folder
+
+NEW = ".new/"  # a package below it takes the place of the one that is there
+
+
+def write_group(files: Place, number: int, group: Group) -> bytes:
+    """Write the table of a group, counted from 1, whose files are there already; gives its bytes."""
+    data = pack_group(group)
+    write_file(files, group_path(number), data)
+    return data
+
+
+def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> int:
+    """Write all tables and manifest.mpd of a package whose other files are there; gives their length together.
+
+    Raises ConfigError for a growing package without a clock.
+    """
+    tables = [write_group(files, number, group) for number, group in enumerate(m.groups, 1)]
+    _, pages = build_index(m.groups, tables)
+    entries = [write_file(files, path, pack_json(page)) for path, page in pages.items()]
+    return write_root(files, m, clock) + sum(map(len, tables)) + sum(entry.bytes for entry in entries)
+
+
+def write_root(files: Place, m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> int:
+    """Write manifest.mpd and airgs.json of a package whose tables are there; gives their length together.
+
+    `streams` as in `write_mpd`.
+    """
+    mpd = write_file(files, MPD_NAME, write_mpd(m, clock, streams))
+    return mpd.bytes + write_file(files, JSON_NAME, pack_json(root_of(m))).bytes
+
+
+class GrowingPackage:
+    """A package to which groups are added, until it is closed.
+
+    Only the newest table is in memory, and what the MPD says of the others: they are read again where they are wanted.
+    """
+
+    def __init__(self, files: Place, m: Manifest, available: datetime) -> None:
+        """`m`: the tables of the package so far, which are written; `available`: when its first frame was there."""
+        self.files = files
+        self._unwritten: dict[str, bytes] = {}  # tables that `expect` tells of
+        self._streams = Streams.of(m)
+        self._available = available
+        self.manifest = open_manifest(root_of(m), self._read)
+        self.manifest.groups.keep(len(m.groups) - 1, m.groups[-1])
+
+    def expect(self, group: Group) -> Manifest:
+        """The tables with one more group, whose files are written, but not its table; until the next call or `add`."""
+        table, number = pack_group(group), len(self.manifest.groups)
+        index, pages = extend_index(self.manifest.groups.columns, number, group, table)
+        self._unwritten = {group_path(number + 1): table} | {path: pack_json(page) for path, page in pages.items()}
+        root = replace(root_of(self.manifest), frames=group.stop, index=index)
+        found = open_manifest(root, self._read)
+        found.groups.keep(number, group)
+        return found
+
+    def add(self, group: Group) -> None:
+        """Publish one more group, whose files are written."""
+        self.manifest = self.expect(group)
+        for path, data in self._unwritten.items():
+            write_file(self.files, path, data)
+        self._unwritten = {}
+        self._streams.add(group)
+        self._write_root()
+
+    def close(self) -> None:
+        """No group will follow."""
+        self.manifest = replace(self.manifest, live=False)
+        self._write_root()
+
+    def _read(self, path: str, entry: FileEntry) -> bytes:
+        """A page or a table of a group."""
+        return self._unwritten[path] if path in self._unwritten else read_file(self.files, path, entry)
+
+    def _write_root(self) -> None:
+        write_root(self.files, self.manifest, LiveClock(self._available, datetime.now(UTC)), self._streams)
+
+
+def staged_package(place: Place) -> AbstractContextManager[Path]:
+    """Give an empty folder of this machine; what the block leaves in it is the package at `place` when the block ends.
+
+    Nothing changes when the block ends with an error. What runs that were cut off left is put right first. Only one run
+    may write to a bucket at a time.
+
+    Raises ConfigError where there is something else than a package, OSError (TransportError).
+    """
+    if isinstance(place, Bucket):
+        return _staged_in_bucket(place)
+    assert isinstance(place, Folder)
+    return staged_folder(place.path, lambda folder: (folder / MPD_NAME).is_file(), "package")
+
+
+@contextmanager
+def _staged_in_bucket(bucket: Bucket) -> Iterator[Path]:
+    """Before the block, that objects can be put, copied and deleted is tried."""
+    _put_right(bucket)
+    one, other = NEW + MPD_NAME, NEW + INIT_NAME
+    write_file(bucket, one, b"airgs")
+    bucket.copy(one, other)
+    bucket.delete([one, other])
+    with tempfile.TemporaryDirectory(prefix="airgs-") as folder:
+        yield Path(folder)
+        _upload(Folder(Path(folder)), bucket)
+
+
+def _put_right(bucket: Bucket) -> None:
+    there = bucket.paths()
+    foreign = [name for name in there if not belongs(name.removeprefix(NEW))]
+    if foreign:
+        raise ConfigError(f"{bucket.name}: expected a new prefix or an existing package, got {foreign[0]} there")
+    if NEW + JSON_NAME in there:
+        _take_place(bucket)
+    else:
+        bucket.delete(name for name in there if name.startswith(NEW))
+
+
+def _upload(folder: Folder, bucket: Bucket) -> None:
+    names, before = folder.paths(), bucket.paths()
+    place = NEW if JSON_NAME in before else ""
+    try:
+        _for_each(names, lambda name: write_file(bucket, place + name, (folder.path / name).read_bytes()))
+    except BaseException:
+        with contextlib.suppress(TransportError):
+            bucket.delete(place + name for name in names)
+        raise
+    if place:
+        _take_place(bucket)
+    else:
+        bucket.delete(set(before) - set(names))
+
+
+def _take_place(bucket: Bucket) -> None:
+    """Copy the package below `NEW` to its place; what is left of the old one goes. May be repeated at any time."""
+    there = bucket.paths()
+    names = [name.removeprefix(NEW) for name in there if name.startswith(NEW)]
+    try:
+        _for_each(names, lambda name: bucket.copy(NEW + name, name))
+    except TransportError as error:
+        rest = f"the new package is whole below {NEW}, and the next run that writes here puts it in its place"
+        raise TransportError(f"{error}; {rest}") from error
+    bucket.delete(name for name in there if name not in names and not name.startswith(NEW))
+    bucket.delete([NEW + JSON_NAME])  # first: without it, what is below `NEW` is no package
+    bucket.delete(NEW + name for name in names if name != JSON_NAME)
+
+
+def _for_each(names: Iterable[str], work: Callable[[str], object]) -> None:
+    """Work on the files of a package: on many at a time, on manifest.mpd after them, on airgs.json last."""
+    last = (MPD_NAME, JSON_NAME)
+    with ThreadPoolExecutor(PARALLEL) as pool:
+        list(pool.map(work, [name for name in names if name not in last]))
+    for name in last:
+        if name in names:
+            work(name)

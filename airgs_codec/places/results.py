@@ -1,0 +1,206 @@
+"""Finished work by name, in any place that all who share it can reach.
+
+An entry is whole or absent: the SHA-256 of the rest, then bytes; one that does not fit its digest is removed when it is
+read. The bytes of a value are JSON and arrays. Reading them constructs plain values, numpy arrays and dataclasses of
+packages that the reader trusts, and runs nothing else; so a store that others can write to may give wrong results, but
+runs none of their code.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+import io
+import json
+import os
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import accumulate, pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.places.place import Folder, Place, is_address, place_at
+
+DIGEST_BYTES = 32
+OWN = ("airgs_codec",)  # packages whose dataclasses are read
+_LENGTH_BYTES = 8  # of the JSON text, before it
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """Entries by name, which workers in other processes and on other machines see as well; it can be pickled."""
+
+    place: Place
+
+    @property
+    def name(self) -> str:
+        """The place, for messages."""
+        return self.place.name
+
+    def has(self, entry: str) -> bool:
+        """Return whether there is such an entry. Raises OSError (TransportError)."""
+        return self.place.exists(_path(entry))
+
+    def read(self, entry: str) -> bytes | None:
+        """Return the bytes of an entry; None where there is none that is whole. Raises OSError (TransportError)."""
+        sealed = self.place.read(_path(entry))
+        data = None if sealed is None else unseal(sealed)
+        if sealed is not None and data is None:
+            self.delete(entry)
+        return data
+
+    def delete(self, entry: str) -> None:
+        """Remove an entry. Raises OSError (TransportError)."""
+        self.place.delete([_path(entry)])
+
+    def write(self, entry: str, data: bytes) -> None:
+        """Put an entry, whole or not at all; one of the same name is replaced. Raises OSError (TransportError)."""
+        self.place.write(_path(entry), seal(data))
+
+
+def open_store(place: str | Path, lasting: bool = True) -> Store:
+    """Return the store at a folder or an address (s3://, gs://, az://).
+
+    `lasting`: entries in a folder are on the disk before they have their names. Raises ConfigError where there is a
+    file, and for an address that cannot be.
+    """
+    if is_address(place):
+        return Store(place_at(place))
+    path = Path(place)
+    if path.exists() and not path.is_dir():
+        raise ConfigError(f"{place}: expected a folder for work, got a file")
+    return Store(Folder(path, lasting))
+
+
+def user_cache(name: str) -> Store:
+    """Return the store that all runs of this user share: $XDG_CACHE_HOME/airgs-codec/NAME, or ~/.cache for that."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return Store(Folder((Path(base) if base else Path.home() / ".cache") / "airgs-codec" / name))
+
+
+def _path(entry: str) -> str:
+    return f"{entry[:2]}/{entry}"
+
+
+def seal(data: bytes) -> bytes:
+    """Return an entry as it is stored."""
+    return hashlib.sha256(data).digest() + data
+
+
+def unseal(sealed: bytes) -> bytes | None:
+    """Return the bytes of a stored entry; None where it is damaged."""
+    data = sealed[DIGEST_BYTES:]
+    return data if hashlib.sha256(data).digest() == sealed[:DIGEST_BYTES] else None
+
+
+def pack(value: Any) -> bytes:
+    """Return the bytes of a value: the length of a JSON text, the text, and the arrays (.npy) and bytes that it names.
+
+    Raises TypeError for what is no plain value, sequence, mapping, array, or dataclass of them that a module has.
+    """
+    packer = _Packer()
+    plain = packer.plain(value)
+    text = json.dumps({"value": plain, "sizes": [len(part) for part in packer.parts]}).encode()
+    return b"".join([len(text).to_bytes(_LENGTH_BYTES, "little"), text, *packer.parts])
+
+
+def unpack(data: bytes, trusted: tuple[str, ...] = OWN) -> Any:
+    """Return the value of the bytes that `pack` gave. Arrays are new and can be written to.
+
+    `trusted`: top packages whose dataclasses may be constructed. Raises ValueError for anything else.
+    """
+    try:
+        start = _LENGTH_BYTES + int.from_bytes(data[:_LENGTH_BYTES], "little")
+        found = json.loads(data[_LENGTH_BYTES:start])
+        bounds = list(accumulate(found["sizes"], initial=start))
+        parts = [data[begin:end] for begin, end in pairwise(bounds)]
+        return _value(found["value"], parts, trusted)
+    except (ValueError, TypeError, LookupError, AttributeError, ImportError, EOFError, RecursionError) as error:
+        raise ValueError(f"expected a stored value, got {type(error).__name__}: {error}") from error
+
+
+class _Packer:
+    """JSON of one value. Objects of JSON have one name, which says what they stand for."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes] = []
+        self._known: dict[int, int] = {}  # arrays by identity, which are written once
+
+    def plain(self, value: Any) -> Any:
+        """Return what stands for a value in JSON."""
+        if value is None or type(value) in (bool, int, float, str):
+            return value
+        if type(value) is list:
+            return [self.plain(part) for part in value]
+        if type(value) is tuple:
+            return {"tuple": [self.plain(part) for part in value]}
+        if type(value) is dict:
+            return {"dict": [[self.plain(name), self.plain(part)] for name, part in value.items()]}
+        if type(value) is bytes:
+            return {"bytes": self._add(value)}
+        if isinstance(value, np.ndarray):
+            return {"array": self._add_array(value)}
+        if isinstance(value, np.generic):
+            return {"scalar": self._add_array(np.asarray(value))}
+        if isinstance(value, Fraction):
+            return {"fraction": str(value)}
+        if isinstance(value, Path):
+            return {"path": str(value)}
+        kind = type(value)
+        if dataclasses.is_dataclass(kind) and "<" not in kind.__qualname__:
+            fields = {f.name: self.plain(getattr(value, f.name)) for f in dataclasses.fields(kind) if f.init}
+            return {"is": f"{kind.__module__}:{kind.__qualname__}", "of": fields}
+        raise TypeError(f"expected plain values, arrays or dataclasses, got {kind.__qualname__}")
+
+    def _add(self, part: bytes) -> int:
+        self.parts.append(part)
+        return len(self.parts) - 1
+
+    def _add_array(self, array: np.ndarray) -> int:
+        if array.dtype.hasobject:
+            raise TypeError(f"expected an array of numbers or text, got {array.dtype}")
+        if id(array) not in self._known:
+            file = io.BytesIO()
+            np.lib.format.write_array(file, array, allow_pickle=False)
+            self._known[id(array)] = self._add(file.getvalue())
+        return self._known[id(array)]
+
+
+def _value(plain: Any, parts: list[bytes], trusted: tuple[str, ...]) -> Any:
+    if isinstance(plain, list):
+        return [_value(part, parts, trusted) for part in plain]
+    if not isinstance(plain, dict):
+        return plain
+    (kind, found), *rest = plain.items()
+    if kind == "tuple":
+        return tuple(_value(part, parts, trusted) for part in found)
+    if kind == "dict":
+        return {_value(name, parts, trusted): _value(part, parts, trusted) for name, part in found}
+    if kind == "bytes":
+        return parts[found]
+    if kind in ("array", "scalar"):
+        array = np.lib.format.read_array(io.BytesIO(parts[found]), allow_pickle=False)
+        return array if kind == "array" else array[()]
+    if kind in ("fraction", "path"):
+        return Fraction(found) if kind == "fraction" else Path(found)
+    if kind != "is":
+        raise ValueError(f"unknown kind {kind}")
+    fields = {name: _value(part, parts, trusted) for name, part in dict(rest)["of"].items()}
+    return _dataclass(found, trusted)(**fields)
+
+
+def _dataclass(name: str, trusted: tuple[str, ...]) -> type:
+    """Return the dataclass of a name. Raises ValueError for anything that is no dataclass of a trusted package."""
+    module, _, qualified = name.partition(":")
+    if module.partition(".")[0] not in trusted:
+        raise ValueError(f"{name} is of no package that is trusted")
+    found: Any = importlib.import_module(module)
+    for part in qualified.split("."):
+        found = getattr(found, part)
+    if not isinstance(found, type) or not dataclasses.is_dataclass(found) or found.__module__ != module:
+        raise ValueError(f"{name} is no dataclass")
+    return found

@@ -1,0 +1,113 @@
+"""Stored results: what is packed comes back, what was tampered with does not, and no code of a file is run."""
+
+import json
+import pickle
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.errors import ConfigError
+from airgs_codec.places.results import open_store, pack, seal, unpack, unseal
+from airgs_codec.scene.usage import Usage
+
+OURS = ("airgs_codec", "tests")
+
+
+@dataclass(frozen=True)
+class Pair:
+    first: object
+    second: object
+
+
+class Plain:
+    """No dataclass."""
+
+
+def test_values_come_back_as_they_were():
+    table = np.arange(6, dtype=np.float32).reshape(2, 3)
+    value = {
+        "plain": [None, True, -3, 1 << 80, 0.1, float("inf"), "ä\ud800", b"\x00bytes"],
+        (1, 2): ((), (Fraction(30000, 1001),), Path("a/b")),
+        3: Pair(Pair(1, [2]), EncodeSettings(quality=2.0)),
+    }
+    assert unpack(pack(value), OURS) == value
+    assert list(unpack(pack({"b": 1, "a": 2}))) == ["b", "a"]
+    arrays = [table, table.T, np.asfortranarray(table), table[::-1, ::2], np.float32(0.1), np.array(7), np.array(["a"])]
+    for array, other in zip(arrays, unpack(pack(arrays)), strict=True):
+        np.testing.assert_array_equal(array, other)
+        assert type(array) is type(other) and array.dtype == other.dtype
+        assert array.flags.f_contiguous == other.flags.f_contiguous or array is arrays[3]
+    assert np.isnan(unpack(pack(float("nan"))))
+    usage = Usage(np.ones(3), np.zeros(3), np.arange(3), np.full(3, np.nan))
+    np.testing.assert_array_equal(unpack(pack(usage)).moved, usage.moved)
+    assert len(pack([table, table])) < len(pack([table, table.copy()]))  # one array is written once
+
+
+@pytest.mark.parametrize(
+    "value",
+    [object(), {1, 2}, print, [Plain()], np.array([object()]), EncodeSettings, 1j],
+    ids=lambda v: type(v).__name__,
+)
+def test_what_is_no_value_is_refused(value):
+    with pytest.raises(TypeError):
+        pack(value)
+
+
+def packed(value):
+    """The bytes of JSON that somebody made up."""
+    text = json.dumps({"value": value, "sizes": []}).encode()
+    return len(text).to_bytes(8, "little") + text
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {"is": "os:system", "of": {"command": "true"}},
+        {"is": "airgs_codec.places.results:importlib.import_module", "of": {"name": "antigravity"}},
+        {"is": "airgs_codec.places.results:open_store", "of": {"place": "x"}},
+        {"is": "airgs_codec.places.results:Path", "of": {}},
+        {"is": "airgs_codec.nothing:Here", "of": {}},
+        {"is": "airgs_codecs.evil:Class", "of": {}},
+        {"is": "tests.places.test_results:Pair", "of": {"first": 1, "second": 2}},
+        {"is": "airgs_codec.encoder.settings:EncodeSettings", "of": {"quality_of_old": 1}},
+        {"pickle": 0},
+        {"array": 0},
+        {},
+    ],
+    ids=str,
+)
+def test_nothing_but_dataclasses_of_this_package_is_made(value):
+    with pytest.raises(ValueError, match="expected a stored value"):
+        unpack(packed(value))
+
+
+@pytest.mark.parametrize("data", [b"", b"\x00" * 8, b"\xff" * 20, pickle.dumps({"a": 1}), pack([b"abc"])[:-4]], ids=len)
+def test_bytes_that_are_no_value_are_one_error(data):
+    with pytest.raises(ValueError, match="expected a stored value"):
+        unpack(pack([data])[:4] + data)
+    with pytest.raises(ValueError, match="expected a stored value"):
+        unpack(data)
+
+
+@pytest.mark.parametrize("kind", ["folder", "bucket"])
+def test_an_entry_is_whole_or_absent(kind, tmp_path, request):
+    place = tmp_path / "work" if kind == "folder" else f"{request.getfixturevalue('bucket')}/entries"
+    store = open_store(place)
+    assert store.read("abc") is None and not store.has("abc")
+    store.write("abc", b"first")
+    store.write("abc", b"second")
+    assert store.read("abc") == b"second" and store.place.paths() == ["ab/abc"]
+    for damaged in (seal(b"second")[:-1], seal(b"second")[:-1] + b"D", b"", b"second"):
+        store.place.write("ab/abc", damaged)
+        assert store.read("abc") is None and not store.has("abc")
+    assert unseal(seal(b"abc")) == b"abc"
+
+
+def test_a_file_is_no_store(tmp_path):
+    (tmp_path / "work").touch()
+    with pytest.raises(ConfigError, match="expected a folder for work, got a file"):
+        open_store(tmp_path / "work")

@@ -1,0 +1,96 @@
+"""Files are whole or not there, whatever goes wrong while they are written."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.places import whole
+
+
+def test_a_file_takes_its_place_only_when_it_is_whole(tmp_path):
+    path = tmp_path / "a.bin"
+    whole.write_bytes(path, b"old")
+    with pytest.raises(RuntimeError), whole.atomic_path(path) as temporary:
+        temporary.write_bytes(b"half")
+        assert path.read_bytes() == b"old"
+        raise RuntimeError
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"] and path.read_bytes() == b"old"
+    whole.write_bytes(path, b"new")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"] and path.read_bytes() == b"new"
+
+
+def test_the_bytes_are_synchronised_before_the_file_has_its_name(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(whole.os, "fsync", lambda _: seen.append((tmp_path / "a.bin").exists()))
+    whole.write_bytes(tmp_path / "a.bin", b"new")
+    assert seen == [False]
+
+
+def test_json_has_null_for_what_is_no_number(tmp_path):
+    value = {"a": (1.5, float("nan")), "b": [{"c": float("-inf")}], "d": "inf"}
+    whole.write_json(tmp_path / "a.json", value)
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": [1.5, None], "b": [{"c": None}], "d": "inf"}
+
+
+def test_links_are_replaced_and_never_written_through(tmp_path, monkeypatch):
+    """Neither one at the name of the file, nor one that takes the place of the temporary file."""
+    precious, path = tmp_path / "precious", tmp_path / "out" / "a.bin"
+    path.parent.mkdir()
+    precious.write_bytes(b"years of work")
+    path.symlink_to(precious)
+    whole.write_bytes(path, b"new")
+    assert path.read_bytes() == b"new" and not path.is_symlink() and precious.read_bytes() == b"years of work"
+    monkeypatch.setattr(whole.secrets, "token_hex", lambda count: "guessed")
+    planted = tmp_path / "out" / ".a.bin.guessed.part"
+    planted.symlink_to(precious)
+    with pytest.raises(FileExistsError):
+        whole.write_bytes(path, b"newer")
+    assert precious.read_bytes() == b"years of work" and path.read_bytes() == b"new" and planted.is_symlink()
+    planted.unlink()
+    with pytest.raises(OSError), whole.atomic_path(path) as temporary:
+        temporary.unlink()
+        temporary.symlink_to(precious)
+    assert precious.read_bytes() == b"years of work" and not path.is_symlink()
+    assert [p.name for p in path.parent.iterdir()] == ["a.bin"]
+
+
+def test_files_may_be_read_by_whom_the_umask_lets(tmp_path):
+    whole.write_bytes(tmp_path / "a.bin", b"new")
+    (tmp_path / "b.bin").write_bytes(b"plain")
+    assert (tmp_path / "a.bin").stat().st_mode == (tmp_path / "b.bin").stat().st_mode
+
+
+def test_a_write_that_is_killed_leaves_the_old_file(tmp_path):
+    """The process dies with half of the bytes written, by a signal that no handler sees."""
+    whole.write_bytes(tmp_path / "a.bin", b"old")
+    code = f"""
+import os, signal
+from pathlib import Path
+from airgs_codec.places.whole import atomic_path
+with atomic_path(Path({str(tmp_path)!r}) / "a.bin") as temporary:
+    temporary.write_bytes(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
+    assert (tmp_path / "a.bin").read_bytes() == b"old"
+    whole.write_bytes(tmp_path / "a.bin", b"new")
+    assert (tmp_path / "a.bin").read_bytes() == b"new"
+
+
+@pytest.mark.parametrize("there", [True, False], ids=["folder", "dangling"])
+def test_a_staged_folder_takes_no_links_place(tmp_path, there):
+    if there:
+        (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ConfigError, match="got a link"), whole.staged_folder(tmp_path / "out", Path.is_dir, "package"):
+        raise AssertionError("unreachable")
+    (tmp_path / ".new.x.stage").symlink_to(tmp_path / "nowhere")
+    (tmp_path / ".new.x.old").symlink_to(tmp_path)
+    with whole.staged_folder(tmp_path / "new", Path.is_dir, "package") as stage:
+        (stage / "a").touch()
+    assert (tmp_path / "new" / "a").is_file() and (tmp_path / ".new.x.old").is_symlink()
