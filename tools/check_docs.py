@@ -88,7 +88,7 @@ def commands(code: str) -> Iterator[list[str]]:
 
 
 def findings(page: Path) -> Iterator[str]:
-    """What is wrong on a page without running it, one line a finding."""
+    """Yield what is wrong on a page without running it, one line a finding."""
     text = page.read_text(encoding="utf-8")
     for block in blocks(text):
         if block.info.split()[:1] == ["sh"]:
@@ -101,7 +101,7 @@ def findings(page: Path) -> Iterator[str]:
 
 
 def inline_errors(code: str) -> Iterator[str]:
-    """What is wrong with a piece of `code`: a command, a path, a dotted name or an option that does not exist."""
+    """Yield what is wrong with a piece of `code`: a command, a path, a dotted name or an option that does not exist."""
     words = code.replace("[", "").replace("]", "").split()
     program = words[0] if words else ""
     if len(words) > 1 and (program in scripts() or words[:2] == ["python", "-m"]):
@@ -115,7 +115,7 @@ def inline_errors(code: str) -> Iterator[str]:
 
 
 def link_errors(page: Path, target: str) -> Iterator[str]:
-    """Whether a relative link leads to a file, and its anchor to a heading there."""
+    """Yield whether a relative link leads to a file, and its anchor to a heading there."""
     if "://" in target:
         return
     path, _, anchor = target.partition("#")
@@ -148,7 +148,7 @@ def known_options() -> set[str]:
 
 
 def resolves(name: str) -> bool:
-    """Whether a dotted name is a module, or something in one."""
+    """Return whether a dotted name is a module, or something in one."""
     parts = name.split(".")
     for split in range(len(parts), 0, -1):
         try:
@@ -164,7 +164,7 @@ def resolves(name: str) -> bool:
 
 
 def command_error(words: list[str], whole: bool) -> str | None:
-    """What the program says against its arguments; where not `whole`, required ones may be missing."""
+    """Return what the program says against its arguments; where not `whole`, required ones may be missing."""
     program, *arguments = words
     if program in OTHER_PROGRAMS:
         return None
@@ -255,7 +255,7 @@ class Workshop:
         return None if missing is None else f"{block.code.strip()}: does not print {missing!r}"
 
     def run_command(self, words: list[str]) -> str:
-        """What a command prints. Raises SystemExit where it fails."""
+        """Return what a command prints. Raises SystemExit where it fails."""
         line = shlex.join(words)
         if line not in self.printed:
             main, argv = _main_of(words)

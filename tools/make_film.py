@@ -53,7 +53,7 @@ def play(folder: Path) -> tuple[Package, SessionLog, Trace]:
 
 
 def screens(package: Package, log: SessionLog, viewer: Viewer) -> Iterable[NDArray[np.uint8]]:
-    """What is on the screen at every tick, with the name and the quality of its rung."""
+    """Yield what is on the screen at every tick, with the name and the quality of its rung."""
     seen = [0] * len(log.shown)
     for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
         shown = log.shown[entry]

@@ -23,7 +23,7 @@ SCRIPT = REPOSITORY / "web" / "scripts" / "screenshot.mjs"
 
 
 def missing() -> list[str]:
-    """What a picture needs and this machine lacks."""
+    """Return what a picture needs and this machine lacks."""
     found = {
         "chromium": shutil.which("chromium") is not None,
         "node": shutil.which("node") is not None,

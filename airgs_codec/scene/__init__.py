@@ -1,1 +1,1 @@
-"""What a scene is: Gaussians, sequences of frames on disk, cameras, usage. Nothing here knows the codec."""
+"""Scenes: Gaussians, sequences of frames on disk, cameras, usage. Nothing here knows the codec."""

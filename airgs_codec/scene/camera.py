@@ -50,7 +50,7 @@ class Camera:
 
     @property
     def held_out(self) -> bool:
-        """Whether nothing may be fitted to what this camera sees, so that quality can be measured on it."""
+        """Return whether nothing may be fitted to what this camera sees, so that quality can be measured on it."""
         return self.split == "test"
 
 

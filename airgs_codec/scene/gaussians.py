@@ -165,3 +165,13 @@ def to_matrices(quaternions: Floats) -> NDArray[np.float64]:
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def from_matrix(r: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3, 3) a rotation -> (4,) its quaternion: the eigenvector of the largest eigenvalue (Bar-Itzhack 2000)."""
+    k = np.zeros((4, 4))
+    k[0, 0] = np.trace(r)
+    k[0, 1:] = k[1:, 0] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    k[1:, 1:] = r + r.T - np.trace(r) * np.eye(3)
+    q = np.linalg.eigh(k)[1][:, -1]
+    return np.asarray(-q if q[0] < 0 else q, np.float64)

@@ -57,6 +57,6 @@ class GrowingFolder:
         return found
 
     def _settings_time(self) -> int:
-        """When sequence.json was last written; 0 where it is not there."""
+        """Return when sequence.json was last written; 0 where it is not there."""
         path = self._folder / SETTINGS_NAME
         return path.stat().st_mtime_ns if path.is_file() else 0

@@ -20,7 +20,7 @@ DEFAULTS: Settings = (DEFAULT_FPS, None, BLACK)
 
 
 def read_settings(folder: Path, frames: int) -> Settings:
-    """What the sequence.json of a folder with so many frames says, or the defaults. Raises SceneError."""
+    """Return what the sequence.json of a folder with so many frames says, or the defaults. Raises SceneError."""
     path = folder / SETTINGS_NAME
     if not path.exists():
         return DEFAULTS

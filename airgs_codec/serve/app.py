@@ -111,7 +111,7 @@ def _part(asked: Mapping[str, str], tag: str, size: int) -> range | None:
 
 
 def _is_known(header: str, tag: str) -> bool:
-    """Whether If-None-Match names the tag; the comparison is the weak one, as it has to be."""
+    """Return whether If-None-Match names the tag; the comparison is the weak one, as it has to be."""
     return header.strip() == "*" or tag in (part.strip().removeprefix("W/") for part in header.split(","))
 
 

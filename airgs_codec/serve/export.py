@@ -94,7 +94,7 @@ def _open(place: str | Path) -> tuple[str, Package]:
 
 
 def _is_site(folder: Path) -> bool:
-    """Whether an exported page and nothing else is at the top of a folder."""
+    """Return whether an exported page and nothing else is at the top of a folder."""
     ours = {INDEX, PLAIN, PLAYER_SCRIPT, PACKAGES, POSTERS, PAGES}
     index = folder / INDEX
     if not index.is_file() or not {path.name for path in folder.iterdir()} <= ours:

@@ -64,7 +64,7 @@ def player_address(name: str) -> str:
 
 
 def is_built() -> bool:
-    """Whether the page is there; only a clone of the repository in which it was deleted has none."""
+    """Return whether the page is there; only a clone of the repository in which it was deleted has none."""
     return all((PAGE / name).is_file() for name in PAGE_TYPES)
 
 
@@ -128,7 +128,7 @@ def describe(folder: Path) -> str:
 
 
 def addresses(name: str) -> dict[str, str]:
-    """Where a package is, from the root of the server: its name, what plays it, and its tables."""
+    """Return where a package is, from the root of the server: its name, what plays it, and its tables."""
     folder = f"/{quote(name)}"
     return {
         "name": name,

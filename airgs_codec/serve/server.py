@@ -158,7 +158,7 @@ class Certificate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ServerSettings:
-    """How to serve."""
+    """The settings of a server."""
 
     shape: Shape | None = None  # of the link, None: as fast as it goes
     certificate: Certificate | None = None  # for https and HTTP/2 in browsers
@@ -213,7 +213,7 @@ async def serve(app: ASGIApp, listening: socket.socket, settings: ServerSettings
 
 
 def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """What went wrong outside of all handlers; connections that break are no news."""
+    """Report what went wrong outside of all handlers; connections that break are no news."""
     if not isinstance(context.get("exception"), OSError):
         loop.default_exception_handler(context)
 

@@ -19,8 +19,7 @@ from pathlib import Path
 
 from airgs_codec._report import require_matplotlib, table
 from airgs_codec.cli.common import Bar, run_command  # before all that loads numba
-from tools.lab.experiments import EXPERIMENTS, Experiment
-from tools.lab.figures import FIGURES
+from tools.lab.experiments import EXPERIMENTS, FIGURES, Experiment
 from tools.lab.options import add_options, read_options
 from tools.lab.page import Made, Page, text_of, update, write_page
 from tools.lab.results import Results

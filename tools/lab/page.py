@@ -38,7 +38,7 @@ class Table:
 
     @property
     def keys(self) -> list[str]:
-        """What is shown of each row."""
+        """Return what is shown of each row."""
         return list(self.columns or dict.fromkeys(key for row in self.rows for key in row))
 
     @property

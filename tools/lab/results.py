@@ -45,7 +45,7 @@ class Results:
         return Work(self.store, progress=self.progress).result(job)
 
     def seconds(self, name: str, reads: Any, make: Callable[[], Any]) -> float | None:
-        """How long the result of `once` took when it was made; None where it is not there."""
+        """Return how long the result of `once` took when it was made; None where it is not there."""
         record = read_record(self.store, _entry(name, make, reads))
         return None if record is None else record.seconds
 

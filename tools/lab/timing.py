@@ -36,14 +36,14 @@ class Alone(NamedTuple):
 
 
 def seconds_of(work: Callable[[], T]) -> tuple[Took, T]:
-    """What one call took, and what it gives."""
+    """Return what one call took, and what it gives."""
     cpu, wall = time.process_time(), time.perf_counter()
     result = work()
     return Took(time.process_time() - cpu, time.perf_counter() - wall), result
 
 
 def timed(work: Callable[[], object], repeats: int) -> list[Took]:
-    """What each of some calls took, after one that compiles and fills caches."""
+    """Return what each of some calls took, after one that compiles and fills caches."""
     work()
     return [seconds_of(work)[0] for _ in range(repeats)]
 
@@ -54,7 +54,7 @@ def middle(took: Sequence[Took]) -> Took:
 
 
 def alone(function: Callable[..., Any], *arguments: Any) -> tuple[Alone, Any]:
-    """What one call of a function of a module took in a fresh process, and what it gives.
+    """Return what one call of a function of a module took in a fresh process, and what it gives.
 
     Raises what the function raises.
     """
@@ -80,6 +80,6 @@ def memory_of(process: int | str, name: str = "VmRSS") -> int:
 
 
 def machine(*libraries: str) -> str:
-    """Where it was measured, and with which versions of PyAV, numpy, numba and further `libraries`."""
+    """Return where it was measured, and with which versions of PyAV, numpy, numba and further `libraries`."""
     versions = [f"{name} {importlib.metadata.version(name)}" for name in ("av", "numpy", "numba", *libraries)]
     return f"{os.cpu_count()} {platform.machine()} cores, Python {platform.python_version()}, {', '.join(versions)}"

@@ -84,12 +84,12 @@ def find_model(folder: Path) -> Path | None:
 
 
 def is_model(folder: Path) -> bool:
-    """Whether a reconstruction lies in this very folder."""
+    """Return whether a reconstruction lies in this very folder."""
     return any((folder / f"images.{suffix}").is_file() for suffix in ("bin", "txt"))
 
 
 def is_part(path: Path) -> bool:
-    """Whether a file is one of those that a reconstruction consists of."""
+    """Return whether a file is one of those that a reconstruction consists of."""
     return path.name in PARTS and is_model(path.parent)
 
 

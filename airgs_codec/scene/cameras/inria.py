@@ -29,7 +29,7 @@ MOST_WIDE = 1600  # pixels: wider pictures are trained on at this width by defau
 
 
 def fits(data: Any) -> bool:
-    """Whether JSON data is a list of such cameras."""
+    """Return whether JSON data is a list of such cameras."""
     return (
         isinstance(data, list) and bool(data) and isinstance(data[0], dict) and {"position", "rotation"} <= {*data[0]}
     )

@@ -22,7 +22,7 @@ NEAR = 0.8
 
 
 def fits(data: Any) -> bool:
-    """Whether JSON data is such a file."""
+    """Return whether JSON data is such a file."""
     return isinstance(data, dict) and {"k", "w2c", "cam_id"} <= {*data}
 
 

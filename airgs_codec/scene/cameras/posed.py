@@ -128,7 +128,7 @@ def expecting(path: Path, what: str) -> Iterator[None]:
 
 
 def read_json(path: Path) -> Any:
-    """What a JSON file holds. Raises SceneError when it is not JSON or cannot be read."""
+    """Return what a JSON file holds. Raises SceneError when it is not JSON or cannot be read."""
     with expecting(path, "JSON"):
         return json.loads(path.read_text(encoding="utf-8-sig"))
 

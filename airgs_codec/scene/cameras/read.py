@@ -94,7 +94,7 @@ def _only_file(folder: Path) -> Path:
 
 
 def _reader(path: Path) -> Reader | None:
-    """What reads a file, by its first bytes or by what its JSON holds. Raises SceneError for JSON that is broken."""
+    """Return what reads a file, by its first bytes or by its JSON. Raises SceneError for JSON that is broken."""
     with expecting(path, WORDS), path.open("rb") as file:
         head = file.read(max(len(magic) for magic, _ in BY_MAGIC))
     for magic, reader in BY_MAGIC:

@@ -30,7 +30,7 @@ NO_LENS = (
 
 
 def fits(data: Any) -> bool:
-    """Whether JSON data is a transforms.json."""
+    """Return whether JSON data is a transforms.json."""
     return isinstance(data, dict) and "frames" in data
 
 

@@ -184,7 +184,7 @@ def bake_numbered(file: File, times: np.ndarray, wanted: range) -> tuple[dict[st
 
 
 def bake(file: File, fps: Fraction, wanted: range) -> tuple[dict[str, Any], list[Frame]]:
-    """What is to be known of all frames, and those that are wanted."""
+    """Return what is to be known of all frames, and those that are wanted."""
     count = round(file.header.duration_sec * fps)
     if not 0 < file.header.duration_sec * fps <= MOST_FRAMES:
         raise ValueError(f"expected 1 to {MOST_FRAMES} frames, got {file.header.duration_sec:g} s at {fps} fps")

@@ -24,7 +24,7 @@ _SH_RANGE = 4.0
 
 
 def is_compressed(header: Header) -> bool:
-    """Whether a .ply is of this format: its rows are packed."""
+    """Return whether a .ply is of this format: its rows are packed."""
     vertex = header.element("vertex")
     return vertex is not None and any(p.name in _WORDS for p in vertex.properties)
 

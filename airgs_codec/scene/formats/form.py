@@ -24,7 +24,7 @@ _WORDS = {"means": "positions", "log_scales": "sizes", "sh_dc": "colours", "sh_r
 
 @dataclass(frozen=True, slots=True)
 class FrameHeader:
-    """What the header of a frame promises."""
+    """The count and SH degree that the header of a frame promises."""
 
     count: int
     sh_degree: int  # 0..3
@@ -45,7 +45,7 @@ class Axes:
 
 @dataclass(frozen=True, slots=True)
 class Holds:
-    """What files of a format hold; by default all that Gaussians have, in float32."""
+    """The limits of what files of a format hold; by default all that Gaussians have, in float32."""
 
     sh_degree: int = 3
     rounding: str = ""  # what is rounded to how many bits
@@ -56,7 +56,7 @@ class Holds:
 
 @dataclass(frozen=True, slots=True)
 class Bake:
-    """How many frames a clip becomes. None: what its file says, else the default of its format."""
+    """A wish for how many frames a clip becomes. None: what its file says, else the default of its format."""
 
     fps: Fraction | None = None  # frames a second
     seconds: Fraction | None = None
@@ -146,7 +146,7 @@ def rate_words(fps: Fraction) -> str:
 
 
 class Losses:
-    """What is lost of the frames that were made to fit a format."""
+    """Makes frames fit a format, and counts what they lose."""
 
     def __init__(self, holds: Holds, form: str) -> None:
         self._holds, self._form = holds, form
@@ -175,7 +175,7 @@ class Losses:
         return g
 
     def lines(self) -> list[str]:
-        """What was lost, a line for each kind; empty where nothing was."""
+        """Return a line for each kind of loss, none where nothing was lost."""
         lines = list(self._notes)
         if self._degree > self._holds.sh_degree:
             lines.append(f"{self._form} has SH of degree {self._holds.sh_degree} at most, of {self._degree}")

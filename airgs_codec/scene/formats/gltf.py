@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.form import SIZES, Axes, FrameFormat, FrameHeader, Holds
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, logits_of, logs_of, multiply
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, from_matrix, join_rows, logits_of, logs_of, multiply
 
 EXTENSION = "KHR_gaussian_splatting"
 _COLOURS = ("srgb_rec709_display", "BT.709")  # the second is of drafts
@@ -109,7 +109,7 @@ def _open(path: Path, *, only_json: bool = False) -> _Document:
 
 
 def _header(document: _Document, primitives: list[_Placed]) -> FrameHeader:
-    """What the JSON promises. Raises SceneError, or one of _BROKEN."""
+    """Return what the JSON promises. Raises SceneError, or one of _BROKEN."""
     if not primitives:
         raise ValueError("no node of its scene has splats")
     degrees = set()
@@ -191,17 +191,7 @@ def _placed(attributes: dict[str, int], extension: dict[str, Any], matrix: NDArr
     scale = max(determinant, 0.0) ** (1 / 3)
     if not scale > 0 or np.abs(turn @ turn.T / scale**2 - np.eye(3)).max() > _TOLERANCE:
         raise ValueError("a node that moves, turns and scales alike in all directions")
-    return _Placed(attributes, extension, turn, matrix[:3, 3], scale, _quaternion(turn / scale))
-
-
-def _quaternion(r: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(4,) w, x, y, z of a rotation: the eigenvector of the largest eigenvalue (Bar-Itzhack 2000)."""
-    k = np.zeros((4, 4))
-    k[0, 0] = np.trace(r)
-    k[0, 1:] = k[1:, 0] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    k[1:, 1:] = r + r.T - np.trace(r) * np.eye(3)
-    q = np.linalg.eigh(k)[1][:, -1]
-    return np.asarray(-q if q[0] < 0 else q, np.float64)
+    return _Placed(attributes, extension, turn, matrix[:3, 3], scale, from_matrix(turn / scale))
 
 
 def _harmonics(degree: int) -> Iterator[str]:

@@ -29,7 +29,7 @@ def expect_library(path: Path, form: str, library: str) -> None:
 
 
 def find_command(name: str) -> str | None:
-    """Where a command is, beside this Python or on the path; None where it is not."""
+    """Return where a command is, beside this Python or on the path; None where it is not."""
     return shutil.which(name, path=os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]))
 
 

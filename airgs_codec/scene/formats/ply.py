@@ -33,7 +33,7 @@ def read_ply_header(path: Path) -> FrameHeader:
 
 
 def is_whole(path: Path) -> bool:
-    """Whether a frame has been written to its end, as far as its header and its length tell.
+    """Return whether a frame has been written to its end, as far as its header and its length tell.
 
     Of a file in ASCII, whose length no header tells, it takes the last line to be there once it ends with a newline.
     """

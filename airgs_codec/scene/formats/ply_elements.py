@@ -49,7 +49,7 @@ class Element:
 
     @property
     def has_lists(self) -> bool:
-        """Whether rows differ in size."""
+        """Return whether rows differ in size."""
         return any(p.length_type is not None for p in self.properties)
 
     def row_type(self) -> np.dtype:
@@ -59,7 +59,7 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What a .ply file says of itself."""
+    """The header of a .ply file."""
 
     ascii: bool
     elements: tuple[Element, ...]

@@ -27,7 +27,7 @@ Meta = dict[str, Any]
 
 
 def is_sog_folder(folder: Path) -> bool:
-    """Whether a folder is one frame: its meta.json names pictures of means."""
+    """Return whether a folder is one frame: its meta.json names pictures of means."""
     try:
         return folder.is_dir() and "means" in json.loads(_read_at_most(folder / META_NAME, _MOST_META))
     except (OSError, ValueError, TypeError, RecursionError):
@@ -69,7 +69,7 @@ def write_sog_folder(folder: Path, gaussians: Gaussians) -> None:
 
 
 def _header(path: Path, text: bytes) -> tuple[FrameHeader, list[str]]:
-    """What meta.json says, and the pictures that it names."""
+    """Return what meta.json says, and the pictures that it names."""
     try:
         meta = json.loads(text)
         if meta.get("version") != 2:

@@ -128,7 +128,7 @@ def _cached(load: Load, path: Path, _written: int) -> Spacetime:
 
 
 def is_spacetime_ply(header: Header) -> bool:
-    """Whether a .ply is of this format."""
+    """Return whether a .ply is of this format."""
     vertex = header.element("vertex")
     return vertex is not None and any(p.name == _SIGN for p in vertex.properties)
 

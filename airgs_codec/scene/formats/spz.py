@@ -84,7 +84,7 @@ def _unpack(path: Path, data: bytes, most: int) -> bytes:
 
 
 def _table_size(path: Path, data: bytes) -> int:
-    """What the streams of version 4 unpack to, as their table says."""
+    """Return what the streams of version 4 unpack to, as their table says."""
     streams, start = data[15], int.from_bytes(data[16:20], "little")
     if len(data) < start + streams * _TABLE.size:
         raise SceneError(f"{path}: expected the table of {streams} streams, got a truncated file")

@@ -51,7 +51,7 @@ def clip_format(path: Path) -> ClipFormat | None:
 
 
 def is_clip(path: Path) -> bool:
-    """Whether a file is there that is a clip. Raises SceneError where a .ply has no header."""
+    """Return whether a file is there that is a clip. Raises SceneError where a .ply has no header."""
     return path.is_file() and clip_format(path) is not None
 
 
@@ -91,7 +91,7 @@ def read_frame(path: Path) -> Gaussians:
 
 
 def is_frame(path: Path) -> bool:
-    """Whether a name is that of a frame, or a folder is one (SOG). Hidden files are none, such as ._1.ply of macOS."""
+    """Return whether a name is that of a frame, or a folder is one (SOG). Hidden files such as ._1.ply are none."""
     if path.name.startswith("."):
         return False
     return is_sog_folder(path) if path.is_dir() else path.suffix.lower() in FRAME_SUFFIXES
@@ -124,7 +124,7 @@ def find_frames(place: Path) -> Found:
 
 
 def has_frames(folder: Path, *, apart_from: Collection[str]) -> bool:
-    """Whether frames of some format lie in a folder, or it is one; files of some names do not count."""
+    """Return whether frames of some format lie in a folder, or it is one; files of some names do not count."""
     return is_sog_folder(folder) or any(
         is_frame(path) and path.name not in apart_from and path.suffix not in _ARCHIVES for path in folder.iterdir()
     )

@@ -28,7 +28,7 @@ Numbered = tuple[int, Gaussians]  # a frame and its number
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """Where frames go: a file, a folder of files 000000.spz and on, or one frame that is a folder."""
+    """A place for frames: a file, a folder of files 000000.spz and on, or one frame that is a folder."""
 
     path: Path
     form: FrameFormat | ClipFormat
@@ -41,7 +41,7 @@ def format_keys() -> list[str]:
 
 
 def choose_target(place: str, key: str | None, frames: int) -> Target:
-    """Where so many frames go, by the format's name or the ending of a place; a place without any is a folder.
+    """Return where so many frames go, by the format's name or the ending of a place; a place without any is a folder.
 
     What ends in a slash or exists as a folder is a folder. Raises ConfigError when the place does not suit the format
     or the number of frames, is in the way, or the library that writes the format is not there.
@@ -87,7 +87,7 @@ def _check(place: str, target: Target, frames: int) -> None:
 def write_frames(
     target: Target, frames: Iterable[Numbered], fps: Fraction, background: Background = BLACK
 ) -> list[str]:
-    """Write numbered frames, so many a second; what the format lost of them, a line for each kind.
+    """Write numbered frames, so many a second; returns what the format lost of them, a line for each kind.
 
     A folder of frames without a sequence.json gets one, with the frame rate and the background.
 

@@ -15,8 +15,8 @@ from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace, open_trace
 from tools.lab.crowd.costs import Measured, Prices, cost
 from tools.lab.crowd.edge import Edge, EqualShares, LruCache, replay
+from tools.lab.crowd.experiment import rung_rows, stored_rows
 from tools.lab.crowd.figures import cache_rows, edge_row, jain, policy_rows
-from tools.lab.crowd.inputs import rung_rows, stored_rows
 from tools.lab.crowd.links import Flows, SharedLink, Traces, water_level
 from tools.lab.crowd.policies import crowd_policy, value_before
 from tools.lab.crowd.programme import Programme

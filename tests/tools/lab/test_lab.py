@@ -14,8 +14,7 @@ from airgs_codec.jobs.engines import Processes
 from tests.support.paths import REPOSITORY
 from tools.lab import main
 from tools.lab.command import Lab
-from tools.lab.experiments import EXPERIMENTS
-from tools.lab.figures import FIGURES
+from tools.lab.experiments import EXPERIMENTS, FIGURES
 from tools.lab.options import add_options, expect_names, read_options, required, setting
 from tools.lab.page import Made, Page, Picture, Section, Table, markdown, text_of, update, wrapped, write_page
 from tools.lab.results import Results, content

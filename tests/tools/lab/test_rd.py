@@ -10,10 +10,10 @@ from tests.support.paths import FOX
 from tests.support.scenes import moving_frames
 from tools.lab.page import Picture, write_picture
 from tools.lab.rd.coders import MPEG_QPS
+from tools.lab.rd.experiment import draw, ends
 from tools.lab.rd.layouts import mpeg_anchor_layout, v3_layout
 from tools.lab.rd.points import RdPoint, bd_rate
 from tools.lab.rd.programs import fourdgs_trials
-from tools.lab.rd.report import draw, ends
 from tools.lab.rd.subject import Subject
 
 PRESET = "medium"

@@ -13,11 +13,9 @@ from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.regions import region
 from tools.lab.command import Lab
-from tools.lab.tiles.borders import border_pixels, border_rows
 from tools.lab.tiles.experiment import Options, packages, run
-from tools.lab.tiles.runs import BY_VIEW, TILED, WHOLE, add_savings, links_of
-from tools.lab.tiles.screen import Screen, Seen, touches
-from tools.lab.tiles.viewer import HELD_OUT, VIEWERS, Watcher, drawn_swings
+from tools.lab.tiles.runs import BY_VIEW, HELD_OUT, TILED, VIEWERS, WHOLE, Watcher, add_savings, drawn_swings, links_of
+from tools.lab.tiles.screen import Screen, Seen, border_pixels, border_rows, touches
 from tools.make_wide_scene import main as make_wide_scene
 from tools.make_wide_scene import to_and_fro
 

@@ -199,7 +199,7 @@ def write_model(folder: Path, g: Gaussians, field: Field) -> int:
 
 
 def read_model(folder: Path) -> tuple[Gaussians, Field]:
-    """What `write_model` wrote."""
+    """Return what `write_model` wrote."""
     with np.load(folder / "field.npz", allow_pickle=False) as arrays:
         return read_ply(folder / "canonical.ply"), field_from(arrays)
 

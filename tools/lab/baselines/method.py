@@ -55,7 +55,7 @@ class Method(Protocol):
 
     @property
     def settings(self) -> dict[str, object]:
-        """What decides its result besides the footage, as JSON: a run of other settings is another run."""
+        """Return what decides its result besides the footage, as JSON: a run of other settings is another run."""
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
         """The frames from number `done` on; those before it were given by earlier calls and are kept."""
@@ -99,7 +99,7 @@ def run_method(method: Method, footage: Footage, progress: Progress = silent) ->
 
 
 def frame_path(folder: Path, frame: int) -> Path:
-    """Where a run keeps what its viewer shows of a frame."""
+    """Return where a run keeps what its viewer shows of a frame."""
     return folder / f"{frame:06d}.ply"
 
 

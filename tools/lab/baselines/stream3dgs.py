@@ -142,7 +142,7 @@ class _Fit:
     region: Region
 
     def encode(self, before: Gaussians, target: FrameViews, progress: Progress) -> bytes:
-        """What a viewer fetches for a frame; the second stage adds to what the first one is after its coding."""
+        """Return what a viewer fetches for a frame; the second stage adds to what the first one is after its coding."""
         o = self.options
         rng = np.random.default_rng([o.first.seed, target.frame])
         cache = self.region.new_cache(o.cache, o.first.seed)

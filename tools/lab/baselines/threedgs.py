@@ -47,15 +47,15 @@ class Timetable:
         return replace(self, start=round(self.start * factor), stop=stop, reset=reset)
 
     def densifies(self, iteration: int) -> bool:
-        """Whether rows are added and removed after this iteration."""
+        """Return whether rows are added and removed after this iteration."""
         return self.start < iteration < self.stop and iteration % self.every == 0
 
     def resets(self, iteration: int) -> bool:
-        """Whether opacity is reset after this iteration."""
+        """Return whether opacity is reset after this iteration."""
         return self.reset is not None and iteration < self.stop and iteration % self.reset == 0
 
     def removes_large(self, iteration: int) -> bool:
-        """Whether Gaussians may be too large after this iteration."""
+        """Return whether Gaussians may be too large after this iteration."""
         return self.reset is not None and iteration > self.reset
 
 
@@ -80,7 +80,7 @@ class Splats:
         return to_gaussians(self._adam.parameters)
 
     def watch(self) -> AbsGrad:
-        """Where the gradients of the next picture are wanted."""
+        """Return where the gradients of the next picture are wanted."""
         self._absgrad = AbsGrad()
         return self._absgrad
 

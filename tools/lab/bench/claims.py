@@ -229,5 +229,5 @@ def verdict(rows: Sequence[Row]) -> Iterator[str]:
 
 
 def is_beaten(row: Row, others: Sequence[Row]) -> bool:
-    """Whether a rung with fewer bytes was measured to be at least as good."""
+    """Return whether a rung with fewer bytes was measured to be at least as good."""
     return any(o.kilobytes < row.kilobytes and o.measured.mean >= row.measured.mean for o in others)

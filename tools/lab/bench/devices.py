@@ -41,7 +41,7 @@ class Difference:
     hits: float
 
     def good(self) -> bool:
-        """Whether nothing is over its limit."""
+        """Return whether nothing is over its limit."""
         return all(value <= limit for value, limit in zip(astuple(self), astuple(LIMITS), strict=True))
 
 

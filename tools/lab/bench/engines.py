@@ -92,7 +92,7 @@ def _psnr(picture: Picture, truth: Picture) -> float:
 
 
 def versions() -> str:
-    """What draws."""
+    """Return what draws."""
     names = ("three", "@sparkjsdev/spark", "playcanvas")
     read = {name: json.loads((WEB / "node_modules" / name / "package.json").read_text())["version"] for name in names}
     return ", ".join(f"{name} {version}" for name, version in read.items())

@@ -68,13 +68,13 @@ def copies(frame: Gaussians, rows: int) -> Gaussians:
 
 
 def write(source: Path, target: Path) -> Took:
-    """What writing a .ply to the format of another name took."""
+    """Return what writing a .ply to the format of another name took."""
     frame = read_ply(source)
     return seconds_of(lambda: write_frames(choose_target(str(target), None, 1), [(0, frame)], Fraction(1)))[0]
 
 
 def read(target: Path) -> Took:
-    """What reading a file took."""
+    """Return what reading a file took."""
     return seconds_of(lambda: open_sequence(target).read(0))[0]
 
 
@@ -86,7 +86,7 @@ def round_trip(scene: Path, sequence: GaussianSequence, written: Path) -> Compar
 
 
 def facts(form: Format) -> Row:
-    """What the code knows without measuring."""
+    """Return what the code knows without measuring."""
     holds = form.holds
     degrees = f"0 to {holds.sh_degree}" if holds.sh_degree else "none"
     order = "kept" if holds.keeps_rows else "lost"

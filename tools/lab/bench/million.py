@@ -44,7 +44,7 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def scenes(options: Options) -> dict[str, Callable[[Path], None]]:
-    """What makes each scene in a folder."""
+    """Return what makes each scene in a folder."""
     made: dict[str, Callable[[Path], None]] = {
         f"all swing by {options.swing}": lambda folder: make_swinging(
             options.rows, options.frames, options.swing, folder

@@ -32,7 +32,7 @@ class LruCache:
         return path in self._sizes
 
     def has(self, path: str) -> bool:
-        """Whether a file is there; it is now the one last used."""
+        """Return whether a file is there; it is now the one last used."""
         if path not in self._sizes:
             return False
         self._sizes.move_to_end(path)
@@ -63,7 +63,7 @@ class EqualShares:
         heapq.heappush(self._ends, (self._served + 8 * size_bytes, name))
 
     def next_s(self) -> float:
-        """When the next transfer ends if none begins before; infinite where there is none."""
+        """Return when the next transfer ends if none begins before; infinite where there is none."""
         if not self._ends:
             return math.inf
         return self._at_s + max(0.0, self._ends[0][0] - self._served) * len(self._ends) / self.capacity_bps

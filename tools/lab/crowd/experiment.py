@@ -18,7 +18,7 @@ from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import open_trace
 from tools.lab import Lab, Page, required, setting, with_fields
 from tools.lab.crowd.costs import Prices
-from tools.lab.crowd.inputs import rung_rows, stored_rows
+from tools.lab.crowd.experiment import rung_rows, stored_rows
 from tools.lab.crowd.page import Inputs, page
 from tools.lab.crowd.policies import crowd_policy
 from tools.lab.crowd.programme import Programme

@@ -116,7 +116,7 @@ def _widest(runs: Sequence[Run]) -> Run:
 
 
 def measured_of(runs: Sequence[Run], inputs: Inputs) -> Measured:
-    """What the cost model takes from the run without a limit."""
+    """Return what the cost model takes from the run without a limit."""
     run = _widest(runs)
     return Measured(
         viewer_mbps=run.rows[-1]["mbps"],

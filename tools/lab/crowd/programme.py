@@ -94,7 +94,7 @@ class Visit(Catalogue):
     _at_start: dict[tuple[int, KeyUnits], NDArray[np.int64]] = field(default_factory=dict, init=False, repr=False)
 
     def end(self, loops: int) -> int:
-        """How many positions the visit has; it is one turn."""
+        """Return how many positions the visit has; it is one turn."""
         return self.stop - self.first
 
     def seconds(self, segment: int) -> float:
@@ -159,7 +159,7 @@ class Programme:
         self.starts_s = np.cumsum([0.0, *self.whole._seconds])  # of segments; and the end
 
     def visit(self, from_s: float, seconds: float) -> Visit:
-        """What a viewer watches who begins with the segment shown at `from_s`; one segment at least."""
+        """Return what a viewer watches who begins with the segment shown at `from_s`; one segment at least."""
         first = int(np.searchsorted(self.starts_s, from_s, side="right")) - 1
         first = min(max(first, 0), self.whole.stop - 1)
         stop = int(np.searchsorted(self.starts_s, self.starts_s[first] + seconds - 1e-9))

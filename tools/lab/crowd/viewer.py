@@ -76,7 +76,7 @@ class Batch:
 
     @property
     def look_s(self) -> float:
-        """When the player looks at the download next."""
+        """Return when the player looks at the download next."""
         return self.first_s + CHECK_S * (self.looks + 1)
 
     def add(self, path: str, passed_bytes: float) -> None:
@@ -104,7 +104,7 @@ class Batch:
         return self.give_up is not None and self.give_up(partial)
 
     def end(self, at_s: float, passed_bytes: float, abandoned: bool) -> Arrival:
-        """What came of the batch."""
+        """Return what came of the batch."""
         whole = tuple(self.sizes)
         if abandoned:
             self._share(passed_bytes)

@@ -113,7 +113,7 @@ def _stages(scene: Scene, package: Package, repeats: int) -> list[Row]:
 
 
 def beyond(whole: Sequence[Took], part: Sequence[Took]) -> list[Took]:
-    """What is left of each run without the median of its part."""
+    """Return what is left of each run without the median of its part."""
     cpu, wall = (float(np.median(column)) for column in zip(*part, strict=True))
     return [Took(t.cpu - cpu, t.wall - wall) for t in whole]
 

@@ -88,7 +88,7 @@ def gradient_units() -> dict[str, float]:
 
 
 def views_of(problem: Problem) -> list[View]:
-    """What the cameras see of the target."""
+    """Return what the cameras see of the target."""
     return [View(c, Target(np.clip(cpu.render(problem.target, c).rgb, 0, 1))) for c in problem.cameras]
 
 
@@ -138,7 +138,7 @@ def _price_of_changes(problem: Problem) -> Parameters:
 
 
 def _words(problem: Problem, most: float) -> str:
-    """What bounds a fit whose larger loss is `most`."""
+    """Return what bounds a fit whose larger loss is `most`."""
     if most < INVISIBLE:
         return "pictures are right to less than 8 bits show, before and after"
     reach = f"by how far {ITERATIONS} iterations reach"
@@ -146,7 +146,7 @@ def _words(problem: Problem, most: float) -> str:
 
 
 def judge(axis: Axis, name: str, factor: str, value: float) -> Judged:
-    """How a fit with a method ends, at a factor on the trainer's rates."""
+    """Return how a fit with a method ends, at a factor on the trainer's rates."""
     return fit(axis.make(value), methods()[name], float(factor), keep_better=name == TRAINER)
 
 

@@ -69,7 +69,7 @@ def median_errors(axis: Axis, value: float) -> dict[str, float]:
 
 
 def judge(axis: Axis, panel: str, name: str, value: float) -> Judged:
-    """How far the gradients by one attribute are off."""
+    """Return how far the gradients by one attribute are off."""
     error = median_errors(axis, value)[name]
     end = error_end(error, CLOSE)
     return end, error, f"relative error up to {error:.2g}" if end == BOUNDED else ""

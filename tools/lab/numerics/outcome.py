@@ -60,7 +60,7 @@ class Case:
 
 
 def attempt(judge: Callable[[str, str, float], Judged], at: At) -> Judged:
-    """What an experiment gives."""
+    """Return what an experiment gives."""
     try:
         return judge(*at)
     except AirgsError as error:
@@ -74,7 +74,7 @@ def grid(panels: Iterable[str], rows: Iterable[str], xs: Iterable[float]) -> tup
 
 
 def fit_end(before: float, after: float, finite: bool) -> str:
-    """How a fit ended, from its loss before and after and whether all that it fitted is finite."""
+    """Return how a fit ended, from its loss before and after and whether all that it fitted is finite."""
     if not (finite and math.isfinite(before) and math.isfinite(after)):
         return NOT_FINITE
     if after > max(GROWN * before, INVISIBLE):
@@ -83,19 +83,19 @@ def fit_end(before: float, after: float, finite: bool) -> str:
 
 
 def error_end(error: float, close: float) -> str:
-    """How a comparison ended: an error of at most `close` converges, a larger one is bounded by what it is."""
+    """Return how a comparison ended: an error of at most `close` converges, a larger one is bounded by what it is."""
     if not math.isfinite(error):
         return NOT_FINITE
     return CONVERGES if error <= close else BOUNDED
 
 
 def count_ends(cells: Sequence[Cell]) -> dict[str, int]:
-    """How many cells end in each way, those that none does left out."""
+    """Return how many cells end in each way, those that none does left out."""
     return {end: sum(cell.end == end for cell in cells) for end in ENDS if any(cell.end == end for cell in cells)}
 
 
 def ranges(cells: Sequence[Cell], end: str) -> str:
-    """Where along x neighbouring cells of one row end so."""
+    """Return where along x neighbouring cells of one row end so."""
     found: list[list[float]] = []
     inside = False
     for cell in cells:

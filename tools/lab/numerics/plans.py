@@ -96,7 +96,7 @@ KINDS = (
 
 
 def solved(kind: str, rate_bps: float) -> Judged:
-    """How the linear and the integer programme end: gap in dB."""
+    """Return how the linear and the integer programme end: gap in dB."""
     what, capacities = offer(kind, rate_bps)
     horizon = what.horizon(capacities)
     relaxed, whole = (solve_horizon(horizon, integer) for integer in (False, True))

@@ -88,7 +88,7 @@ class Scene:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What tells it from other scenes of that name."""
+        """Return what tells it from other scenes of that name."""
         return {"name": self.name, "frames": len(self.sequence), "rows": [h.count for h in self.sequence.headers]}
 
 

@@ -73,7 +73,7 @@ def judge_spread(panel: str, kind: str, decades: float) -> Judged:
 
 
 def judge_factors(factors: Mapping[str, float], ideal: Mapping[str, float]) -> Judged:
-    """Whether factors are those of the optimum, how far apart they are, and what limits them."""
+    """Return whether factors are those of the optimum, how far apart they are, and what limits them."""
     largest, least = max(factors.values()), min(factors.values())
     if not np.isfinite([largest, least]).all() or least <= 0:
         return NOT_FINITE, np.inf, ""

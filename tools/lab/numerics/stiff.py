@@ -97,7 +97,7 @@ def read_cells(path: Path) -> list[Cell]:
 
 
 def page(cells: Sequence[Cell], before: str = "") -> Page:
-    """What the cells say."""
+    """Return what the cells say."""
     tried = [case for case in CASES if case.shipped(cells)]
     own = [cell for case in tried for cell in case.shipped(cells)]
     pictures = []
@@ -126,7 +126,7 @@ def page(cells: Sequence[Cell], before: str = "") -> Page:
 
 
 def advice_of(case: Case, cells: Sequence[Cell]) -> str:
-    """Where all is well and what limits it elsewhere; '' where all converges."""
+    """Return where all is well and what limits it elsewhere; '' where all converges."""
     own = case.shipped(cells)
     if all(cell.end == CONVERGES for cell in own):
         return ""
@@ -136,7 +136,7 @@ def advice_of(case: Case, cells: Sequence[Cell]) -> str:
 
 
 def rejected(cells: Sequence[Cell]) -> str:
-    """How the ways to step that were rejected end beside the trainer's, over all its cases and factors."""
+    """Return how the ways to step that were rejected end beside the trainer's, over all its cases and factors."""
     parts = []
     for name in fits.METHODS:
         some = [cell for cell in cells if cell.panel == name]
@@ -148,7 +148,7 @@ def rejected(cells: Sequence[Cell]) -> str:
 
 
 def plural(end: str) -> str:
-    """How several cells end."""
+    """Return how several cells end."""
     known = {CONVERGES: "converge", DIVERGES: "diverge", UNFIT: "do not fit"}
     return known.get(end, end.replace("is ", "are ", 1))
 

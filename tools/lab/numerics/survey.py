@@ -84,7 +84,7 @@ def claims(bench: Bench, subject: Subject) -> Iterator[Point]:
 
 
 def claim(subject: Subject, place: Place, trials: int) -> list[Row]:
-    """What claims from so many pictures are off, and what looking takes."""
+    """Return what claims from so many pictures are off, and what looking takes."""
     pictures = draws(subject, place.curve, int(place.setting), trials)
     looked = [seconds_of(partial(subject.psnr, some)) for some in pictures]
     return [Row.of(place, [s for s, _ in looked], [abs(q - subject.truth) for _, q in looked], OFF)]
@@ -101,7 +101,7 @@ def draws(subject: Subject, curve: str, count: int, trials: int) -> Iterator[Pic
 
 
 def own(subject: Subject, place: Place) -> list[Row]:
-    """What the encoder claims with so many `--measure-pictures`; it also measures SSIM and CIEDE2000."""
+    """Return what the encoder claims with so many `--measure-pictures`; it also measures SSIM and CIEDE2000."""
     views = plan_views(subject.scene.sequence, ONE_RUNG)
     package, groups = subject.package, range(len(subject.package.manifest.groups))
     rounds = Rounds(int(place.setting))

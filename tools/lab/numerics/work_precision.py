@@ -156,7 +156,7 @@ def judge(panel: Panel, rows: Sequence[Row]) -> list[Judged]:
 
 
 def advice(panel: Panel, judged: Sequence[Judged]) -> list[str]:
-    """What to take, and what the default is worth beside it; scenes of which the same is to be said together."""
+    """Return what to take, and what the default is worth beside it; scenes of which the same is to be said together."""
     said: dict[str, list[str]] = {}
     for one in judged:
         said.setdefault(_worth(one), []).append(one.cheap.scene)

@@ -211,7 +211,7 @@ def push_frames(frames: Sequence[Levels], fps: float, link: Link, choose: Choose
 
 
 def _download(size: int, begin_s: float, arrival_s: float) -> Download:
-    """What the throughput estimate sees; a download that rounds to no time still has a rate."""
+    """Return what the throughput estimate sees; a download that rounds to no time still has a rate."""
     return Download(max(1, size), max(arrival_s - begin_s, SHORTEST_S))
 
 

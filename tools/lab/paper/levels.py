@@ -79,7 +79,7 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def page(levels: Sequence[DenseLevel], frames: int) -> Page:
-    """What the levels of a package of so many frames say."""
+    """Return what the levels of a package of so many frames say."""
     pruned = Table("pruned", list(_pruned_rows(levels, frames)), PRUNED)
     ladders = {title: list(_ladder_rows(title, some, frames)) for title, some in _ladders(levels).items()}
     rows = [row for some in ladders.values() for row in some]

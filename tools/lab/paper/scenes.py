@@ -33,7 +33,7 @@ class Subject:
         return Subject(self.name, self.folder, (start, last), min(self.size or QUICK_SIZE, QUICK_SIZE), self.near)
 
     def words(self) -> dict[str, object]:
-        """What decides its pictures, as JSON."""
+        """Return what decides its pictures, as JSON."""
         return {"scene": self.folder.resolve().name, "frames": self.frames, "size": self.size, "near": self.near}
 
     def open(self) -> MultiviewScene:
@@ -42,7 +42,7 @@ class Subject:
         return scene if self.near is None else with_near(scene, self.near)
 
     def footage(self, folder: Path) -> Footage:
-        """What a method is trained on, into a folder. Raises SceneError."""
+        """Return what a method is trained on, into a folder. Raises SceneError."""
         scene = self.open()
         return Footage(Pictures(scene, max_size=self.size), len(scene), scene.points, folder, self.words())
 

@@ -64,7 +64,7 @@ class Stream:
 
     @property
     def frames(self) -> int:
-        """How many there are."""
+        """Return how many there are."""
         return len(self.levels[0].sizes)
 
     def table(self, log: FrameLog) -> dict[str, Any]:

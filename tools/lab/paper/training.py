@@ -83,7 +83,7 @@ def train(_: int, job: Job) -> Trained:
 
 
 def row_of(trained: Trained) -> dict[str, Any]:
-    """What the tables say of a method.
+    """Return what the tables say of a method.
 
     PSNR and deviations from their mean in dB; seconds of one core, those of a keyframe after the first frame with
     rejected fits in its group included, None where there is none.

@@ -177,6 +177,6 @@ def _fail(fault: str, cluster: Cluster, work: Path, rng: random.Random, made: Co
 
 
 def _same(one: Path, other: Path) -> bool:
-    """Whether two folders have the same files with the same bytes."""
+    """Return whether two folders have the same files with the same bytes."""
     files = [sorted(p.relative_to(folder) for p in folder.rglob("*") if p.is_file()) for folder in (one, other)]
     return files[0] == files[1] and not any(filecmp.cmpfiles(one, other, files[0], shallow=False)[1:])

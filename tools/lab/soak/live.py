@@ -111,7 +111,7 @@ class Day:
 
     @property
     def groups(self) -> int:
-        """How many there are by now."""
+        """Return how many there are by now."""
         return len(self.package.manifest.groups)
 
     def add(self, with_files: bool) -> None:
@@ -130,7 +130,7 @@ class Day:
 
 
 def _split(path: str) -> tuple[str, int, str]:
-    """What stands before and behind the number of a file, and that."""
+    """Return what stands before and behind the number of a file, and that."""
     head, _, name = path.rpartition("/")
     number, dot, tail = name.partition(".")
     return f"{head}/", int(number), dot + tail

@@ -26,9 +26,20 @@ from airgs_codec.play.trace import open_trace
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, expect_names, required, setting
-from tools.lab.tiles.runs import AMPLE, BY_VIEW, TILED, WHOLE, Bench, add_savings, links_of, row_of
+from tools.lab.tiles.runs import (
+    AMPLE,
+    BY_VIEW,
+    HELD_OUT,
+    TILED,
+    VIEWERS,
+    WHOLE,
+    Bench,
+    Watcher,
+    add_savings,
+    links_of,
+    row_of,
+)
 from tools.lab.tiles.screen import Screen
-from tools.lab.tiles.viewer import HELD_OUT, VIEWERS, Watcher
 
 AMPLE_MBPS = "const:1000"
 COLUMNS = {

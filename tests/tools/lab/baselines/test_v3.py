@@ -23,8 +23,7 @@ from tests.support.scenes import random_gaussians
 from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud
 from tools.lab.baselines.method import Footage, frame_path, run_method
-from tools.lab.baselines.residual import ResidualLoss, estimated_bits
-from tools.lab.baselines.v3 import V3, V3Settings, fit_frame, fit_key
+from tools.lab.baselines.v3 import V3, ResidualLoss, V3Settings, estimated_bits, fit_frame, fit_key
 from tools.lab.rd.layouts import v3_layout
 
 SMALL = V3Settings(
