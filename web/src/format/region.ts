@@ -71,9 +71,11 @@ export function keepInside(
     const away = minus(at, place.position);
     at = along(place.position, away, place.reach / length(away));
   }
-  const kept = { position: at, forward: vector(forward) };
-  if (departureFrom(place, region.turn, kept).degrees > 0) kept.forward = towards(place, region.turn, kept);
-  return kept;
+  const inside = { position: at, forward: vector(forward) };
+  if (departureFrom(place, region.turn, inside).degrees > 0) {
+    inside.forward = towards(place, region.turn, inside);
+  }
+  return inside;
 }
 
 /** The direction nearest to `forward` that is `turn` degrees off the focus of a place. */

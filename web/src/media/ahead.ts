@@ -28,7 +28,7 @@ export class Ahead {
   }
 
   /**
-   * Resolves when another picture of a call may be decoded. One that has none ahead is never kept waiting: the others are
+   * Resolves when another picture of a call may be decoded. One that has none ahead never waits: the others are
    * shown together with it.
    */
   async room(id: number, signal: AbortSignal): Promise<void> {

@@ -13,7 +13,7 @@ export interface Batch {
   endMs: number;
   /** Over the network, headers included. */
   bytes: number;
-  /** Nothing came over the network: the browser had kept all of it. */
+  /** Nothing came over the network: all of it was cached. */
   cached: boolean;
   whole: string[];
   refused: Map<string, FormatError>;
@@ -86,13 +86,13 @@ class Run {
 
   async result(): Promise<Batch> {
     const endMs = nowMs();
-    const kept = await Promise.all(this.#files.map(({ url, askedMs }) => fromCache(url, askedMs)));
-    const bytes = this.#files.reduce((sum, file, i) => sum + (kept[i] ? 0 : file.bytes), 0);
+    const cached = await Promise.all(this.#files.map(({ url, askedMs }) => fromCache(url, askedMs)));
+    const bytes = this.#files.reduce((sum, file, i) => sum + (cached[i] ? 0 : file.bytes), 0);
     return {
       firstByteMs: this.#firstByteMs ?? endMs,
       endMs,
       bytes,
-      cached: kept.length > 0 && kept.every(Boolean),
+      cached: cached.length > 0 && cached.every(Boolean),
       whole: this.#whole,
       refused: this.#refused,
       retries: this.#retries,
@@ -107,19 +107,19 @@ class Run {
   }
 }
 
-/** Whether the browser had kept an answer, so that its time says nothing of the network. */
+/** Whether an answer was cached, so that its time says nothing of the network. */
 async function fromCache(url: string, askedMs: number): Promise<boolean> {
   for (let look = 0; look < LOOKS; look++) {
     const entries = performance.getEntriesByName(url, "resource") as PerformanceResourceTiming[];
     const entry = entries.filter(({ startTime }) => startTime >= askedMs - 1).at(-1); // browsers coarsen times to 1 ms
-    if (entry) return isKept(entry);
+    if (entry) return isCached(entry);
     await pause(LOOK_MS);
   }
   return false;
 }
 
 /** Other sites that do not let pages see times give 0 for all of them: then nothing is known. */
-function isKept(entry: PerformanceResourceTiming & { deliveryType?: string }): boolean {
+function isCached(entry: PerformanceResourceTiming & { deliveryType?: string }): boolean {
   if (entry.deliveryType === "cache") return true;
   return entry.transferSize === 0 && entry.decodedBodySize > 0 && entry.responseStart > 0;
 }

@@ -24,7 +24,7 @@ export interface Fetched {
   endS: number;
   /** Bytes that came over the network, with about 350 for the headers of each answer. */
   bytes: number;
-  /** All of it was kept by the browser: the time says nothing of the network. */
+  /** All of it was cached by the browser: the time says nothing of the network. */
   cached: boolean;
   /** Files that came and are what the tables say. */
   whole: string[];
@@ -35,7 +35,7 @@ export interface Fetched {
 }
 
 export interface FetchOptions {
-  /** Gives up: what is whole by then counts, and the promise is kept. */
+  /** Gives up: what is whole by then counts, and the promise resolves. */
   signal?: AbortSignal | undefined;
   /** Is told how many bytes of the batch have come so far. */
   onProgress?: (bytes: number) => void;
@@ -78,7 +78,7 @@ export class Media {
     }
   }
 
-  /** Fetches files at once. Tables among them are added to `tables`; the others are kept as long as there is room. */
+  /** Fetches files at once. Tables among them are added to `tables`; the others are stored as long as there is room. */
   async fetch(paths: string[], options: FetchOptions = {}): Promise<Fetched> {
     const { signal, onProgress, attempts = ATTEMPTS } = options;
     const batch = await this.#caller.call(

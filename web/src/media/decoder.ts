@@ -26,7 +26,7 @@ export interface DecodeOptions {
   room?: (() => Promise<void>) | undefined;
 }
 
-/** What becomes of the n-th picture; its samples are good until the promise is kept. */
+/** What becomes of the n-th picture; its samples are good until the promise resolves. */
 export type TakeSamples = (samples: Samples, n: number) => void | Promise<void>;
 
 /**
@@ -161,7 +161,7 @@ class Pass {
   /** Pictures that are not taken yet. */
   open = 0;
   error: Error | null = null;
-  /** Kept when every picture that came so far is closed, and taken unless something went wrong. */
+  /** Resolves when every picture that came so far is closed, and taken unless something went wrong. */
   copies: Promise<void> = Promise.resolve();
   #last = Number.NEGATIVE_INFINITY;
 

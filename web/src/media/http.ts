@@ -26,7 +26,7 @@ export interface Ask {
   attempts: number;
   /** Wait for a server that is away; else it is a TransportError. */
   patient: boolean;
-  /** What is kept of an earlier answer is to be checked with the server. */
+  /** A cached answer is to be checked with the server. */
   changing: boolean;
   signal: AbortSignal;
   /** Takes the file in. Throws FormatError for one that is not what it should be. */
@@ -134,7 +134,7 @@ class Answer {
     onAsk(url);
     this.#listen();
     try {
-      const cache = again ? "reload" : changing ? "no-cache" : "default"; // what is kept may be what was wrong
+      const cache = again ? "reload" : changing ? "no-cache" : "default"; // a cached answer may be what was wrong
       return await fetch(url, { cache, signal: this.#stop.signal });
     } catch (error) {
       throw new PassingError(path, `the server cannot be reached: ${reason(error)}`, "unreachable");

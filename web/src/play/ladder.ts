@@ -49,8 +49,8 @@ export function buildLadder(options: readonly Option[], cliff: Cliff = {}): Opti
   const { beta = DEFAULT_BETA, epsDb = EPS_DB, cliffDb = CLIFF_DB, minQuality = -Infinity } = cliff;
   if (!(beta > 1)) throw new ConfigError(`cliff multiplier: expected more than 1, got ${beta}`);
   const front = pareto(options.map(checked));
-  const kept = front.slice(0, 1);
-  let steps = 0; // of 10 %, from the best level to the last one kept
+  const ladder = front.slice(0, 1);
+  let steps = 0; // of 10 %, from the best level to the last of the ladder
   for (let i = 1; i < front.length; i++) {
     const [option, previous] = [front[i], front[i - 1]];
     const tenths = Math.max(1, 10 * (option.saved - previous.saved));
@@ -58,10 +58,10 @@ export function buildLadder(options: readonly Option[], cliff: Cliff = {}): Opti
     const mean = steps ? Math.max(epsDb, (front[0].quality - previous.quality) / steps) : null;
     const past = mean === null ? drop > cliffDb : drop / mean > beta;
     if (past || option.quality < minQuality) break;
-    kept.push(option);
+    ladder.push(option);
     steps += tenths;
   }
-  return kept;
+  return ladder;
 }
 
 function checked(option: Option): Option {
@@ -108,23 +108,19 @@ export const savedShares = (sizes: ArrayLike<number>): number[] =>
  */
 export function selectLiteral(options: readonly Option[], budgetBytes: number, beta = DEFAULT_BETA): number | null {
   if (!options.length) throw new ConfigError("Algorithm 1: expected at least one level, got none");
-  const kept = [0];
-  let answer: number | null = null;
+  let count = 1; // of levels before the cliff
   let previous = options.length > 1 ? options[1].quality - options[0].quality : 0;
-  for (let i = 1; i < options.length; i++) {
-    const drop = options[i].quality - options[i - 1].quality;
-    if (ratio(drop, previous) > beta) {
-      answer = i;
-      break;
-    }
-    kept.push(i);
+  for (; count < options.length; count++) {
+    const drop = options[count].quality - options[count - 1].quality;
+    if (ratio(drop, previous) > beta) break;
     previous = drop;
   }
-  let [low, high] = [0, kept.length - 1];
+  let answer = count < options.length ? count : null;
+  let [low, high] = [0, count - 1];
   while (low <= high) {
     const middle = (low + high) >> 1;
-    if (options[kept[middle]].sizeBytes <= budgetBytes) {
-      answer = kept[middle];
+    if (options[middle].sizeBytes <= budgetBytes) {
+      answer = middle;
       high = middle - 1;
     } else low = middle + 1;
   }

@@ -19,7 +19,7 @@ import type { PlayerStats, Statistics } from "./statistics.ts";
 import { Stores } from "./stores.ts";
 
 const TIME_EVENT_S = 0.25;
-/** A page that is kept from showing anything for longer loses no frames by it, seconds. */
+/** A page that shows nothing for longer loses no frames by it, seconds. */
 const LONGEST_TICK_S = 0.25;
 
 export interface PlayerOptions {
@@ -239,7 +239,7 @@ export class Playback {
     const clips = [...this.#pipeline.clips];
     const layers = clips.flatMap((clip) => clip.layers);
     for (const layer of layers) if (layer.frames[0] !== undefined) this.screen.prepare(layer);
-    this.screen.keep(new Set(layers.map((layer) => layer.canonical)));
+    this.screen.retain(new Set(layers.map((layer) => layer.canonical)));
   }
 
   readonly #tick = (): void => {

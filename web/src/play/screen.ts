@@ -126,7 +126,7 @@ export class Screen {
   }
 
   /** Free the scenes of all canonical spaces but these and the one on the screen. */
-  keep(spaces: ReadonlySet<Canonical>): void {
+  retain(spaces: ReadonlySet<Canonical>): void {
     for (const [canonical, stage] of this.#stages) {
       if (spaces.has(canonical) || this.#shown?.includes(stage)) continue;
       this.#renderer?.free(stage.scene);

@@ -2,9 +2,8 @@
 import { colourChannels } from "../format/steps.ts";
 import type { KeyPart } from "../format/types.ts";
 import { KEY_AT } from "../generated/constants.ts";
-import { type CodeTable, codeTable } from "./codes.ts";
 import type { InUse, Programs } from "./programs.ts";
-import { Samples } from "./samples.ts";
+import { type CodeTable, codeTable, Samples } from "./samples.ts";
 import { KEY_GEOMETRY, keyColours, LAYERS_A_PASS, ROW_WIDTH, WHOLE } from "./shaders.ts";
 import { framebuffer, type Texture, texture, writeRows } from "./textures.ts";
 

@@ -5,9 +5,8 @@
 import { colourChannels, colourMatrix, colourSteps, keySteps, stateSteps } from "../format/steps.ts";
 import type { Atlas, Canonical, Group, Root } from "../format/types.ts";
 import { STATE_AT, STATIC } from "../generated/constants.ts";
-import { type CodeTable, codeTable } from "./codes.ts";
 import { KeyPasses } from "./key-passes.ts";
-import { Samples } from "./samples.ts";
+import { type CodeTable, codeTable, Samples } from "./samples.ts";
 import { ROW_WIDTH } from "./shaders.ts";
 import { framebuffer, RenderError, type Texture, texture, write, writeRows } from "./textures.ts";
 

@@ -1,7 +1,7 @@
 // GLSL that passes over rows share, and the passes that make the canonical space of a group (FORMAT.md, sections 4 and
 // 5).
 //
-// A pass over rows draws one triangle over the row textures: each fragment is a row. Attributes are kept as the bits of
+// A pass over rows draws one triangle over the row textures: each fragment is a row. Attributes are stored as the bits of
 // floats in RGBA32UI textures, which core WebGL2 can draw into.
 import { BLOCK, ESCAPE_UNIT, GREY, KEY_AT, SMALL_ANGLE } from "../generated/constants.ts";
 

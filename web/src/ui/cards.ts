@@ -45,28 +45,23 @@ export class Notes {
     const old = this.#find(name);
     if (old) write(old, text);
     else this.node.append(make("div", { class: "note", "data-name": name }, text));
-    window.clearTimeout(this.#timers.get(name));
-    this.#timers.delete(name);
-    if (ms !== undefined)
-      this.#timers.set(
-        name,
-        window.setTimeout(() => this.hide(name), ms),
-      );
+    this.#hideIn(name, ms);
   }
 
   /** At once, or in a while unless it is shown again. */
   hide(name: string, ms = 0): void {
     if (ms > 0) {
-      if (this.#find(name) && !this.#timers.has(name))
-        this.#timers.set(
-          name,
-          window.setTimeout(() => this.hide(name), ms),
-        );
+      if (this.#find(name) && !this.#timers.has(name)) this.#hideIn(name, ms);
       return;
     }
+    this.#hideIn(name);
+    this.#find(name)?.remove();
+  }
+
+  #hideIn(name: string, ms?: number): void {
     window.clearTimeout(this.#timers.get(name));
     this.#timers.delete(name);
-    this.#find(name)?.remove();
+    if (ms !== undefined) this.#timers.set(name, window.setTimeout(this.hide.bind(this), ms, name));
   }
 
   close(): void {

@@ -101,9 +101,11 @@ export class Orbit {
   /** Whether the viewer is where nobody promises anything. */
   get outside(): boolean {
     if (!this.region) return false;
-    const kept = keepInside(this.region, this.#pose.position, this.#pose.forward);
-    const out = length(minus(this.#pose.position, kept.position));
-    return out > STILL * length(minus(kept.position, this.#pivot)) || angle(this.#pose.forward, kept.forward) > STILL;
+    const inside = keepInside(this.region, this.#pose.position, this.#pose.forward);
+    const out = length(minus(this.#pose.position, inside.position));
+    return (
+      out > STILL * length(minus(inside.position, this.#pivot)) || angle(this.#pose.forward, inside.forward) > STILL
+    );
   }
 
   /** No motion any more. */
@@ -257,15 +259,15 @@ export class Orbit {
   #ease(seconds: number): boolean {
     if (!this.region || this.free) return false;
     const { position, forward } = this.#pose;
-    const kept = keepInside(this.region, this.#pose.position, this.#pose.forward);
-    const out = length(minus(position, kept.position));
-    const off = angle(forward, kept.forward);
+    const inside = keepInside(this.region, this.#pose.position, this.#pose.forward);
+    const out = length(minus(position, inside.position));
+    const off = angle(forward, inside.forward);
     if (out === 0 && off === 0) return false;
-    const small = STILL * length(minus(kept.position, this.#pivot));
+    const small = STILL * length(minus(inside.position, this.#pivot));
     const share = out < small && off < STILL ? 1 : 1 - Math.exp(-seconds / BACK_S);
     this.#pose = {
-      position: share === 1 ? kept.position : along(position, minus(kept.position, position), share),
-      forward: share === 1 ? kept.forward : between(forward, kept.forward, share),
+      position: share === 1 ? inside.position : along(position, minus(inside.position, position), share),
+      forward: share === 1 ? inside.forward : between(forward, inside.forward, share),
     };
     this.#pan = along([0, 0, 0], this.#pan, Math.exp(-seconds / REST_S));
     return true;
@@ -296,15 +298,15 @@ export function placeOf(region: Region, pose: Pose): Place {
 /** Where a viewer is who is pulled to `pose`: the same inside, held back outside; `strain` is 0 inside and below 1. */
 export function softened(region: Region, pose: Pose): Pose & { strain: number } {
   const place = placeOf(region, pose);
-  const kept = keepInside(region, pose.position, pose.forward);
-  const pull = minus(pose.position, kept.position);
+  const inside = keepInside(region, pose.position, pose.forward);
+  const pull = minus(pose.position, inside.position);
   const out = length(pull);
   const give = GIVE_SHARE * length(minus(vector(place.focus), vector(place.position)));
-  const off = angle(kept.forward, pose.forward);
+  const off = angle(inside.forward, pose.forward);
   const strain = Math.max(rubber(out, give) / give, rubber(off, GIVE_ANGLE) / GIVE_ANGLE);
   return {
-    position: out > 0 ? along(kept.position, pull, rubber(out, give) / out) : pose.position,
-    forward: off > 0 ? between(kept.forward, pose.forward, rubber(off, GIVE_ANGLE) / off) : pose.forward,
+    position: out > 0 ? along(inside.position, pull, rubber(out, give) / out) : pose.position,
+    forward: off > 0 ? between(inside.forward, pose.forward, rubber(off, GIVE_ANGLE) / off) : pose.forward,
     strain,
   };
 }

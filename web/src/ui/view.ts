@@ -5,12 +5,11 @@ import type { RungInfo } from "../play/rungs.ts";
 import { rungColours } from "./colours.ts";
 import type { Desk } from "./desk.ts";
 import { EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
-import { FullScreen } from "./fullscreen.ts";
 import { Gestures } from "./gestures.ts";
 import { listenToKeys } from "./keys.ts";
 import { Orbit } from "./orbit.ts";
 import { pictureSize, Sharpness } from "./sharpness.ts";
-import { type Looks, Shell } from "./shell.ts";
+import { FullScreen, type Looks, Shell } from "./shell.ts";
 import { troubleOf } from "./trouble.ts";
 
 const UPDATE_MS = 250;
