@@ -8,7 +8,7 @@ import type { Canonical, StateFrame } from "../format/types.ts";
 import { ATTEMPTS, MAX_ROOT_BYTES, ROOT_PATH } from "../generated/constants.ts";
 import { Ahead } from "./ahead.ts";
 import { ByteStore, type FileAsk, fetchBatch } from "./batch.ts";
-import { aborted, toWire } from "./errors.ts";
+import { aborted, fromWire, toWire } from "./errors.ts";
 import { checkReprDigest, FileClient } from "./http.ts";
 import type { Calls, CanonicalName, Opened, WireBatch } from "./messages.ts";
 import { PictureDecoder } from "./pictures.ts";
@@ -56,17 +56,13 @@ export class Engine {
     const probing = probeBrowser();
     probing.catch(() => {}); // it is waited for below
     const client = new FileClient(url);
-    let found: { tables: Tables; bytes: Uint8Array } | null = null;
-    const take = (bytes: Uint8Array) => {
-      found = { tables: Tables.parse(bytes), bytes };
-    };
-    const batch = await fetchBatch(client, [askRoot(attempts, false, take)], signal, () => {});
+    const found: Tables[] = [];
+    const batch = await fetchRoot(client, attempts, false, signal, (bytes) => found.push(Tables.parse(bytes)));
     const probe = await probing;
-    for (const error of batch.refused.values()) throw error;
-    const { tables, bytes } = found ?? fail(aborted());
-    const engine = new Engine(client, probe, tables, aheadBytes);
-    const wire: WireBatch = { ...batch, refused: [], tables: [[ROOT_PATH, bytes]] };
-    return { engine, opened: { luma: probe.luma, batch: wire } };
+    for (const [, error] of batch.refused) throw fromWire(error);
+    const [tables] = found;
+    if (!tables) throw aborted();
+    return { engine: new Engine(client, probe, tables, aheadBytes), opened: { luma: probe.luma, batch } };
   }
 
   async fetch({ paths, attempts }: Calls["fetch"]["args"], { signal, emit }: Context<number>): Promise<WireBatch> {
@@ -86,13 +82,7 @@ export class Engine {
 
   /** Reads airgs.json of a growing package again. */
   async refreshRoot({ attempts }: Calls["refreshRoot"]["args"], { signal }: Context<never>): Promise<WireBatch> {
-    const tables: [string, Uint8Array][] = [];
-    const take = (bytes: Uint8Array) => {
-      this.tables.grow(bytes);
-      tables.push([ROOT_PATH, bytes]);
-    };
-    const batch = await fetchBatch(this.client, [askRoot(attempts, true, take)], signal, () => {});
-    return { ...batch, refused: [...batch.refused].map(([path, error]) => [path, toWire(error)]), tables };
+    return fetchRoot(this.client, attempts, true, signal, (bytes) => this.tables.grow(bytes));
   }
 
   async canonical(name: CanonicalName, { signal }: Context<never>): Promise<Canonical> {
@@ -189,20 +179,27 @@ export class Engine {
 
 const nameOf = ({ group, tile, quality, tiers }: CanonicalName) => `${group} ${tile} ${quality} ${tiers}`;
 
-function askRoot(attempts: number, patient: boolean, take: (bytes: Uint8Array) => void): FileAsk {
+/** Fetches airgs.json, which `take` takes in; `patient`: waits for a server that is away. */
+async function fetchRoot(
+  client: FileClient,
+  attempts: number,
+  patient: boolean,
+  signal: AbortSignal,
+  take: (bytes: Uint8Array) => void,
+): Promise<WireBatch> {
+  const tables: [string, Uint8Array][] = [];
   const accept = async (bytes: Uint8Array, headers: Headers) => {
     await checkReprDigest(ROOT_PATH, bytes, headers);
     take(bytes);
+    tables.push([ROOT_PATH, bytes]);
   };
-  return { path: ROOT_PATH, limit: MAX_ROOT_BYTES, attempts, patient, changing: true, accept };
+  const ask = { path: ROOT_PATH, limit: MAX_ROOT_BYTES, attempts, patient, changing: true, accept };
+  const batch = await fetchBatch(client, [ask], signal, () => {});
+  return { ...batch, refused: [...batch.refused].map(([path, error]) => [path, toWire(error)]), tables };
 }
 
 function asFormatError(path: string, error: unknown): FormatError {
   if (error instanceof FormatError) return error;
   if (!(error instanceof MissingTableError || error instanceof RangeError)) throw error;
   return new FormatError("missing_entry", path, error.message);
-}
-
-function fail(error: Error): never {
-  throw error;
 }

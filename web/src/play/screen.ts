@@ -19,9 +19,6 @@ interface Stage {
   frame: number;
   /** (3N) means that the sorter does not have yet; null: it has them. */
   means: Float32Array | null;
-  sorting: boolean;
-  /** Something changed since the order under way was asked for. */
-  stale: boolean;
 }
 
 export interface ScreenOptions {
@@ -90,24 +87,24 @@ export class Screen {
       if (stage && (isReady || this.#shown?.includes(stage))) shown.push(stage);
       if (isReady && layer.shown !== frame) changed.push({ stage, layer });
     }
-    for (const { stage, layer } of changed) this.#change(renderer, stage, layer, frame);
+    for (const { stage, layer } of changed) this.#change(stage, layer, frame);
     this.#shown = shown;
     this.#dirty = true;
     return true;
   }
 
   /** Bring a scene to a frame of a tile. */
-  #change(renderer: Renderer, stage: Stage, layer: Layer, frame: number): void {
+  #change(stage: Stage, layer: Layer, frame: number): void {
     if (stage.layer !== layer || frame < stage.frame) {
-      renderer.level(stage.scene, layer.level);
+      stage.scene.begin(layer.level);
       Object.assign(stage, { layer, frame: -1 });
     }
     for (let t = stage.frame + 1; t <= frame; t++) {
       const { bases } = layer.frames[t] ?? { bases: null };
-      if (bases) renderer.bases(stage.scene, bases);
+      if (bases) stage.scene.change(bases);
     }
     const state = layer.frames[frame] ?? null;
-    renderer.state(stage.scene, layer.atlas, state?.luma ?? null);
+    stage.scene.state(layer.atlas, state?.luma ?? null);
     stage.means = state?.means ?? layer.canonical.means;
     layer.shown = stage.frame = frame;
     this.#sort(stage);
@@ -157,28 +154,21 @@ export class Screen {
     const scene = this.#renderer.scene(this.tables.root, table, canonical, base);
     const means = frames.find((frame) => frame?.means.length)?.means ?? canonical.means;
     const key = `${this.#made++}`;
-    const stage: Stage = { key, canonical, scene, layer: null, frame: -1, means, sorting: false, stale: false };
+    const stage: Stage = { key, canonical, scene, layer: null, frame: -1, means };
     this.#stages.set(canonical, stage);
     this.#sort(stage);
     return stage;
   }
 
-  /** Ask for the order of a stage; while one is under way, only the newest question counts. */
+  /** Ask for the order of a stage; of those that wait, the sorter answers the newest question alone. */
   async #sort(stage: Stage): Promise<void> {
-    stage.stale = true;
-    if (stage.sorting) return;
-    stage.sorting = true;
-    while (stage.stale && this.#view) {
-      stage.stale = false;
-      const { means } = stage;
-      stage.means = null;
-      const rows = await this.#sorter.order(means, stage.key, cameraOf(this.#view, 1, 1));
-      if (this.#stages.get(stage.canonical) !== stage || !this.#renderer) return;
-      if (!rows) continue;
-      this.#renderer.order(stage.scene, rows);
-      this.#dirty ||= this.#shown?.includes(stage) ?? false;
-    }
-    stage.sorting = false;
+    if (!this.#view) return;
+    const { means } = stage;
+    stage.means = null;
+    const rows = await this.#sorter.order(means, stage.key, cameraOf(this.#view, 1, 1));
+    if (!rows || this.#stages.get(stage.canonical) !== stage || !this.#renderer) return;
+    stage.scene.sort(rows);
+    this.#dirty ||= this.#shown?.includes(stage) ?? false;
   }
 
   #lose(): void {

@@ -3,7 +3,7 @@
 //
 // Passes: key (once a scene), projection (once a picture or camera), splats, and the canvas. N rows of a group.
 import { colourChannels } from "../format/steps.ts";
-import type { Atlas, BaseChanges, Camera, Canonical, Group, Root } from "../format/types.ts";
+import type { Camera, Canonical, Group, Root } from "../format/types.ts";
 import { prepareKeys, setCodes } from "./key-passes.ts";
 import { Programs } from "./programs.ts";
 import { projection, setView } from "./project-shader.ts";
@@ -11,7 +11,7 @@ import { Scene } from "./scene.ts";
 import { ROW_WIDTH, WHOLE } from "./shaders.ts";
 import { QUADS, SHOW, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./splat-shaders.ts";
 import { Target, type TargetFormat, targetFormat } from "./target.ts";
-import { RenderError, type Texture, texture, writeRows } from "./textures.ts";
+import { RenderError, type Texture, texture } from "./textures.ts";
 
 export { RenderError, Scene };
 
@@ -44,6 +44,7 @@ export class Renderer {
   readonly #onLost = (event: Event) => {
     event.preventDefault(); // then the browser restores it, for another renderer
     this.#wasLost = true;
+    for (const scene of this.#scenes) scene.freed = true;
   };
   readonly #scenes = new Set<Scene>();
   #picture: Target | null = null;
@@ -105,43 +106,9 @@ export class Renderer {
   scene(root: Root, group: Group, canonical: Canonical, base: Group | null = null): Scene {
     this.prepare(root.sh_degree);
     const scene = new Scene(this.#gl, root, group, canonical, base);
+    scene.freed = this.lost;
     this.#scenes.add(scene);
     return scene;
-  }
-
-  /** A segment of a level begins: its bases are 0. What is drawn stays until `state`. */
-  level(scene: Scene, level: number): void {
-    if (this.#gone(scene)) return;
-    scene.begin(level);
-  }
-
-  /** Base changes of the next picture of the segment, whether it is shown or dropped. */
-  bases(scene: Scene, changes: BaseChanges): void {
-    if (this.#gone(scene)) return;
-    scene.coming?.samples.change(changes);
-  }
-
-  /**
-   * The picture that is shown from now on: luma of all pages of the level's atlas, whose bases were told before. null:
-   * the canonical space, where a level has no picture.
-   */
-  state(scene: Scene, atlas: Atlas, luma: Uint8Array | null): void {
-    if (this.#gone(scene)) return;
-    if (luma && scene.coming && scene.coming.atlas !== atlas) {
-      throw new RenderError(`a state: expected the atlas of level ${scene.coming.level}, got another`);
-    }
-    scene.setState(luma);
-  }
-
-  /** Rows far to near, as `Sorter` gives them. */
-  order(scene: Scene, rows: Uint32Array): void {
-    if (this.#gone(scene)) return;
-    if (rows.length > scene.rows) {
-      throw new RenderError(`an order: expected at most ${scene.rows} rows, got ${rows.length}`);
-    }
-    writeRows(this.#gl, scene.order, rows);
-    scene.visible = rows.length;
-    scene.ordered = true;
   }
 
   /**
@@ -149,7 +116,7 @@ export class Renderer {
    * the key passes run, in a task of their own, when somebody asks after their programs were compiled.
    */
   ready(scene: Scene): boolean {
-    if (this.#gone(scene) || !this.#finishKeys(scene) || !scene.ordered) return false;
+    if (this.lost || scene.freed || !this.#finishKeys(scene) || !scene.ordered) return false;
     return this.#programs.done([PROJECTION + scene.degree]) && this.#finishes;
   }
 
@@ -207,10 +174,6 @@ export class Renderer {
     gl.deleteVertexArray(this.#splats);
     gl.deleteBuffer(this.#corners);
     gl.deleteSync(this.#drawing);
-  }
-
-  #gone(scene: Scene): boolean {
-    return this.lost || scene.freed;
   }
 
   /**

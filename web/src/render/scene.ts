@@ -3,7 +3,7 @@
 //
 // A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
 import { colourChannels, colourMatrix, colourSteps, keySteps, stateSteps } from "../format/steps.ts";
-import type { Atlas, Canonical, Group, Root } from "../format/types.ts";
+import type { Atlas, BaseChanges, Canonical, Group, Root } from "../format/types.ts";
 import { STATE_AT, STATIC } from "../generated/constants.ts";
 import { KeyPasses } from "./key-passes.ts";
 import { type CodeTable, codeTable, Samples } from "./samples.ts";
@@ -84,11 +84,16 @@ export class Scene {
     this.keys = new KeyPasses(gl, this, canonical.parts, coding(group, this.transform), baseCoding);
   }
 
-  /** A segment of a level begins. What is shown stays until `setState`. */
+  /** Whether nothing can be changed any more: it was released, or the context was lost. */
+  get #gone(): boolean {
+    return this.freed || this.gl.isContextLost();
+  }
+
+  /** A segment of a level begins: its bases are 0. What is drawn stays until `state`. */
   begin(level: number): void {
-    const held = this.#next ?? this.shown;
-    if (held?.level === level) {
-      held.samples.reset();
+    if (this.#gone) return;
+    if (this.#coming?.level === level) {
+      this.#coming.samples.reset();
       return;
     }
     this.#drop();
@@ -97,24 +102,47 @@ export class Scene {
     this.#next = { level, atlas, codes, samples: new Samples(this.gl, atlas) };
   }
 
+  /** Base changes of the next picture of the segment, whether it is shown or dropped. */
+  change(bases: BaseChanges): void {
+    if (!this.#gone) this.#coming?.samples.change(bases);
+  }
+
   /** The level that pictures are of. */
-  get coming(): LevelView | null {
+  get #coming(): LevelView | null {
     return this.#next ?? this.shown;
   }
 
-  /** Shows a picture of the coming level, null: the canonical space. */
-  setState(luma: Uint8Array | null): void {
+  /**
+   * The picture that is shown from now on: luma of all pages of the level's atlas, whose bases were told before. null:
+   * the canonical space, where a level has no picture. Throws RenderError for a picture of another atlas.
+   */
+  state(atlas: Atlas, luma: Uint8Array | null): void {
+    if (this.#gone) return;
+    const view = this.#coming;
+    if (luma && !view) throw new RenderError("a state: expected a level before it, got none");
+    if (luma && view?.atlas !== atlas) {
+      throw new RenderError(`a state: expected the atlas of level ${view?.level}, got another`);
+    }
     this.projectedFor = null;
     this.moving = luma !== null;
-    if (!luma) return;
-    const view = this.coming;
-    if (!view) throw new RenderError("a state: expected a level before it, got none");
+    if (!luma || !view) return;
     view.samples.setLuma(luma);
     view.samples.upload();
     if (view === this.shown) return;
     this.shown?.samples.free();
     [this.shown, this.#next] = [view, null];
     writeRows(this.gl, this.ranks, ranksOf(this.canonical.depths, view.level));
+  }
+
+  /** Rows far to near, as `Sorter` gives them. Throws RenderError for more than there are. */
+  sort(rows: Uint32Array): void {
+    if (this.#gone) return;
+    if (rows.length > this.rows) {
+      throw new RenderError(`an order: expected at most ${this.rows} rows, got ${rows.length}`);
+    }
+    writeRows(this.gl, this.order, rows);
+    this.visible = rows.length;
+    this.ordered = true;
   }
 
   free(): void {

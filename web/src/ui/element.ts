@@ -18,9 +18,15 @@ const TEXTS = new Map([
   ["quality", "auto"],
 ]);
 
+/** What the player is asked for, and the answer without one. */
+const ASKED = { paused: true, ended: false, duration: 0 } as const;
+
 /** An element with a player and its controls; a subclass says which player. */
 export abstract class PlayerElement extends Base implements Owner {
   static readonly observedAttributes = ["all-tiles", "budget", "view-region", "src", ...FLAGS, ...TEXTS.keys()];
+  declare readonly paused: boolean;
+  declare readonly ended: boolean;
+  declare readonly duration: number;
   declare autoplay: boolean;
   declare controls: boolean;
   declare loop: boolean;
@@ -81,18 +87,6 @@ export abstract class PlayerElement extends Base implements Owner {
   /** Go to `seconds` of the time line. */
   seek(seconds: number): void {
     this.player?.seek(seconds);
-  }
-
-  get paused(): boolean {
-    return this.player?.paused ?? true;
-  }
-
-  get ended(): boolean {
-    return this.player?.ended ?? false;
-  }
-
-  get duration(): number {
-    return this.player?.duration ?? 0;
   }
 
   get currentTime(): number {
@@ -171,6 +165,13 @@ for (const [name, otherwise] of TEXTS) {
     },
     set: function (this: HTMLElement, text: string) {
       this.setAttribute(name, text);
+    },
+  });
+}
+for (const [name, otherwise] of Object.entries(ASKED) as [keyof typeof ASKED, unknown][]) {
+  Object.defineProperty(PlayerElement.prototype, name, {
+    get: function (this: PlayerElement) {
+      return this.player?.[name] ?? otherwise;
     },
   });
 }

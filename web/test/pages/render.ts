@@ -56,7 +56,7 @@ class Stage {
 
   async order(scene: Scene, means: Float32Array, camera: Camera): Promise<void> {
     const rows = await this.sorter.order(means, "scene", camera);
-    this.renderer.order(scene, rows!);
+    scene.sort(rows!);
     this.look("order");
     while (!this.renderer.ready(scene)) await new Promise((resolve) => setTimeout(resolve, 5));
     this.look("ready");
@@ -69,9 +69,9 @@ class Stage {
   }
 
   /** Goes to a frame; shown or dropped, its bases are told. */
-  step(scene: Scene, frame: Frame, shown: boolean, atlas: Parameters<Renderer["state"]>[1]): void {
-    if (frame.changes) this.renderer.bases(scene, frame.changes);
-    if (shown) this.renderer.state(scene, atlas, frame.luma);
+  step(scene: Scene, frame: Frame, shown: boolean, atlas: Parameters<Scene["state"]>[0]): void {
+    if (frame.changes) scene.change(frame.changes);
+    if (shown) scene.state(atlas, frame.luma);
     this.look("state");
   }
 }
@@ -84,7 +84,7 @@ async function play(stage: Stage, data: Decoded, rung: Rung, number: number, eve
     const scene = stage.renderer.scene(data.root, group, canonical, base);
     stage.look("scene");
     for (const frames of segments) {
-      stage.renderer.level(scene, rung.level);
+      scene.begin(rung.level);
       stage.look("level");
       for (const frame of frames) {
         const shown = ++count % every === 0;
@@ -121,7 +121,7 @@ async function levels(data: Decoded) {
   const scene = stage.renderer.scene(data.root, group, canonical);
   for (const n of [0, 1, 0, 0, 1, 1]) {
     const { level, groups } = data.rungs[n];
-    stage.renderer.level(scene, level);
+    scene.begin(level);
     for (const [t, frame] of groups[0].segments[0].entries()) {
       if (t === 0 && found.length) {
         const before = readFloat(stage.renderer, canvas);
@@ -147,13 +147,13 @@ async function change(data: Decoded) {
   const frames = [first.segments[0][0], second.segments[0][0]];
   const { level } = data.rungs[0];
   const old = stage.renderer.scene(data.root, first.group, first.canonical);
-  stage.renderer.level(old, level);
+  old.begin(level);
   stage.step(old, frames[0], true, first.group.tiles[0].levels[level]);
   await stage.order(old, frames[0].means, camera);
   stage.draw(old, camera);
   const before = readBytes(stage.renderer, canvas);
   const next = stage.renderer.scene(data.root, second.group, second.canonical, second.base);
-  stage.renderer.level(next, level);
+  next.begin(level);
   stage.step(next, frames[1], true, second.group.tiles[0].levels[level]);
   const early = stage.renderer.ready(next) || stage.renderer.draw([next], camera);
   stage.draw(old, camera);
@@ -163,7 +163,7 @@ async function change(data: Decoded) {
   stage.renderer.free(old);
   stage.draw(next, camera);
   const after = compare(stage.renderer, frames[1].pictures[0]);
-  stage.renderer.state(old, first.group.tiles[0].levels[level], frames[0].luma);
+  old.state(first.group.tiles[0].levels[level], frames[0].luma);
   const freed = stage.renderer.draw([old], camera);
   stage.look("freed");
   return { early, same, between, after, freed, errors: stage.errors };
@@ -178,7 +178,7 @@ async function lost(data: Decoded) {
   const { level } = data.rungs[0];
   const show = async (on: Stage) => {
     const scene = on.renderer.scene(data.root, group, canonical);
-    on.renderer.level(scene, level);
+    scene.begin(level);
     on.step(scene, frame, true, group.tiles[0].levels[level]);
     await on.order(scene, frame.means, camera);
     on.draw(scene, camera);
@@ -194,10 +194,10 @@ async function lost(data: Decoded) {
   renderer.prepare(3);
   const dead = renderer.scene(data.root, group, canonical);
   for (const one of [scene, dead]) {
-    renderer.level(one, level);
-    renderer.bases(one, { texels: Uint32Array.of(1), bases: Int32Array.of(1) });
-    renderer.state(one, group.tiles[0].levels[level], frame.luma);
-    renderer.order(one, Uint32Array.of(0));
+    one.begin(level);
+    one.change({ texels: Uint32Array.of(1), bases: Int32Array.of(1) });
+    one.state(group.tiles[0].levels[level], frame.luma);
+    one.sort(Uint32Array.of(0));
   }
   const idle = [renderer.lost, renderer.busy, renderer.ready(dead), renderer.draw([scene], camera)];
   const sizes = [readBytes(renderer, canvas).length, readFloat(renderer, canvas).length];
@@ -254,12 +254,12 @@ async function refusals(data: Decoded) {
       return String(error);
     }
   };
-  const messages = [told(() => stage.renderer.state(scene, atlas, luma))];
-  stage.renderer.level(scene, level);
+  const messages = [told(() => scene.state(atlas, luma))];
+  scene.begin(level);
   messages.push(
-    told(() => stage.renderer.state(scene, atlas, luma.subarray(1))),
-    told(() => stage.renderer.state(scene, { ...atlas }, luma)),
-    told(() => stage.renderer.order(scene, new Uint32Array(canonical.depths.length + 1))),
+    told(() => scene.state(atlas, luma.subarray(1))),
+    told(() => scene.state({ ...atlas }, luma)),
+    told(() => scene.sort(new Uint32Array(canonical.depths.length + 1))),
     told(() => new Renderer(Object.assign(document.createElement("canvas"), { getContext: () => null }))),
   );
   stage.look("refusals");
