@@ -66,8 +66,7 @@ export class FrameReader {
     return qualities.flatMap((quality) => levels.map((level) => `${quality.id}+${level.id}`));
   }
 
-  /**
-   * A frame in a rung, by default the first one, which is the best.
+  /** A frame in a rung, by default the first one, which is the best.
    *
    * Throws RangeError for a frame or rung that there is not, FormatError and TransportError where a file cannot be had.
    */

@@ -69,8 +69,7 @@ export function applyBases(bases: Int32Array, changes: BaseChanges | null): void
   });
 }
 
-/**
- * (channels · N) codes of every channel, rows after one another: luma − GREY + ESCAPE_UNIT · base + centre.
+/** (channels · N) codes of every channel, rows after one another: luma − GREY + ESCAPE_UNIT · base + centre.
  *
  * `luma` are the samples of all pages, `bases` those of the same places, null where all are 0.
  */

@@ -52,8 +52,7 @@ export function readParameters(sample: Uint8Array, where: string): Parameters {
   return readSps(new Bits(unit, where));
 }
 
-/**
- * The samples of each page of `frames` pictures of an atlas, in decoding order.
+/** The samples of each page of `frames` pictures of an atlas, in decoding order.
  *
  * Throws FormatError(bad_picture) unless there are as many as there should be, and each page begins with an IDR picture
  * and an SPS of its size.

@@ -43,7 +43,7 @@ export class Bases {
     this.#offsets = rowOffsets(atlas);
   }
 
-  /** What changes with picture `t`; null: nothing. */
+  /** The changes that come with picture `t`; null: none. */
   next(t: number): BaseChanges | null {
     const { index, jumps } = this.escapes;
     const { rows, planes } = this.atlas;

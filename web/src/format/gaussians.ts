@@ -40,8 +40,7 @@ function basesOf(size: number, changes: BaseChanges | null): Int32Array | null {
   return bases;
 }
 
-/**
- * The canonical space of a tile; α is not limited yet. `base` is the table of the group whose rows it keeps, if any.
+/** The canonical space of a tile; α is not limited yet. `base` is the table of the group whose rows it keeps, if any.
  *
  * Throws FormatError(bad_value) for numbers not finite.
  */
@@ -103,8 +102,7 @@ export interface State {
   bases: Int32Array | null;
 }
 
-/**
- * The Gaussians of a tile in a frame: `base` is what `canonicalGaussians` gave. `state` null: no state is added. Where
+/** The Gaussians of a tile in a frame: `base` is what `canonicalGaussians` gave. `state` null: no state is added. Where
  * `canonical` has fewer tiers than the level asks for, its rows are the first of the level.
  *
  * Throws FormatError(bad_value) for numbers not finite.

@@ -90,8 +90,7 @@ function lastUpTo(ascending: number[], value: number): number {
 export const countPages = (index: Root["index"], level: number): number =>
   Math.floor(sum(index.map((spans, k) => spans.frames.length * PAGE ** (k - level))));
 
-/**
- * Finds groups by descending from the root. Throws MissingTableError for what stands on a page not read, RangeError
+/** Finds groups by descending from the root. Throws MissingTableError for what stands on a page not read, RangeError
  * outside the sequence.
  */
 export class GroupIndex {
@@ -100,7 +99,7 @@ export class GroupIndex {
   readonly segments: number = 0;
   /** Those of the root, groups first. */
   #top: Block[] = [];
-  /** What stands on pages, by their paths. */
+  /** The blocks of pages, by their paths. */
   #pages = new Map<string, Block>();
 
   constructor(index: Root["index"]) {
@@ -131,7 +130,7 @@ export class GroupIndex {
     return this.#pages.has(path);
   }
 
-  /** What the level above says of a page. */
+  /** The entry of a page in the level above. */
   pageEntry(path: string): Entry {
     return entryAt(...this.#stepTo(path));
   }

@@ -200,8 +200,7 @@ export class Tables {
     return what === "sidecar" ? tier?.sidecar : tier?.pictures[second];
   }
 
-  /**
-   * Goes on with the airgs.json of the same package grown; pages that it has new are needed from then on.
+  /** Goes on with the airgs.json of the same package grown; pages that it has new are needed from then on.
    *
    * Throws FormatError(bad_value) for another package, and what `parse` throws.
    */
@@ -230,8 +229,7 @@ const inOrder = (value: object) =>
     part && typeof part === "object" && !Array.isArray(part) ? Object.fromEntries(Object.entries(part).sort()) : part,
   );
 
-/**
- * Throws FormatError(bad_value) unless a root can follow another while groups are added.
+/** Throws FormatError(bad_value) unless a root can follow another while groups are added.
  *
  * Gives what pages that were filled since, by their paths, must begin with.
  */

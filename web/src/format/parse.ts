@@ -78,7 +78,7 @@ type Keyword = (value: unknown, argument: unknown, schema: Json) => string | nul
 const STRUCTURE = new Set(["type", "properties", "required", "additionalProperties", "propertyNames", "items"]);
 const range = (low: unknown, high: unknown) => `expected ${low ?? "any"} to ${high ?? "any"}`;
 
-/** What a value is refused for as bad_value; null: it may stand. Values of another type are refused before. */
+/** Says why a value is refused as bad_value; null: it may stand. Values of another type are refused before. */
 const KEYWORDS: Record<string, Keyword> = {
   const: (value, argument) => (value === argument ? null : `expected ${argument}`),
   enum: (value, words) => ((words as unknown[]).includes(value) ? null : `expected one of ${words}`),
@@ -98,8 +98,7 @@ function typeOf(value: unknown): string {
 
 const shown = (value: unknown) => (JSON.stringify(value) ?? "nothing").slice(0, 80);
 
-/**
- * Throws FormatError (wrong_type, unknown_field, missing_field, bad_value) unless `value` is what `schema` asks for;
+/** Throws FormatError (wrong_type, unknown_field, missing_field, bad_value) unless `value` is what `schema` asks for;
  * `where` names it. Throws an Error for a keyword that is not known here.
  */
 export function checkTable(value: unknown, schema: Json, where: string): void {

@@ -4,16 +4,15 @@ import { PATHS } from "../generated/constants.ts";
 /** What a path names, and the numbers in it, as they stand there. */
 export interface Location {
   what: (typeof PATHS)[number][1];
-  /**
-   * sidecar: tile, tier, number; key: tile, tier, quality, number; state: tile, level, number; page: level, number; group:
-   * number. The tile is 0 in a package that has one.
+  /** sidecar: tile, tier, number; key: tile, tier, quality, number; state: tile, level, number; page: level, number;
+   * group: number. The tile is 0 in a package that has one.
    */
   numbers: number[];
 }
 
 const PATTERNS = PATHS.map(([pattern, what]) => [new RegExp(pattern), what] as const);
 
-/** What a path names; null for a path that is none of these. */
+/** Reads a path; null for one that is none of these. */
 export function locate(path: string): Location | null {
   for (const [pattern, what] of PATTERNS) {
     const match = pattern.exec(path);

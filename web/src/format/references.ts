@@ -56,7 +56,7 @@ class Place {
   }
 }
 
-/** What airgs.json says fits together. */
+/** Checks that the parts of airgs.json fit together. */
 export function checkRoot(root: Root): void {
   const place = new Place(ROOT_PATH);
   const ids = [...root.qualities, ...root.levels].map((one) => one.id).join();
@@ -74,7 +74,7 @@ export function checkRoot(root: Root): void {
   checkIndex(root, place);
 }
 
-/** What fills no page, level by level, with no empty level at the end; the groups have all frames. */
+/** Checks the entries that fill no page, level by level, with no empty level at the end; the groups have all frames. */
 function checkIndex({ index, frames }: Root, place: Place): void {
   index.forEach((spans, level) => {
     place.columns(`.index[${level}]`, spans);
@@ -107,7 +107,7 @@ function checkRegion(region: Region, where: string): void {
   }
 }
 
-/** A page holds what the level above says of it. */
+/** Checks that a page holds what the level above says of it. */
 export function checkPage(entry: Entry, page: Page, where: string): void {
   const place = new Place(where);
   place.columns("", page);
@@ -116,7 +116,7 @@ export function checkPage(entry: Entry, page: Page, where: string): void {
   place.exactly("segments", sum(page.segments), entry.segments);
 }
 
-/** The table of a group, counted from 0, fits the package, the index and itself. */
+/** Checks that the table of a group, counted from 0, fits the package, the index and itself. */
 export function checkGroup(root: Root, entry: Entry, group: Group, number: number): void {
   const where = groupPath(number + 1);
   const place = new Place(where);
@@ -143,7 +143,7 @@ export function checkGroup(root: Root, entry: Entry, group: Group, number: numbe
   place.exactly("stop of the segments", stop, group.stop);
 }
 
-/** What a group keeps is there: `base` is the table of the group that it names, and has rows of its own alone. */
+/** Checks that the rows which a group keeps are there: `base`, the group that it names, has rows of its own alone. */
 export function checkKept(group: Group, base: Group, where: string): void {
   const place = new Place(where);
   if (base.keeps) throw bad(`${where}.keeps`, `expected a group that keeps none, got ${group.keeps}`);

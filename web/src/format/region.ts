@@ -92,8 +92,7 @@ export function levelled({ region, world }: Root): Region {
   return { ...region, places: region.places.map((place) => ({ ...place, up })) };
 }
 
-/**
- * Where up is for all of a region, of length 1: the mean of its places' (where they do not agree, that of the first),
+/** Where up is for all of a region, of length 1: the mean of its places' (where they do not agree, that of the first),
  * levelled: the sides of pictures are at right angles to it.
  */
 export function upright({ places }: Region): Vector {
@@ -121,7 +120,7 @@ export function firstPlace(region: Region): Place {
   return places[off.indexOf(Math.min(...off))]!;
 }
 
-/** What a viewer sees at first, towards the focus of a place. `fovY` in degrees; `up` is across `forward`. */
+/** The first view, towards the focus of a place. `fovY` in degrees; `up` is across `forward`. */
 export function firstView(region: Region): { position: Vector; forward: Vector; up: Vector; fovY: number } {
   const place = firstPlace(region);
   const forward = unit(minus(place.focus, place.position));

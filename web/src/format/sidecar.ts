@@ -28,8 +28,7 @@ export function cellBits(motionClass: number, grid: Grid, coarser: number): numb
   return Math.min(k + coarser, grid.bits);
 }
 
-/**
- * The sidecar of a tier, whose codes are those of the last quality, `coarsest` its `coarser`.
+/** The sidecar of a tier, whose codes are those of the last quality, `coarsest` its `coarser`.
  *
  * Throws FormatError(bad_sidecar).
  */
@@ -94,8 +93,7 @@ function sumGaps({ lo, hi }: Wide, classes: Int16Array, grid: Grid, coarsest: nu
   return true;
 }
 
-/**
- * The rows of a tier with the codes of a key quality, whose detail `reader` reads next.
+/** The rows of a tier with the codes of a key quality, whose detail `reader` reads next.
  *
  * `coarser` is that of the quality. Throws FormatError(bad_sidecar).
  */

@@ -34,9 +34,8 @@ export interface KeyPlace {
   quality: number;
 }
 
-/**
- * A key unit of the table of its group, from the bytes of its sidecar and of its picture, null where it has none. `base`
- * is the table of the group whose rows it keeps, if it keeps any.
+/** A key unit of the table of its group, from the bytes of its sidecar and of its picture, null where it has none.
+ * `base` is the table of the group whose rows it keeps, if it keeps any.
  *
  * Throws FormatError (bad_sidecar, bad_picture, bad_value).
  */
@@ -83,8 +82,7 @@ export interface StateUnit {
   bases: Bases;
 }
 
-/**
- * Segment `place` of the table of a group in a level, from the bytes of its file of a tile; `segment` is its number in
+/** Segment `place` of the table of a group in a level, from the bytes of its file of a tile; `segment` is its number in
  * the package, from 0. Throws FormatError (bad_sidecar, bad_picture).
  */
 export function readStateUnit(
@@ -113,9 +111,8 @@ export function levelRows(depths: Uint8Array, level: number): Uint32Array {
   return rows.slice(0, count);
 }
 
-/**
- * Throws FormatError(count_mismatch) unless the sidecars of the first tiers of a tile, `of`, give the rows that a level's
- * atlas has; with fewer tiers than the level asks for, no more than those.
+/** Throws FormatError(count_mismatch) unless the sidecars of the first tiers of a tile, `of`, give the rows that a
+ * level's atlas has; with fewer tiers than the level asks for, no more than those.
  */
 export function checkCount(
   root: Root,

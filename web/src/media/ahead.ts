@@ -27,9 +27,8 @@ export class Ahead {
     }, signal);
   }
 
-  /**
-   * Resolves when another picture of a call may be decoded. One that has none ahead never waits: the others are
-   * shown together with it.
+  /** Resolves when another picture of a call may be decoded. One that has none ahead never waits: the others are shown
+   * together with it.
    */
   async room(id: number, signal: AbortSignal): Promise<void> {
     await this.#until(() => this.#bytes < this.bytes || !this.#open.has(id), signal);

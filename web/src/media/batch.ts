@@ -35,8 +35,7 @@ const nowMs = () => performance.timeOrigin + performance.now();
 
 let underWay = 0; // batches of this thread
 
-/**
- * Fetches files at once; files that a signal stops are neither whole nor refused.
+/** Fetches files at once; files that a signal stops are neither whole nor refused.
  *
  * `onProgress` is told how many bytes have come so far. Throws TransportError.
  */

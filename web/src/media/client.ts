@@ -60,10 +60,10 @@ export class Media {
     this.#caller = caller;
   }
 
-  /**
-   * Opens the package in a folder, or whose airgs.json is at `url`; relative addresses are of the page.
+  /** Opens the package in a folder, or whose airgs.json is at `url`; relative addresses are of the page.
    *
-   * Throws FormatError, TransportError where there is no server, UnsupportedError where this browser cannot play packages.
+   * Throws FormatError, TransportError where there is no server, UnsupportedError where this browser cannot play
+   * packages.
    */
   static async open(url: string, { aheadBytes = AHEAD_BYTES, attempts = ATTEMPTS } = {}): Promise<Media> {
     checkBrowser();
@@ -90,8 +90,7 @@ export class Media {
     return fetched(batch);
   }
 
-  /**
-   * The segment that shows a frame; fetches the pages and tables of its group, and of its base.
+  /** The segment that shows a frame; fetches the pages and tables of its group, and of its base.
    *
    * Throws FormatError, TransportError.
    */
@@ -116,8 +115,7 @@ export class Media {
     return fetched(batch);
   }
 
-  /**
-   * Decodes the canonical space of a tile, which may have no rows; files that are not at hand are fetched.
+  /** Decodes the canonical space of a tile, which may have no rows; files that are not at hand are fetched.
    *
    * Throws FormatError, TransportError.
    */
@@ -125,12 +123,12 @@ export class Media {
     return this.#caller.call("canonical", { group, tile, quality, tiers }, { signal });
   }
 
-  /**
-   * Decodes a segment of the tile of a canonical space; files that are not at hand are fetched. null stands for the
+  /** Decodes a segment of the tile of a canonical space; files that are not at hand are fetched. null stands for the
    * canonical space itself. What is asked for at once is decoded side by side. Resolves to the number of frames.
    *
-   * Frames are decoded no further ahead of those that were `taken` than 48 MB or two segments, but for one of each call; an
-   * aborted signal takes all frames that are left, also after the last one came. Throws FormatError, AbortError.
+   * Frames are decoded no further ahead of those that were `taken` than 48 MB or two segments, but for one of each
+   * call; an aborted signal takes all frames that are left, also after the last one came. Throws FormatError,
+   * AbortError.
    */
   segment(
     index: number,

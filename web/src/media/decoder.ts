@@ -29,8 +29,7 @@ export interface DecodeOptions {
 /** What becomes of the n-th picture; its samples are good until the promise resolves. */
 export type TakeSamples = (samples: Samples, n: number) => void | Promise<void>;
 
-/**
- * A video decoder that lives from file to file. One file is decoded at a time, others wait for their turn.
+/** A video decoder that lives from file to file. One file is decoded at a time, others wait for their turn.
  *
  * A decoder that the browser took away, as it may when a page pauses, is made anew, and goes on where it was; one in
  * software takes the place of one that gives pictures in a layout which is not known.
@@ -47,8 +46,7 @@ export class LumaDecoder {
     this.#acceleration = acceleration;
   }
 
-  /**
-   * Decodes a clip and gives each picture to `take`; resolves to how many there were.
+  /** Decodes a clip and gives each picture to `take`; resolves to how many there were.
    *
    * Throws FormatError(bad_picture) for what does not decode twice, AbortError, and what `take` throws.
    */
@@ -195,7 +193,7 @@ class Pass {
     else frame.close();
   }
 
-  /** What is wrong with the n-th picture. */
+  /** Says what is wrong with the n-th picture; null: nothing. */
   #complaint({ visibleRect, timestamp }: VideoFrame, n: number): string | null {
     const { width, height, samples } = this.clip;
     if (n >= samples.length) return `expected ${samples.length} pictures, got more`;

@@ -58,8 +58,7 @@ export class FileClient {
   /** `base` is the address of the folder, with a slash at the end. */
   constructor(readonly base: string) {}
 
-  /**
-   * Fetches a file. Resolves to why it cannot be had; null: it was taken in, or given up.
+  /** Fetches a file. Resolves to why it cannot be had; null: it was taken in, or given up.
    *
    * Throws TransportError where the server is away and nobody wants to wait.
    */
@@ -188,12 +187,11 @@ const reason = (error: unknown) => (error instanceof Error ? error.message : Str
 
 const SHA256 = /\bsha-256=:([A-Za-z0-9+/]+=*):/;
 
-/**
- * Throws FormatError(hash_mismatch) for bytes that are not those of the header Repr-Digest (RFC 9530), the only check of
- * airgs.json, which no table leads to.
+/** Throws FormatError(hash_mismatch) for bytes that are not those of the header Repr-Digest (RFC 9530), the only check
+ * of airgs.json, which no table leads to.
  *
- * One of an answer that travelled compressed is of the compressed bytes, which a page does not see: it says nothing, as one
- * without SHA-256.
+ * One of an answer that travelled compressed is of the compressed bytes, which a page does not see: it says nothing, as
+ * one without SHA-256.
  */
 export async function checkReprDigest(where: string, bytes: Uint8Array, headers: Headers): Promise<void> {
   const expected = headers.has("Content-Encoding") ? null : SHA256.exec(headers.get("Repr-Digest") ?? "");

@@ -28,8 +28,7 @@ export class PictureDecoder {
     this.#decoder = new LumaDecoder(probe.acceleration);
   }
 
-  /**
-   * Decodes a file, and gives its pictures in order, each when its last page is there.
+  /** Decodes a file, and gives its pictures in order, each when its last page is there.
    *
    * Throws FormatError(bad_picture) for pictures of another number or size, or with luma outside 16 to 235.
    */

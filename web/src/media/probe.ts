@@ -62,7 +62,7 @@ async function probe(acceleration: HardwareAcceleration): Promise<Probe> {
   return found[0];
 }
 
-/** What the samples of the probe say of the layout in which they came. */
+/** Judges the layout in which the samples of the probe came. */
 export function judge(samples: Samples): Verdict {
   const seen = Uint8Array.from({ length: VALUES }, (_, value) => blockValue(samples, value));
   const inverse = invert(seen);
@@ -70,7 +70,7 @@ export function judge(samples: Samples): Verdict {
   return { luma: same ? "exact" : "invertible", inverses: { [samples.layout]: same ? null : inverse } };
 }
 
-/** What a block became, which is the same in all of its samples. */
+/** The value that a block became, the same in all of its samples. */
 function blockValue({ data, offset, stride, step }: Samples, value: number): number {
   const at = (i: number) => {
     const line = Math.floor(value / PROBE_BLOCKS) * BLOCK + Math.floor(i / BLOCK);

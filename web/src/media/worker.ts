@@ -44,7 +44,7 @@ function heed({ cancel, taken }: Note): void {
   if (taken) engine?.taken(taken.id, taken.t);
 }
 
-/** What the thread does from now on. */
+/** Answers the page from now on. */
 export function run(): void {
   globalThis.onmessage = ({ data }: MessageEvent<Request | Note>) => {
     if ("call" in data) respond(data);

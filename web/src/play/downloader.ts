@@ -8,8 +8,9 @@ import { type Batch, filesOf } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 
 /** What a batch was requested for: tables (airgs.json, pages of the index, tables of groups); the next segment with
- * keys of its group; the next segment, whose keys are decoded; a better rung of a buffered segment; a tile that a buffered
- * segment, or the one on the screen, lacks. */
+ * keys of its group; the next segment, whose keys are decoded; a better rung of a buffered segment; a tile that a
+ * buffered segment, or the one on the screen, lacks.
+ */
 export type BatchKind = "tables" | "group" | "state" | "replacement" | "repair";
 
 /** A batch of files to be fetched together. */
@@ -74,7 +75,8 @@ export interface Downloader {
   /** Wait until a moment; less long where the playout changes, or the signal aborts. Infinity: for that alone. */
   wait(untilS: number, playout: Playout, signal: AbortSignal): Promise<void>;
   /** Request a batch and wait for it. `giveUp` is asked every CHECK_S whether to abandon it; when the signal aborts, it
-   * is abandoned at once. Files that are whole by then count. Rejects with TransportError when the link fails. */
+   * is abandoned at once. Files that are whole by then count. Rejects with TransportError when the link fails.
+   */
   fetch(request: Request, giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival>;
 }
 
@@ -112,7 +114,8 @@ export interface Cut {
 }
 
 /** A segment's time on the screen, when nothing can change it any more; rung null: it was lost, the last picture
- * stands. */
+ * stands.
+ */
 export interface Shown {
   type: "shown";
   position: number;

@@ -32,7 +32,7 @@ export interface Planner {
   readonly late: boolean;
   /** Of the segment at a position, whose tables are there. */
   plan(position: number, nowS: number): FetchPlan;
-  /** What is to be fetched late, the most urgent first. */
+  /** Lists what is to be fetched late, the most urgent first. */
   lacking(nowS: number): Lack[];
 }
 

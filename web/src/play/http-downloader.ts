@@ -51,7 +51,7 @@ export class HttpDownloader implements Downloader {
     });
   }
 
-  /** What came when the package was opened answers the first request for airgs.json. */
+  /** Answers the first request for airgs.json with what came when the package was opened. */
   async fetch(request: Request, giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival> {
     const paths = filesOf(request.batch);
     if (paths[0] !== ROOT_PATH) return this.batch(request, paths, giveUp, signal);

@@ -42,8 +42,8 @@ export interface Cliff {
  *
  * Pareto filter, then the cliff test. Drops are counted per 10 % of the bytes saved, over at least one such step from
  * level to level. A level is past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least
- * `epsDb`), or, for the first level, `cliffDb`; or when its quality is under `minQuality`. O(n log n).
- * Throws ConfigError: no options (10), beta ≤ 1 (6), a size or quality that is no number (11).
+ * `epsDb`), or, for the first level, `cliffDb`; or when its quality is under `minQuality`. O(n log n). Throws
+ * ConfigError: no options (10), beta ≤ 1 (6), a size or quality that is no number (11).
  */
 export function buildLadder(options: readonly Option[], cliff: Cliff = {}): Option[] {
   const { beta = DEFAULT_BETA, epsDb = EPS_DB, cliffDb = CLIFF_DB, minQuality = -Infinity } = cliff;
@@ -96,7 +96,7 @@ export function select(ladder: readonly Option[], budgetBytes: number): Decision
   return { index, fits: chosen !== undefined, reason, sizeBytes };
 }
 
-/** What levels save of the bytes of the first, the best; 0 where that has none or is no larger. */
+/** Shares that levels save of the bytes of the first, the best; 0 where that has none or is no larger. */
 export const savedShares = (sizes: ArrayLike<number>): number[] =>
   Array.from(sizes, (size) => (sizes[0] > 0 ? Math.max(0, 1 - size / sizes[0]) : 0));
 

@@ -131,7 +131,7 @@ export class Offers {
     this.tiles = Array.from({ length: tiles }, (_, tile) => tile);
   }
 
-  /** What a segment whose tables are there (`knows`) offers of some tiles, which ascend. */
+  /** The offer of a segment, whose tables are there (`knows`), of some tiles, which ascend. */
   of(segment: number, tiles = this.tiles): SegmentOffer {
     return this.#made.of(`${segment}: ${tiles.join()}`, () => this.#make(segment, tiles));
   }

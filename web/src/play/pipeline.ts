@@ -113,7 +113,7 @@ export class Pipeline {
     this.#clips.delete(position);
   }
 
-  /** What has passed of a layer when a frame is on the screen; that frame is still of use to one that lags behind. */
+  /** Lets go of the frames of a layer before the one on the screen, which is still of use to one that lags behind. */
   #pass({ frames, shown }: Layer, frame: number): void {
     for (let t = 0; t < frame + Number(shown === frame); t++) this.#letGo(frames, t);
   }

@@ -31,9 +31,8 @@ export interface PlayerOptions {
   bufferS?: number;
   /** Most Gaussians that are fetched and shown of a group; default: any number. */
   budget?: number;
-  /**
-   * Whether only those tiles are fetched that the viewer is expected to see, where a package has several, and no more than a
-   * second ahead; default true.
+  /** Whether only those tiles are fetched that the viewer is expected to see, where a package has several, and no more
+   * than a second ahead; default true.
    */
   viewAdaptive?: boolean;
   /** What splats are blended into; default: half floats, where the browser has them. */

@@ -13,12 +13,11 @@ import { type PlayerStats, Statistics } from "./statistics.ts";
 /** Where somebody stands who has not opened a package. */
 const NOWHERE: ViewState = { position: [0, 0, 0], forward: [0, 0, 1], up: [0, -1, 0], fovY: 50, near: 0.01 };
 
-/**
- * Plays a package on a canvas.
+/** Plays a package on a canvas.
  *
- * Events: "open" (tables are there), "firstpicture", "play", "pause", "time" (four times a second), "progress" (something
- * was fetched), "rung" (another rung is on the screen), "stall" and "resume", "ended", "lost" and "restored" (the WebGL
- * context), and "problem" (detail: `Problem`).
+ * Events: "open" (tables are there), "firstpicture", "play", "pause", "time" (four times a second), "progress"
+ * (something was fetched), "rung" (another rung is on the screen), "stall" and "resume", "ended", "lost" and "restored"
+ * (the WebGL context), and "problem" (detail: `Problem`).
  */
 export class Player extends EventTarget {
   readonly #wishes: Wishes;
@@ -38,8 +37,8 @@ export class Player extends EventTarget {
     this.#wishes = { ...given, quality: "auto", speed: 1, paused: true };
   }
 
-  /**
-   * Open a package by the address of its folder, or of its airgs.json. Its first picture is shown; it moves after `play`.
+  /** Open a package by the address of its folder, or of its airgs.json. Its first picture is shown; it moves after
+   * `play`.
    *
    * Throws FormatError for what is no package, TransportError where it cannot be fetched, UnsupportedError where the
    * browser cannot play it. Where another package is opened meanwhile, or the player is closed, nothing comes of it.

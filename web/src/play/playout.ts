@@ -109,8 +109,7 @@ export class Playout {
     return last ? last.position + 1 : (this.timeline[0]?.position ?? null);
   }
 
-  /** What is on the screen: a segment and the number of its frame; where playing waits, the last one. Null: nothing
-   * yet. */
+  /** The segment on the screen and the number of its frame; where playing waits, the last one. Null: nothing yet. */
   at(nowS: number): { slot: Slot; frame: number } | null {
     const place = this.schedule.at(nowS);
     const slot = lastSlot(this.timeline, (one) => one.startAt <= place);
@@ -135,7 +134,7 @@ export class Playout {
     return Math.max(0, this.dueAt(nowS) - this.schedule.at(nowS));
   }
 
-  /** What is at hand from the segment on the screen on, in seconds of the sequence, with its rungs. */
+  /** Lists what is at hand from the segment on the screen on, in seconds of the sequence, with its rungs. */
   buffered(nowS: number): { start: number; stop: number; rung: number }[] {
     const ranges: { start: number; stop: number; rung: number }[] = [];
     const place = this.schedule.at(nowS);
@@ -173,7 +172,8 @@ export class Playout {
   }
 
   /** The place where the next segment is due, the end of all that is buffered; where playing waits, as if it went on
-   * now. */
+   * now.
+   */
   dueAt(nowS: number): number {
     const waiting = this.waitingS();
     const resumes = waiting || !this.firstWaiting ? this.schedule.at(nowS) : -Infinity;
@@ -181,7 +181,8 @@ export class Playout {
   }
 
   /** When a segment that is due at a place must have arrived to be shown without a stall, the time to decode it taken
-   * off. */
+   * off.
+   */
   deadlineS(dueAt: number, nowS: number): number {
     return this.startsAtS(dueAt, nowS) - this.settings.decodeFrameS;
   }
@@ -218,8 +219,7 @@ export class Playout {
     this.changed();
   }
 
-  /** Segments that were not given by `started` yet, but for the lost and the committed ones: what they show can change.
-   */
+  /** Segments that `started` did not give yet, but for lost and committed ones: what they show can change. */
   pending(): Slot[] {
     return this.timeline.slice(this.firstUnseen).filter((slot) => slot.rung !== null && !slot.committed);
   }
@@ -245,7 +245,8 @@ export class Playout {
   }
 
   /** Segments that began before a moment, or have a place at all, and were not given yet: nothing replaces them any
-   * more. */
+   * more.
+   */
   started(beforeS: number | null): Slot[] {
     const before = beforeS === null ? Infinity : this.schedule.at(beforeS);
     const first = this.firstUnseen;

@@ -60,7 +60,8 @@ export class Repairs {
   }
 
   /** A tile in the rung of its segment, or else in the smallest one; null: none can be had in time, or its files are on
-   * their way. */
+   * their way.
+   */
   option({ slot, tile }: Lack, nowS: number): Option | null {
     const { downloader, playout, stores } = this.parts;
     const atS = nowS + downloader.rttS + playout.settings.decodeFrameS;

@@ -48,7 +48,7 @@ function worthOf(o: Offers, slot: Slot, option: Option, comes: (bytes: number) =
   return (gain * slot.seconds) / Math.max(1, size);
 }
 
-/** What it takes to show another rung of a buffered segment: with the same level, only its keys. */
+/** The files that it takes to show another rung of a buffered segment: with the same level, only its keys. */
 export function replacing(o: Offers, stores: Stores, slot: Slot, rung: number): Batch {
   const batch = stores.keys.missing(slot.position, rung, tilesOf(slot));
   return o.rungs[rung][1] === o.rungs[slot.rung ?? 0][1] ? { ...batch, state: [] } : batch;

@@ -10,7 +10,7 @@ import { cameraOf, type ViewState } from "./sight.ts";
 
 /** A canonical space on the GPU, and what it shows of a tile of which clip. */
 interface Stage {
-  /** What the sorter knows it by. */
+  /** Its name for the sorter. */
   readonly key: string;
   readonly canonical: Canonical;
   readonly scene: Scene;
@@ -70,9 +70,8 @@ export class Screen {
     this.#stage(layer);
   }
 
-  /**
-   * Show a frame of a clip, of all tiles that are decoded, from the next picture on. False: not yet, since a scene has no
-   * order; the old picture stays. Nobody waits for a tile that came late: it is as it was before, or absent.
+  /** Show a frame of a clip, of all tiles that are decoded, from the next picture on. False: not yet, since a scene has
+   * no order; the old picture stays. Nobody waits for a tile that came late: it is as it was before, or absent.
    */
   show({ layers }: Clip, frame: number): boolean {
     const renderer = this.#renderer;

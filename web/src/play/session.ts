@@ -31,13 +31,15 @@ const REPAIR_S = 0.05;
 type Events<Result = void> = AsyncGenerator<SessionEvent, Result>;
 
 /** One run over positions, from the first request to the last: after a seek or a change of policy, another one goes on
- * with the same playout and stores. */
+ * with the same playout and stores.
+ */
 export class Session {
   private readonly receiver: Receiver;
   private givenUp = { position: Number.NaN, sizeBytes: 0 }; // nothing as large is asked for there again
 
   /** `first` is the position that it begins with. Throws ConfigError where the policy needs quality that was not
-   * measured. */
+   * measured.
+   */
   constructor(
     private readonly parts: SessionParts,
     signal: AbortSignal,
@@ -151,7 +153,7 @@ export class Session {
     return this.parts.settings.pipelined && this.parts.downloader.pipelines;
   }
 
-  /** What is left of the round trip when the link is free: pipelined, the request was sent before. */
+  /** The rest of the round trip when the link is free: pipelined, the request was sent before. */
   private latencyS(position: number, earliestS: number): number {
     const { rttS } = this.parts.downloader;
     if (this.pipelines && position > this.first && earliestS < this.nowS)
@@ -164,7 +166,8 @@ export class Session {
   }
 
   /** Choose a rung of the next segment and fetch it; false: it was abandoned or broken, or a repair fetches some of it:
-   * choose again. */
+   * choose again.
+   */
   private async *fetchNext(position: number, latencyS: number): Events<boolean> {
     const { offers, planner, playout, policy, stores } = this.parts;
     const plan = stores.tables.has(position) ? planner.plan(position, this.sentS(latencyS)) : null;
@@ -226,7 +229,8 @@ export class Session {
   }
 
   /** Abandon a download that, at the rate so far, would come after its deadline, and after the smallest rung if that
-   * were requested now. A pause meanwhile puts the deadline off. */
+   * were requested now. A pause meanwhile puts the deadline off.
+   */
   private giveUp(state: PlayerState, decision: Decision): GiveUp | null {
     const { downloader, playout, policy, settings } = this.parts;
     const smallest = Math.min(...state.options.map((option) => option.sizeBytes));

@@ -59,7 +59,7 @@ export function velocityOf(before: Camera, here: Camera, seconds = BEFORE_S): Ve
   return { turn: scaled(turn, 1 / seconds), shift: scaled(minus(positionOf(b), positionOf(a)), 1 / seconds) };
 }
 
-/** What a viewer is expected to see some seconds later who sees and moves like this. */
+/** Expects the view some seconds later of a viewer who sees and moves like this. */
 export function expected(view: Camera, { turn, shift }: Velocity, aheadS: number): Camera {
   const passedS = DECAY_S * (1 - Math.exp(-Math.max(0, aheadS) / DECAY_S));
   const m = view.worldToCamera;
@@ -93,9 +93,8 @@ export class Boxes {
     });
   }
 
-  /**
-   * (P) by how many degrees the sides of a picture must be moved out for a point of a box to be in it. Negative where one
-   * is in the picture: how far inside of its sides the innermost one is.
+  /** (P) by how many degrees the sides of a picture must be moved out for a point of a box to be in it. Negative where
+   * one is in the picture: how far inside of its sides the innermost one is.
    */
   degreesOff({ worldToCamera: m, width, height, fx, fy }: Camera): number[] {
     const [across, down] = [Math.atan(width / 2 / fx), Math.atan(height / 2 / fy)];
@@ -132,7 +131,7 @@ export class Watcher {
     this.#size = { width, height };
   }
 
-  /** What he saw at a moment, not earlier than BEFORE_S ago; null: nobody looks yet. */
+  /** The view at a moment, not earlier than BEFORE_S ago; null: nobody looks yet. */
   at(nowS: number): Camera | null {
     const last = this.#views.filter(({ atS }) => atS <= nowS).at(-1) ?? this.#views[0];
     return last ? cameraOf(last.view, this.#size.width, this.#size.height) : null;

@@ -23,7 +23,7 @@ export class TableStore {
     return !this.missing(position, position + 1).length;
   }
 
-  /** What positions [start, stop) still need: pages, and tables that a page that was read, or the root, leads to. */
+  /** Lists pages that positions [start, stop) still need, and tables that pages that were read, or the root, lead to. */
   missing(start: number, stop: number): string[] {
     const wanted = new Set<string>();
     for (let position = start; position < stop; position++) {

@@ -46,9 +46,7 @@ export class Programs {
     this.#made.set(name, { source: text, program, shaders, uniforms: null });
   }
 
-  /**
-   * Whether using these programs does not wait for the compiler. Where the browser cannot say, it is done by asking.
-   */
+  /** Whether using these programs waits for no compiler; where the browser cannot say, it is done by asking. */
   done(names: readonly string[]): boolean {
     return names.every((name) => {
       const made = this.#made.get(name);
@@ -58,8 +56,7 @@ export class Programs {
     });
   }
 
-  /**
-   * Uses a prepared program with its textures, in the order of its samplers. Throws RenderError where it does not
+  /** Uses a prepared program with its textures, in the order of its samplers. Throws RenderError where it does not
    * compile.
    */
   use(name: string, textures: readonly Texture[]): InUse {

@@ -84,8 +84,7 @@ function harmonics(degree: number): string {
     .join("\n  ");
 }
 
-/**
- * What is drawn of a row: two texels, of which the second's y is 0 where nothing is.
+/** The program that finds what is drawn of a row: two texels, of which the second's y is 0 where nothing is.
  *
  * With reach = ln(255 α) and the Cholesky form power = −(d² / w² + dy² / h²) · reach, d = dx − shear · dy, the
  * parallelogram (u, v) in [−1, 1]², dy = h v, d = w u bounds where α is 1/255 or more. first: its centre, w and h;

@@ -25,8 +25,7 @@ export interface RendererOptions {
 const SAMPLERS = ["luma", "bases", "transform", "places", "rotations", "sizes", "ranks", "layers"];
 const PROJECTION = "projection ";
 
-/**
- * Draws scenes into a canvas, of whatever size the canvas has.
+/** Draws scenes into a canvas, of whatever size the canvas has.
  *
  * After the context was lost its methods do nothing; make a new one, with new scenes, when it was restored, which the
  * renderer asks the browser for.
@@ -97,9 +96,8 @@ export class Renderer {
     prepareKeys(this.#programs, degree);
   }
 
-  /**
-   * A tile of a group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an order.
-   * `base` is the table of the group whose rows it keeps, if it keeps any.
+  /** A tile of a group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an
+   * order. `base` is the table of the group whose rows it keeps, if it keeps any.
    *
    * Throws RenderError for more rows or pages than this machine's textures hold.
    */
@@ -111,8 +109,7 @@ export class Renderer {
     return scene;
   }
 
-  /**
-   * Whether `draw` would draw it: it has an order, and its programs are compiled. Ask from time to time until it is:
+  /** Whether `draw` would draw it: it has an order, and its programs are compiled. Ask from time to time until it is:
    * the key passes run, in a task of their own, when somebody asks after their programs were compiled.
    */
   ready(scene: Scene): boolean {
@@ -125,8 +122,7 @@ export class Renderer {
     return this.#programs.done(["splats", "canvas"]);
   }
 
-  /**
-   * Draws scenes into one picture, the first the furthest, if all of them are ready, and says whether it did; else the
+  /** Draws scenes into one picture, the first the furthest, if all of them are ready, and says whether it did; else the
    * canvas stays as it is.
    */
   draw(scenes: readonly Scene[], camera: Camera): boolean {
@@ -156,7 +152,7 @@ export class Renderer {
     else scene.free();
   }
 
-  /** What was drawn last; null: nothing. */
+  /** The picture that was drawn last; null: none. */
   get picture(): Target | null {
     return this.lost ? null : this.#picture;
   }
@@ -176,9 +172,7 @@ export class Renderer {
     gl.deleteSync(this.#drawing);
   }
 
-  /**
-   * Runs the key passes if they have not run and their programs are there. Gives whether the canonical space is there.
-   */
+  /** Runs the key passes if their programs are there. Gives whether the canonical space is there. */
   #finishKeys(scene: Scene): boolean {
     if (!scene.keys || this.lost) return !this.lost;
     if (!this.#programs.done(prepareKeys(this.#programs, scene.degree))) return false;

@@ -5,8 +5,7 @@ import type { Atlas, BaseChanges } from "../format/types.ts";
 import { BLOCK } from "../generated/constants.ts";
 import { RenderError, type Texture, texture, write } from "./textures.ts";
 
-/**
- * Bases stand here and go to the GPU with `upload`, and then only strips of 16 lines in which something changed: few
+/** Bases stand here and go to the GPU with `upload`, and then only strips of 16 lines in which something changed: few
  * samples jump in a frame, and blocks of 16 lines hold neighbours.
  */
 export class Samples {

@@ -112,8 +112,7 @@ export class Scene {
     return this.#next ?? this.shown;
   }
 
-  /**
-   * The picture that is shown from now on: luma of all pages of the level's atlas, whose bases were told before. null:
+  /** The picture that is shown from now on: luma of all pages of the level's atlas, whose bases were told before. null:
    * the canonical space, where a level has no picture. Throws RenderError for a picture of another atlas.
    */
   state(atlas: Atlas, luma: Uint8Array | null): void {

@@ -19,8 +19,7 @@ export function depthView(camera: Camera): DepthView {
   return { axis: [m[8], m[9], m[10], m[11]], near: camera.near };
 }
 
-/**
- * Sorts rows by depth, far to near; of equal depths the last row comes first. Depths are compared as float32, so that
+/** Sorts rows by depth, far to near; of equal depths the last row comes first. Depths are compared as float32, so that
  * this is the order of the CPU renderer, backwards. What is not in front of `near`, or not a number, is left out.
  *
  * It keeps its buffers from one sort to the next.
@@ -104,7 +103,7 @@ interface Scope {
   postMessage(answer: SortAnswer, transfer: Transferable[]): void;
 }
 
-/** What the thread does from now on. */
+/** Sorts for the page from now on. */
 export function run(): void {
   const sorter = new DepthSorter();
   const known = new Map<string, Float32Array>();

@@ -11,8 +11,7 @@ interface Waiting {
   resolve: Resolve;
 }
 
-/**
- * Asks the worker for one order at a time. While it sorts, one request of each key waits: a newer one takes its place,
+/** Asks the worker for one order at a time. While it sorts, one request of each key waits: a newer one takes its place,
  * and the older one gives null.
  */
 export class Sorter {
@@ -25,8 +24,7 @@ export class Sorter {
     worker.onerror = () => this.#finish(null);
   }
 
-  /**
-   * Rows far to near for `camera`, as `Renderer.order` takes them.
+  /** Rows far to near for `camera`, as `Renderer.order` takes them.
    *
    * `means` (3N) are those of the frame that is shown, world units; they are copied. null: those that were given last
    * for this `key`, which names the scene. Gives null where a newer request came, no means were given, or it was

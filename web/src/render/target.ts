@@ -1,8 +1,7 @@
 // The picture that splats are blended into, before it goes to the canvas.
 import { framebuffer, type Texture, texture } from "./textures.ts";
 
-/**
- * Half floats take an extension; every WebGL2 blends into ten bits, which cost a few dB. Ten bits begin at the
+/** Half floats take an extension; every WebGL2 blends into ten bits, which cost a few dB. Ten bits begin at the
  * background, since their α has but two, and end at BRIGHTEST, since Gaussians may be brighter than the picture that
  * they make.
  */
@@ -51,7 +50,7 @@ export class Target {
     gl.clear(gl.COLOR_BUFFER_BIT);
   }
 
-  /** What is behind the picture that α lets through; black where it is part of the picture. */
+  /** The colour behind the picture that α lets through; black where it is part of the picture. */
   behind(background: Colour): Colour {
     return this.floats ? background : [0, 0, 0];
   }

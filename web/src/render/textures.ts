@@ -69,8 +69,7 @@ export function writeRows(gl: WebGL2RenderingContext, to: Texture, data: Uint32A
   if (rest) write(gl, to, { y: whole, width: rest, height: 1 }, data, whole * ROW_WIDTH * components);
 }
 
-/**
- * A framebuffer that draws into textures, or into layers of one. Nobody asks whether it is complete, which would wait
+/** A framebuffer that draws into textures, or into layers of one. Nobody asks whether it is complete, which would wait
  * for all that the GPU has yet to do: core WebGL2 draws into all formats here but RGBA16F.
  */
 export function framebuffer(gl: WebGL2RenderingContext, into: Texture[], layers?: number[]): WebGLFramebuffer {

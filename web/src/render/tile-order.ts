@@ -6,10 +6,9 @@ export interface Box {
   readonly high: ArrayLike<number>;
 }
 
-/**
- * Which of two boxes may hide the other: a hides b (1), b hides a (−1), neither (0). Where one lies beyond the other on an
- * axis, it hides it from nobody who does not stand beyond its near side. Where they overlap on all axes, the plane in the
- * middle of the least overlap divides them.
+/** Which of two boxes may hide the other: a hides b (1), b hides a (−1), neither (0). Where one lies beyond the other
+ * on an axis, it hides it from nobody who does not stand beyond its near side. Where they overlap on all axes, the
+ * plane in the middle of the least overlap divides them.
  */
 function hiding(a: Box, b: Box, eye: ArrayLike<number>): number {
   let [aHides, bHides] = [true, true];
@@ -27,9 +26,8 @@ function hiding(a: Box, b: Box, eye: ArrayLike<number>): number {
   return widest < 0 ? middle : Number(aHides) - Number(bHides);
 }
 
-/**
- * Places of boxes far to near: no box comes before one that it hides. Boxes that were made by halving always have such an
- * order; where three or more hide each other in a circle, the one that hides fewest comes first.
+/** Places of boxes far to near: no box comes before one that it hides. Boxes that were made by halving always have such
+ * an order; where three or more hide each other in a circle, the one that hides fewest comes first.
  */
 export function farToNear(boxes: readonly Box[], eye: ArrayLike<number>): number[] {
   /** (P) the boxes that each may hide. */

@@ -39,7 +39,7 @@ export abstract class PlayerElement extends Base implements Owner {
 
   abstract create(canvas: HTMLCanvasElement, settings: PlayerSettings): PlayerLike;
 
-  /** What the browser lacks; null: nothing. */
+  /** Says what the browser lacks; null: nothing. */
   lacking(): Trouble | null {
     return lacking();
   }

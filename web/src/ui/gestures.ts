@@ -14,7 +14,7 @@ const WHEEL_MOST = 0.4;
 const TAP_PX = 8;
 const TAP_MS = 350;
 const DOUBLE_MS = 320;
-/** What the last milliseconds of a drag were is what goes on by itself. */
+/** The motion of the last milliseconds of a drag goes on by itself. */
 const FLING_MS = 90;
 
 interface Finger {
@@ -91,7 +91,7 @@ export class Gestures {
     this.events.moved();
   }
 
-  /** What a finger that goes to (x, y) does: the scene goes with it. */
+  /** Finds the push of a finger that goes to (x, y): the scene goes with it. */
   #pushOf(finger: Finger, id: number, x: number, y: number): Push {
     const height = this.area.clientHeight || 1;
     const right = (x - finger.x) / height;

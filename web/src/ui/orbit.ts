@@ -149,8 +149,7 @@ export class Orbit {
     return moved;
   }
 
-  /**
-   * What is seen, in a picture of width / height `aspect`: at least as much to each side as in the pictures that the
+  /** The view in a picture of width / height `aspect`: at least as much to each side as in the pictures that the
    * package was judged by.
    */
   view(aspect: number): ViewState {

@@ -1,10 +1,10 @@
-// How sharp the picture is: as many pixels as can be drawn in time while something moves, and all of them when nothing does.
+// How sharp the picture is: as many pixels as can be drawn in time while something moves, all of them when nothing does.
 import type { PlayerLike } from "./desk.ts";
 
 /** Sharper than this, nobody sees a difference. */
 const MOST_RATIO = 2;
 const LEAST = 0.35;
-/** What is looked at together, of that which is told; fewer where that takes longer than so many milliseconds. */
+/** Intervals that are looked at together; fewer where that takes longer than so many milliseconds. */
 const WINDOW = 12;
 const FEWEST = 3;
 const WINDOW_MS = 1500;
@@ -99,16 +99,15 @@ class Pace {
   #moving = 0;
   #playing = 0;
 
-  /** What comes next has nothing to do with what was: other pictures, or animation frames after a rest. */
+  /** Begins anew: other pictures come next, or animation frames after a rest. */
   rest(): void {
     this.#start = 0;
     this.#moving = 0;
     this.#playing = 0;
   }
 
-  /**
-   * An animation frame: whether it has something new to draw, and whether time passes for the player. Ten times a second,
-   * the milliseconds from one picture to the next; else null.
+  /** An animation frame: whether it has something new to draw, and whether time passes for the player. Ten times a
+   * second, the milliseconds from one picture to the next; else null.
    */
   tick(now: number, moves: boolean, plays: boolean, player: PlayerLike): number | null {
     this.#moving = since(this.#moving, now, moves);

@@ -17,7 +17,7 @@ export interface Looks {
   readonly src: string;
 }
 
-/** What people call a package: the last part of its address. */
+/** The name that people give a package: the last part of its address. */
 function nameOf(src: string): string {
   const last = new URL(src).pathname.split("/").filter(Boolean).pop() ?? "";
   try {
@@ -172,8 +172,7 @@ export class Shell {
 /** The attribute of an element that fills the window. */
 const FILLS = "fills-window";
 
-/**
- * Full screen; where a browser has none for elements (iPhone), the element fills the window instead. Browsers with
+/** Full screen; where a browser has none for elements (iPhone), the element fills the window instead. Browsers with
  * WebCodecs need no prefixes.
  */
 export class FullScreen {

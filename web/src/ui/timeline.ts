@@ -138,7 +138,7 @@ export class Timeline {
 /** A longer way between two pictures is a jump: nothing was seen in between. */
 const JUMP_S = 1;
 
-/** What was seen, in order of time seen, with a picture at `time` in a rung: it takes the place of what was there. */
+/** The parts that were seen, in the order in which they were, with a picture at `time` in place of what was there. */
 export function seen(parts: readonly Part[], time: number, rung: number): Part[] {
   const last = parts.at(-1);
   const goesOn = last && last.rung === rung && time >= last.stop && time - last.stop < JUMP_S;

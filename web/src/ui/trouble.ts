@@ -39,7 +39,7 @@ const REASONS: Readonly<Record<Reason, string>> = {
   bad_picture: "holds pictures that cannot be decoded.",
 };
 
-/** What this browser lacks to play anything; null: nothing. */
+/** Says what this browser lacks to play anything; null: nothing. */
 export function lacking(): Trouble | null {
   const here = { details: navigator.userAgent, again: false };
   if (!window.isSecureContext) {

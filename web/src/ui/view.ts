@@ -13,7 +13,7 @@ import { FullScreen, type Looks, Shell } from "./shell.ts";
 import { troubleOf } from "./trouble.ts";
 
 const UPDATE_MS = 250;
-/** What rungs claim changes as tables come; to sum it up takes a player long. */
+/** The figures of rungs change as tables come, and a player takes long to sum them up. */
 const LIST_MS = 2000;
 const NOTE_MS = 7000;
 /** A click waits so long for a second one. */
@@ -272,7 +272,7 @@ export class View implements Desk {
     );
   }
 
-  /** What is shown of an event of the player. */
+  /** Shows what follows from an event of the player. */
   #hear(name: string, detail: unknown): void {
     const { notes } = this.#shell;
     if (name === "firstpicture") this.#shell.showPicture();

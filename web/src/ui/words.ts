@@ -50,7 +50,7 @@ export function size(bytes: number): string {
 
 export const decibels = (psnr: number | null): string => (psnr === null ? "–" : `${psnr.toFixed(1)} dB`);
 
-/** What a rung is called: what it looks like, else its name. */
+/** Names a rung by its quality, else by its name in the package. */
 export const rungTitle = (rung: RungInfo): string => (rung.psnr === null ? rung.name : decibels(rung.psnr));
 
 export const POLICIES: ReadonlyMap<string, string> = new Map<(typeof POLICY_NAMES)[number], string>([

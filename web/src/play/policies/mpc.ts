@@ -97,8 +97,7 @@ function horizon(state: PlayerState): Step[] {
   return steps;
 }
 
-/**
- * (P · R) bytes of rung r after rung p of the segment before, at place p R + r; (R) where that makes no difference.
+/** (P · R) bytes of rung r after rung p of the segment before, at place p R + r; (R) where that makes no difference.
  *
  * `known` are units that are decoded by then; of the group that goes on, rung p alone says what is.
  */

@@ -33,8 +33,8 @@ function choosePaperLiteral(state: PlayerState, beta = DEFAULT_BETA): Decision {
 const chooseThroughput = (state: PlayerState): Decision =>
   select(fullLadder(state), (SAFETY * estimateThroughput(state.history) * segmentS(state)) / 8);
 
-/** BOLA-BASIC, Lyapunov optimisation of the buffer (Spiteri et al., INFOCOM 2016): the rung with the largest
- * (V (u + g) − Q) / size, whose utilities come from measured quality.
+/** BOLA-BASIC, Lyapunov optimisation of the buffer (Spiteri et al., INFOCOM 2016): the rung with the largest (V (u + g)
+ * − Q) / size, whose utilities come from measured quality.
  *
  * u is quality in nepers above the smallest rung, Q the buffer in seconds. V and g are such that the smallest rung is
  * left at RESERVE_S (a third of a smaller buffer) and the best one scores nothing when the buffer is full.
