@@ -28,7 +28,7 @@ from airgs_codec.train.usage import group_usage
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """What every frame of a scene is fitted with."""
+    """A scene with all that its frames are fitted with."""
 
     scene: MultiviewScene
     settings: TrainSettings
@@ -44,7 +44,7 @@ class Capture:
 
     @cached_property
     def trainer(self) -> Trainer:
-        """What all fits share. Opened when a fit asks for it: who only writes what others fitted needs no device.
+        """Open what all fits share when a fit asks for it: who only writes what others fitted needs no device.
 
         Raises ConfigError where the device is not there.
         """
@@ -97,7 +97,7 @@ class First:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Position:
-    """What the next frame is fitted from."""
+    """The frame and the group that the next frame is fitted from."""
 
     before: FrameBefore
     group: Group
@@ -163,7 +163,7 @@ def train_chunk(
 
 
 def position_after(capture: Capture, model: Model) -> Position:
-    """What the frame behind the last finished one of a model is fitted from."""
+    """Return what the frame behind the last finished one of a model is fitted from."""
     last = model.record.frames[-1].frame
     start = model.record.group_start(last + 1)
     group = capture.trainer.start_group(model.read(start), capture.views(start))
@@ -173,7 +173,7 @@ def position_after(capture: Capture, model: Model) -> Position:
 
 
 def frame_before(model: Model, frame: int) -> FrameBefore:
-    """What a frame, at least 1, starts from; its velocity is known from the third frame of a group on."""
+    """Return what a frame, at least 1, starts from; its velocity is known from the third frame of a group on."""
     before = model.read(frame - 1)
     if frame - 1 == model.record.group_start(frame):
         return FrameBefore(before, None)
@@ -183,7 +183,7 @@ def frame_before(model: Model, frame: int) -> FrameBefore:
 def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Progress) -> _Fitted:
     """A frame in the group of the one before, or a keyframe in its place where its quality falls.
 
-    Where that is no better, and the settings keep only better ones, the frame as it moved.
+    Where that is no better, and the settings take only better ones, it is the frame as it moved.
     """
     trainer, s = capture.trainer, capture.trainer.settings
     before, group = at.before, at.group

@@ -98,14 +98,14 @@ STEPS = {step.name: step for step in (REST, FIRST, CHUNKS)}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """What is trained, and the model folder that it is trained into."""
+    """A capture, and the model folder that it is trained into."""
 
     capture: Capture
     model: Model
 
 
 class Driver(Protocol):
-    """Who does the steps of a run."""
+    """A way to do the steps of a run."""
 
     def first(self) -> TrainedFrame:
         """The first frame of the run."""
@@ -258,7 +258,7 @@ def rested(capture: Capture, progress: Progress = silent) -> Capture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Task:
-    """What a job reads of a run."""
+    """The part of a run that a job reads."""
 
     scene: MultiviewScene  # frames that do not matter have no shots
     settings: TrainSettings
@@ -288,7 +288,7 @@ class Farm:
 
     @property
     def needs(self) -> Needs:
-        """What the worker of a step that fits must have."""
+        """Return what the worker of a step that fits must have."""
         return {"GPU": 1} if self.device == "cuda" else NOTHING
 
     @cached_property
@@ -298,7 +298,7 @@ class Farm:
 
     @cached_property
     def plates(self) -> tuple[Stored, ...]:
-        """What each training camera sees at rest, when it is known."""
+        """Find what each training camera sees at rest."""
         jobs = self.jobs(REST)
         self.work.run(jobs)
         return tuple(job.result for job in jobs)

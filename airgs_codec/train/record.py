@@ -1,4 +1,4 @@
-"""What a training run leaves behind, and what it needs to go on: the model folder.
+"""The model folder: all that a training run leaves behind, and all that it needs to go on.
 
     000000.ply ...    frames, float32 as they were trained
     sequence.json     frame rate and keyframes; transforms.json  cameras at training size
@@ -79,7 +79,7 @@ class Record:
     def of(scene: MultiviewScene, background: Background, settings: TrainSettings) -> Record:
         """The record of a run that has no frame yet, whose pictures are before a background."""
         cameras = [f"{c.name} {c.split} {c.width}x{c.height} near {c.near:g}" for c in scene.cameras]
-        first = Path(scene.frames[0][0].source.where()).name
+        first = Path(str(scene.frames[0][0].source)).name
         named = {"name": scene.path.resolve().name, "first picture": first, "cameras": cameras}
         same = {**named, "background": list(background)}
         return Record(same, settings.table(), len(scene), str(scene.fps))
@@ -99,7 +99,7 @@ class Record:
         return list(zip(starts, [*starts[1:], len(self.frames)], strict=True))
 
     def warnings(self) -> list[str]:
-        """What somebody should know who looks at the run, one sentence each."""
+        """Return what somebody should know who looks at the run, one sentence each."""
         low = self.settings["min_psnr_db"]
         starts = [f for f in self.frames if f.kind != "frame" or f.rejected_psnr is not None]
         short = [f for f in starts if f.psnr < low]
@@ -131,7 +131,7 @@ class Model:
         return read_ply(self._path(frame))
 
     def commit(self, trained: TrainedFrame) -> FrameRecord:
-        """Keep a finished frame, which is the next one; from here on the run goes on behind it. Gives its record."""
+        """Write the next frame, from which on the run goes on behind it, and return its record."""
         frame = trained.record
         with atomic_path(self._path(frame.frame)) as temporary:
             write_ply(temporary, trained.gaussians)

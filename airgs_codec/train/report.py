@@ -88,7 +88,7 @@ def _psnr(axis: Any, records: Sequence[FrameRecord]) -> None:
     if records[0].held_out_psnr is not None:
         axis.plot(frames, [r.held_out_psnr for r in records], "o-", ms=3, color=_ORANGE, label="held-out views")
     rejected = [r for r in records if r.rejected_psnr is not None]
-    label = "training views, the fit that was not kept" if rejected else None
+    label = "training views, the fit that was not taken" if rejected else None
     axis.plot([r.frame for r in rejected], [r.rejected_psnr for r in rejected], "x", color=_RED, label=label)
     axis.set(ylabel="PSNR, dB (mean over views)")
     axis.legend()

@@ -15,7 +15,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.cameras import colmap
 from airgs_codec.scene.cameras.posed import Cursor, Posed, expecting
 from airgs_codec.scene.sequence_json import DEFAULT_FPS
-from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Points, Shot
+from airgs_codec.train.data.multiview import MultiviewScene, Points, Shot, Source
 from airgs_codec.train.data.videos import CameraFilm, find_pictures, find_videos, scene_from_films
 
 
@@ -59,7 +59,7 @@ def _first_shots(folder: Path, posed: Sequence[Posed]) -> dict[str, Shot]:
 
 
 def _shot(folder: Path, image: Posed, name: str) -> Shot:
-    return Shot(replace(image.camera, name=name), PictureFile(folder / "images" / image.picture), image.lens)
+    return Shot(replace(image.camera, name=name), Source(folder / "images" / image.picture), image.lens)
 
 
 def _film(folder: Path, name: str) -> Path | None:

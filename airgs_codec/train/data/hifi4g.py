@@ -15,7 +15,7 @@ from airgs_codec.scene.cameras.posed import Posed
 from airgs_codec.scene.formats.table import natural_key
 from airgs_codec.scene.sequence_json import DEFAULT_FPS
 from airgs_codec.train.data.colmap import read_points3d
-from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
+from airgs_codec.train.data.multiview import MultiviewScene, Shot, Source
 from airgs_codec.train.data.videos import find_pictures
 
 WHITE = (1.0, 1.0, 1.0)
@@ -52,6 +52,6 @@ def _frame(folder: Path, posed: list[Posed]) -> tuple[Shot, ...]:
     if missing := [name for name in names if name not in by_stem]:
         raise SceneError(f"{folder}: expected pictures of {len(names)} cameras, got none of {', '.join(missing[:8])}")
     return tuple(
-        Shot(replace(image.camera, name=name), PictureFile(by_stem[name]), image.lens)
+        Shot(replace(image.camera, name=name), Source(by_stem[name]), image.lens)
         for image, name in zip(posed, names, strict=True)
     )

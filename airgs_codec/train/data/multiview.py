@@ -13,8 +13,9 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,47 +23,38 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.image import Lens, read_picture
+from airgs_codec.media.movie import VideoReader
 from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.cameras.posed import Posed
 
 HELD_OUT_SHARE = 8  # one camera in so many is held out where a scene names none
 
 
-class Source(Protocol):
-    """A place that a picture is read from."""
-
-    def read(self) -> NDArray[np.uint8]:
-        """The picture, (H, W, 3) RGB or (H, W, 4) with alpha. Raises SceneError."""
-
-    def where(self) -> str:
-        """The place in words, for messages."""
-
-    def file(self) -> tuple[Path, int]:
-        """The file that the picture is in, and its number there."""
-
-
 @dataclass(frozen=True, slots=True)
-class PictureFile:
-    """A picture that is a file of its own."""
+class Source:
+    """A file that is a picture, or a frame of a video."""
 
     path: Path
+    frame: int | None = None  # its number in a video; None: the file is the picture
 
     def read(self) -> NDArray[np.uint8]:
-        """The picture, (H, W, 3) RGB or (H, W, 4) with alpha. Raises SceneError."""
-        return read_picture(self.path)
+        """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha. Raises SceneError."""
+        return read_picture(self.path) if self.frame is None else open_video(self.path).read(self.frame)
 
-    def where(self) -> str:
-        """The path."""
-        return str(self.path)
+    def __str__(self) -> str:
+        """Name the place in a message."""
+        return str(self.path) if self.frame is None else f"{self.path} frame {self.frame}"
 
-    def file(self) -> tuple[Path, int]:
-        """The file; there is nothing else in it."""
-        return self.path, 0
+
+@cache
+def open_video(path: Path) -> VideoReader:
+    """Open one decoder for each video: frames are asked for in order. Raises SceneError."""
+    return VideoReader(path)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """What one camera saw at one frame."""
+    """The picture that one camera took at one frame."""
 
     camera: Camera  # of the undistorted picture at full size
     source: Source
@@ -166,7 +158,7 @@ def hash_files(paths: Sequence[Path]) -> list[str]:
 
 
 def content_of(scene: MultiviewScene, contents: Contents) -> list[Any]:
-    """What a job that reads a scene is named by."""
+    """Return what a job that reads a scene is named by."""
     frames = [
         (number, [_content(shot, contents) for shot in shots]) for number, shots in enumerate(scene.frames) if shots
     ]
@@ -174,7 +166,7 @@ def content_of(scene: MultiviewScene, contents: Contents) -> list[Any]:
 
 
 def with_frames(scene: MultiviewScene, frames: Iterable[int]) -> MultiviewScene:
-    """The scene without the pictures of all other frames, which keep their numbers."""
+    """The scene without the pictures of all other frames, which have their numbers still."""
     wanted = set(frames)
     return replace(scene, frames=tuple(s if i in wanted else () for i, s in enumerate(scene.frames)))
 
@@ -185,9 +177,9 @@ def without_masks(scene: MultiviewScene) -> MultiviewScene:
 
 
 def _content(shot: Shot, contents: Contents) -> tuple[Any, ...]:
-    path, number = shot.source.file()
-    return shot.camera, shot.lens, contents[path], number, shot.mask and contents[shot.mask]
+    source = shot.source
+    return shot.camera, shot.lens, contents[source.path], source.frame, shot.mask and contents[shot.mask]
 
 
 def _files(shot: Shot) -> list[Path]:
-    return [shot.source.file()[0], *([shot.mask] if shot.mask else [])]
+    return [shot.source.path, *([shot.mask] if shot.mask else [])]

@@ -73,10 +73,10 @@ class Pictures:
     ) -> None:
         """Read nothing yet.
 
-        `max_size`: longest side in pixels; None keeps the size. `foreground`: what the masks leave out becomes
+        `max_size`: longest side in pixels; None: as they are. `foreground`: what the masks leave out becomes
         background. `background`: as in `TrainSettings`; pictures and cameras have the one of the scene unless it names
         a colour, and with RANDOM pictures must have alpha. `picture_bytes`, `target_bytes`: most memory that pictures
-        in 8 bits and targets may hold; one of each is kept whatever it takes.
+        in 8 bits and targets may hold; one of each is buffered whatever it takes.
         """
         self._scene = scene
         self._max_size = max_size
@@ -94,7 +94,7 @@ class Pictures:
         return self._exposure
 
     def with_exposure(self, exposure: Exposure) -> Pictures:
-        """The same pictures as the average camera would have exposed them; what is kept in 8 bits is shared."""
+        """The same pictures as the average camera would have exposed them; those buffered in 8 bits are shared."""
         other = copy(self)
         other._exposure = dict(exposure)
         other._targets = Kept(other._make_target, self._target_bytes)
@@ -149,7 +149,7 @@ class Pictures:
         mask = self._mask(shot)
         if mask is None and data.shape[2] == 3:
             if self._choice == RANDOM:
-                raise SceneError(f"{shot.source.where()}: expected alpha for random backgrounds, got an opaque picture")
+                raise SceneError(f"{shot.source}: expected alpha for random backgrounds, got an opaque picture")
             changes = self._changes(shot)
             return Stored(to_bytes(self._fitted(to_floats(data), shot)) if changes else np.ascontiguousarray(data))
         values = to_floats(data)
@@ -164,7 +164,7 @@ class Pictures:
         if not self._foreground:
             return None
         if shot.mask is None:
-            raise SceneError(f"{shot.source.where()}: expected a mask of the foreground, the scene has none")
+            raise SceneError(f"{shot.source}: expected a mask of the foreground, the scene has none")
         return read_mask(shot.mask, _full_size(shot))
 
     def _changes(self, shot: Shot) -> bool:
@@ -205,7 +205,7 @@ def _read(shot: Shot) -> NDArray[np.uint8]:
     data, size = shot.source.read(), _full_size(shot)
     if data.shape[1::-1] != size:
         got = f"{data.shape[1]}x{data.shape[0]}"
-        raise SceneError(f"{shot.source.where()}: expected a picture of {size[0]}x{size[1]}, got {got}")
+        raise SceneError(f"{shot.source}: expected a picture of {size[0]}x{size[1]}, got {got}")
     return data
 
 

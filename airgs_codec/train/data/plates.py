@@ -43,7 +43,7 @@ HALO = 5  # pixels across: what moves, and what the Gaussians that make it reach
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plate:
-    """What one camera sees at rest."""
+    """The picture of one camera where nothing moves, and its noise."""
 
     rgb: NDArray[np.uint8]  # (H, W, 3)
     noise: float  # standard deviation of a pixel, 0..1
@@ -96,7 +96,7 @@ def _lens(camera: Camera) -> tuple[float, ...]:
 
 
 def plate_sources(scene: MultiviewScene) -> list[tuple[int, list[int]]]:
-    """What plates are taken from: training cameras, counted as the scene does, and the frames of each.
+    """Return what plates are taken from: training cameras, counted as the scene does, and the frames of each.
 
     None where a camera moves or there are too few frames.
     """
@@ -134,8 +134,8 @@ def settle(views: Sequence[View], plates: Plates, exposure: Exposure) -> Settled
         return Target(np.where(masks[place][..., None], target.rgb, rgb), target.clear)
 
     masks = find_moving(views, plates, exposure)
-    kept = Kept(flatten, TARGET_BYTES)
-    return Settled([View(v.camera, _Flattened(kept, place, v.picture)) for place, v in enumerate(views)], masks)
+    buffer = Kept(flatten, TARGET_BYTES)
+    return Settled([View(v.camera, _Flattened(buffer, place, v.picture)) for place, v in enumerate(views)], masks)
 
 
 def find_moving(views: Sequence[View], plates: Plates, exposure: Exposure) -> Masks:
@@ -147,15 +147,15 @@ def find_moving(views: Sequence[View], plates: Plates, exposure: Exposure) -> Ma
 class _Flattened:
     """The picture of a view, as its plate has it where it rests."""
 
-    kept: Kept[int, Target]
+    buffer: Kept[int, Target]
     place: int
     picture: Picture
 
     def target(self) -> Target:
-        return self.kept.get(self.place)
+        return self.buffer.get(self.place)
 
     def expect(self) -> None:
-        if self.place not in self.kept:
+        if self.place not in self.buffer:
             self.picture.expect()
 
 

@@ -12,15 +12,10 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera, with_pixels
 from airgs_codec.scene.cameras import llff
 from airgs_codec.scene.formats.table import natural_key
-from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot
+from airgs_codec.train.data.multiview import MultiviewScene, Shot, Source
 from airgs_codec.train.data.videos import CameraFilm, find_videos, scene_from_films, video_size
 
 HELD_OUT = "cam00"
-
-
-def has_poses_bounds(folder: Path) -> bool:
-    """Whether the folder has a poses_bounds.npy."""
-    return (folder / llff.NAME).is_file()
 
 
 def read_poses_bounds(folder: Path) -> MultiviewScene:
@@ -39,4 +34,4 @@ def _shot(camera: Camera, video: Path) -> Shot:
     width, height = video_size(video)  # the matrix may be of the videos before they were shrunk
     split = "test" if video.stem == HELD_OUT else "train"
     filmed = replace(with_pixels(camera, width, height), name=video.stem, split=split)
-    return Shot(filmed, PictureFile(video))
+    return Shot(filmed, Source(video))

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.cameras import llff, panoptic, transforms
 from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.formats.table import has_frames
 from airgs_codec.train.data.colmap import has_colmap, read_colmap
 from airgs_codec.train.data.hifi4g import has_hifi4g, read_hifi4g
 from airgs_codec.train.data.multiview import MultiviewScene, Points
-from airgs_codec.train.data.poses_bounds import has_poses_bounds, read_poses_bounds
+from airgs_codec.train.data.poses_bounds import read_poses_bounds
 from airgs_codec.train.data.rig import has_rig, read_rig
-from airgs_codec.train.data.transforms import has_panoptic, has_transforms, read_panoptic, read_transforms
+from airgs_codec.train.data.transforms import read_panoptic, read_transforms
 
 POINT_FILES = (
     "points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "sparse_pc.ply", "points3d.npy",
@@ -33,12 +34,16 @@ class Format:
     read: Callable[[Path], MultiviewScene]  # reads no pictures; raises SceneError
 
 
+def _has(name: str) -> Callable[[Path], bool]:
+    return lambda folder: (folder / name).is_file()
+
+
 FORMATS = (  # the first that recognises a folder reads it
-    Format("train_meta.json", has_panoptic, read_panoptic),
-    Format("transforms.json", has_transforms, read_transforms),
+    Format(panoptic.NAME, _has(panoptic.NAME), read_panoptic),
+    Format(transforms.NAME, _has(transforms.NAME), read_transforms),
     Format("image_white_undistortion/ (HiFi4G)", has_hifi4g, read_hifi4g),
     Format("COLMAP's sparse/", has_colmap, read_colmap),
-    Format("poses_bounds.npy", has_poses_bounds, read_poses_bounds),
+    Format(llff.NAME, _has(llff.NAME), read_poses_bounds),
     Format("videos of several cameras", has_rig, read_rig),
 )
 

@@ -26,7 +26,7 @@ FEWEST = 3  # cameras with a pose
 
 @dataclass(frozen=True, slots=True)
 class RigCamera:
-    """What was found of one camera."""
+    """The pose of one camera in figures: whether it has one, and what it rests on."""
 
     name: str
     posed: bool
@@ -39,7 +39,7 @@ class RigCamera:
 
 @dataclass(frozen=True, slots=True)
 class RigReport:
-    """What finding the poses of a rig came to."""
+    """The poses of a rig in figures."""
 
     cameras: tuple[RigCamera, ...]
     points: int
@@ -139,7 +139,7 @@ def _checked(folder: Path, videos: list[Path]) -> list[Path]:
 
 
 def _write_pictures(work: Path, videos: Sequence[Path], frame: int, shared_lens: bool, progress: Progress) -> None:
-    """What each camera filmed at a frame, as CAM.png."""
+    """Write what each camera filmed at a frame, as CAM.png."""
     (work / "images").mkdir()
     sizes: dict[tuple[int, int], Path] = {}
     for done, video in enumerate(videos, start=1):
@@ -239,7 +239,7 @@ def _reconstruct(work: Path, options: Any, count: int, progress: Progress) -> li
 
 
 def _report(work: Path, model: Any) -> RigReport:
-    """What a reconstruction has of each camera; `model` may be None."""
+    """Report what a reconstruction has of each camera; `model` may be None."""
     import pycolmap
 
     database = pycolmap.Database.open(work / "database.db")

@@ -17,13 +17,8 @@ from airgs_codec.scene.cameras import panoptic, transforms
 from airgs_codec.scene.cameras.posed import Posed, expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.sequence_json import DEFAULT_FPS, exact_number, frame_rate
-from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Points, Shot, in_frames
+from airgs_codec.train.data.multiview import MultiviewScene, Points, Shot, Source, in_frames
 from airgs_codec.train.data.videos import VIDEO_SUFFIXES, CameraFilm, scene_from_films
-
-
-def has_transforms(folder: Path) -> bool:
-    """Whether the folder has a transforms.json."""
-    return (folder / transforms.NAME).is_file()
 
 
 def read_transforms(folder: Path) -> MultiviewScene:
@@ -53,13 +48,8 @@ def _points(folder: Path, name: object) -> Points | None:
 
 def _shot(folder: Path, posed: Posed) -> Shot:
     picture = folder / posed.picture
-    source = PictureFile(picture if picture.suffix else picture.with_suffix(".png"))
+    source = Source(picture if picture.suffix else picture.with_suffix(".png"))
     return Shot(posed.camera, source, posed.lens, folder / posed.mask if posed.mask else None)
-
-
-def has_panoptic(folder: Path) -> bool:
-    """Whether the folder has a train_meta.json."""
-    return (folder / panoptic.NAME).is_file()
 
 
 def read_panoptic(folder: Path) -> MultiviewScene:
@@ -77,4 +67,4 @@ def _frame_rate(path: Path) -> Fraction:
 
 def _masked_shot(folder: Path, posed: Posed) -> Shot:
     mask = folder / "seg" / Path(posed.picture).with_suffix(".png")
-    return Shot(posed.camera, PictureFile(folder / "ims" / posed.picture), None, mask if mask.is_file() else None)
+    return Shot(posed.camera, Source(folder / "ims" / posed.picture), None, mask if mask.is_file() else None)

@@ -5,41 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cache
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from airgs_codec.errors import SceneError
-from airgs_codec.media.movie import VideoReader
 from airgs_codec.scene.formats.table import natural_key
 from airgs_codec.scene.sequence_json import DEFAULT_FPS
-from airgs_codec.train.data.multiview import MultiviewScene, PictureFile, Shot, Source
+from airgs_codec.train.data.multiview import MultiviewScene, Shot, Source, open_video
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
 SAME_RATE = 1.001  # ratio of frame rates that cameras of one rig measure a little differently
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
-
-
-@dataclass(frozen=True, slots=True)
-class VideoFrame:
-    """A frame of a camera's video."""
-
-    path: Path
-    number: int
-
-    def read(self) -> NDArray[np.uint8]:
-        """The picture, (H, W, 3) RGB. Raises SceneError."""
-        return _video(self.path).read(self.number)
-
-    def where(self) -> str:
-        """The path and the number of the frame."""
-        return f"{self.path} frame {self.number}"
-
-    def file(self) -> tuple[Path, int]:
-        """The video, and the number of the frame."""
-        return self.path, self.number
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +45,7 @@ def find_pictures(folder: Path) -> list[Path]:
 
 def video_size(path: Path) -> tuple[int, int]:
     """Width and height of a video in pixels."""
-    return _video(path).size
+    return open_video(path).size
 
 
 def _with_suffix(folder: Path, suffixes: Sequence[str]) -> list[Path]:
@@ -79,21 +54,15 @@ def _with_suffix(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     return sorted((path for path in folder.iterdir() if path.suffix.lower() in suffixes), key=natural_key)
 
 
-@cache
-def _video(path: Path) -> VideoReader:
-    """One open decoder for each video: frames are asked for in order."""
-    return VideoReader(path)
-
-
 def _from_videos(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
     """As many frames as the shortest video has."""
-    videos = [_video(film.path) for film in films]
+    videos = [open_video(film.path) for film in films]
     rates = sorted({video.fps for video in videos if video.fps})
     if rates and rates[-1] > SAME_RATE * rates[0]:
         listed = ", ".join(f"{float(rate):g}" for rate in rates)
         raise SceneError(f"{folder}: expected videos of one frame rate, got {listed}")
     count = min(video.frames for video in videos)
-    sources = [[VideoFrame(film.path, number) for number in range(count)] for film in films]
+    sources = [[Source(film.path, number) for number in range(count)] for film in films]
     return _with_sources(folder, Fraction(rates[0]) if rates else DEFAULT_FPS, films, sources)
 
 
@@ -102,7 +71,7 @@ def _from_folders(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
     counts = sorted({len(paths) for paths in pictures})
     if len(counts) > 1:
         raise SceneError(f"{folder}: expected as many frames of every camera, got {counts[0]} to {counts[-1]}")
-    return _with_sources(folder, DEFAULT_FPS, films, [[PictureFile(path) for path in paths] for paths in pictures])
+    return _with_sources(folder, DEFAULT_FPS, films, [[Source(path) for path in paths] for paths in pictures])
 
 
 def _with_sources(

@@ -1,4 +1,4 @@
-"""What of a scene may change at a frame: the rows that make what moves, and the tiles of the views that show them.
+"""Finding what may change at a frame: the rows that make what moves, and the tiles of the views that show them.
 
 A row is active when a good part of what it gives to all pictures falls on pixels that do not rest. The other rows are
 no variables at all and stay as they are, bit for bit. N Gaussians, A of them active, H x W pixels.
@@ -22,13 +22,13 @@ from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.parameters import Parameters
 
 SHARE = 0.2  # of a row's blending weights over all views that fall on moving pixels, from which it is active
-REST_BYTES = 1 << 30  # of whole pictures, 16 bytes a pixel; those that are not kept are drawn again
+REST_BYTES = 1 << 30  # of whole pictures, 16 bytes a pixel; those that are no longer buffered are drawn again
 SHOWN = 8.0  # pixels of active rows in a tile, from which it is drawn
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Active:
-    """What may change at a frame."""
+    """The rows that may change at a frame, and the views that show them."""
 
     rows: NDArray[np.intp]  # (A,) ascending
     views: list[View]  # those that show it, with the tiles that do
@@ -36,7 +36,7 @@ class Active:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scope:
-    """What a fit may change, and the views that it is fitted to."""
+    """The part of the rows that a fit may change, and the views that it is fitted to."""
 
     views: Sequence[View]
     resting: Resting | None = None  # None: anything may change
@@ -77,7 +77,7 @@ class Resting:
 def find_active(
     before: Gaussians, views: Sequence[View], moving: Sequence[NDArray[np.bool_]], renderer: Renderer = CPU
 ) -> Active:
-    """What may change, from the Gaussians of the frame before and what moves (H, W) in each view."""
+    """Find what may change, from the Gaussians of the frame before and what moves (H, W) in each view."""
     loaded = renderer.load(before)
     rests: Kept[int, _Rest] = Kept(lambda place: _Rest(loaded.draw(views[place].camera)), REST_BYTES)
     weights, on_moving, whole = [], np.zeros(len(before)), np.zeros(len(before))

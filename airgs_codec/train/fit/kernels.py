@@ -76,7 +76,7 @@ def l1_dssim(picture, truth, mean, variance, w_l1, w_dssim, rows, back, gradient
     """Gradient of w_l1 * mean |x - y| + w_dssim * (1 - mean SSIM) by x = picture (H, n), and sums over each row.
 
     mean, variance (H, n): of truth, by `window_moments`. rows, back (3, H + 2 RADIUS, n): scratch whose first and last
-    RADIUS rows are zero and stay so. sums (H, 3): |x - y|, SSIM, (x - y)^2.
+    RADIUS rows are zero and stay so. sums (H, 2): |x - y|, SSIM.
     """
     H, n = picture.shape
     g_ssim = f4(-w_dssim / (H * n))
@@ -123,12 +123,9 @@ def l1_dssim(picture, truth, mean, variance, w_l1, w_dssim, rows, back, gradient
         m0, m1, m2 = moments[0], moments[1], moments[2]
         x, t, out = picture[y], truth[y], gradient[y]
         absolute = f4(0.0)
-        square = f4(0.0)
         for i in range(n):
             d = x[i] - t[i]
             absolute += abs(d)
-            square += d * d
             l1 = g_l1 if d > 0 else (-g_l1 if d < 0 else f4(0.0))
             out[i] = m0[i] + f4(2.0) * x[i] * m1[i] + t[i] * m2[i] + l1
         sums[y, 0] = absolute
-        sums[y, 2] = square

@@ -15,7 +15,6 @@ its pictures first, and is lower where views differ.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -39,51 +38,28 @@ from airgs_codec.train.settings import Temporal
 LAMBDA = 0.2  # weight of 1 - SSIM, as AirGS and 3DGS have it
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
-    """How a rendered picture compares with its target."""
-
-    loss: torch.Tensor  # scalar, differentiable
-    _mse: Callable[[], float]
-    _ssim: Callable[[], float]
-
-    @property
-    def mse(self) -> float:
-        """Mean squared error of samples that are not clipped to 0..1; computed when it is asked for."""
-        return self._mse()
-
-    @property
-    def ssim(self) -> float:
-        """Mean over samples, pictures being zero outside."""
-        return self._ssim()
-
-
-def photometric(rgb: torch.Tensor, target: Target, weight: float = LAMBDA) -> Comparison:
-    """Compare a rendered picture (H, W, 3) with its target; `weight` is lambda."""
-    if rgb.is_cuda:
-        return _on_cuda(rgb, target, weight)
-    sums: list[float] = []
-    loss = _Fused.apply(rgb, target, weight, sums)
-    return Comparison(loss, lambda: sums[2], lambda: sums[1])
+def photometric(rgb: torch.Tensor, target: Target, weight: float = LAMBDA) -> torch.Tensor:
+    """Return L_3DGS of a rendered picture (H, W, 3), a scalar; `weight` is lambda."""
+    loss: torch.Tensor = _on_cuda(rgb, target, weight) if rgb.is_cuda else _Fused.apply(rgb, target, weight)
+    return loss
 
 
 class _Fused(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, rgb: torch.Tensor, target: Target, weight: float, out: list[float]) -> torch.Tensor:
+    def forward(ctx: Any, rgb: torch.Tensor, target: Target, weight: float) -> torch.Tensor:
         rows = np.ascontiguousarray(rgb.detach().numpy(), np.float32).reshape(target.rows.shape)
         gradient = np.empty_like(rows)
-        sums = np.empty((len(rows), 3))
+        sums = np.empty((len(rows), 2))
         scratch = _scratch(rows.shape)
         arguments = (1 - weight, weight, *scratch, gradient, sums)
         kernels.l1_dssim(rows, target.rows, *moments(target), *arguments)
-        l1, ssim, square = sums.sum(axis=0) / rows.size
-        out += [float(l1), float(ssim), float(square)]
+        l1, ssim = sums.sum(axis=0) / rows.size
         ctx.gradient = torch.from_numpy(gradient.reshape(rgb.shape))
         return torch.tensor((1 - weight) * l1 + weight * (1 - ssim), dtype=torch.float32)
 
     @staticmethod
     def backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
-        return ctx.gradient * grads[0], None, None, None
+        return ctx.gradient * grads[0], None, None
 
 
 def moments(target: Target) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -104,14 +80,12 @@ def _scratch(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.fl
     return _SCRATCH[shape]
 
 
-def _on_cuda(rgb: torch.Tensor, target: Target, weight: float) -> Comparison:
-    """Nothing here waits for the device."""
+def _on_cuda(rgb: torch.Tensor, target: Target, weight: float) -> torch.Tensor:
+    """Return the loss without waiting for the device."""
     if target.on_device is None:
         target.on_device = upload(target.rgb, rgb.device)
-    truth = target.on_device
-    similarity = windowed_ssim(rgb, truth)
-    loss = (1 - weight) * (rgb - truth).abs().mean() + weight * (1 - similarity)
-    return Comparison(loss, lambda: float((rgb.detach() - truth).square().mean()), lambda: float(similarity.detach()))
+    truth: torch.Tensor = target.on_device
+    return (1 - weight) * (rgb - truth).abs().mean() + weight * (1 - windowed_ssim(rgb, truth))
 
 
 def windowed_ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:

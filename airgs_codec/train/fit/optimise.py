@@ -29,7 +29,7 @@ LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite
 
 
 class Variables(Protocol):
-    """What an iteration moves."""
+    """The variables that an iteration moves."""
 
     def current(self) -> Parameters:
         """The Gaussians as they are now, differentiable by the variables."""
@@ -38,7 +38,7 @@ class Variables(Protocol):
         """Where the absolute gradients of the next picture are wanted; None: nowhere."""
 
     def penalty(self) -> torch.Tensor | float:
-        """What is added to the loss of the picture."""
+        """Return what is added to the loss of the picture."""
 
     def step(self, iteration: int, iterations: int) -> None:
         """Move along the gradients; this is iteration 1 .. iterations."""
@@ -84,19 +84,19 @@ class Losses:
     def __init__(self, every: int) -> None:
         """`every`: iterations between two looks."""
         self._every = every
-        self._kept: list[tuple[int, str, torch.Tensor]] = []
+        self._pending: list[tuple[int, str, torch.Tensor]] = []
 
     def add(self, iteration: int, views: Sequence[View], loss: torch.Tensor, last: bool) -> None:
         """The loss of an iteration. Raises TrainingError, at the latest at the `last` one, naming the first fault."""
         names = ", ".join(view.camera.name for view in views)
-        self._kept.append((iteration, names, loss.detach()))
+        self._pending.append((iteration, names, loss.detach()))
         if iteration % self._every and not last:
             return
-        finite = torch.isfinite(torch.stack([kept for _, _, kept in self._kept])).tolist()
-        for good, (at, names, _) in zip(finite, self._kept, strict=True):
+        finite = torch.isfinite(torch.stack([loss for _, _, loss in self._pending])).tolist()
+        for good, (at, names, _) in zip(finite, self._pending, strict=True):
             if not good:
                 raise TrainingError(f"the loss is not finite at iteration {at} in view {names}")
-        self._kept.clear()
+        self._pending.clear()
 
 
 def optimise(
@@ -130,7 +130,7 @@ def optimise(
         parts = []
         for index, view, (rgb, _) in zip(chosen, seen, pictures, strict=True):
             shown = exposure.apply(rgb, index) if exposure else rgb
-            parts.append(photometric(shown, view.target, schedule.ssim_weight).loss)
+            parts.append(photometric(shown, view.target, schedule.ssim_weight))
         loss = (parts[0] if count == 1 else torch.stack(parts).mean()) + variables.penalty()
         losses = losses or Losses(LOOK_EVERY if loss.is_cuda else 1)
         losses.add(iteration, seen, loss, iteration == schedule.iterations)

@@ -67,7 +67,7 @@ class FrameBefore:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
-    """What the frames of a group share."""
+    """The measures and networks that the frames of a group share."""
 
     first_psnr: float  # dB, mean over training views of its first frame
     steps: Parameters  # codec steps at its first frame
@@ -76,7 +76,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Trainer:
-    """What all fits of a run share."""
+    """The settings, the extent and the renderer that all fits of a run share."""
 
     settings: TrainSettings
     extent: float  # of the scene in world units
@@ -224,7 +224,7 @@ class Trainer:
 
     @property
     def _least_opacity(self) -> float:
-        """What is fainter is removed at the end of a fit that added rows."""
+        """Return the opacity under which rows are removed at the end of a fit that added some."""
         return HIDDEN_OPACITY if self.settings.densify == BUDGET else LOW_OPACITY
 
     def _growth(self, most: int, views: Sequence[View]) -> Growth:
@@ -248,7 +248,7 @@ class Trainer:
         return temporal_weights(temporal, steps) if temporal.weight else None
 
     def _scope(self, before: FrameBefore, target: FrameViews, base: Parameters) -> Scope:
-        """What may change at a frame; no views where nothing does."""
+        """Return what may change at a frame; no views where nothing does."""
         if target.moving is None:
             return Scope(target.views)
         active = find_active(before.gaussians, target.views, target.moving, self.renderer)

@@ -1,4 +1,4 @@
-"""What a fit may move: every Gaussian on its own, where rows may come and go, or all by six MLPs.
+"""The variables of a fit: every Gaussian on its own, where rows may come and go, or all by six MLPs.
 
 Every Gaussian has a difference D to base Gaussians, so that the temporal loss is a norm of the variable itself and
 vanishes exactly where pictures ask for nothing. There is an MLP for each attribute (AirGS, "Training" 2).

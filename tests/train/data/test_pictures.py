@@ -37,7 +37,7 @@ class Counted:
         self.reads.append(self.seed)
         return np.random.default_rng(self.seed).integers(0, 256, (self.size[1], self.size[0], 3), np.uint8)
 
-    def where(self):
+    def __str__(self):
         return f"noise {self.seed}"
 
 

@@ -165,4 +165,4 @@ def test_plates_of_large_rigs_are_on_disk_and_settled_targets_are_kept_within_th
     wanted = [view.target.rgb for view in settle(pictures.train(3), small, {}).views]
     for view, rgb in zip(settled.views, wanted, strict=True):
         np.testing.assert_array_equal(view.target.rgb, rgb)
-        assert view.picture.kept.nbytes <= 3 * 128 * 128 * 36
+        assert view.picture.buffer.nbytes <= 3 * 128 * 128 * 36

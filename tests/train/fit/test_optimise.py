@@ -102,7 +102,7 @@ def test_an_iteration_of_several_pictures_follows_the_mean_of_their_losses():
     together, by_hand = (PerGaussian(from_gaussians(g), 5.0) for _ in range(2))
     optimise(together, views, Schedule("fit", 1, lambda done: 0, views=3), np.random.default_rng(0))
     parts = [render(by_hand.current(), v.camera, 0)[0] for v in views]
-    sum(photometric(rgb, v.target).loss / 3 for rgb, v in zip(parts, views, strict=True)).backward()
+    sum(photometric(rgb, v.target) / 3 for rgb, v in zip(parts, views, strict=True)).backward()
     by_hand.step(1, 1)
     for name, value in together.detached().items():
         torch.testing.assert_close(value, by_hand.detached()[name], atol=1e-4, rtol=1e-3)

@@ -135,7 +135,7 @@ def _iteration(
     degree = round((1 + base["sh_rest"].shape[1]) ** 0.5) - 1
     pictures = render_views({n: p + adam.parameters[n] for n, p in base.items()}, cameras, degree)
     marks.append(_now(adam))
-    loss = torch.stack([photometric(rgb, t).loss for (rgb, _), t in zip(pictures, targets, strict=True)]).mean()
+    loss = torch.stack([photometric(rgb, t) for (rgb, _), t in zip(pictures, targets, strict=True)]).mean()
     marks.append(_now(adam))
     loss.backward()
     marks.append(_now(adam))

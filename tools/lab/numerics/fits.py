@@ -95,7 +95,7 @@ def views_of(problem: Problem) -> list[View]:
 def loss(parameters: Parameters, views: Sequence[View]) -> torch.Tensor:
     """Mean of the photometric losses of the views."""
     pictures = render_views(parameters, [view.camera for view in views], 0)
-    parts = [photometric(rgb, v.target).loss for (rgb, _), v in zip(pictures, views, strict=True)]
+    parts = [photometric(rgb, v.target) for (rgb, _), v in zip(pictures, views, strict=True)]
     return torch.stack(parts).mean()
 
 
