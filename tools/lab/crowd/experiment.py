@@ -14,16 +14,18 @@ from pathlib import Path
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.engines import Processes
-from airgs_codec.package.package import open_package
+from airgs_codec.package.manifest import Manifest, pooled_quality
+from airgs_codec.package.package import Package, open_package
+from airgs_codec.package.paths import FileKind, file_kind
 from airgs_codec.play.trace import open_trace
 from tools.lab import Lab, Page, required, setting, with_fields
 from tools.lab.crowd.costs import Prices
-from tools.lab.crowd.experiment import rung_rows, stored_rows
 from tools.lab.crowd.page import Inputs, page
 from tools.lab.crowd.policies import crowd_policy
 from tools.lab.crowd.programme import Programme
 from tools.lab.crowd.runs import NO_LIMIT, Task, run_all, trace_paths
 from tools.lab.crowd.simulation import CrowdSettings
+from tools.lab.page import Row
 
 SHARES = (1.0, 0.5)  # of what a crowd takes without a limit
 POPULATIONS = ("robust-mpc", "robust-mpc,throughput,bola,paper")
@@ -102,3 +104,38 @@ def _settings(options: Options, population: str, limit_mbps: float) -> CrowdSett
         cache_bytes=1e6 * options.cache_mb,
         seed=options.seed,
     )
+
+
+def rung_rows(package: Package) -> list[Row]:
+    """What a viewer of one rung fetches for a second of media, without headers and tables, by rung."""
+    m, rows = package.manifest, []
+    seconds = m.frames / float(m.fps)
+    for q, quality in enumerate(m.qualities):
+        for j, level in enumerate(m.levels):
+            paths, pooled = m.rung_files(q, j), pooled_quality(m, j, q)
+            size = m.bytes_of(paths)
+            rows.append(
+                {
+                    "rung": f"{quality.id}+{level.id}",
+                    "psnr": None if pooled is None else pooled.psnr,
+                    "mbps": 8e-6 * size / seconds,
+                    "mb_minute": 60e-6 * size / seconds,
+                    "files_s": len(paths) / seconds,
+                }
+            )
+    return rows
+
+
+def stored_rows(package: Package) -> list[Row]:
+    """MB that a minute of media takes at the origin by kind of file; airgs.json and manifest.mpd are not in it."""
+    m = package.manifest
+    sizes: dict[FileKind, list[int]] = {}
+    for path in m.files():
+        sizes.setdefault(file_kind(path), []).append(m.entry(path).bytes)
+    sizes.pop(FileKind.INIT, None)  # one for the whole programme
+    return [_stored(m, kind.value, found) for kind, found in sizes.items()]
+
+
+def _stored(m: Manifest, kind: str, found: list[int]) -> Row:
+    seconds = m.frames / float(m.fps)
+    return {"kind": kind, "mb_minute": 60e-6 * sum(found) / seconds, "files_s": len(found) / seconds}
