@@ -19,7 +19,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from airgs_codec.coding import atlas, attributes, escapes, rangecoder
+from airgs_codec.coding import atlas, channels, escapes, rangecoder
 from airgs_codec.media import h264, metrics, mp4
 from airgs_codec.package import layout, packing, paths, region, tables, world
 from airgs_codec.package.constraints import OneOf, as_required
@@ -65,7 +65,7 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
         | _same(region, "FORGIVEN_DEGREES", "FORGIVEN_SHARE"),
         gaussians: _same(gaussians, "SMALL_ANGLE", "SH_C0"),
         atlas: _same(atlas, "GREY"),
-        attributes: _same(attributes, "OPACITY_MARGIN"),
+        channels: _same(channels, "OPACITY_MARGIN"),
         escapes: {"ESCAPE_UNIT": escapes.UNIT},
         rangecoder: _same(rangecoder, "RANGE_START", "RANGE_LEAST", "CHANCE_HALF", "CHANCE_LEAST", "END_BYTES")
         | _same(rangecoder, "MODEL_MEMORY", "MODEL_CONTEXTS", "LENGTH_BITS", "MODELLED_BITS"),

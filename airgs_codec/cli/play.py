@@ -15,7 +15,7 @@ from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import about
 from airgs_codec.cli.baking import add_baking, told_baking
 from airgs_codec.cli.common import PACKAGE, Bar, add_device, add_views, run_command
-from airgs_codec.decoder.timing import measure_decoding
+from airgs_codec.decoder.decode import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
 from airgs_codec.package.manifest import Manifest

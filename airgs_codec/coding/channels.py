@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.attributes import from_opacity, to_opacity
 from airgs_codec.coding.colour import colour_steps, colours, from_klt, split_colours, to_klt
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.coding.kernels import FrameMemory, consecutive, for_chunks, klt_colours, to_quaternions
@@ -21,12 +20,14 @@ from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.package.layout import COLOUR, KEY, STATE
 from airgs_codec.package.tables import Grid, KeySteps, StateSteps
-from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, to_rotation_vector
+from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, sigmoid, to_rotation_vector
 
 _MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
 _OPACITY, _COLOUR = STATE.slice("opacity"), STATE.slice(COLOUR)
 WIDTH = 64  # numbers that a row of a decoded frame takes while it is worked out
 LEAST_DRAWN = 1 / 255  # INRIA's renderer and all after it do not draw a Gaussian of less alpha
+# Decoded opacities stay inside [2^-20, 1 - 2^-20]: outside, the logit of a stored .ply is infinite.
+OPACITY_MARGIN = np.float32(2.0**-20)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,3 +270,14 @@ def _to_gaussians(
     dc, rest = split_colours(colour)
     logits = from_opacity(opacity)
     return Gaussians(means.astype(np.float32), quaternions, log_scales, logits, np.ascontiguousarray(dc), rest)
+
+
+def to_opacity(logits: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Logits -> alpha in [0, 1], which is what is coded."""
+    return sigmoid(logits)
+
+
+def from_opacity(opacity: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Decoded alpha -> finite logits; alpha that coding error carried out of [0, 1] is limited first (FORMAT.md §5)."""
+    a = np.clip(opacity, OPACITY_MARGIN, 1 - OPACITY_MARGIN)
+    return np.log(a / (1 - a))

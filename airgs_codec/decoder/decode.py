@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import functools
 import itertools
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,18 +47,41 @@ class Part:
 
 
 WHOLE = Part()
+DECODED_ROWS = 1 << 18  # rows of canonical spaces that stay decoded, and one more space
 
 
 def decode(package: Package, frame: int, *, level: str | int = "L0", key_quality: str | int = "Q0") -> Gaussians:
     """One frame as a viewer of that level and key quality sees it, each given by its id or its index.
 
     Decodes nothing but the key units of the frame's group, those of the group whose rows it keeps, and its segment up
-    to the frame. The result has as many rows as the key units that viewers of the level fetch. Raises ConfigError for
-    a frame, level or key quality that the package does not have, FormatError for a broken package.
+    to the frame; key units of some groups stay decoded while the package is open. The result has as many rows as the
+    key units that viewers of the level fetch. Raises ConfigError for a frame, level or key quality that the package
+    does not have, FormatError for a broken package.
     """
-    if not 0 <= frame < package.manifest.frames:
-        raise ConfigError(f"frame: expected 0..{package.manifest.frames - 1}, got {frame}")
-    return next(decode_frames(package, frame, frame + 1, level=level, key_quality=key_quality)).gaussians
+    m = package.manifest
+    if not 0 <= frame < m.frames:
+        raise ConfigError(f"frame: expected 0..{m.frames - 1}, got {frame}")
+    j, q, index = m.level_index(level), m.quality_index(key_quality), m.segment_at(frame)
+    base = _canonical_again(package, m.group_of(index), q, m.levels[j].tiers)
+    shown = next(decode_segment(package, index, base, j, [frame - m.segments[index].start]))
+    columns = (getattr(shown, field.name) for field in fields(shown))
+    coded = base.quaternions, base.log_scales, base.colours  # which a frame may show as they are
+    return Gaussians(*(c.copy() if any(np.may_share_memory(c, of) for of in coded) else c for c in columns))
+
+
+_decoded: WeakKeyDictionary[Package, dict[tuple[int, int, int], Canonical]] = WeakKeyDictionary()
+
+
+def _canonical_again(package: Package, group: int, quality: int, tiers: int) -> Canonical:
+    """Return what `decode_canonical` gives; that of some groups stays decoded while the package is open."""
+    known, which = _decoded.setdefault(package, {}), (group, quality, tiers)
+    base = known.get(which)
+    if base is None:
+        base = decode_canonical(package, *which)
+        if sum(len(other.means) for other in known.values()) > DECODED_ROWS:
+            known.clear()
+        known[which] = base
+    return base
 
 
 def decode_frames(
@@ -320,3 +345,17 @@ def _expect_size(picture: NDArray[np.uint8], atlas: Atlas, where: str) -> None:
     if picture.shape != (atlas.pages * atlas.height, atlas.width):
         got = f"{picture.shape[1]}x{picture.shape[0] // atlas.pages}"
         raise FormatError("bad_picture", where, f"expected {atlas.width}x{atlas.height}, got {got}")
+
+
+def measure_decoding(package: Package) -> float:
+    """Seconds a frame that this machine takes to decode the package once at its top rung, keys included."""
+    m = package.manifest
+    began = time.perf_counter()
+    group = -1
+    for index, segment in enumerate(m.segments):
+        if m.group_of(index) != group:
+            group = m.group_of(index)
+            base = decode_canonical(package, group, 0)
+        for _ in decode_segment(package, index, base, 0, range(segment.stop - segment.start)):
+            pass
+    return (time.perf_counter() - began) / m.frames

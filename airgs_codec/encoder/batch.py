@@ -34,7 +34,7 @@ from airgs_codec.encoder.settings import KEPT, EncodeSettings
 from airgs_codec.encoder.tables import Provenance, build_manifest
 from airgs_codec.jobs.job import Job
 from airgs_codec.jobs.work import Work
-from airgs_codec.media.fragments import init_segment
+from airgs_codec.media.mp4 import init_segment
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package, root_of
 from airgs_codec.package.paths import INIT_NAME

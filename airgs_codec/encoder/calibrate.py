@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from airgs_codec.analysis.importance import RowPruning, pooled_error
 from airgs_codec.coding.channels import key_channels, state_channels
 from airgs_codec.coding.kernels import row_chunks
-from airgs_codec.coding.steps import StepSettings
-from airgs_codec.coding.weights import channel_weights
+from airgs_codec.coding.motion import channel_weights
+from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.encoder.plan import (
     GroupLayout,
     assign_depths,

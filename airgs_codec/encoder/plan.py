@@ -19,9 +19,8 @@ from airgs_codec.analysis.sensitivity import CODING_VARIANCE, LEAK, Sensitivity
 from airgs_codec.coding.channels import Canonical, dequantise_key, key_channels
 from airgs_codec.coding.colour import colour_transform
 from airgs_codec.coding.grid import fit_grid, grid_codes
-from airgs_codec.coding.motion import classify_motion
+from airgs_codec.coding.motion import channel_weights, classify_motion, withheld_error
 from airgs_codec.coding.sidecar import KeySidecar
-from airgs_codec.coding.weights import channel_weights, withheld_error
 from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Pictures, ShownPictures, Survey
 from airgs_codec.package.layout import STATE

@@ -10,6 +10,7 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +19,28 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import mean_square_alpha
 from airgs_codec.analysis.rows import count_runs
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
+from airgs_codec.coding import escapes
+from airgs_codec.coding.atlas import assemble, centre_codes, fit_atlas, picture_size, read_codes
 from airgs_codec.coding.channels import Canonical, dequantise_key, key_channels, state_channels
 from airgs_codec.coding.colour import colour_transform
 from airgs_codec.coding.grid import fit_grid, grid_codes
-from airgs_codec.coding.motion import classify_motion
-from airgs_codec.coding.roundtrip import encode_and_decode
+from airgs_codec.coding.motion import channel_weights, classify_motion, withheld_error
+from airgs_codec.coding.quantize import StepSettings, from_codes, to_codes
+from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
-from airgs_codec.coding.steps import StepSettings
-from airgs_codec.coding.weights import channel_weights, withheld_error
 from airgs_codec.encoder.plan import assign_depths, rank_updates, split_segments
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, ShownPictures, ViewPlan
-from airgs_codec.media.h264 import key_codec, state_codec
+from airgs_codec.media.h264 import (
+    ClosedGop,
+    CodecSettings,
+    decode_pictures,
+    encode_gop,
+    key_codec,
+    open_segment,
+    qp_step,
+    state_codec,
+)
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import KeySteps, unpack_matrix
 from airgs_codec.scene.camera import resized
@@ -305,3 +316,26 @@ def _segments(window: GroupSpan, sequence: GaussianSequence, settings: EncodeSet
     """Some segments of a group."""
     parts = split_segments(window, settings.segment_s, sequence.fps)
     return [range(*parts[i]) for i in evenly_spaced(len(parts), SEGMENTS)]
+
+
+def encode_and_decode(
+    values: NDArray[np.float64], steps: NDArray[np.float64], codec: CodecSettings
+) -> tuple[list[int], NDArray[np.float64]]:
+    """Code values as one atlas, as a trial, and decode them again.
+
+    (T, C, N) values, (C,) steps -> bytes of each of T pictures, escapes in the first, and the decoded (T, C, N).
+    """
+    gain = qp_step(codec.qp)
+    codes = to_codes(values, steps, gain)
+    atlas = fit_atlas(codes, gain / 2)
+    if not atlas.planes:
+        centres = np.array(atlas.centres, np.int32)[:, None]
+        return [0] * len(codes), np.broadcast_to(from_codes(centres, steps, gain), values.shape).astype(np.float64)
+    luma, bases = escapes.split(centre_codes(codes, atlas))
+    size = picture_size(atlas)
+    coded = encode_gop(ClosedGop(assemble(luma, atlas, *size), 0, 1), size, Fraction(30), codec)
+    sizes = list(coded.picture_bytes)
+    sizes[0] += len(encode_columns(escapes.Escapes.of(bases).columns()))
+    pictures = decode_pictures(open_segment(coded.media, "a trial").samples, "a trial", coded.pages)
+    decoded = [from_codes(read_codes(p, atlas, b), steps, gain) for p, b in zip(pictures, bases, strict=True)]
+    return sizes, np.stack(decoded).astype(np.float64)

@@ -13,8 +13,8 @@ from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.representation import Clock, ErrorModel, Representation, widen, with_bounds
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import CodedStates
-from airgs_codec.media.fragments import with_columns
 from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
+from airgs_codec.media.mp4 import with_columns
 from airgs_codec.package import paths, tables
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.manifest import Groups, Manifest

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._settings import available_cores
 from airgs_codec.errors import CodecError, FormatError
-from airgs_codec.media.fragments import CodedPicture, media_segment
-from airgs_codec.media.mp4 import Segment, read_segment, start_codes
+from airgs_codec.media.mp4 import CodedPicture, Segment, media_segment, read_segment, start_codes
 
 DEFAULT_PRESET = "veryslow"
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.fragments import CODECS
+from airgs_codec.media.mp4 import CODECS
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.paths import INIT_NAME, JSON_NAME, key_media_path, state_media_path, tile_folder
 from airgs_codec.package.tables import Group, Header, Segment

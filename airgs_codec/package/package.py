@@ -18,7 +18,7 @@ from airgs_codec.places.place import BUCKETS, WEB, Place, place_at
 Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -> its bytes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Package:
     """An open package: its tables, and its files by their relative paths."""
 

@@ -10,13 +10,16 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import World
-from airgs_codec.scene.formats.form import Axes
+
+if TYPE_CHECKING:  # decoding loads no file formats
+    from airgs_codec.scene.formats.form import Axes
 
 Vector = NDArray[np.float64]
 

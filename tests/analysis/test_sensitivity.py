@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.sensitivity import measure_sensitivity, measure_usage, measure_views
-from airgs_codec.coding.motion import motion_classes, motion_units
-from airgs_codec.coding.weights import channel_weights, withheld_error
+from airgs_codec.coding.motion import channel_weights, motion_classes, motion_units, withheld_error
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.tables import StateSteps
 from airgs_codec.render import render

@@ -7,7 +7,7 @@ import pytest
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.package import open_package
-from tests.makers.golden import digests
+from tests.support.digests import digests
 from tests.support.paths import GOLDEN
 
 CASES = sorted(path.stem for path in GOLDEN.glob("*.json"))

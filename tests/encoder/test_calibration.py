@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.rows import plan_groups
-from airgs_codec.coding.steps import StepSettings
+from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.encoder.calibrate import STEPS, Subject, calibrate, get_step, solve_steps, with_step
 from airgs_codec.encoder.pipeline import CALIBRATION
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings

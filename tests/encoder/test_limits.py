@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from airgs_codec.coding.steps import StepSettings
+from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.encoder.batch import encode_sequence
 from airgs_codec.encoder.search import LEFT_OUT, find_limit
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings

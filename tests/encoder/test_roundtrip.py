@@ -7,7 +7,7 @@ import pytest
 
 from airgs_codec.coding.channels import state_channels
 from airgs_codec.coding.grid import cell_bits
-from airgs_codec.coding.steps import StepSettings
+from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.decoder.decode import Part, decode, decode_canonical, decode_frames, decode_key, decode_state
 from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.publish import encode

@@ -13,9 +13,8 @@ from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
-from airgs_codec.media.fragments import with_columns
 from airgs_codec.media.h264 import ClosedGop, encode_gop, key_codec
-from airgs_codec.media.mp4 import read_segment
+from airgs_codec.media.mp4 import read_segment, with_columns
 from airgs_codec.package.package import open_files, open_package
 from airgs_codec.package.paths import JSON_NAME, FileKind, file_kind
 from airgs_codec.places.place import Memory

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import CodecError, FormatError
-from airgs_codec.media.fragments import init_segment
 from airgs_codec.media.h264 import (
     KEY_QP,
     STATE_QP,
@@ -21,6 +20,7 @@ from airgs_codec.media.h264 import (
     qp_step,
     state_codec,
 )
+from airgs_codec.media.mp4 import init_segment
 from tests.support.bitstream import trace_headers
 
 SIZE = (96, 64)

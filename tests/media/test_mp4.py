@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import CodecError
-from airgs_codec.media.fragments import box, init_segment, with_columns
 from airgs_codec.media.h264 import ClosedGop, CodecSettings, decode_pictures, encode_gop
-from airgs_codec.media.mp4 import read_boxes, read_segment, start_codes
+from airgs_codec.media.mp4 import box, init_segment, read_boxes, read_segment, start_codes, with_columns
 
 
 @pytest.fixture(scope="module")

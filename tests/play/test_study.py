@@ -9,7 +9,7 @@ import pytest
 
 from airgs_codec.cli.manifest import main as inspect_main
 from airgs_codec.cli.play import main
-from airgs_codec.decoder.timing import measure_decoding
+from airgs_codec.decoder.decode import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import find_faults, open_package
 from airgs_codec.package.region import draw_views

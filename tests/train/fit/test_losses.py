@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.coding.steps import StepSettings
+from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.pictures import Target
 from airgs_codec.train.fit.losses import LAMBDA, _on_cuda, codec_steps, photometric, temporal_weights, windowed_ssim

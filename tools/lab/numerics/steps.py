@@ -18,11 +18,10 @@ from airgs_codec.coding.channels import key_channels
 from airgs_codec.coding.colour import colour_transform, fit_colour_transform, from_klt, to_klt
 from airgs_codec.coding.grid import fit_grid
 from airgs_codec.coding.motion import FLOOR, classify_motion, motion_classes, motion_units
-from airgs_codec.coding.roundtrip import encode_and_decode
-from airgs_codec.coding.steps import StepSettings
+from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, get_step, measure_slopes, solve_steps
 from airgs_codec.encoder.representation import ROUNDING
-from airgs_codec.encoder.sample import PRESET, CalibrationSample
+from airgs_codec.encoder.sample import PRESET, CalibrationSample, encode_and_decode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.h264 import CodecSettings, key_codec, qp_step, state_codec
 from airgs_codec.package.layout import KEY

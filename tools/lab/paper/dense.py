@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import middle_frames
-from airgs_codec.coding.roundtrip import encode_and_decode
+from airgs_codec.encoder.sample import encode_and_decode
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import state_codec
 from airgs_codec.media.metrics import psnr

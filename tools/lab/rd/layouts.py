@@ -17,7 +17,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.attributes import to_opacity
+from airgs_codec.coding.channels import to_opacity
 from airgs_codec.coding.colour import colours, split_colours
 from airgs_codec.scene.gaussians import Gaussians
 

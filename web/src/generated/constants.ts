@@ -52,7 +52,7 @@ export const SH_C0 = 0.28209479177387814;
 // airgs_codec.coding.atlas
 export const GREY = 128;
 
-// airgs_codec.coding.attributes
+// airgs_codec.coding.channels
 export const OPACITY_MARGIN = 9.5367431640625e-07;
 
 // airgs_codec.coding.escapes

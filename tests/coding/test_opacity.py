@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from airgs_codec.coding.attributes import OPACITY_MARGIN, from_opacity, to_opacity
+from airgs_codec.coding.channels import OPACITY_MARGIN, from_opacity, to_opacity
 
 
 @given(npst.arrays(np.float32, 20, elements=st.floats(-0.5, 1.5, width=32)))

@@ -1,0 +1,81 @@
+"""Packages are decoded with numpy, PyAV and few of our modules: what draws, measures, encodes and serves stays out."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import airgs_codec
+from airgs_codec.decoder.decode import decode_canonical
+from airgs_codec.package.package import open_package
+from tests.support.paths import GOLDEN
+
+REFUSED = (
+    "numba", "scipy", "torch", "colour", "cv2", "matplotlib", "aiohttp", "hypercorn", "starlette", "tqdm", "obstore",
+)  # fmt: skip
+BARE = f"""
+import sys
+
+class Refuses:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {REFUSED}:
+            raise ModuleNotFoundError(f"refused: {{name}}", name=name)
+
+sys.meta_path.insert(0, Refuses())
+"""
+DECODES = """
+import airgs_codec, json
+package = airgs_codec.open_package(sys.argv[1])
+last = package.manifest.frames - 1
+airgs_codec.decode(package, last, level="L1", key_quality="Q1")
+print(json.dumps([name for name in sys.modules if name.split(".")[0] == "airgs_codec"]))
+"""
+
+
+def run_bare(code, *arguments):
+    done = subprocess.run([sys.executable, "-c", BARE + code, *arguments], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_decoding_loads_few_modules_and_no_library_but_numpy_and_av():
+    modules = json.loads(run_bare(DECODES, str(GOLDEN / "fox")))
+    folders = {name.split(".")[1] for name in modules if "." in name}
+    assert len(modules) <= 38, modules
+    assert not folders & {"render", "analysis", "encoder", "train", "play", "jobs", "inspect", "cli"}
+
+
+@pytest.mark.parametrize("case", sorted(path.stem for path in GOLDEN.glob("*.json")))
+def test_the_goldens_decode_to_their_codes_without_those_libraries(case):
+    code = "import json, sys\nfrom tests.support.digests import digests\n"
+    code += (
+        "from airgs_codec.package.package import open_package\nprint(json.dumps(digests(open_package(sys.argv[1]))))"
+    )
+    recorded = json.loads((GOLDEN / f"{case}.json").read_text())
+    assert json.loads(run_bare(code, str(GOLDEN / case))) == recorded
+
+
+def test_importing_the_package_loads_nothing():
+    assert run_bare("import airgs_codec; print(sorted({'numpy', 'av'} & sys.modules.keys()))").strip() == "[]"
+
+
+def test_a_decoded_frame_may_be_written_to_and_the_next_is_as_if_it_had_not_been():
+    package = open_package(GOLDEN / "fox")
+    first = airgs_codec.decode(package, 0)
+    for name in first.__slots__:
+        getattr(first, name)[:] = np.nan
+    again, fresh = (airgs_codec.decode(p, 0) for p in (package, open_package(GOLDEN / "fox")))
+    for name in first.__slots__:
+        np.testing.assert_array_equal(getattr(again, name), getattr(fresh, name))
+
+
+def test_other_groups_and_qualities_are_not_mistaken_for_the_last_one():
+    package = open_package(GOLDEN / "fox")
+    last = package.manifest.frames - 1
+    for frame, quality in ((0, 0), (last, 0), (last, 1), (0, 1), (0, 0)):
+        fresh = airgs_codec.decode(open_package(GOLDEN / "fox"), frame, key_quality=quality)
+        got = airgs_codec.decode(package, frame, key_quality=quality)
+        np.testing.assert_array_equal(got.opacity_logits, fresh.opacity_logits)
+    assert len(decode_canonical(package, 0, 0).means) == len(got)
