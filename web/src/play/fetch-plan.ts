@@ -1,5 +1,5 @@
-// Which tiles a player fetches when: the fetch plan of a segment, for whole scenes, and by view where a player knows how
-// its viewer moves (airgs_codec/play/fetch_plan.py).
+// The fetch plan of a segment says which tiles a player fetches when: all of them, or by view, where a player knows how
+// its viewer moves.
 //
 // By view, those come early, when a segment is asked for, that the picture is expected to show while the segment is
 // shown. Nobody can tell more than a second ahead how a viewer turns, so that tiles will be lacking; what a wider

@@ -3,7 +3,7 @@ import type { Desk } from "./desk.ts";
 import { make, write } from "./dom.ts";
 import { rate } from "./words.ts";
 
-const KEPT_MS = 60_000;
+const SHOWN_MS = 60_000;
 const HEIGHT = 76;
 const STRIP = 5;
 const TOP = 16;
@@ -29,7 +29,7 @@ export class History {
     const { throughputBps, bufferS, rung } = this.desk.player.stats;
     const at = performance.now();
     this.#samples.push({ at, bps: throughputBps || 0, bufferS, rung });
-    while (at - this.#samples[0].at > KEPT_MS) this.#samples.shift();
+    while (at - this.#samples[0].at > SHOWN_MS) this.#samples.shift();
   }
 
   draw(): void {
@@ -54,7 +54,7 @@ export class History {
   }
 
   #x(sample: Sample, width: number): number {
-    return width - ((performance.now() - sample.at) / KEPT_MS) * width;
+    return width - ((performance.now() - sample.at) / SHOWN_MS) * width;
   }
 
   #path(pen: CanvasRenderingContext2D, width: number, value: (sample: Sample) => number): void {
