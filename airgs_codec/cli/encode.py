@@ -31,8 +31,7 @@ from airgs_codec.jobs.report import write_report
 from airgs_codec.package.region import place_view
 from airgs_codec.package.tables import Region
 from airgs_codec.places.place import is_address
-from airgs_codec.scene.growing import GrowingFolder
-from airgs_codec.scene.sequence import GaussianSequence, open_sequence, read_attribution
+from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence, read_attribution
 from airgs_codec.train.data.readers import is_multiview
 
 

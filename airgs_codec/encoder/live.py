@@ -26,8 +26,7 @@ from airgs_codec.package.publish import GrowingPackage, staged_package
 from airgs_codec.package.tables import Group
 from airgs_codec.places.place import Folder, Place, place_at
 from airgs_codec.progress import Progress, silent
-from airgs_codec.scene.growing import GrowingFolder
-from airgs_codec.scene.sequence import GaussianSequence
+from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder
 
 POLL_S = 0.2  # between two looks at the folder
 

@@ -15,8 +15,7 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.growing import GrowingFolder
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.scene.sequence import GrowingFolder, open_sequence
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 

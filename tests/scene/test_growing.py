@@ -6,7 +6,7 @@ import pytest
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.ply import is_whole, write_ply
-from airgs_codec.scene.growing import GrowingFolder
+from airgs_codec.scene.sequence import GrowingFolder
 from tests.support.scenes import moving_frames
 
 
