@@ -27,7 +27,7 @@ import airgs_codec as airgs
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.package.package import Package
 from airgs_codec.play.report.film import screen_frames
-from airgs_codec.play.report.viewer import Viewer
+from airgs_codec.play.report.map import Viewer
 from airgs_codec.play.session import SessionLog
 from airgs_codec.play.trace import Trace
 from airgs_codec.render import render
@@ -60,7 +60,7 @@ def screens(package: Package, log: SessionLog, viewer: Viewer) -> Iterable[NDArr
         waits = seen[entry] == shown.frames
         seen[entry] += not waits
         assert gaussians is not None and shown.rung is not None, "nothing is lost on this link"
-        text = "waiting for data" if waits else f"{log.catalogue.names[shown.rung]}   {shown.psnr:.1f} dB"
+        text = "waiting for data" if waits else f"{log.offers.names[shown.rung]}   {shown.psnr:.1f} dB"
         picture = label(to_bytes(render(gaussians, viewer.cameras[tick]).rgb)[CROP], text)
         yield label(picture, viewer.caption(tick), 1) if viewer.caption(tick) else picture
 

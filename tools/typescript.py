@@ -24,7 +24,7 @@ from airgs_codec.media import h264, metrics, mp4
 from airgs_codec.package import layout, packing, paths, region, tables, world
 from airgs_codec.package.constraints import OneOf, as_required
 from airgs_codec.package.schema import manifest_schema
-from airgs_codec.play import catalogue, downloader, http_files, ladder, player, sight, tile_choice, view_player
+from airgs_codec.play import buffered, downloader, fetch_plan, fetcher, http_files, ladder, offers, player, sight
 from airgs_codec.play.policies import mpc, named, state
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.render import cpu, cpu_kernels
@@ -89,13 +89,14 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
         state: _same(state, "SAFETY", "HALF_LIVES_S", "BUFFER_SHARE", "RESERVE_S", "STALL_DB"),
         mpc: _same(mpc, "SWITCH_DB", "LOW_BUFFER_DB", "HORIZON_S", "HORIZON_SEGMENTS", "GRID_POINTS", "PAST_DOWNLOADS"),
         ladder: _same(ladder, "DEFAULT_BETA", "EPS_DB", "CLIFF_DB"),
-        catalogue: _same(catalogue, "SESSION_S", "HEADER_BYTES", "OVER_BUDGET"),
+        offers: _same(offers, "SESSION_S", "HEADER_BYTES", "OVER_BUDGET"),
         downloader: _same(downloader, "CHECK_S"),
-        player: _same(player, "REPLACE_GAIN_DB", "REMEMBERED", "SHORTEST_S", "POLL_S", "SILENCE_S")
+        buffered: _same(buffered, "REPLACE_GAIN_DB"),
+        fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
+        player: _same(player, "POLL_S", "SILENCE_S")
         | {"SESSION": {_camel(name): getattr(settings, name) for name in SETTINGS}}
         | {"VIEW_BUFFER_S": settings.view_buffer_s},
-        view_player: _same(view_player, "LOOK_S"),
-        tile_choice: _same(tile_choice, "EARLY_MARGIN", "LATE_MARGIN", "FURTHEST_S", "SOON_S"),
+        fetch_plan: _same(fetch_plan, "LOOK_S", "EARLY_MARGIN", "LATE_MARGIN", "FURTHEST_S", "SOON_S"),
         sight: _same(sight, "BEFORE_S", "DECAY_S", "CORNERS", "SMALL_TURN"),
         http_files: _same(http_files, "BUSY", "GARBLED", "LONGEST_PAUSE_S")
         | {"TIMEOUT_S": patience.timeout_s, "ATTEMPTS": patience.attempts, "BACKOFF_S": patience.backoff_s},

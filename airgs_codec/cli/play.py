@@ -23,20 +23,19 @@ from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.package.region import before_background
 from airgs_codec.places.place import Folder
 from airgs_codec.places.whole import to_json
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.http import HttpDownloader, fetch_beside
 from airgs_codec.play.http_files import HttpSettings
-from airgs_codec.play.link import DEFAULT_RTT_S, Link
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report.film import film, still
+from airgs_codec.play.report.map import Viewer, path_of
 from airgs_codec.play.report.session import format_metrics, place_record, write_report
 from airgs_codec.play.report.study import format_study, write_study
-from airgs_codec.play.report.viewer import Viewer, path_of
 from airgs_codec.play.session import SessionLog, play, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View
 from airgs_codec.play.study import StudySettings, run_study
-from airgs_codec.play.trace import ENDS, open_trace
+from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, open_trace
 from airgs_codec.render import read_cameras
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import open_sequence
@@ -145,11 +144,11 @@ def _over_http(args: argparse.Namespace) -> int:
         http = HttpSettings(timeout_s=args.timeout, as_fast=args.as_fast)
         downloader = stack.enter_context(HttpDownloader(args.package, http, keep))
         settings = _settings(None, args)
-        catalogue = downloader.open()
-        log = play(catalogue, downloader, args.policy, settings, view=_view(catalogue.manifest, args))
+        offers = downloader.open()
+        log = play(offers, downloader, args.policy, settings, view=_view(offers.manifest, args))
         if pictures:
             fetch_beside(log, downloader)
-        _present(Package(Folder(folder), log.catalogue.manifest, log.catalogue.root_bytes), log, args)
+        _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, args)
     return 0
 
 
@@ -202,7 +201,7 @@ def _viewer(log: SessionLog, args: argparse.Namespace) -> Viewer:
     cameras = read_cameras(args.views) if args.views else []
     if all(shown.rung is None for shown in log.shown):
         raise ConfigError(f"{args.package}: nothing can be shown: {'; '.join(log.lost)}")
-    walked = before_background(log.catalogue.manifest.region, cameras)
+    walked = before_background(log.offers.manifest.region, cameras)
     return Viewer.of(log, walked, open_renderer(args.device))
 
 
@@ -222,7 +221,7 @@ def _compare(package: Package, args: argparse.Namespace) -> int:
         if not found:
             raise ConfigError(f"{folder}: expected a folder with traces, got an empty one")
         traces += found
-    c = Catalogue(package.manifest)
+    c = Offers(package.manifest)
     policies = tuple(name for name in args.policies.split(",") if name)
     for name in policies:
         make_policy(name, c, Link(open_trace("const:1")))

@@ -14,8 +14,7 @@ from urllib.parse import quote
 
 from airgs_codec.cli.common import run_command
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.link import Link
-from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.play.trace import Link, Trace, open_trace
 from airgs_codec.serve.app import make_app
 from airgs_codec.serve.files import PackageFiles
 from airgs_codec.serve.pages import NOT_BUILT, is_built, player_address

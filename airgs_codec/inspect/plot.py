@@ -15,7 +15,7 @@ from airgs_codec._report import new_figure, save_figure
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.region import levelled
-from airgs_codec.play.report.region_map import draw_region
+from airgs_codec.play.report.map import draw_region
 
 
 def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:

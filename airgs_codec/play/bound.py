@@ -18,7 +18,8 @@ gigabytes, so that its numbers are of one order.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,21 +28,19 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.units import NONE, KeyUnits
+from airgs_codec.play.offers import NONE, SegmentOffer, Unit, Units
 
 ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must not make a session impossible
 LARGEST = 1e6  # units that a state segment may have: past 1e11 HiGHS finds no solution where there is one
-_Unit = tuple[int, int, int]  # 0 of the slot's group, 1 of its base; key quality; key unit
+_Key = tuple[int, int]  # key quality, number of a key unit
 Terms = list[tuple[int, float]]  # (column of a variable, its coefficient)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Slot:
     """One segment to be shown; capacities are bytes that the link carries from the start of the trace."""
 
-    segment: int  # in the package
-    starts_group: bool  # no key of its group has been fetched before it
+    offer: SegmentOffer
     released: float  # bytes the link has carried when the first byte of the slot may pass
     capacity: float  # bytes the link has carried when the last byte must have passed
 
@@ -50,14 +49,13 @@ class Slot:
 class Horizon:
     """What is to be chosen: slots in the order in which they are shown.
 
-    `decoded` are key units, by group, that need not be fetched in the loop of the first slot. `idle_bytes` is what the
-    link could have carried while it waits for the next request, per slot after the first: 0 for a player that sends
-    its next request a round trip before the last batch ends, and in a bound.
+    `decoded` are key units that need not be fetched in the loop of the first slot. `idle_bytes` is what the link could
+    have carried while it waits for the next request, per slot after the first: 0 for a player that sends its next
+    request a round trip before the last batch ends, and in a bound.
     """
 
-    catalogue: Catalogue
     slots: tuple[Slot, ...]
-    decoded: Mapping[int, KeyUnits]
+    decoded: Units = NONE
     idle_bytes: float = 0.0
 
 
@@ -102,103 +100,96 @@ class _Programme:
 
     def __init__(self, horizon: Horizon) -> None:
         self._horizon = horizon
-        self._catalogue = horizon.catalogue
-        self._qualities = len(self._catalogue.manifest.qualities)
-        self._units = self._catalogue.manifest.units
-        self.rungs = len(self._catalogue.rungs)
-        m, slots = self._catalogue.manifest, horizon.slots
-        self._groups = [(group, m.base_of(group)) for group in (m.group_of(slot.segment) for slot in slots)]
-        self._loops = np.cumsum([0, *(b.segment <= a.segment for a, b in itertools.pairwise(slots))])
+        self._offers = [slot.offer for slot in horizon.slots]
+        first = self._offers[0]
+        own = sorted({unit.unit[1:] for rung in first.rungs for unit in rung.units if unit.unit[0] == first.group})
+        self._column = {key: column for column, key in enumerate(own)}  # of (quality, number of a unit)
+        self.rungs = len(first.rungs)
+        self._groups = [(offer.group, offer.base) for offer in self._offers]
+        self._loops = np.cumsum([0, *(b.segment <= a.segment for a, b in itertools.pairwise(self._offers))])
+        self._bytes = {u.unit: u.bytes for offer in self._offers for rung in offer.rungs for u in rung.units}
         kinds = 1 if all(base is None for _, base in self._groups) else 2
-        largest = max(float(np.max(self._catalogue.state_bytes[slot.segment])) for slot in slots)
+        largest = max(float(rung.state_bytes) for offer in self._offers for rung in offer.rungs)
         self.unit = max(1e3, largest / LARGEST)  # bytes
-        self._width = self.rungs + kinds * self._qualities * self._units + 1
+        self._width = self.rungs + kinds * len(own) + 1
         self.columns = self._width * len(horizon.slots)
 
     def _share(self, k: int, rung: int) -> int:
         return k * self._width + rung
 
-    def _key(self, k: int, unit: _Unit) -> int:
-        """The share of a key unit that is decoded."""
-        of, quality, number = unit
-        return k * self._width + self.rungs + (of * self._qualities + quality) * self._units + number
+    def _key(self, k: int, of: int, key: _Key) -> int:
+        """The share of a key unit that is decoded, of the slot's group (0) or its base (1)."""
+        return k * self._width + self.rungs + of * len(self._column) + self._column[key]
 
     def _carried(self, k: int) -> int:
         return (k + 1) * self._width - 1
 
-    def _keys(self, k: int) -> Iterator[_Unit]:
-        """All key units that a slot may need."""
-        kinds = range(1 if self._groups[k][1] is None else 2)
-        return ((of, q, n) for of in kinds for q in range(self._qualities) for n in range(self._units))
+    def _keys(self, k: int) -> Iterator[tuple[int, int, _Key]]:
+        """All key units that a slot may need: 0 of its group or 1 of its base, the group, and which."""
+        for of, group in enumerate(self._groups[k]):
+            if group is not None:
+                yield from ((of, group, key) for key in self._column)
 
-    def _before(self, k: int, unit: _Unit) -> int | None:
+    def _before(self, k: int, of: int, key: _Key) -> int | None:
         """The share of the same key unit in the last slot before that may need it; None: it is not decoded before."""
-        of, quality, number = unit
         if of == 0:
-            return self._key(k - 1, unit) if k and not self._horizon.slots[k].starts_group else None
+            return self._key(k - 1, of, key) if k and not self._offers[k].starts_group else None
         group = self._groups[k][of]
         for i in range(k - 1, -1, -1):
             if self._loops[i] != self._loops[k]:
                 break
             if group in self._groups[i]:
-                return self._key(i, (self._groups[i].index(group), quality, number))
+                return self._key(i, self._groups[i].index(group), key)
         return None
 
     def objective(self) -> NDArray[np.float64]:
         """(columns,) minus the dB that each variable adds to the mean over time."""
-        slots = self._horizon.slots
-        seconds = [self._catalogue.seconds(slot.segment) for slot in slots]
+        seconds = [offer.seconds for offer in self._offers]
         total = sum(seconds)
-        costs = np.zeros((len(slots), self._width))
-        for k, slot in enumerate(slots):
-            costs[k, : self.rungs] = -self._catalogue.quality[slot.segment] * seconds[k] / total
+        costs = np.zeros((len(seconds), self._width))
+        for k, offer in enumerate(self._offers):
+            costs[k, : self.rungs] = -offer.psnr * seconds[k] / total
         return costs.ravel()
 
     def upper(self) -> NDArray[np.float64]:
         """(columns,) 1 for shares, 0 where the budget does not allow them, the capacity at the deadline for F_k."""
-        upper = np.ones((len(self._horizon.slots), self._width))
-        upper[:, : self.rungs] = [self._catalogue.allowed(slot.segment) for slot in self._horizon.slots]
+        upper = np.ones((len(self._offers), self._width))
+        upper[:, : self.rungs] = [[rung.allowed for rung in offer.rungs] for offer in self._offers]
         upper[:, -1] = [slot.capacity * (1 + ROUNDING) / self.unit for slot in self._horizon.slots]
         return upper.ravel()
 
     def integrality(self) -> NDArray[np.int64]:
         """(columns,) 1 for those that an integer programme takes whole."""
-        return np.tile(np.r_[np.ones(self._width - 1, np.int64), 0], len(self._horizon.slots))
+        return np.tile(np.r_[np.ones(self._width - 1, np.int64), 0], len(self._offers))
 
     def add_slot(self, constraints: _Constraints, k: int) -> None:
         """One rung is shown, with its keys; its bytes pass after its release and after the slot before it."""
         slot = self._horizon.slots[k]
         constraints.add([(self._share(k, rung), 1.0) for rung in range(self.rungs)], 1.0, 1.0)
-        units = self._catalogue.manifest.groups[self._groups[k][0]].units
-        for of, quality, number in self._keys(k):
-            key, before = self._key(k, (of, quality, number)), self._before(k, (of, quality, number))
-            if of == 0 or units[number].kept:
-                constraints.add([(key, 1.0), *self._users(k, quality, number)], 0.0, np.inf)
+        users: dict[Unit, Terms] = defaultdict(list)  # minus the share of every rung that needs a key
+        for number, rung in enumerate(slot.offer.rungs):
+            for unit in rung.units:
+                users[unit.unit].append((self._share(k, number), -1.0))
+        for of, group, key in self._keys(k):
+            share, before, needed = self._key(k, of, key), self._before(k, of, key), users[group, *key]
+            if needed:
+                constraints.add([(share, 1.0), *needed], 0.0, np.inf)
             if before is not None:
-                constraints.add([(key, 1.0), (before, -1.0)], 0.0, np.inf)
+                constraints.add([(share, 1.0), (before, -1.0)], 0.0, np.inf)
         done = [(self._carried(k), 1.0), *((column, -size) for column, size in self.fetched(k))]
         constraints.add(done, slot.released / self.unit, np.inf)
         if k:
             constraints.add([*done, (self._carried(k - 1), -1.0)], self._horizon.idle_bytes / self.unit, np.inf)
 
-    def _users(self, k: int, quality: int, number: int) -> Terms:
-        """Minus the share of every rung that needs a key."""
-        m = self._catalogue.manifest
-        rungs = [rung for rung, (q, j) in enumerate(self._catalogue.rungs) if q == quality and number in m.units_of(j)]
-        return [(self._share(k, rung), -1.0) for rung in rungs]
-
     def fetched(self, k: int) -> Terms:
         """Units of bytes that are fetched for slot k, for each share of a variable."""
-        slot, c = self._horizon.slots[k], self._catalogue
-        state_bytes = c.state_bytes[slot.segment]
-        fetched = [(self._share(k, rung), float(state_bytes[j]) / self.unit) for rung, (_, j) in enumerate(c.rungs)]
-        for of, quality, number in self._keys(k):
-            group, before = self._groups[k][of], self._before(k, (of, quality, number))
-            assert group is not None
-            if not self._loops[k] and (quality, number) in self._horizon.decoded.get(group, NONE):
+        rungs = self._offers[k].rungs
+        fetched = [(self._share(k, number), rung.state_bytes / self.unit) for number, rung in enumerate(rungs)]
+        for of, group, key in self._keys(k):
+            if not self._loops[k] and (group, *key) in self._horizon.decoded:
                 continue
-            size = float(c.key_bytes[group, quality, number]) / self.unit
-            fetched.append((self._key(k, (of, quality, number)), size))
+            size, before = self._bytes.get((group, *key), 0) / self.unit, self._before(k, of, key)
+            fetched.append((self._key(k, of, key), size))
             if before is not None:
                 fetched.append((before, -size))
         return fetched

@@ -1,7 +1,7 @@
-"""Where batches come from: the seam between a player and a link, simulated or real.
+"""What happens in a session, as values, and where batches come from: the seam between a player and a link.
 
-A downloader alone knows time and bytes; the player learns both from what it returns. `http.HttpDownloader` is the
-other implementation.
+A downloader alone knows time and bytes; the player learns both from what it returns, and yields events. A link is
+simulated here; `http.HttpDownloader` is the other implementation. Times are seconds from the first request.
 """
 
 from __future__ import annotations
@@ -9,14 +9,132 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Protocol, TypeVar
 
 from airgs_codec.errors import FormatError
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.events import Arrival, Event, Request
-from airgs_codec.play.link import Link
+from airgs_codec.play.ladder import Decision
+from airgs_codec.play.offers import Batch, Offers
+from airgs_codec.play.trace import Link
 
 CHECK_S = 0.5  # a download is looked at so often, and given so long before the first look
+
+
+class BatchKind(StrEnum):
+    """What a batch was requested for; the values are the names in reports."""
+
+    TABLES = "tables"  # airgs.json, pages of the index and tables of groups
+    GROUP = "group"  # the next segment, with keys of its group
+    STATE = "state"  # the next segment, whose keys are decoded
+    REPLACEMENT = "replacement"  # a better rung of a buffered segment
+    REPAIR = "repair"  # a tile that a buffered segment, or the one on the screen, lacks
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A batch of files to be fetched together."""
+
+    kind: BatchKind
+    position: int  # of the segment in the session
+    rung: int
+    batch: Batch
+    sent_s: float  # no earlier than this
+    latency_s: float  # from then, or from the end of the batch before if that is later, to the first byte
+
+
+@dataclass(frozen=True, slots=True)
+class Retry:
+    """A faulty answer, after which a file was asked for again."""
+
+    path: str
+    why: str
+    bytes: int  # of the answer, headers included
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """What came of a request."""
+
+    request: Request
+    first_byte_s: float
+    at_s: float  # of the last byte, or of giving up
+    bytes: int  # that passed, headers included
+    whole: tuple[str, ...]  # files that came whole and are what the tables say, in order
+    refused: Mapping[str, FormatError]  # files that came and cannot be used
+    abandoned: bool  # given up before the last byte
+    retries: tuple[Retry, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether every file can be used."""
+        return len(self.whole) == len(self.request.batch.files)
+
+    @property
+    def kept(self) -> tuple[str, ...]:
+        """The files that are of use: a state segment whose batch is not complete is dropped."""
+        return self.whole if self.complete else tuple(p for p in self.whole if p not in self.request.batch.state)
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """A batch arrived, whole or not."""
+
+    arrival: Arrival
+    decision: Decision
+    budget_bytes: float  # what the policies' rule of thumb would have spent
+    throughput_bps: float  # the estimate when the batch was requested
+
+
+@dataclass(frozen=True, slots=True)
+class Replaced:
+    """A replacement took the place of a buffered segment."""
+
+    position: int
+    before: int  # rung
+    after: int  # rung
+
+
+@dataclass(frozen=True, slots=True)
+class TileReady:
+    """A tile of a segment can be shown, of a player that fetches by view."""
+
+    position: int
+    tile: int
+    rung: int
+    ready_s: float  # when it had arrived and was decoded
+
+
+@dataclass(frozen=True, slots=True)
+class Lost:
+    """No rung of a segment can be had."""
+
+    position: int
+    at_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Cut:
+    """A session ends before its package says so."""
+
+    at_s: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A segment's time on the screen; rung None: it was lost, the last picture stands."""
+
+    segment: int  # in the package
+    loop: int
+    rung: int | None
+    ready_s: float  # when it had arrived and was decoded
+    start_s: float  # when its first frame was shown
+    frames: int
+    stall_s: float  # waited for it on the screen
+    psnr: float | None  # dB; None: lost or not measured
+
+
+Event = Arrived | Replaced | TileReady | Lost | Cut | Shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +145,16 @@ class Partial:
     elapsed_s: float  # since its first byte
     bytes: float  # so far, headers included
     expected_bytes: int
+
+    @property
+    def rate(self) -> float:
+        """Bytes a second so far."""
+        return max(self.bytes, 1.0) / self.elapsed_s
+
+    @property
+    def left_s(self) -> float:
+        """Seconds to the last byte at that rate."""
+        return (self.expected_bytes - self.bytes) / self.rate
 
 
 GiveUp = Callable[[Partial], bool]
@@ -87,7 +215,7 @@ class SimulatedDownloader:
     """A link that replays a trace. Time is that of the trace; no clock is read."""
 
     link: Link
-    catalogue: Catalogue
+    offers: Offers
     faults: Mapping[str, FormatError] = field(default_factory=dict)  # files that cannot be used
     pipelines: bool = True
     _free_s: float = 0.0  # when the last batch was over
@@ -128,4 +256,4 @@ class SimulatedDownloader:
     def _wire_size(self, path: str) -> int:
         """Bytes of a file with its headers; of a missing one the headers alone."""
         missing = path in self.faults and self.faults[path].reason == "missing_file"
-        return self.catalogue.wire_bytes([0 if missing else self.catalogue.file_bytes(path)])
+        return self.offers.wire_bytes([0 if missing else self.offers.file_bytes(path)])

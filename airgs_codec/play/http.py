@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import dataclasses
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -19,16 +20,20 @@ from urllib.parse import urlsplit
 import aiohttp
 
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.package.paths import JSON_NAME, group_path
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.downloader import CHECK_S, GiveUp, Partial
-from airgs_codec.play.events import Arrival, Batch, BatchKind, Request
+from airgs_codec.package.index import count_groups
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.package import check_digest, open_manifest
+from airgs_codec.package.packing import MAX_ROOT_BYTES
+from airgs_codec.package.parse import parse_root
+from airgs_codec.package.paths import JSON_NAME, group_path, locate
+from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
+from airgs_codec.play.downloader import CHECK_S, Arrival, BatchKind, GiveUp, Partial, Request
 from airgs_codec.play.http_files import FileClient, HttpSettings, Transfer
-from airgs_codec.play.remote import RemoteTables
+from airgs_codec.play.offers import NONE, Batch, Offers
 from airgs_codec.play.session import SessionLog
-from airgs_codec.play.units import NONE
 
 CONNECTIONS = 16  # at once
+GROWS = ("frames", "live")  # what of the header changes while a package grows
 Receive = Callable[[str, bytes], object]
 
 
@@ -64,14 +69,14 @@ class HttpDownloader:
         """The shortest wait for a first byte so far, in seconds; 0 before there is any."""
         return self._rtt_s if self._rtt_s < math.inf else 0.0
 
-    def open(self) -> Catalogue:
-        """Fetch airgs.json, which the player's first request then finds there. The catalogue grows with the tables.
+    def open(self) -> Offers:
+        """Fetch airgs.json, which the player's first request then finds there. The offers grow with the tables.
 
         Raises FormatError, TransportError where there is no server.
         """
         self._fetch_first(JSON_NAME)
-        self._join(self._catalogue)
-        return self._catalogue
+        self._join(self._offers)
+        return self._offers
 
     def _fetch_first(self, path: str) -> None:
         arrival = self._runner.run(self._fetch(_for_tables(path), None))
@@ -79,7 +84,7 @@ class HttpDownloader:
             raise FormatError(error.reason, f"{self._url}/{error.where}", error.detail)
         self._opened[path,] = arrival
 
-    def _join(self, c: Catalogue) -> None:
+    def _join(self, c: Offers) -> None:
         """A session over a growing package begins with its newest group."""
         if not c.live:
             return
@@ -106,10 +111,10 @@ class HttpDownloader:
         self._runner.close()
 
     @property
-    def _catalogue(self) -> Catalogue:
-        if self._tables.catalogue is None:
+    def _offers(self) -> Offers:
+        if self._tables.offers is None:
             raise ConfigError("expected open() before fetch()")
-        return self._tables.catalogue
+        return self._tables.offers
 
     async def _connect(self) -> FileClient:
         """Bodies as they are, not inflated: the tables list the digests of what is on the server."""
@@ -132,7 +137,7 @@ class HttpDownloader:
     async def _fetch(self, request: Request, give_up: GiveUp | None) -> Arrival:
         await self._wait_until(request.sent_s)
         transfer = Transfer()
-        opened = self._tables.catalogue is not None
+        opened = self._tables.offers is not None
         outage_s = self._settings.outage_s if opened else 0.0
         gets = [self._files.get(path, self._tables.limit(path), transfer, outage_s) for path in request.batch.files]
         tasks = [asyncio.create_task(get) for get in gets]
@@ -146,7 +151,7 @@ class HttpDownloader:
         return self._arrival(request, transfer, abandoned)
 
     def _expected_bytes(self, request: Request) -> int:
-        c = self._catalogue
+        c = self._offers
         return c.wire_bytes([c.file_bytes(path) for path in request.batch.files])
 
     async def _watch(
@@ -194,7 +199,7 @@ class HttpDownloader:
         left_s = at_s - self._now_s()
         if left_s <= 0:
             return
-        if self._settings.as_fast and not self._catalogue.live:
+        if self._settings.as_fast and not self._offers.live:
             self._skipped_s += left_s
         else:
             await asyncio.sleep(left_s)
@@ -202,7 +207,7 @@ class HttpDownloader:
 
 def fetch_beside(log: SessionLog, downloader: HttpDownloader) -> None:
     """Fetch what a report or a film of a session shows beside what was played: all tables, and the best rungs."""
-    c, pages = log.catalogue, set[str]()
+    c, pages = log.offers, set[str]()
     places = c.manifest.groups.places
     with contextlib.suppress(FormatError):  # a page cannot be had
         while missing := places.missing_pages(0, pages):
@@ -211,7 +216,7 @@ def fetch_beside(log: SessionLog, downloader: HttpDownloader) -> None:
         downloader.complete([group_path(number + 1) for number in range(places.groups)])
     for segment in dict.fromkeys(shown.segment for shown in log.shown):
         with contextlib.suppress(FormatError):  # its table cannot be had
-            downloader.complete(c.batch(segment, 0, NONE).files)
+            downloader.complete(c.offer(segment).missing(0, NONE).files)
 
 
 def _for_tables(path: str) -> Request:
@@ -228,3 +233,90 @@ def _checked(url: str) -> str:
     if not known or parts.query or parts.fragment:
         raise ConfigError(f"URL: expected http://HOST[:PORT]/PATH or https, got {url}")
     return url.rstrip("/")
+
+
+class RemoteTables:
+    """Offers that grow with the tables that are accepted."""
+
+    def __init__(self) -> None:
+        self.offers: Offers | None = None  # None: airgs.json has not come yet
+        self._root: Root | None = None
+        self._files: dict[str, bytes] = {}  # pages and tables of groups
+        self._keepers: dict[int, set[int]] = {}  # groups whose tables came, by the group whose rows they keep
+
+    def limit(self, path: str) -> int:
+        """The most bytes that a file may have. Raises FormatError for one that no table lists."""
+        if path == JSON_NAME or self.offers is None:
+            return MAX_ROOT_BYTES
+        return self.offers.manifest.entry(path).bytes
+
+    def accept(self, path: str, data: bytes) -> None:
+        """Take in a file that came. Raises FormatError for one that is not what the tables say."""
+        if path == JSON_NAME:
+            self._accept_root(data)
+            return
+        if self.offers is None:
+            raise FormatError("missing_entry", path, f"{JSON_NAME} has not come yet")
+        entry = self.offers.manifest.entry(path)
+        if len(data) != entry.bytes:
+            raise FormatError("size_mismatch", path, f"expected {entry.bytes} bytes, got {len(data)}")
+        check_digest(path, data, entry)
+        self._read_table(self.offers, path, data)
+
+    def _accept_root(self, data: bytes) -> None:
+        root = parse_root(data)
+        if self._root is not None:
+            _check_growth(self._root, root)
+        manifest = open_manifest(root, self._find)
+        if self.offers is None:
+            self.offers = Offers(manifest, root_bytes=len(data), live=root.live)
+        else:
+            self.offers.grow(manifest, len(data))
+        self._root = root
+
+    def _find(self, path: str, entry: FileEntry) -> bytes:
+        """A table that came, if it is still what the root leads to."""
+        if path not in self._files:
+            raise FormatError("missing_file", path, "it has not been fetched")
+        check_digest(path, self._files[path], entry)
+        return self._files[path]
+
+    def _read_table(self, c: Offers, path: str, data: bytes) -> None:
+        what, numbers = locate(path)
+        if what not in ("group", "page"):
+            return
+        self._files[path] = data
+        try:
+            if what == "group":
+                self._check_kept(c.manifest, numbers[0] - 1)
+            else:
+                c.manifest.groups.places.check_page(numbers[0], numbers[1] - 1)
+        except FormatError:
+            del self._files[path]
+            raise
+
+    def _check_kept(self, m: Manifest, group: int) -> None:
+        """Read a table, and check it with those that came before: one may keep rows of the other. FormatError."""
+        keeps = m.groups[group].keeps
+        for number in self._keepers.get(group, ()):
+            m.base_of(number)
+        if keeps is not None:
+            if group_path(keeps) in self._files:
+                m.base_of(group)
+            self._keepers.setdefault(keeps - 1, set()).add(group)
+
+
+def _check_growth(before: Root, after: Root) -> None:
+    """Raise FormatError(bad_value) unless a root can follow another while groups are added."""
+    same = all(
+        getattr(before, field.name) == getattr(after, field.name)
+        for field in dataclasses.fields(Header)
+        if field.name not in GROWS
+    )
+    was, now = count_groups(before.index), count_groups(after.index)
+    kept = now >= was
+    for level, (old, new) in enumerate(zip(before.index, after.index, strict=False)):
+        if was // PAGE ** (level + 1) == now // PAGE ** (level + 1):  # no page of the level above was filled since
+            kept = kept and new.sha256.startswith(old.sha256)
+    if not (same and kept and after.frames >= before.frames and before.live >= after.live):
+        raise FormatError("bad_value", JSON_NAME, "expected the package of before with more groups, got another")

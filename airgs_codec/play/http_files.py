@@ -18,7 +18,7 @@ import aiohttp
 
 from airgs_codec._settings import documented, setting
 from airgs_codec.errors import ConfigError, FormatError, TransportError
-from airgs_codec.play.events import Retry
+from airgs_codec.play.downloader import Retry
 from airgs_codec.play.repr_digest import REPR_DIGEST, check_repr_digest
 
 BUSY = (429, 502, 503, 504)

@@ -1,4 +1,10 @@
-"""What a session was like: figures over the batches that were fetched and the segments that were shown."""
+"""What a session was like: figures over the batches that were fetched and the segments that were shown, and what they
+are called in tables.
+
+PSNR has three definitions in this package. Packages: the PSNR of the squared error pooled over views and frames.
+Training: the mean over views of each view's dB. Sessions, here: every segment has the package's PSNR of its rung, and
+a session the mean of these dB over display ticks.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.package.paths import FileKind
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.events import BatchKind, Shown
-from airgs_codec.play.link import Link
-from airgs_codec.play.player import SHORTEST_S
+from airgs_codec.play.downloader import BatchKind, Shown
+from airgs_codec.play.fetcher import SHORTEST_S
+from airgs_codec.play.offers import Offers
+from airgs_codec.play.playout import TileFigures, screen_ticks
 from airgs_codec.play.policies.state import STALL_DB
-from airgs_codec.play.ticks import screen_ticks
-from airgs_codec.play.tile_figures import TileFigures
+from airgs_codec.play.trace import Link
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +119,7 @@ def _first_picture(fetches: Sequence[Fetch]) -> int:
 
 
 def session_metrics(
-    catalogue: Catalogue,
+    offers: Offers,
     link: Link | None,
     fetches: Sequence[Fetch],
     shown: Sequence[Shown],
@@ -123,14 +128,18 @@ def session_metrics(
     """All figures of a session; `link` is None over a real connection."""
     frames = sum(s.frames for s in shown)
     stalls = [s.stall_s for s in shown if s.stall_s > SHORTEST_S]
-    played, stall = frames / catalogue.fps, math.fsum(stalls)
-    on_screen = [shown[i] for i, _ in screen_ticks(shown, catalogue.fps)]
+    played, stall = frames / offers.fps, math.fsum(stalls)
+    on_screen = [shown[i] for i, _ in screen_ticks(shown, offers.fps)]
     psnr = np.array([s.psnr for s in on_screen if s.psnr is not None])
-    delta_e = [catalogue.delta_e[s.segment, s.rung] for s in on_screen if s.psnr is not None]
+    found = [offers.offer(s.segment).rungs[s.rung] for s in shown if s.rung is not None]
+    delta_e = [
+        offers.offer(s.segment).rungs[s.rung].delta_e for s in on_screen if s.psnr is not None and s.rung is not None
+    ]
     quality = [s.psnr for s in shown if s.psnr is not None]
     changes = [abs(b - a) for a, b in itertools.pairwise(quality)]
     rungs = [s.rung for s in shown]
-    names = Counter("lost" if rung is None else catalogue.names[rung] for rung in rungs)
+    names = offers.names
+    counts = Counter("lost" if rung is None else names[rung] for rung in rungs)
     wire, end_s = sum(f.bytes for f in fetches), max(f.arrival_s for f in fetches)
     choices = [f.fits for f in fetches if f.kind in (BatchKind.GROUP, BatchKind.STATE)]
     took_ms = 1e3 * frame_times(fetches, shown)
@@ -168,8 +177,8 @@ def session_metrics(
         frame_ms_p50=float(np.percentile(took_ms, 50)),
         frame_ms_p95=float(np.percentile(took_ms, 95)),
         frame_ms_max=float(took_ms.max()),
-        rungs=dict(names.most_common()),
-        gaussians=max((int(catalogue.rows[s.segment, s.rung]) for s in shown if s.rung is not None), default=0),
+        rungs=dict(counts.most_common()),
+        gaussians=max((rung.gaussians for rung in found), default=0),
         trace=trace.name if trace else None,
         trace_mean_bps=trace.mean_bps if trace else None,
         trace_scale=trace.scale if trace else None,
@@ -178,3 +187,55 @@ def session_metrics(
         trace_ended=end_s > trace.duration_s if trace else None,
         rtt_s=link.rtt_s if link else None,
     )
+
+
+TICK_PSNR = "mean over display ticks of the dB of what was on the screen; frozen pictures count"
+KINDS = (FileKind.KEY, FileKind.STATE, FileKind.SIDECARS, FileKind.INIT, FileKind.MANIFESTS)  # of bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One column of a table."""
+
+    name: str  # in rows and records
+    heading: str  # with the unit
+    meaning: str
+    factor: float = 1.0  # from the row's unit to the heading's
+    digits: int = 2
+    headline: bool = False  # one of those that pages and terminals show; CSV has all
+
+    def text(self, value: float) -> str:
+        """A value of a row in the heading's unit."""
+        return f"{self.factor * value:.{self.digits}f}"
+
+
+FIGURES = (
+    Figure("psnr_mean", "PSNR dB", TICK_PSNR, headline=True),
+    Figure("psnr_p5", "5th %ile dB", "5th percentile over display ticks of the same dB", headline=True),
+    Figure("stall_ratio", "stalled %", "waiting after the first picture, of the time since", 100, headline=True),
+    Figure("startup_s", "start-up s", "from the first request to the first picture", headline=True),
+    Figure("switches", "switches", "changes of the rung from one segment to the next", 1, 1, headline=True),
+    Figure("bytes_per_frame", "kB/frame", "files that were of use, without headers", 1e-3, headline=True),
+    Figure("regret", "regret dB", "PSNR under the bound for the same moments, mean over media time", headline=True),
+    Figure("change_db", "change dB", "mean change of PSNR from one segment to the next"),
+    Figure("qoe", "QoE dB", "a segment: quality - changes - 20 dB for a second of waiting"),
+    Figure("wasted", "wasted %", "bytes that served nothing, of those on the wire", 100, 1),
+    Figure("utilisation", "used %", "bytes on the wire, of those that could have passed", 100, 0),
+    Figure("infeasible", "no fit %", "choices for which no rung fitted", 100, 1),
+    Figure("late", "late %", "segments that were waited for", 100, 1),
+    Figure("frame_ms_mean", "mean ms", "time a frame was on its way: its share of the batch that brought it", 1, 0),
+    Figure("frame_ms_p50", "median ms", "median over frames of the same time", 1, 0),
+    Figure("frame_ms_p95", "95 % ms", "95th percentile over frames of the same time", 1, 0),
+    Figure("frame_ms_max", "worst ms", "the longest of these times", 1, 0),
+    *(Figure(f"{kind}_kb_frame", f"{kind} kB", f"kB a frame of {kind} files, without headers") for kind in KINDS),
+)
+
+
+def headlines(figures: tuple[Figure, ...]) -> list[Figure]:
+    """The figures that pages and terminals show."""
+    return [figure for figure in figures if figure.headline]
+
+
+def meanings(figures: tuple[Figure, ...]) -> dict[str, str]:
+    """Name of every figure -> what it means."""
+    return {figure.name: figure.meaning for figure in figures}

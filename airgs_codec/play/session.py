@@ -13,10 +13,21 @@ from numpy.typing import NDArray
 from airgs_codec.errors import FormatError
 from airgs_codec.package.package import Package
 from airgs_codec.package.paths import FileKind, file_kind
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.downloader import Downloader, SimulatedDownloader
-from airgs_codec.play.events import Arrival, Arrived, BatchKind, Cut, Event, Lost, Replaced, Shown, TileReady
-from airgs_codec.play.link import Link
+from airgs_codec.play.bound import Horizon, Slot, solve_horizon
+from airgs_codec.play.downloader import (
+    Arrival,
+    Arrived,
+    BatchKind,
+    Cut,
+    Downloader,
+    Event,
+    Lost,
+    Replaced,
+    Shown,
+    SimulatedDownloader,
+    TileReady,
+)
+from airgs_codec.play.fetcher import SHORTEST_S
 from airgs_codec.play.metrics import (
     Fetch,
     SessionMetrics,
@@ -24,21 +35,21 @@ from airgs_codec.play.metrics import (
     mean_quality,
     session_metrics,
 )
+from airgs_codec.play.offers import Offers
+from airgs_codec.play.player import run
+from airgs_codec.play.playout import TilesShown, screen_ticks, tile_of
 from airgs_codec.play.policies.named import DEFAULT_POLICY, make_policy
 from airgs_codec.play.policies.state import Policy
-from airgs_codec.play.run import run
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View
-from airgs_codec.play.ticks import screen_ticks
-from airgs_codec.play.tile_figures import TilesShown, tile_of
-from airgs_codec.play.trace import Trace
+from airgs_codec.play.trace import Link, Trace
 
 
 @dataclass(frozen=True, eq=False)
 class SessionLog:
     """Everything that happened in a session; figures are derived from it."""
 
-    catalogue: Catalogue
+    offers: Offers
     settings: SessionSettings
     policy: str
     link: Link | None  # None over a real connection
@@ -52,19 +63,19 @@ class SessionLog:
     @staticmethod
     def of(
         events: Iterable[Event],
-        catalogue: Catalogue,
+        offers: Offers,
         policy: str,
         settings: SessionSettings,
         link: Link | None = None,
         view: View | None = None,
     ) -> SessionLog:
         """The log of a player's events; with a `view`, of one that fetched by it."""
-        fold = _Fold(catalogue)
+        fold = _Fold(offers)
         for event in events:
             fold.add(event)
         shown = tuple(fold.shown)
         return SessionLog(
-            catalogue=catalogue,
+            offers=offers,
             settings=settings,
             policy=policy,
             link=link,
@@ -73,19 +84,19 @@ class SessionLog:
             bytes_by_kind=dict(fold.bytes_by_kind),
             lost=tuple(fold.lost),
             retried=tuple(fold.retried),
-            tiles=TilesShown(catalogue, view, shown, tuple(fold.ready), dict(fold.bytes_by_tile)) if view else None,
+            tiles=TilesShown(offers, view, shown, tuple(fold.ready), dict(fold.bytes_by_tile)) if view else None,
         )
 
     @cached_property
     def metrics(self) -> SessionMetrics:
         """Figures of the session."""
-        figures = session_metrics(self.catalogue, self.link, self.fetches, self.shown, self.bytes_by_kind)
+        figures = session_metrics(self.offers, self.link, self.fetches, self.shown, self.bytes_by_kind)
         return figures if self.tiles is None else replace(figures, tiles=self.tiles.figures)
 
     @property
     def screen_ticks(self) -> list[tuple[int, int]]:
-        """(entry of `shown`, frame of it) for every display tick; see `ticks.screen_ticks`."""
-        return screen_ticks(self.shown, self.catalogue.fps)
+        """(entry of `shown`, frame of it) for every display tick; see `playout.screen_ticks`."""
+        return screen_ticks(self.shown, self.offers.fps)
 
     @property
     def frame_times(self) -> NDArray[np.float64]:
@@ -99,7 +110,7 @@ class SessionLog:
 
 
 def play(
-    catalogue: Catalogue,
+    offers: Offers,
     downloader: Downloader,
     policy: Policy | str = DEFAULT_POLICY,
     settings: SessionSettings | None = None,
@@ -112,15 +123,15 @@ def play(
     that `make_policy` takes. Raises ConfigError for an unknown policy and for
     one that needs what is not known, TransportError when the link fails.
     """
-    rule = make_policy(policy, catalogue, link) if isinstance(policy, str) else policy
-    seen = view if catalogue.manifest.tiles > 1 else None
+    rule = make_policy(policy, offers, link) if isinstance(policy, str) else policy
+    seen = view if offers.manifest.tiles > 1 else None
     rules = settings or SessionSettings()
     rules = rules if seen is None else rules.by_view()
-    return SessionLog.of(run(catalogue, downloader, rule, rules, seen), catalogue, rule.name, rules, link, seen)
+    return SessionLog.of(run(offers, downloader, rule, rules, seen), offers, rule.name, rules, link, seen)
 
 
 def simulate(
-    package: Package | Catalogue,
+    package: Package | Offers,
     trace: Trace | Link,
     policy: Policy | str = DEFAULT_POLICY,
     settings: SessionSettings | None = None,
@@ -133,18 +144,43 @@ def simulate(
     `find_faults` gives them. Raises ConfigError for an unknown policy, for one that needs quality that was not measured
     and for a budget that all rungs of a segment are over, TransportError for a trace that ends too soon.
     """
-    catalogue = Catalogue.of(package) if isinstance(package, Package) else package
+    offers = Offers.of(package) if isinstance(package, Package) else package
     link = Link.over(trace) if isinstance(trace, Trace) else trace
-    catalogue.limit(settings.budget if settings else None)
-    catalogue.check_budget(range(catalogue.segments))
-    return play(catalogue, SimulatedDownloader(link, catalogue, faults or {}), policy, settings, link, view)
+    offers.check_budget(range(offers.segments), settings.budget if settings else None)
+    return play(offers, SimulatedDownloader(link, offers, faults or {}), policy, settings, link, view)
+
+
+def session_bound(log: SessionLog, integer: bool = False) -> float | None:
+    """Upper bound on the mean PSNR (dB) of any player that shows each segment when this one did; see `bound`.
+
+    None when segments were lost, where tiles were fetched by view, and over a real connection, whose capacity is not
+    known.
+    """
+    link = log.link
+    if link is None or log.tiles is not None or any(shown.rung is None for shown in log.shown):
+        return None
+    slots = []
+    manifest_s = log.fetches[0].arrival_s
+    offers, limit = log.offers, log.settings.buffer_s
+    fronts = np.cumsum([0.0, *(s.frames / offers.fps for s in log.shown)])  # media time at which each begins
+    for k, shown in enumerate(log.shown):
+        release = manifest_s
+        wanted = float(fronts[k + 1]) - limit  # media that must have been shown before the request
+        if wanted > SHORTEST_S:  # not where rounding alone makes the buffer too small
+            i = int(np.searchsorted(fronts, wanted - SHORTEST_S)) - 1  # before a stall, if one follows just there
+            release = max(release, log.shown[i].start_s + wanted - float(fronts[i]))
+        begin, deadline = release + link.rtt_s, shown.start_s - log.settings.decode_frame_s
+        capacities = link.bytes_between(0.0, begin), link.bytes_between(0.0, deadline)
+        slots.append(Slot(offers.offer(shown.segment, budget=log.settings.budget), *capacities))
+    schedule = solve_horizon(Horizon(tuple(slots)), integer)
+    return None if schedule is None else schedule.quality
 
 
 @dataclass(slots=True, eq=False)
 class _Fold:
     """What the events so far amount to."""
 
-    catalogue: Catalogue
+    offers: Offers
     arrived: list[Arrived] = field(default_factory=list)
     shown: list[Shown] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
@@ -165,7 +201,7 @@ class _Fold:
         elif isinstance(event, TileReady):
             self.ready.append(event)
         elif isinstance(event, Lost):
-            start, stop = self.catalogue.span(self.catalogue.index(event.position))
+            start, stop = self.offers.span(self.offers.place(event.position)[1])
             frames = f"frames {start}-{stop - 1}"
             self.lost.append(f"{frames} at {event.at_s:.2f} s: no rung can be had, the last picture stands")
         elif isinstance(event, Cut):
@@ -177,9 +213,9 @@ class _Fold:
         arrival, number = event.arrival, len(self.arrived)
         self.arrived.append(event)
         for path in arrival.kept:
-            self.bytes_by_kind[file_kind(path)] += self.catalogue.file_bytes(path)
+            self.bytes_by_kind[file_kind(path)] += self.offers.file_bytes(path)
             if (tile := tile_of(path)) is not None:
-                self.bytes_by_tile[tile] += self.catalogue.file_bytes(path)
+                self.bytes_by_tile[tile] += self.offers.file_bytes(path)
         self.lost += [f"{path} at {arrival.at_s:.2f} s: {why.detail}" for path, why in arrival.refused.items()]
         self.retried += [f"{retry.path} before {arrival.at_s:.2f} s: {retry.why}" for retry in arrival.retries]
         if arrival.complete and arrival.request.kind is BatchKind.REPAIR:
@@ -190,13 +226,13 @@ class _Fold:
 
     def _replaced(self, event: Replaced) -> None:
         """A state that another takes the place of was fetched in vain; keys are not, they stay decoded."""
-        c, number = self.catalogue, len(self.arrived) - 1
+        number, offer = len(self.arrived) - 1, self.offers.offer(self.offers.place(event.position)[1])
         self.on_timeline.add(number)
-        level_before, level_after = c.rungs[event.before][1], c.rungs[event.after][1]
-        if level_before != level_after:
+        before, after = offer.rungs[event.before], offer.rungs[event.after]
+        if before.level != after.level:
             source = self.state_source.get(event.position)
             if source is not None:  # None: the level had nothing to fetch
-                self.replaced_bytes[source] += int(c.state_bytes[c.index(event.position), level_before])
+                self.replaced_bytes[source] += before.state_bytes
             self.state_source[event.position] = number
 
     def fetch(self, number: int) -> Fetch:
@@ -229,5 +265,5 @@ class _Fold:
             return 0 if number in self.on_timeline else arrival.bytes
         if arrival.complete:
             return sum(retry.bytes for retry in arrival.retries)
-        kept = self.catalogue.wire_bytes([self.catalogue.file_bytes(path) for path in arrival.kept])
+        kept = self.offers.wire_bytes([self.offers.file_bytes(path) for path in arrival.kept])
         return max(0, arrival.bytes - kept)

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.tables import Group
+from airgs_codec.package.tables import GroupTile
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import from_rotation_vector, to_matrices
 
@@ -80,10 +80,10 @@ class Boxes:
         return Boxes(np.array(clouds))
 
     @staticmethod
-    def of_tiles(group: Group) -> Boxes:
+    def of_tiles(tiles: Sequence[GroupTile]) -> Boxes:
         """The boxes of the tiles of a group; nothing is to be seen of a tile without rows."""
-        boxes = Boxes.of((tile.low, tile.high) for tile in group.tiles)
-        boxes.points[[not any(tier.count for tier in tile.tiers) for tile in group.tiles]] = np.nan
+        boxes = Boxes.of((tile.low, tile.high) for tile in tiles)
+        boxes.points[[not any(tier.count for tier in tile.tiers) for tile in tiles]] = np.nan
         return boxes
 
     @property

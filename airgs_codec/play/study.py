@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.package import open_package
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.figures import FIGURES, KINDS
-from airgs_codec.play.keys import TableStore
-from airgs_codec.play.link import Link
-from airgs_codec.play.regret import session_bound
-from airgs_codec.play.session import SessionLog, simulate
+from airgs_codec.play.fetcher import TableStore
+from airgs_codec.play.metrics import FIGURES, KINDS
+from airgs_codec.play.offers import NONE, Offers
+from airgs_codec.play.session import SessionLog, session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.play.trace import Link, Trace, open_trace
 from airgs_codec.progress import Progress, silent
 
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
@@ -77,20 +75,20 @@ def offsets_of(trace: Trace, count: int, seed: int) -> list[float]:
     return [round(float(v), 3) for v in random.uniform(0, trace.duration_s, count)]
 
 
-def is_feasible(c: Catalogue, link: Link, settings: SessionSettings, loops: int) -> bool:
+def is_feasible(c: Offers, link: Link, settings: SessionSettings, loops: int) -> bool:
     """Whether a player that always takes the smallest rung shows all of it without a stall from FEASIBLE_START_S on."""
     at = link.arrival_s(c.wire_bytes([c.root_bytes]), 0.0)
     due = FEASIBLE_START_S
     at = link.arrival_s(c.wire_bytes([c.file_bytes(path) for path in TableStore(c).missing(range(1))]), at)
     for position in range(loops * c.segments):
-        segment = c.index(position)
-        room = due + c.seconds(segment) - settings.buffer_s
+        offer = c.offer(c.place(position)[1])
+        room = due + offer.seconds - settings.buffer_s
         asked = max(at - link.rtt_s if settings.pipelined and position else at, room)
-        size = int(c.bytes_from_scratch[segment].min())
+        size = min(offer.sizes(NONE))
         at = link.trace.arrival_s(size, max(at, asked + link.rtt_s))
         if at + settings.decode_frame_s > due:
             return False
-        due += c.seconds(segment)
+        due += offer.seconds
     return True
 
 
@@ -115,7 +113,7 @@ def run_study(package: str | Path, settings: StudySettings, progress: Progress =
 def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:
     """Rows of the sessions on one trace."""
     path, name, settings = task
-    c = Catalogue.of(open_package(path))
+    c = Offers.of(open_package(path))
     whole = open_trace(name)
     rules = replace(settings.session, loops=c.loops(settings.session.loops))
     rows = []
@@ -130,7 +128,7 @@ def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:
     return rows
 
 
-def _is_feasible_to_the_end(c: Catalogue, link: Link, rules: SessionSettings) -> bool:
+def _is_feasible_to_the_end(c: Offers, link: Link, rules: SessionSettings) -> bool:
     try:
         return is_feasible(c, link, rules, c.loops(rules.loops))
     except TransportError:  # the trace is over first

@@ -12,9 +12,9 @@ from airgs_codec.cli.play import main
 from airgs_codec.decoder.decode import Part, decode_frames
 from airgs_codec.media.image import to_bytes
 from airgs_codec.package.package import find_faults, open_package
-from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.report import film
-from airgs_codec.play.report.viewer import path_of
+from airgs_codec.play.report.map import path_of
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import open_trace
@@ -126,7 +126,7 @@ def test_the_still_has_every_tile_in_its_own_rung(tmp_path, monkeypatch):
 
 def test_a_scene_without_rows_is_an_empty_picture():
     m = tiled_manifest(4, empty=range(4))
-    log = simulate(Catalogue(m, 0, 1000), open_trace("const:8"), "fixed:0", SessionSettings(loops=1), view=Turning())
+    log = simulate(Offers(m, 0, 1000), open_trace("const:8"), "fixed:0", SessionSettings(loops=1), view=Turning())
     frames = [shown for shown, _ in film.screen_frames(SimpleNamespace(manifest=m), log)]
     assert len(frames) == m.frames
     assert {(len(shown), shown.sh_degree) for shown in frames} == {(0, m.sh_degree)}

@@ -14,12 +14,11 @@ from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.package.package import open_package
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.report.film import screen_frames
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Link, open_trace
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.manifests import missing, with_segments
@@ -160,7 +159,7 @@ def test_a_session_over_a_bad_link_shows_the_bits_of_fresh_decodes(package):
     ]
     segments = [replace(s, levels=row) for s, row in zip(m.segments, levels, strict=True)]  # something to weigh
     views = replace(m.views, reference="original")
-    c = Catalogue(replace(with_segments(m, segments), views=views), root_bytes=package.root_bytes)
+    c = Offers(replace(with_segments(m, segments), views=views), root_bytes=package.root_bytes)
     lost = missing(*(f"state/L0/{n}.m4s" for n in range(3, 30, 5)), "key/T0/7.bin")
     link = Link(open_trace("markov:1:0.02"))
     log = simulate(c, link, "paper", SessionSettings(loops=1), lost)

@@ -10,23 +10,23 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import Link
-from airgs_codec.play.regret import session_bound
-from airgs_codec.play.session import simulate
+from airgs_codec.play.offers import NONE, Offers
+from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace
-from airgs_codec.play.units import NONE
+from airgs_codec.play.trace import Link, Trace
 from tests.support.manifests import tiny_manifest, units
 
-CATALOGUE = Catalogue(tiny_manifest(), header_bytes=0)
+OFFERS = Offers(tiny_manifest(), header_bytes=0)
 
 
-def horizon(*capacities, released=0.0, decoded=None, starts=None, catalogue=CATALOGUE):
+def horizon(*capacities, released=0.0, decoded=NONE, starts=None, offers=OFFERS):
     """One slot for each capacity, segments in turn."""
     starts = [True] * len(capacities) if starts is None else starts
-    slots = tuple(Slot(i % 2, o, released, float(c)) for i, (c, o) in enumerate(zip(capacities, starts, strict=True)))
-    return Horizon(catalogue, slots, {0: decoded or NONE})
+    slots = tuple(
+        Slot(replace(offers.offer(i % 2), starts_group=o), released, float(c))
+        for i, (c, o) in enumerate(zip(capacities, starts, strict=True))
+    )
+    return Horizon(slots, decoded)
 
 
 def test_everything_fits():
@@ -42,8 +42,8 @@ def test_bytes_that_are_left_serve_later():
 
 
 def test_a_release_keeps_the_link_from_working_ahead():
-    slots = (Slot(0, True, 0.0, 6300.0), Slot(1, True, 9000.0, 12000.0))
-    best = solve_horizon(Horizon(CATALOGUE, slots, {}), integer=True)
+    slots = (Slot(OFFERS.offer(0), 0.0, 6300.0), Slot(OFFERS.offer(1), 9000.0, 12000.0))
+    best = solve_horizon(Horizon(slots), integer=True)
     assert best is not None and best.quality == pytest.approx((40 + 35) / 2)  # 3000 B after 9000: Q1+L1 has 2800
 
 
@@ -78,7 +78,7 @@ def test_the_oracle_pays_only_round_trips_that_its_player_pays(pipelined):
     """
     link = Link(Trace("t", np.zeros(1), np.array([1.08 * 8 * 6300.0]), 1000.0), rtt_s=0.3)
     rules = SessionSettings(loops=15, decode_frame_s=0.0, buffer_s=4.0, startup_s=2.0, pipelined=pipelined)
-    log = simulate(CATALOGUE, link, "oracle-lp", rules)
+    log = simulate(OFFERS, link, "oracle-lp", rules)
     best = np.mean([shown.rung == 0 for shown in log.shown])
     assert log.metrics.stall_s < 0.1
     assert best > 0.9 if pipelined else best < 0.6
@@ -86,8 +86,8 @@ def test_the_oracle_pays_only_round_trips_that_its_player_pays(pipelined):
 
 def test_rounding_of_media_time_does_not_delay_a_release():
     """25 segments of 0.4 s add up to a little more than the buffer of 10 s: the last of them waits for nothing."""
-    c = Catalogue(tiny_manifest(fps=(25, 1)), header_bytes=0)
-    assert np.cumsum([0.0, *[c.seconds(0), c.seconds(1)] * 13])[25] > 10.0
+    c = Offers(tiny_manifest(fps=(25, 1)), header_bytes=0)
+    assert np.cumsum([0.0, *[c.seconds_at(0), c.seconds_at(1)] * 13])[25] > 10.0
     trace = Trace("t", np.array([0.0, 4.0]), np.array([8 * 60000.0, 8 * 500.0]), 1000.0)
     log = simulate(c, trace, "paper", SessionSettings(loops=25, buffer_s=10.0))
     bound = session_bound(log)
@@ -97,7 +97,7 @@ def test_rounding_of_media_time_does_not_delay_a_release():
 def test_a_rung_with_one_tier_does_not_pay_for_two():
     m = tiny_manifest(psnr=((40.0, 30.0), (38.0, 29.0), (34.0, 28.0)))
     core = replace(m, levels=[*m.levels[:2], replace(m.levels[2], tiers=1)])
-    best = solve_horizon(horizon(3100 + 600, catalogue=Catalogue(core, 0)), integer=True)
+    best = solve_horizon(horizon(3100 + 600, offers=Offers(core, 0)), integer=True)
     assert best is not None and best.rungs[0].argmax() == 2 and best.first_bytes == pytest.approx(3700)
 
 
@@ -111,8 +111,8 @@ def test_the_relaxation_bounds_the_integers_which_equal_enumeration(capacities):
     assert relaxed is not None and exact is not None
     assert relaxed.quality >= exact.quality - 1e-6
     best = -math.inf
-    for rungs in np.ndindex(*(len(CATALOGUE.rungs),) * len(capacities)):
-        spent = np.cumsum([CATALOGUE.bytes_from_scratch[i % 2][r] for i, r in enumerate(rungs)])
+    for rungs in np.ndindex(*(len(OFFERS.rungs),) * len(capacities)):
+        spent = np.cumsum([OFFERS.offer(i % 2).sizes(NONE)[r] for i, r in enumerate(rungs)])
         if (spent <= capacities).all():
-            best = max(best, np.mean([CATALOGUE.quality[i % 2][r] for i, r in enumerate(rungs)]))
+            best = max(best, np.mean([OFFERS.offer(i % 2).psnr[r] for i, r in enumerate(rungs)]))
     assert exact.quality == pytest.approx(best, abs=1e-5)

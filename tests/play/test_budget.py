@@ -7,18 +7,14 @@ import pytest
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.play.catalogue import OVER_BUDGET, Catalogue
-from airgs_codec.play.downloader import SimulatedDownloader
-from airgs_codec.play.events import Lost, Shown
-from airgs_codec.play.link import Link
+from airgs_codec.play.downloader import Lost, Shown, SimulatedDownloader
+from airgs_codec.play.offers import NONE, OVER_BUDGET, Offers
+from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import ADAPTIVE, ORACLES, make_policy
-from airgs_codec.play.regret import session_bound
 from airgs_codec.play.report.session import format_metrics
-from airgs_codec.play.run import run
-from airgs_codec.play.session import simulate
+from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
-from airgs_codec.play.units import NONE
+from airgs_codec.play.trace import Link, open_trace
 from tests.support.manifests import in_groups, tiny_manifest, with_tiers
 
 POLICIES = ("fixed:0", *ADAPTIVE, *ORACLES)
@@ -42,28 +38,29 @@ def link(rate="const:9"):
 @pytest.mark.parametrize(("budget", "most", "levels"), [(20, 20, {2}), (79, 40, {0, 1, 2}), (80, 80, {0, 1, 2})])
 def test_no_policy_shows_or_fetches_more(policy, budget, most, levels):
     """79 Gaussians are enough for both tiers of the first group, but for one of the second."""
-    c = Catalogue(tiered(), 0, 1000)
+    c = Offers(tiered(), 0, 1000)
     log = simulate(c, link(), policy, SessionSettings(budget=budget, loops=2))
     assert log.metrics.gaussians == most
-    assert all(c.rows[s.segment, s.rung] <= budget for s in log.shown)
+    assert all(c.offer(s.segment).rungs[s.rung].gaussians <= budget for s in log.shown)
     assert {c.rungs[fetch.rung][1] for fetch in log.fetches if fetch.kind != "tables"} <= levels
     assert not log.lost and f"of a budget of {budget}" in format_metrics(log)
 
 
 def test_without_a_budget_all_are_shown():
-    log = simulate(Catalogue(tiered(), 0, 1000), link(), "robust-mpc")
+    log = simulate(Offers(tiered(), 0, 1000), link(), "robust-mpc")
     assert log.metrics.gaussians == 80 and "at most 80\n" in format_metrics(log)
 
 
 def test_looking_ahead_counts_what_the_budget_forbids():
     """No path leads through a rung over the budget, and the bound does not show one either."""
-    c = Catalogue(tiered(), 0, 1000)
-    c.limit(79)
-    assert c.allowed(0).all() and c.allowed(1).tolist() == [False, False, True] * 2
-    assert np.all(c.bytes_after[1][:, ~c.allowed(1)] == OVER_BUDGET) and np.all(c.bytes_after[0] < OVER_BUDGET)
-    assert [p.index for p in c.options(1, NONE)] == [2, 5]
+    c = Offers(tiered(), 0, 1000)
+    first, second = (c.offer(segment, budget=79) for segment in (0, 1))
+    allowed = np.array([rung.allowed for rung in second.rungs])
+    assert all(rung.allowed for rung in first.rungs) and allowed.tolist() == [False, False, True] * 2
+    assert np.all(second.bytes_after(first, NONE)[:, ~allowed] == OVER_BUDGET) and max(first.sizes(NONE)) < OVER_BUDGET
+    assert [p.index for p in second.options(NONE)] == [2, 5]
     log = simulate(c, link(), "fixed:0", SessionSettings(budget=79, loops=1))
-    free = session_bound(simulate(Catalogue(tiered(), 0, 1000), link(), "fixed:0", SessionSettings(loops=1)))
+    free = session_bound(simulate(Offers(tiered(), 0, 1000), link(), "fixed:0", SessionSettings(loops=1)))
     bound = session_bound(log)
     assert bound == pytest.approx((40 + 34) / 2) and free == pytest.approx(40)
     assert log.mean_quality <= bound + 1e-6
@@ -71,14 +68,14 @@ def test_looking_ahead_counts_what_the_budget_forbids():
 
 def test_a_budget_that_no_rung_meets():
     with pytest.raises(ConfigError, match="budget: expected 20 Gaussians or more, got 19"):
-        simulate(Catalogue(tiered()), link(), "robust-mpc", SessionSettings(budget=19))
+        simulate(Offers(tiered()), link(), "robust-mpc", SessionSettings(budget=19))
     with pytest.raises(ConfigError, match="budget: expected at least 1 Gaussian, got 0"):
         SessionSettings(budget=0)
 
 
 def test_a_player_that_does_not_know_all_tables_ahead():
     """The first group decides whether it plays at all; a later one without a rung is lost."""
-    c = Catalogue(tiered(), 0, 1000)
+    c = Offers(tiered(), 0, 1000)
     policy = make_policy("fixed:0", c)
 
     def events(budget):

@@ -6,17 +6,15 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import TransportError
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import LONGEST_S, Link
-from airgs_codec.play.regret import session_bound
-from airgs_codec.play.session import simulate
+from airgs_codec.play.offers import Offers
+from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import MOST_BPS, Trace
+from airgs_codec.play.trace import LONGEST_S, MOST_BPS, Link, Trace
 from tests.support.manifests import tiny_manifest
 from tools.lab.numerics.outcome import BOUNDED, CONVERGES, REFUSED
 from tools.lab.numerics.plans import KINDS, judge_margin, offer, solved
 
-CATALOGUE = Catalogue(tiny_manifest(), header_bytes=0)
+OFFERS = Offers(tiny_manifest(), header_bytes=0)
 
 
 def constant(rate_bps: float) -> Trace:
@@ -44,7 +42,7 @@ def test_a_link_that_just_carries_a_session_is_no_fault() -> None:
 @pytest.mark.parametrize("rate", [1e-300, 1e-30, 1e-9, 1e-3])
 def test_a_link_too_slow_for_a_day_is_refused(rate: float) -> None:
     with pytest.raises(TransportError, match=r"slow: \d+ bytes would take .* s, expected at most 86400 s"):
-        simulate(CATALOGUE, Link(constant(rate)), "robust-mpc", SessionSettings(loops=1))
+        simulate(OFFERS, Link(constant(rate)), "robust-mpc", SessionSettings(loops=1))
 
 
 def test_a_batch_of_just_under_a_day_arrives() -> None:
@@ -65,6 +63,6 @@ def test_rates_beyond_what_sums_hold_are_refused() -> None:
     assert constant(MOST_BPS).mean_bps == pytest.approx(MOST_BPS)
     with pytest.raises(TransportError, match="expected rates of at most"):
         constant(2 * MOST_BPS)
-    log = simulate(CATALOGUE, Link(constant(MOST_BPS)), "oracle-lp", SessionSettings(loops=3))
+    log = simulate(OFFERS, Link(constant(MOST_BPS)), "oracle-lp", SessionSettings(loops=3))
     bound = session_bound(log)
     assert bound is not None and bound >= log.mean_quality - 1e-6

@@ -16,15 +16,14 @@ import pytest
 from airgs_codec.errors import ConfigError, FormatError, TransportError
 from airgs_codec.package.package import open_package
 from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.play.events import Batch, BatchKind, Request
+from airgs_codec.play.downloader import Batch, BatchKind, Request
 from airgs_codec.play.http import HttpDownloader, fetch_beside
 from airgs_codec.play.http_files import HttpSettings
-from airgs_codec.play.link import Link
 from airgs_codec.play.report.session import format_metrics
 from airgs_codec.play.repr_digest import check_repr_digest, repr_digest
 from airgs_codec.play.session import play, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.play.trace import Link, Trace, open_trace
 from airgs_codec.serve.server import ServerSettings, Shape
 from tests.support.faulty import FAULTS, Weather, faultily_serving
 from tests.support.paths import GOLDEN, VALID
@@ -119,7 +118,7 @@ def test_a_link_that_falls_silent_is_given_up():
     package = open_package(PACKAGE)
     path = package.manifest.state_files(0, 0)[0]
     with faultily_serving(PACKAGE, Weather(share=0.0, stall_s=30.0)) as port, HttpDownloader(local(port)) as downloader:
-        catalogue = downloader.open()
+        offers = downloader.open()
         tables = Batch(tables=("group/1.json.gz",))
         for _ in range(2):  # the first is airgs.json, which is there
             downloader.fetch(Request(BatchKind.TABLES, 0, 0, tables, 0.0, 0.0))
@@ -135,7 +134,7 @@ def test_a_link_that_falls_silent_is_given_up():
     assert arrival.abandoned and not arrival.whole and not arrival.complete
     assert arrival.at_s - arrival.first_byte_s >= 2 * 0.5
     assert looks[0].elapsed_s >= 0.5 and looks[0].bytes < looks[0].expected_bytes
-    assert looks[0].expected_bytes == catalogue.wire_bytes([catalogue.file_bytes(path)])
+    assert looks[0].expected_bytes == offers.wire_bytes([offers.file_bytes(path)])
 
 
 def test_links_that_fail_at_once_are_one_error():
@@ -203,12 +202,12 @@ def test_a_server_that_dies_and_comes_back_is_waited_for():
         with faultily_serving(PACKAGE, Weather(0.0)) as port:
             patient = stack.enter_context(HttpDownloader(local(port), replace(impatient, outage_s=30.0)))
             hasty = stack.enter_context(HttpDownloader(local(port), impatient))
-            catalogues = patient.open(), hasty.open()
+            offers = patient.open(), hasty.open()
         with pytest.raises(TransportError, match="cannot be reached"):
-            play(catalogues[1], hasty, "fixed:0", RULES)
+            play(offers[1], hasty, "fixed:0", RULES)
         back = threading.Timer(dead_s, lambda: stack.enter_context(faultily_serving(PACKAGE, Weather(0.0), port)))
         back.start()
-        log = play(catalogues[0], patient, "fixed:0", RULES)
+        log = play(offers[0], patient, "fixed:0", RULES)
         back.join()
     assert not log.lost and all(shown.rung == 0 for shown in log.shown)
     assert any("cannot be reached" in line for line in log.retried) and log.shown[0].start_s >= dead_s
@@ -236,6 +235,6 @@ def test_the_real_link_is_never_faster_than_the_simulated_one():
     rules = SessionSettings(loops=1, pipelined=False, abandon=False, startup_s=0.0, buffer_s=2.0)
     with serving(PACKAGE, settings=ServerSettings(Shape(trace, 0.02))) as port:
         real = play_url(local(port, PACKAGE.name), rules=rules)
-    simulated = simulate(real.catalogue, Link(trace, 0.02), "fixed:0", rules)
+    simulated = simulate(real.offers, Link(trace, 0.02), "fixed:0", rules)
     assert compare(real, simulated)[0] == len(simulated.fetches) == len(real.fetches)
     assert all(a.arrival_s >= b.arrival_s - 0.005 for a, b in zip(real.fetches, simulated.fetches, strict=True))

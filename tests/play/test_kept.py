@@ -11,22 +11,18 @@ from hypothesis import strategies as st
 from airgs_codec.package.references import check_group, check_kept
 from airgs_codec.package.tables import NO_FILE
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.downloader import SimulatedDownloader
-from airgs_codec.play.events import Arrival, Arrived, BatchKind, Request
-from airgs_codec.play.keys import KeyStore
+from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Request, SimulatedDownloader
+from airgs_codec.play.fetcher import UnitStore
 from airgs_codec.play.ladder import Decision
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import Offers
+from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.policies.state import Policy
-from airgs_codec.play.regret import session_bound
-from airgs_codec.play.run import run
-from airgs_codec.play.session import simulate
+from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace
-from airgs_codec.play.units import NONE
+from airgs_codec.play.trace import Link, Trace
 from tests.support.manifests import in_groups, missing, tiny_manifest, units, with_tiers
-from tests.support.session_packages import catalogue_of
+from tests.support.session_packages import offers_of
 
 RULES = SessionSettings(
     startup_s=0.0, resume_s=0.0, decode_frame_s=0.0, loops=1, pipelined=False, replace=False, abandon=False
@@ -55,7 +51,7 @@ def link(*rates):
 
 
 def play(m, policy="fixed:0", over=None, faults=None, **options):
-    return simulate(Catalogue(m, 0, 1000), over or link(8e4), policy, replace(RULES, **options), faults)
+    return simulate(Offers(m, 0, 1000), over or link(8e4), policy, replace(RULES, **options), faults)
 
 
 def test_the_manifest_is_one():
@@ -71,8 +67,8 @@ def test_who_has_the_base_fetches_only_what_is_new():
 
 
 def test_who_joins_at_a_group_fetches_the_table_and_keys_of_its_base():
-    catalogue = Catalogue(keeping(tiny_manifest()), 0, 1000, first=1)
-    log = simulate(catalogue, link(8e4), "fixed:0", RULES)
+    offers = Offers(keeping(tiny_manifest()), 0, 1000, first=1)
+    log = simulate(offers, link(8e4), "fixed:0", RULES)
     tables = [f.bytes for f in log.fetches if f.kind == "tables"]
     assert tables == [1000, 100, 100]  # airgs.json, the table of the group, then that of its base
     assert [f.bytes for f in log.fetches if f.kind == "group"] == [3000 + 200 + 4200 + 2100]
@@ -85,30 +81,31 @@ def test_the_page_of_the_base_is_fetched_first():
     groups = [group] * 65 + [group | {"keeps": 3, "kept": [5], "sidecars": [20], "pictures": [[70, 60]]}]
     numbers = {"frame_rate": [10, 1], "page_bytes": 4000, "header_bytes": 0, "root_bytes": 1000, "groups": groups}
     numbers |= {"qualities": ["Q0", "Q1"], "levels": [{"id": "L0", "tiers": 1, "pruned": 0.0}]}
-    catalogue = catalogue_of(numbers)
-    catalogue.first = 65
-    log = simulate(catalogue, link(8e4), "fixed:0", RULES)
+    offers = offers_of(numbers)
+    offers.first = 65
+    log = simulate(offers, link(8e4), "fixed:0", RULES)
     assert [f.bytes for f in log.fetches] == [1000, 90, 4000, 90, 20 + 70 + 30 + 500 + 700]
 
 
 def test_a_tier_that_keeps_nothing_needs_nothing_of_the_base():
-    catalogue = Catalogue(keeping(tiny_manifest(), kept=(0, 4)), 0, 1000, first=1)
-    log = simulate(catalogue, link(8e4), "fixed:0", RULES)
+    offers = Offers(keeping(tiny_manifest(), kept=(0, 4)), 0, 1000, first=1)
+    log = simulate(offers, link(8e4), "fixed:0", RULES)
     assert [f.bytes for f in log.fetches if f.kind == "group"] == [4000 + 200 + 1000 + 100 + 2100]
 
 
 def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
     m = keeping(tiny_manifest())
-    c = Catalogue(m, 0, 1000)
+    c = Offers(m, 0, 1000)
     q0, q1 = (c.rungs.index((q, 0)) for q in (0, 1))
-    assert c.sizes(1, NONE, units(2))[q0] == 3000 + 200 + 2100
-    assert c.sizes(1, NONE, units(2))[q1] == 1000 + 200 + (1000 + 500 + 200) + 2100
-    batch = c.batch(1, q1, NONE, units(2))
+    sizes = c.offer(1).sizes(units(2))
+    assert sizes[q0] == 3000 + 200 + 2100
+    assert sizes[q1] == 1000 + 200 + (1000 + 500 + 200) + 2100
+    batch = c.offer(1).missing(q1, units(2))
     assert batch.keys == (
         *("key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s"),
         *("key/T1/2.bin", "key/T1/1.bin", "key/T1/Q1/1.m4s"),
     )
-    assert c.wire_bytes([c.file_bytes(p) for p in batch.files]) == c.sizes(1, NONE, units(2))[q1]
+    assert c.wire_bytes([c.file_bytes(p) for p in batch.files]) == sizes[q1]
 
 
 def test_each_loop_fetches_the_base_again():
@@ -118,8 +115,8 @@ def test_each_loop_fetches_the_base_again():
 
 def test_two_groups_after_each_other_keep_rows_of_one():
     m = keeping(keeping(tiny_manifest(groups=(10, 10, 10))), 3)
-    catalogue = Catalogue(m, 0, 1000, first=1)
-    log = simulate(catalogue, link(8e4), "fixed:0", RULES)
+    offers = Offers(m, 0, 1000, first=1)
+    log = simulate(offers, link(8e4), "fixed:0", RULES)
     assert [f.bytes for f in log.fetches if f.kind == "group"] == [3000 + 200 + 4200 + 2100, 5300]
 
 
@@ -131,13 +128,13 @@ def test_a_group_whose_base_cannot_be_had_is_lost_and_the_next_one_is_not(path):
 
 
 def test_the_programme_pays_for_a_base_once():
-    c = Catalogue(keeping(tiny_manifest()), 0, 1000)
-    both = (Slot(0, True, 0.0, 6300.0), Slot(1, True, 0.0, 6300.0 + 5300))
-    best = solve_horizon(Horizon(c, both, {}), integer=True)
+    c = Offers(keeping(tiny_manifest()), 0, 1000)
+    both = (Slot(c.offer(0), 0.0, 6300.0), Slot(c.offer(1), 0.0, 6300.0 + 5300))
+    best = solve_horizon(Horizon(both), integer=True)
     assert best is not None and best.quality == pytest.approx(40.0)
-    alone = solve_horizon(Horizon(c, (replace(both[1], capacity=9500.0),), {}), integer=True)
+    alone = solve_horizon(Horizon((replace(both[1], capacity=9500.0),)), integer=True)
     assert alone is not None and alone.first_bytes == pytest.approx(9500)
-    held = solve_horizon(Horizon(c, (replace(both[1], capacity=5300.0),), {0: units(2)}), integer=True)
+    held = solve_horizon(Horizon((replace(both[1], capacity=5300.0),), units(2)), integer=True)
     assert held is not None and held.quality == pytest.approx(40.0)
 
 
@@ -154,8 +151,13 @@ def test_no_session_beats_the_bound(rates, kept):
 def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
     """Sessions over groups that keep rows of different tiers, with any policy."""
     arrived = []
-    add = KeyStore.add
-    monkeypatch.setattr(KeyStore, "add", lambda keys, arrival: (arrived.extend(arrival.kept), add(keys, arrival)))
+    add = UnitStore.add
+
+    def adding(units, loop, offer, arrival):
+        arrived.extend(arrival.kept)
+        add(units, loop, offer, arrival)
+
+    monkeypatch.setattr(UnitStore, "add", adding)
     chance = np.random.default_rng(0)
     for policy in ("throughput", "robust-mpc", "oracle-lp", "bola", "fixed:Q1+L1") * 12:
         m, base = tiny_manifest(groups=(10,) * 5), 1
@@ -166,7 +168,7 @@ def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
         arrived.clear()
         log = play(m, policy, link(*chance.uniform(1e4, 1.5e5, 4)), replace=True, abandon=True)
         for shown in log.shown:
-            (quality, level), group = log.catalogue.rungs[shown.rung], m.group_of(shown.segment)
+            (quality, level), group = log.offers.rungs[shown.rung], m.group_of(shown.segment)
             for tier in range(m.levels[level].tiers):
                 kept = m.groups[group].units[tier].kept
                 needed = m.key_files(group, tier, quality) + (
@@ -178,7 +180,7 @@ def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
 def test_a_base_unit_is_fetched_once_whichever_tiers_were_needed_first():
     """Group 2 keeps rows of the second tier alone; group 3, of both tiers, needs the first one more."""
     m = keeping(keeping(tiny_manifest(groups=(10, 10, 10)), 2, 1, (0, 4)), 3, 1, (3, 4))
-    c = Catalogue(m, 0, 1000, first=1)
+    c = Offers(m, 0, 1000, first=1)
     events = run(c, SimulatedDownloader(link(8e4), c), make_policy("fixed:0", c), RULES)
     second, third = (
         e.arrival.request.batch.keys for e in events if isinstance(e, Arrived) and e.arrival.request.batch.keys
@@ -188,14 +190,14 @@ def test_a_base_unit_is_fetched_once_whichever_tiers_were_needed_first():
 
 
 def test_a_second_tier_that_came_before_the_first_is_not_fetched_again():
-    c = Catalogue(tiny_manifest(), 0, 1000)
-    keys = KeyStore(c)
-    batch = keys.missing(0, 0)
+    c = Offers(tiny_manifest(), 0, 1000)
+    keys, offer = UnitStore(), c.offer(0)
+    batch = keys.missing(0, offer, 0)
     request = Request(BatchKind.GROUP, 0, 0, batch, 0.0, 0.0)
     second = tuple(c.manifest.key_files(0, 1, 0))
-    keys.add(Arrival(request, 0.0, 1.0, 1, whole=second, refused={}, abandoned=True))
-    assert keys.missing(0, 0).keys == tuple(c.manifest.key_files(0, 0, 0))
-    assert not keys.shows(0, 0)
+    keys.add(0, offer, Arrival(request, 0.0, 1.0, 1, whole=second, refused={}, abandoned=True))
+    assert keys.missing(0, offer, 0).keys == tuple(c.manifest.key_files(0, 0, 0))
+    assert not keys.shows(0, offer, 0)
 
 
 def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():
@@ -204,15 +206,14 @@ def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():
     guessed = {}
 
     def choose(state):
-        c = state.catalogue
         if state.position in guessed:
             assert [option.size_bytes for option in state.options] == guessed[state.position].tolist()
         option = state.options[chance.integers(len(state.options))]
-        (here, _), *later = [*c.upcoming(state.position, 2, state.end), (None, False)]
-        assert here == state.segment
-        segment, starts_group = later[0]
-        if starts_group:
-            sizes = c.bytes_at_start(segment, state.known_keys(state.position + 1))
+        (here, _), *later = itertools.islice(state.upcoming(), 2)
+        assert here is state.offer
+        if later and later[0][0].starts_group:
+            ((following, known),) = later
+            sizes = following.bytes_after(here, known)
             guessed[state.position + 1] = sizes[option.index if len(sizes) > 1 else 0]
         return Decision(option.index, True, "any", option.size_bytes)
 
@@ -224,6 +225,6 @@ def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():
                 kept = [(8, 10), (0, 4), (3, 0), (10, 10), (2, 3)][chance.integers(5)]
                 m = keeping(m, number, base, kept)
         guessed.clear()
-        c = Catalogue(m, 0, 1000, first=int(chance.integers(3)))
+        c = Offers(m, 0, 1000, first=int(chance.integers(3)))
         downloader = SimulatedDownloader(link(8e4), c)
         assert list(run(c, downloader, Policy("any", choose), replace(RULES, loops=2))) and guessed

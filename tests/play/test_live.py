@@ -49,8 +49,8 @@ def play_growing(growing, weather=None, rules=RULES):
 def test_a_session_begins_with_the_newest_group_and_ends_with_the_package(tmp_path, counts, shown):
     log = play_growing(Growing(tmp_path / "p", *counts))
     assert [s.segment for s in log.shown] == shown and all(s.rung == 0 for s in log.shown)
-    assert not log.lost and not log.catalogue.live
-    assert all(b.start_s >= a.start_s + a.frames / log.catalogue.fps - 1e-9 for a, b in pairwise(log.shown))
+    assert not log.lost and not log.offers.live
+    assert all(b.start_s >= a.start_s + a.frames / log.offers.fps - 1e-9 for a, b in pairwise(log.shown))
     assert log.metrics.frames == len(shown)
 
 

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.policies.bola import choose_bola
 from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, choose_robust_mpc, discounted_throughput
 from airgs_codec.play.policies.named import NAMES, make_policy
@@ -21,6 +20,7 @@ from airgs_codec.play.policies.paper import (
     choose_paper_literal_no_cliff,
     choose_paper_no_cliff,
 )
+from airgs_codec.play.policies.simple import choose_throughput
 from airgs_codec.play.policies.state import (
     RESERVE_S,
     STALL_DB,
@@ -30,29 +30,32 @@ from airgs_codec.play.policies.state import (
     budget_bytes,
     estimate_throughput,
 )
-from airgs_codec.play.policies.throughput import choose_throughput
-from airgs_codec.play.trace import Trace
-from airgs_codec.play.units import NONE
+from airgs_codec.play.trace import Link, Trace
 from tests.support.manifests import tiny_manifest, units
 
-CATALOGUE = Catalogue(tiny_manifest(), header_bytes=0)
+OFFERS = Offers(tiny_manifest(), header_bytes=0)
+OFFER = OFFERS.offer(0)
 
 
 def constant(rate, rtt=0.0):
     return Link(Trace("t", np.zeros(1), np.array([float(rate)]), 1000.0), rtt)
 
 
-def state(
-    rate=8e4, buffer_s=0.0, *, catalogue=CATALOGUE, position=0, end=20, held=None, shown=None, rtt=0.0, limit=10.0
-):
+def state(rate=8e4, buffer_s=0.0, *, offers=OFFERS, position=0, end=20, held=NONE, shown=None, rtt=0.0, limit=10.0):
     """A player that measured `rate` and has `buffer_s` of media at hand."""
-    held = held or NONE
+    offer = offers.offer(position % 2)
+    held = frozenset((offer.group, *unit[1:]) for unit in held)
+
+    def upcoming():
+        for p in range(position, end):
+            yield offers.offer(p % 2), held if p // 2 == position // 2 else NONE
+
     return PlayerState(
-        catalogue=catalogue,
         position=position,
-        end=end,
-        decoded={position % 2: held},
-        options=catalogue.options(position % 2, held),
+        offer=offer,
+        upcoming=upcoming,
+        decoded=held,
+        options=offer.options(held),
         now_s=100.0,
         deadline_s=100.0 + buffer_s,
         buffer_limit_s=limit,
@@ -64,18 +67,19 @@ def state(
 
 
 def names(decision):
-    return CATALOGUE.names[decision.index]
+    return OFFERS.names[decision.index]
 
 
 def test_options_are_what_is_missing():
-    sizes = dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, NONE), strict=True))
+    sizes = dict(zip(OFFERS.names, OFFER.sizes(NONE), strict=True))
     assert sizes["Q0+L0"] == 3000 + 100 + 1000 + 100 + 2000 + 100
     assert sizes["Q1+L2"] == 1000 + 100 + 500 + 100 + 500 + 100
-    held = dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, units(2)), strict=True))
+    held = dict(zip(OFFERS.names, OFFER.sizes(units(2)), strict=True))
     assert held["Q0+L0"] == 2100 and held["Q1+L2"] == sizes["Q1+L2"]
-    assert dict(zip(CATALOGUE.names, CATALOGUE.sizes(0, units(1)), strict=True))["Q0+L1"] == 1100 + 1100
-    assert CATALOGUE.bytes_after[0, 0].tolist() == CATALOGUE.sizes(0, units(2))
-    assert CATALOGUE.bytes_from_scratch[0].tolist() == CATALOGUE.sizes(0, NONE)
+    assert dict(zip(OFFERS.names, OFFER.sizes(units(1)), strict=True))["Q0+L1"] == 1100 + 1100
+    within = replace(OFFER, starts_group=False)
+    assert within.bytes_after(OFFER, NONE)[0].tolist() == OFFER.sizes(units(2))
+    assert OFFER.bytes_after(OFFER, NONE).tolist() == [OFFER.sizes(NONE)]
 
 
 def test_paper_spends_a_segments_time_or_half_the_buffer_15():
@@ -93,8 +97,8 @@ def test_the_cliff_bounds_what_paper_takes():
     assert choose_paper(state(8e4)) == choose_paper_no_cliff(state(8e4))
     left = replace(poor, options=tuple(p for p in poor.options if p.index % 3 == 2))
     assert names(choose_paper(left)) == "Q1+L2"  # where no other can be had
-    gentle = Catalogue(tiny_manifest(psnr=((40.0, 36.0), (38.0, 35.0), (37.0, 32.0))), header_bytes=0)
-    assert names(choose_paper(state(8e3, 0.0, catalogue=gentle))) == "Q1+L2"
+    gentle = Offers(tiny_manifest(psnr=((40.0, 36.0), (38.0, 35.0), (37.0, 32.0))), header_bytes=0)
+    assert names(choose_paper(state(8e3, 0.0, offers=gentle))) == "Q1+L2"
 
 
 def test_the_cliff_is_the_segments_own_whatever_is_decoded():
@@ -116,7 +120,7 @@ def test_paper_literal_knows_levels_alone():
 
 def test_bola_rises_with_the_buffer_and_leaves_the_smallest_rung_at_its_reserve():
     choices = [choose_bola(state(8e4, b, limit=20.0)) for b in (0.0, 2.9, 10.0, 18.9)]
-    qualities = [CATALOGUE.quality[0, d.index] for d in choices]
+    qualities = [OFFER.psnr[d.index] for d in choices]
     assert qualities == sorted(qualities)
     assert names(choices[0]) == names(choices[1]) == "Q1+L2" and names(choices[-1]) == "Q0+L0"
     assert {choose_bola(state(r, 10.0)).index for r in (1e3, 1e9)} == {choose_bola(state(1e5, 10.0)).index}
@@ -133,16 +137,15 @@ def test_mpc_is_careful_without_a_buffer_and_generous_with_one():
 
 def best_total(s, rate, horizon, first=None):
     """The best total over every sequence of rungs, with the same sizes, changes and stalls."""
-    c = s.catalogue
     best = -math.inf
-    for sequence in np.ndindex(*(len(c.rungs),) * horizon):
+    for sequence in np.ndindex(*(len(OFFER.rungs),) * horizon):
         if first is not None and sequence[0] != first:
             continue
         buffer, total, before = s.buffer_s, 0.0, s.shown_quality
         for i, rung in enumerate(sequence):
-            segment = (s.position + i) % 2
-            took = 8 * c.bytes_from_scratch[segment][rung] / rate
-            quality = c.quality[segment, rung]
+            offer = OFFERS.offer((s.position + i) % 2)
+            took = 8 * offer.sizes(NONE)[rung] / rate
+            quality = offer.psnr[rung]
             total += quality - STALL_DB * max(0.0, took - buffer) - SWITCH_DB * abs(quality - before)
             buffer, before = min(max(0.0, buffer - took) + 1.0, s.buffer_limit_s), quality
             total -= LOW_BUFFER_DB * max(0.0, RESERVE_S - buffer)
@@ -179,10 +182,10 @@ def test_any_policy_answers_with_an_option(rates, buffer_s, held, name, position
     s = state(1.0, buffer_s, held=held, position=position)
     history = tuple(Download(max(1, round(r / 8)), 1.0) for r in rates)
     s = PlayerState(**{f: getattr(s, f) for f in s.__dataclass_fields__} | {"history": history})
-    decision = make_policy(name, CATALOGUE, constant(5e4)).choose(s)
+    decision = make_policy(name, OFFERS, constant(5e4)).choose(s)
     assert decision.index in [p.index for p in s.options]
     assert decision.size_bytes == s.options[decision.index].size_bytes and decision.reason
-    again = make_policy(name, CATALOGUE, constant(5e4)).choose(s)
+    again = make_policy(name, OFFERS, constant(5e4)).choose(s)
     assert again == decision
 
 
@@ -210,18 +213,18 @@ def test_surprises_discount_the_estimate():
 )
 def test_unknown_policies(text):
     with pytest.raises(ConfigError, match="expected paper"):
-        make_policy(text, CATALOGUE, constant(1e6))
+        make_policy(text, OFFERS, constant(1e6))
 
 
 @pytest.mark.parametrize(("text", "rung"), [("fixed:2", "Q0+L2"), ("fixed:Q1+L1", "Q1+L1")])
 def test_fixed_rungs(text, rung):
-    assert names(make_policy(text, CATALOGUE, constant(1e6)).choose(state())) == rung
+    assert names(make_policy(text, OFFERS, constant(1e6)).choose(state())) == rung
 
 
 def test_an_oracle_needs_a_trace_and_what_policies_may_do_is_theirs():
     with pytest.raises(ConfigError, match="real connection"):
-        make_policy("oracle-frame", CATALOGUE)
-    paper, fixed, oracle = (make_policy(name, CATALOGUE, constant(1e6)) for name in ("paper", "fixed:0", "oracle-lp"))
+        make_policy("oracle-frame", OFFERS)
+    paper, fixed, oracle = (make_policy(name, OFFERS, constant(1e6)) for name in ("paper", "fixed:0", "oracle-lp"))
     assert (paper.may_abandon, paper.may_replace, paper.needs_quality) == (True, True, True)
     assert (fixed.may_abandon, fixed.may_replace, fixed.needs_quality) == (False, False, False)
     assert (oracle.may_abandon, oracle.may_replace, oracle.needs_quality) == (True, False, True)

@@ -10,7 +10,7 @@ from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.packing import pack_json
 from airgs_codec.package.paths import JSON_NAME, group_path
-from airgs_codec.play.remote import RemoteTables
+from airgs_codec.play.http import RemoteTables
 from tests.support.long_index import long_index
 from tests.support.paths import VALID
 from tests.support.refusals import cases
@@ -41,11 +41,11 @@ def grown(*roots):
 
 def test_pages_of_every_level_lead_to_groups_as_a_package_grows():
     tables, (_, pages) = grown(root(4095)), long_index(4097)
-    places = tables.catalogue.manifest.groups.places
+    places = tables.offers.manifest.groups.places
     tables.accept("index/1/2.json", pack_json(pages["index/1/2.json"]))
     assert places.at_frame(64) == 64
     tables.accept(JSON_NAME, root(4097))
-    places = tables.catalogue.manifest.groups.places
+    places = tables.offers.manifest.groups.places
     assert places.at_frame(4096) == 4096
     with pytest.raises(FormatError, match="has not been fetched"):
         places.at_frame(64)
@@ -111,4 +111,4 @@ def test_a_package_that_was_closed_does_not_grow_again():
 def test_growth_may_be_long_in_coming():
     for count in (4162, 4163, 4227, 9000):
         tables = grown(root(4162), root(count))
-        assert tables.catalogue.manifest.groups.places.groups == count
+        assert tables.offers.manifest.groups.places.groups == count

@@ -12,20 +12,16 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.references import check_group, check_root
 from airgs_codec.package.tables import Segment
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.downloader import SimulatedDownloader
-from airgs_codec.play.events import Arrival, Arrived, BatchKind, Replaced, Request, Shown
+from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Replaced, Request, Shown, SimulatedDownloader
 from airgs_codec.play.ladder import Decision
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import NONE, Offers
+from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.policies.state import Policy
-from airgs_codec.play.regret import session_bound
 from airgs_codec.play.report.session import format_metrics, write_report
-from airgs_codec.play.run import run
-from airgs_codec.play.session import SessionLog, simulate
+from airgs_codec.play.session import SessionLog, session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace, open_trace
-from airgs_codec.play.units import NONE
+from airgs_codec.play.trace import Link, Trace, open_trace
 from tests.support.manifests import missing, tiny_manifest, with_segments
 from tests.support.paths import VALID
 
@@ -45,12 +41,12 @@ def rules(**options):
 
 def play(manifest, over, policy="fixed:0", headers=0, faults=None, **options):
     """A session with 1000 bytes of manifests and the bare rules but for `options`."""
-    return simulate(Catalogue(manifest, headers, 1000), over, policy, rules(**options), faults)
+    return simulate(Offers(manifest, headers, 1000), over, policy, rules(**options), faults)
 
 
 def pairs(log):
     """Key quality, level and PSNR of what was shown."""
-    return {(*log.catalogue.rungs[s.rung], s.psnr) for s in log.shown}
+    return {(*log.offers.rungs[s.rung], s.psnr) for s in log.shown}
 
 
 @pytest.mark.parametrize("options", [{}, {"psnr": None}, {"state_bytes": (2000, 1000, 0)}], ids=str)
@@ -224,7 +220,7 @@ def test_a_better_key_serves_the_rest_of_its_group():
     """Six segments in one group; the first comes with the coarse key, a later one brings the fine one."""
     m = segmented(tiny_manifest(groups=(60,)), 6)
     log = play(m, link([2.4e4, 8e6], [0, 1.2], 1000), "robust-mpc")
-    qualities = [log.catalogue.rungs[s.rung][0] for s in log.shown]
+    qualities = [log.offers.rungs[s.rung][0] for s in log.shown]
     assert qualities[0] == 1 and qualities[-1] == 0 and qualities == sorted(qualities, reverse=True)
     keys = [f for f in log.fetches if f.kind is BatchKind.GROUP]
     assert len(keys) == 2 and log.metrics.bytes["key"] == 1500 + 4000
@@ -280,21 +276,21 @@ def test_a_missing_table_costs_its_group_and_no_more():
 
 def arrived(kind, rung, sent_s, at_s, **changes):
     """Everything that a rung of the first segment needs, whole after `at_s - sent_s` seconds."""
-    batch = CATALOGUE.batch(0, rung, NONE)
+    batch = OFFERS.offer(0).missing(rung, NONE)
     request = Request(kind, 0, rung, batch, sent_s, 0.0)
     arrival = Arrival(request, sent_s, at_s, 9000, batch.files, {}, abandoned=False)
     return Arrived(replace(arrival, **changes), Decision(rung, True, "", 9000), 0.0, 0.0)
 
 
-CATALOGUE = Catalogue(tiny_manifest(), 0)
-BETTER, WORSE = 0, CATALOGUE.names.index("Q1+L2")
+OFFERS = Offers(tiny_manifest(), 0)
+BETTER, WORSE = 0, OFFERS.names.index("Q1+L2")
 SHOWN = [Shown(0, 0, WORSE, 1.0, 5.0, 10, 0.0, 32.0)]
 FIRST = arrived(BatchKind.GROUP, WORSE, 0.0, 1.0)
 SECOND = arrived(BatchKind.REPLACEMENT, BETTER, 1.0, 4.0)
 
 
 def folded(*events):
-    return SessionLog.of([*events, *SHOWN], CATALOGUE, "paper-no-cliff", rules())
+    return SessionLog.of([*events, *SHOWN], OFFERS, "paper-no-cliff", rules())
 
 
 def test_a_replacement_is_the_time_and_the_waste_of_what_it_replaced():
@@ -320,10 +316,10 @@ def test_a_batch_given_up_is_wasted_but_for_its_keys():
 
 def test_events_come_in_the_order_in_which_they_happen():
     """A segment is shown once nothing can replace it any more: before the next batch that arrives after its start."""
-    catalogue, over = Catalogue(tiny_manifest(), 0, 1000), link([3e4, 8e6], [0, 2], 1000)
-    policy = make_policy("paper-no-cliff", catalogue)
+    offers, over = Offers(tiny_manifest(), 0, 1000), link([3e4, 8e6], [0, 2], 1000)
+    policy = make_policy("paper-no-cliff", offers)
     options = rules(replace=True, buffer_s=4.0, loops=4)
-    events = list(run(catalogue, SimulatedDownloader(over, catalogue), policy, options))
+    events = list(run(offers, SimulatedDownloader(over, offers), policy, options))
     assert events[0].arrival.request.kind is BatchKind.TABLES and isinstance(events[-1], Shown)
     arrivals = [e.arrival.at_s for e in events if isinstance(e, Arrived)]
     starts = [e.start_s for e in events if isinstance(e, Shown)]
@@ -339,7 +335,7 @@ def test_events_come_in_the_order_in_which_they_happen():
 
 def test_policies_of_ones_own_and_packages_are_taken_as_they_are():
     smallest = Policy("smallest", lambda s: Decision(WORSE, True, "mine", s.options[WORSE].size_bytes))
-    log = simulate(CATALOGUE, link([8e6]).trace, smallest, rules())
+    log = simulate(OFFERS, link([8e6]).trace, smallest, rules())
     assert log.policy == "smallest" and {s.rung for s in log.shown} == {WORSE}
     package = open_package(VALID / "two-groups-sh1")
     assert simulate(package, open_trace("const:100"), "fixed:0", rules()).metrics.frames == package.manifest.frames
@@ -359,7 +355,7 @@ def test_without_its_key_a_group_is_lost_and_the_next_one_is_not():
 
 
 def log_rung(log, index):
-    return log.catalogue.names[log.shown[index].rung]
+    return log.offers.names[log.shown[index].rung]
 
 
 rates = st.lists(st.sampled_from([0.0, 1e4, 5e4, 2e5, 5e6]), min_size=1, max_size=12).filter(any)
@@ -384,7 +380,7 @@ def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, bu
     again, give_up, wait = extras
     options = SessionSettings(buffer_s, wait, wait, 0.01, again, give_up, ahead, loops=3)
     over = link(rates, rtt=0.08)
-    a, b = (simulate(Catalogue(m, root_bytes=1000), over, policy, options, faults) for _ in range(2))
+    a, b = (simulate(Offers(m, root_bytes=1000), over, policy, options, faults) for _ in range(2))
     assert (a.fetches, a.shown, a.metrics) == (b.fetches, b.shown, b.metrics)
     for first, second in itertools.pairwise(a.fetches):
         assert first.request_s <= first.arrival_s <= second.request_s + over.rtt_s * ahead + 1e-9
@@ -411,9 +407,7 @@ def segmented(m, count=3):
 
 
 def test_a_report_is_written(tmp_path):
-    log = simulate(
-        Catalogue(tiny_manifest(), 0, 1000), link([4e4, 0, 2e5], rtt=0.08), settings=SessionSettings(loops=5)
-    )
+    log = simulate(Offers(tiny_manifest(), 0, 1000), link([4e4, 0, 2e5], rtt=0.08), settings=SessionSettings(loops=5))
     page = write_report(log, tmp_path / "report")
     assert {p.name for p in page.parent.iterdir()} == {"index.html", "session.json", "session.png"}
     assert (page.parent / "session.png").read_bytes().startswith(b"\x89PNG")

@@ -32,7 +32,7 @@ def test_a_margin_widens_what_is_in_sight():
 
 
 def test_what_is_behind_is_further_off_than_what_is_beside():
-    off = Boxes.of_tiles(tiled_manifest(4).groups[0]).degrees_off(towards(0))
+    off = Boxes.of_tiles(tiled_manifest(4).groups[0].tiles).degrees_off(towards(0))
     assert off[0] < 0 < off[1] < off[2] and off[1] == pytest.approx(off[3])
 
 
@@ -42,7 +42,7 @@ def test_above_counts_as_beside_does():
 
 
 def test_a_tile_without_rows_is_nowhere():
-    boxes = Boxes.of_tiles(tiled_manifest(4, empty=[0, 2]).groups[0])
+    boxes = Boxes.of_tiles(tiled_manifest(4, empty=[0, 2]).groups[0].tiles)
     assert boxes.has_rows.tolist() == [False, True, False, True]
     assert np.isinf(boxes.degrees_off(towards(0))[[0, 2]]).all()
     assert not boxes.in_sight(towards(0), 1000.0)[0]

@@ -13,12 +13,11 @@ from airgs_codec.decoder.decode import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import find_faults, open_package
 from airgs_codec.package.region import draw_views
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.figures import FIGURES
-from airgs_codec.play.link import Link
+from airgs_codec.play.metrics import FIGURES
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
-from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.play.trace import Link, Trace, open_trace
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 
@@ -47,7 +46,7 @@ def test_offsets_are_seeded_and_a_traces_own():
 
 
 def test_feasible_means_that_the_smallest_rungs_keep_up():
-    c = Catalogue(tiny_manifest(), 0, root_bytes=1000)
+    c = Offers(tiny_manifest(), 0, root_bytes=1000)
     rules = SessionSettings(decode_frame_s=0.0, pipelined=False)
     assert is_feasible(c, constant(8 * 2300), rules, 10)  # exactly what a second of Q1+L2 takes
     assert not is_feasible(c, constant(8 * 2000), rules, 30)

@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.catalogue import KEPT_PARTS, Catalogue
-from airgs_codec.play.events import BatchKind
+from airgs_codec.play.buffered import Buffered
+from airgs_codec.play.downloader import BatchKind
+from airgs_codec.play.offers import NONE, Offers
+from airgs_codec.play.playout import tile_of
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.tile_figures import tile_of
 from airgs_codec.play.trace import open_trace
-from airgs_codec.play.units import NONE
-from airgs_codec.play.view_player import ViewPlayer
 from tests.support.manifests import missing, tiny_manifest
 from tests.support.tiled import Turning, tiled_manifest
 
@@ -27,7 +26,7 @@ STILL = Turning()
 
 def play(m, rate="const:10", policy="fixed:0", view=None, **options):
     rules = SessionSettings(**({"loops": 1} | options))
-    return simulate(Catalogue(m, 0, 1000), open_trace(rate), policy, rules, view=view)
+    return simulate(Offers(m, 0, 1000), open_trace(rate), policy, rules, view=view)
 
 
 def fetched(log):
@@ -36,22 +35,25 @@ def fetched(log):
 
 
 def test_numbers_are_those_of_all_tiles():
-    one, four = Catalogue(tiled_manifest(1), 0), Catalogue(tiled_manifest(4), 0)
-    assert four.sizes(0, NONE) == [4 * size for size in one.sizes(0, NONE)]
-    assert four.rows[0].tolist() == [4 * rows for rows in one.rows[0].tolist()]
-    batch = four.batch(0, 0, NONE)
+    one, offers = Offers(tiled_manifest(1), 0).offer(0), Offers(tiled_manifest(4), 0)
+    four = offers.offer(0)
+    assert four.sizes(NONE) == [4 * size for size in one.sizes(NONE)]
+    assert [rung.gaussians for rung in four.rungs] == [4 * rung.gaussians for rung in one.rungs]
+    batch = four.missing(0, NONE)
     assert len(batch.keys) == 4 * 2 * 2 and len(batch.state) == 4
-    assert four.wire_bytes([four.file_bytes(path) for path in batch.files]) == four.sizes(0, NONE)[0]
-    assert four.batch(0, 0, frozenset((0, unit) for unit in range(8))).keys == ()
+    assert offers.wire_bytes([offers.file_bytes(path) for path in batch.files]) == four.sizes(NONE)[0]
+    assert four.missing(0, frozenset((0, 0, unit) for unit in range(8))).keys == ()
 
 
 def test_some_tiles_cost_what_they_have():
-    four = Catalogue(tiled_manifest(4, empty=[3]), 0)
-    part = four.of_tiles([0, 2])
-    assert part.sizes(0, NONE) == [size * 2 // 3 for size in four.sizes(0, NONE)]
-    assert {tile_of(path) for path in part.batch(0, 0, NONE).files} == {0, 2}
-    assert part.bytes_after[1, 0].tolist() == part.sizes(1, frozenset((0, unit) for unit in (0, 1, 4, 5)))
-    assert four.of_tiles(range(4)) is four and four.of_tiles([3]).sizes(0, NONE) == [0] * len(four.rungs)
+    four = Offers(tiled_manifest(4, empty=[3]), 0)
+    first, second = (four.offer(segment, frozenset({0, 2})) for segment in (0, 1))
+    assert first.sizes(NONE) == [size * 2 // 3 for size in four.offer(0).sizes(NONE)]
+    assert {tile_of(path) for path in first.missing(0, NONE).files} == {0, 2}
+    decoded = frozenset((0, 0, unit) for unit in (0, 1, 4, 5))
+    assert second.bytes_after(first, NONE)[0].tolist() == second.sizes(decoded)
+    assert four.offer(0, frozenset(range(4))).sizes(NONE) == four.offer(0).sizes(NONE)
+    assert four.offer(0, frozenset({3})).sizes(NONE) == [0] * len(four.rungs)
 
 
 def test_a_package_of_one_tile_is_played_as_ever():
@@ -74,10 +76,10 @@ def test_all_tiles_cost_what_one_with_all_of_their_bytes_costs(policy):
 
 
 def test_the_bound_counts_the_keys_of_all_tiles():
-    c = Catalogue(tiled_manifest(3), 0)
-    whole = float(c.sizes(0, NONE)[0])
-    assert solve_horizon(Horizon(c, (Slot(0, True, 0.0, whole),), {}), integer=True).quality == pytest.approx(40)
-    assert solve_horizon(Horizon(c, (Slot(0, True, 0.0, whole - 100),), {}), integer=True).quality < 40
+    offer = Offers(tiled_manifest(3), 0).offer(0)
+    whole = float(offer.sizes(NONE)[0])
+    assert solve_horizon(Horizon((Slot(offer, 0.0, whole),)), integer=True).quality == pytest.approx(40)
+    assert solve_horizon(Horizon((Slot(offer, 0.0, whole - 100),)), integer=True).quality < 40
 
 
 def test_who_does_not_turn_fetches_what_he_sees_and_what_is_beside_it():
@@ -141,7 +143,7 @@ def test_a_repair_that_would_come_too_late_takes_the_smallest_rung():
     m = tiled_manifest(TILES, key_bytes=((30_000, 1000),), state_bytes=(20_000, 500), psnr=[[40.0, 36.0]] * 2, **SCENE)
     log = play(m, "const:2.4", view=Turning(450, 2.0, 2.2))
     rungs = {event.rung for event in log.tiles.ready}
-    assert 0 in rungs and log.catalogue.rungs.index((1, 1)) in rungs
+    assert 0 in rungs and log.offers.rungs.index((1, 1)) in rungs
 
 
 def test_policies_see_the_sizes_of_the_tiles_that_are_chosen():
@@ -160,10 +162,10 @@ def test_a_tile_without_rows_is_never_fetched():
 def test_a_missing_file_costs_its_tile_a_rung_and_no_more():
     m = tiled_manifest(TILES, **SCENE)
     path = m.state_files(5, 0, [0])[0]
-    log = simulate(Catalogue(m, 0, 1000), open_trace("const:10"), "robust-mpc", None, missing(path), STILL)
+    log = simulate(Offers(m, 0, 1000), open_trace("const:10"), "robust-mpc", None, missing(path), STILL)
     assert path in log.lost[0] and log.metrics.lost_frames == 0
     (rung,) = {event.rung for event in log.tiles.came(5) if event.tile == 0}
-    assert log.catalogue.rungs[rung] == (0, 1)
+    assert log.offers.rungs[rung] == (0, 1)
 
 
 @pytest.mark.parametrize(("gone", "came"), [(0, {1, 15}), (1, {0, 15}), (15, {0, 1})])
@@ -171,7 +173,7 @@ def test_a_tile_that_cannot_be_had_costs_no_other_tile(gone, came):
     """Of 16 tiles the picture shows three, the one in the middle first."""
     m = tiled_manifest(16, **SHORT)
     lost = [path for level in range(len(m.levels)) for path in m.state_files(5, level, [gone])]
-    log = simulate(Catalogue(m, 0, 1000), open_trace("const:10"), "fixed:0", None, missing(*lost), STILL)
+    log = simulate(Offers(m, 0, 1000), open_trace("const:10"), "fixed:0", None, missing(*lost), STILL)
     early = {e.tile for e in log.tiles.came(5) if e.ready_s <= log.shown[5].ready_s}
     assert log.metrics.lost_frames == 0 and early == came
 
@@ -186,8 +188,8 @@ def test_tiles_that_can_be_had_in_no_common_rung_each_have_one():
         if j != level
         for path in m.state_files(0, j, [tile])
     ]
-    log = simulate(Catalogue(m, 0, 1000), open_trace("const:10"), "robust-mpc", None, missing(*lost), STILL)
-    early = {e.tile: log.catalogue.rungs[e.rung][1] for e in log.tiles.came(0) if e.ready_s <= log.shown[0].ready_s}
+    log = simulate(Offers(m, 0, 1000), open_trace("const:10"), "robust-mpc", None, missing(*lost), STILL)
+    early = {e.tile: log.offers.rungs[e.rung][1] for e in log.tiles.came(0) if e.ready_s <= log.shown[0].ready_s}
     assert log.metrics.lost_frames == 0 and early == there
 
 
@@ -201,26 +203,21 @@ def test_a_scene_without_rows_is_shown_and_not_lost(policy):
 
 def test_a_rung_that_a_repair_finds_missing_is_chosen_no_more(monkeypatch):
     m = tiled_manifest(16, **SHORT)
-    lost, repair = m.state_files(0, 0, [1]), ViewPlayer._repair
+    lost, repair = m.state_files(0, 0, [1]), Buffered.repair
 
-    def finding(player):
-        player.unusable.update(lost if player.downloads else ())
-        return (yield from repair(player))
+    def finding(buffered):
+        buffered.fetcher.unusable.update(lost if buffered.fetcher.downloads else ())
+        return (yield from repair(buffered))
 
-    monkeypatch.setattr(ViewPlayer, "_repair", finding)
+    monkeypatch.setattr(Buffered, "repair", finding)
     log = play(m, view=STILL)
-    early = {e.tile: log.catalogue.rungs[e.rung][1] for e in log.tiles.came(0) if e.ready_s <= log.shown[0].ready_s}
+    early = {e.tile: log.offers.rungs[e.rung][1] for e in log.tiles.came(0) if e.ready_s <= log.shown[0].ready_s}
     assert early[0] == 0 and early[1] != 0 and early[15] != 0
 
 
-def test_few_choices_of_tiles_are_kept():
-    c = Catalogue(tiled_manifest(TILES), 0)
-    parts = [c.of_tiles({tile}) for tile in range(TILES)]
-    assert c.of_tiles([0]) is parts[0]
-    for number in range(KEPT_PARTS - 1):
-        c.of_tiles({tile for tile in range(TILES - 1) if (number + 256 - 20) >> tile & 1} | {7})
-    assert c.of_tiles([0]) is parts[0] and c.of_tiles([1]) is not parts[1]
-    assert len(c._parts) == KEPT_PARTS
+def test_an_offer_is_made_once():
+    c = Offers(tiled_manifest(TILES), 0)
+    assert c.offer(0, frozenset({1})) is c.offer(0, frozenset({1})) is not c.offer(0, frozenset({2}))
 
 
 def test_the_log_says_what_is_on_the_screen():
@@ -247,7 +244,7 @@ def test_a_group_that_keeps_rows_needs_the_units_of_the_same_tiles():
     first, second = m.groups
     tiles = [replace(t, tiers=[replace(k, kept=5) for k in t.tiers]) for t in second.tiles]
     keeping = replace(m, groups=type(m.groups).of([first, replace(second, tiles=tiles, keeps=1)]))
-    batch = Catalogue(keeping, 0).of_tiles([1]).batch(2, 0, NONE)
+    batch = Offers(keeping, 0).offer(2, frozenset({1})).missing(0, NONE)
     assert len(batch.keys) == 2 * 2 * 2 and len(batch.state) == 1
     of_second = {path for unit in (2, 3) for group in (0, 1) for path in keeping.key_files(group, unit, 0)}
     assert set(batch.keys) == of_second

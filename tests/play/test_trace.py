@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airgs_codec.errors import TransportError
-from airgs_codec.play.link import Link
-from airgs_codec.play.trace import Trace, open_trace, read_trace
+from airgs_codec.play.trace import Link, Trace, open_trace, read_trace
 from tests.support.paths import FOX
 
 RACA = (

@@ -8,9 +8,9 @@ import pytest
 
 from airgs_codec.media.image import read_png
 from airgs_codec.package.region import place_view
-from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.offers import Offers
+from airgs_codec.play.report.map import MOST_PIXELS, Viewer
 from airgs_codec.play.report.session import format_metrics, write_report
-from airgs_codec.play.report.viewer import MOST_PIXELS, Viewer
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import open_trace
@@ -20,7 +20,7 @@ from tests.support.regions import arc, row
 
 def session(region):
     m = dataclasses.replace(tiny_manifest(), region=region)
-    return simulate(Catalogue(m, 0, 1000), open_trace("const:9"), "fixed:0", SessionSettings(loops=2))
+    return simulate(Offers(m, 0, 1000), open_trace("const:9"), "fixed:0", SessionSettings(loops=2))
 
 
 def test_a_viewer_in_the_region_has_nothing_to_say():

@@ -39,9 +39,9 @@ def with_segments(m: Manifest, segments: Sequence[mf.Segment]) -> Manifest:
     return replace(m, groups=in_groups(groups))
 
 
-def units(*tiers: int) -> frozenset[tuple[int, int]]:
-    """Key units (key quality, tier): so many tiers of each key quality, from the first on."""
-    return frozenset((quality, tier) for quality, count in enumerate(tiers) for tier in range(count))
+def units(*tiers: int, group: int = 0) -> frozenset[tuple[int, int, int]]:
+    """Key units (group, key quality, tier): so many tiers of each key quality, from the first on."""
+    return frozenset((group, quality, tier) for quality, count in enumerate(tiers) for tier in range(count))
 
 
 def tiny_manifest(

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from functools import partial
+from typing import Any
 
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.policies.named import ADAPTIVE
 from airgs_codec.play.policies.state import Download, PlayerState
 from tests.support.manifests import units
-from tests.support.offers import Offer
+from tests.support.offers import NumberOffers
 
 State = Mapping[str, Any]
 
 
-def player_state(offer: Offer, state: State) -> PlayerState:
+def player_state(offers: NumberOffers, state: State) -> PlayerState:
     """What a policy is asked with."""
-    segment, decoded = offer.index(state["position"]), units(*state["decoded"])
-    options = offer.options(segment, decoded)
+    position, offer = state["position"], offers.at(state["position"])
+    decoded = units(*state["decoded"], group=offer.group)
     return PlayerState(
-        catalogue=cast(Catalogue, offer),
-        position=state["position"],
-        end=state["end"],
-        decoded={offer.segments[segment]["group"]: decoded},
-        options=tuple(option for option in options if option.index not in state["unavailable"]),
+        position=position,
+        offer=offer,
+        upcoming=partial(offers.upcoming, position, state["end"], decoded),
+        decoded=decoded,
+        options=tuple(option for option in offer.options(decoded) if option.index not in state["unavailable"]),
         now_s=state["now_s"],
         deadline_s=state["deadline_s"],
         buffer_limit_s=state["buffer_limit_s"],
@@ -34,8 +34,8 @@ def player_state(offer: Offer, state: State) -> PlayerState:
     )
 
 
-def choices(offer: Offer, state: State) -> dict[str, list[Any]]:
+def choices(offers: NumberOffers, state: State) -> dict[str, list[Any]]:
     """Policy -> its rung, whether that fits, and its wire bytes."""
-    asked = player_state(offer, state)
+    asked = player_state(offers, state)
     answers = {name: policy.choose(asked) for name, policy in ADAPTIVE.items()}
     return {name: [d.index, d.fits, d.size_bytes] for name, d in answers.items()}

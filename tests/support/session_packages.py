@@ -1,4 +1,4 @@
-"""Packages that are no more than numbers, of which the vectors of sessions tell: from numbers to a catalogue and back.
+"""Packages that are no more than numbers, of which the vectors of sessions tell: from numbers to offers and back.
 
 T key tiers, Q key qualities, L levels.
 """
@@ -13,7 +13,7 @@ from typing import Any
 from airgs_codec.package import tables as mf
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.paths import page_path
-from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.offers import Offers
 from tests.support.manifests import HASH, tiny_manifest
 
 Numbers = Mapping[str, Any]
@@ -118,22 +118,22 @@ def _groups(tables: Sequence[mf.Group], table_bytes: Sequence[int], page_bytes: 
     return Groups(index[: 1 + bool(pages)], lambda path, _: places[path], lambda number, _: tables[number])
 
 
-def catalogue_of(numbers: Numbers) -> Catalogue:
-    """The catalogue of the whole package."""
-    return Catalogue(manifest_of(numbers), numbers["header_bytes"], numbers["root_bytes"])
+def offers_of(numbers: Numbers) -> Offers:
+    """The offers of the whole package."""
+    return Offers(manifest_of(numbers), numbers["header_bytes"], numbers["root_bytes"])
 
 
-def growing_catalogue(numbers: Numbers, steps: Sequence[int]) -> tuple[Catalogue, Iterator[tuple[Manifest, int]]]:
-    """The catalogue of a package that grows, at the newest of `steps[0]` groups, and what it grows to each time that
+def growing_offers(numbers: Numbers, steps: Sequence[int]) -> tuple[Offers, Iterator[tuple[Manifest, int]]]:
+    """The offers of a package that grows, at the newest of `steps[0]` groups, and what it grows to each time that
     airgs.json is read: so many groups, of which the last step closes the package.
     """
     counts = iter(steps)
     first = manifest_of(numbers, next(counts), live=True)
-    catalogue = Catalogue(first, numbers["header_bytes"], numbers["root_bytes"], live=True)
-    catalogue.first = first.groups.places.entry(len(first.groups) - 1).first_segment
+    offers = Offers(first, numbers["header_bytes"], numbers["root_bytes"], live=True)
+    offers.first = first.groups.places.entry(len(first.groups) - 1).first_segment
 
     def later() -> Iterator[tuple[Manifest, int]]:
         for number, count in enumerate(counts, 2):
             yield manifest_of(numbers, count, live=number < len(steps)), numbers["root_bytes"] + count
 
-    return catalogue, later()
+    return offers, later()

@@ -4,11 +4,11 @@ import pytest
 
 from airgs_codec.play.policies.mpc import discounted_throughput
 from airgs_codec.play.policies.state import estimate_throughput
-from tests.support.offers import Offer
+from tests.support.offers import NumberOffers
 from tests.support.policy_states import choices, player_state
 from tests.support.vectors import cases
 
-OFFERS = [Offer(numbers) for numbers in cases("policies", "offers")]
+OFFERS = [NumberOffers(numbers) for numbers in cases("policies", "offers")]
 STATES = cases("policies", "states")
 
 
@@ -26,7 +26,7 @@ def test_choices():
 
 def test_there_is_something_to_choose():
     """Of the offers with several rungs every policy takes most, and no two policies always the same."""
-    several = [state["choices"] for state in STATES if len(OFFERS[state["offer"]].rungs) > 1]
+    several = [state["choices"] for state in STATES if len(OFFERS[state["offer"]].segments[0].rungs) > 1]
     taken = {name: [choice[name][0] for choice in several] for name in several[0]}
     assert len(STATES) > 60 and min(len(set(rungs)) for rungs in taken.values()) >= 3
     assert len({tuple(rungs) for rungs in taken.values()}) == len(taken)

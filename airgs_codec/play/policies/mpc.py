@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import islice, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.play.ladder import Decision, select
-from airgs_codec.play.policies.state import RESERVE_S, STALL_DB, Download, PlayerState, full_ladder
+from airgs_codec.play.policies.state import RESERVE_S, STALL_DB, Coming, Download, PlayerState, full_ladder
 
 SWITCH_DB = 0.25  # cost of a change of quality by 1 dB from one segment to the next
 LOW_BUFFER_DB = 1.0  # cost of every second that the buffer is short of RESERVE_S, while it is
@@ -111,28 +112,24 @@ def choose_robust_mpc(state: PlayerState, value_before: ValueBefore = Model.valu
     return Decision(int(rungs[best]), bool(stall[best] <= 0), reason, int(sizes[best]))
 
 
-def _horizon(state: PlayerState) -> list[tuple[int, bool]]:
-    """(segment, whether it starts a group) of the positions looked at, this one first."""
-    segments: list[tuple[int, bool]] = []
+def _horizon(state: PlayerState) -> list[Coming]:
+    """What is looked at, this segment first."""
+    segments: list[Coming] = []
     total_s = 0.0
-    for segment, starts_group in state.catalogue.upcoming(state.position, HORIZON_SEGMENTS, state.end):
+    for offer, known in islice(state.upcoming(), HORIZON_SEGMENTS):
         if segments and total_s >= HORIZON_S:
             break
-        segments.append((segment, starts_group))
-        total_s += state.catalogue.seconds(segment)
+        segments.append((offer, known))
+        total_s += offer.seconds
     return segments
 
 
 def _value_after(
-    state: PlayerState, model: Model, segments: list[tuple[int, bool]], value_before: ValueBefore
+    state: PlayerState, model: Model, segments: list[Coming], value_before: ValueBefore
 ) -> NDArray[np.float64]:
     """(R, B) best total of what follows the next segment, by its rung and the buffer that it leaves."""
-    c = state.catalogue
-    value = np.zeros((len(c.rungs), GRID_POINTS))
-    for i in range(len(segments) - 1, 0, -1):
-        segment, starts_group = segments[i]
-        known = state.known_keys(state.position + i)
-        sizes = c.bytes_at_start(segment, known) if starts_group else c.bytes_after[segment]
-        before = c.quality[segments[i - 1][0]]
-        value = value_before(model, sizes, c.quality[segment], before, c.seconds(segment), value)
+    value = np.zeros((len(state.offer.rungs), GRID_POINTS))
+    for (before, _), (offer, known) in reversed(list(pairwise(segments))):
+        sizes = offer.bytes_after(before, known)
+        value = value_before(model, sizes, offer.psnr, before.psnr, offer.seconds, value)
     return value

@@ -6,11 +6,9 @@ from collections.abc import Callable
 from functools import partial
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Decision
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.bola import choose_bola
-from airgs_codec.play.policies.fixed import choose_fixed
 from airgs_codec.play.policies.mpc import HORIZON_SEGMENTS, choose_robust_mpc
 from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
 from airgs_codec.play.policies.paper import (
@@ -19,8 +17,9 @@ from airgs_codec.play.policies.paper import (
     choose_paper_literal_no_cliff,
     choose_paper_no_cliff,
 )
+from airgs_codec.play.policies.simple import choose_fixed, choose_throughput
 from airgs_codec.play.policies.state import PlayerState, Policy
-from airgs_codec.play.policies.throughput import choose_throughput
+from airgs_codec.play.trace import Link
 
 DEFAULT_POLICY = "robust-mpc"
 ADAPTIVE = {
@@ -42,7 +41,7 @@ ORACLES: dict[str, Callable[[PlayerState, Link], Decision]] = {
 NAMES = (*ADAPTIVE, *ORACLES)
 
 
-def make_policy(name: str, catalogue: Catalogue, link: Link | None = None) -> Policy:
+def make_policy(name: str, offers: Offers, link: Link | None = None) -> Policy:
     """A policy by name, or fixed:J (level J with the finest keys) or fixed:RUNG (such as Q1+L3).
 
     The oracles need the link. Raises ConfigError for other names, and for an oracle without a link.
@@ -54,17 +53,17 @@ def make_policy(name: str, catalogue: Catalogue, link: Link | None = None) -> Po
             raise ConfigError(f"policy {name}: expected a trace, which it knows in advance, got a real connection")
         oracle, known = ORACLES[name], link
         return Policy(name, lambda state: oracle(state, known), may_replace=False)
-    rung = _fixed_rung(name, catalogue)
+    rung = _fixed_rung(name, offers)
     choose = partial(choose_fixed, rung=rung)
     return Policy(name, choose, may_abandon=False, may_replace=False, needs_quality=False)
 
 
-def _fixed_rung(name: str, catalogue: Catalogue) -> int:
+def _fixed_rung(name: str, offers: Offers) -> int:
     kind, _, rung = name.partition(":")
-    levels = len(catalogue.manifest.levels)
-    if kind == "fixed" and rung in catalogue.names:
-        return catalogue.names.index(rung)
+    levels = len(offers.manifest.levels)
+    if kind == "fixed" and rung in offers.names:
+        return offers.names.index(rung)
     if kind == "fixed" and rung.isdigit() and int(rung) < levels:
         return int(rung)
-    names = f"{', '.join(NAMES)}, fixed:0 … fixed:{levels - 1} or fixed:{catalogue.names[-1]}"
+    names = f"{', '.join(NAMES)}, fixed:0 … fixed:{levels - 1} or fixed:{offers.names[-1]}"
     raise ConfigError(f"--policy: expected {names}, got {name!r}")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 from airgs_codec.play.ladder import Decision, select
-from airgs_codec.play.link import Link
 from airgs_codec.play.policies.state import PlayerState, full_ladder
+from airgs_codec.play.trace import Link
 
 
 def choose_oracle_frame(state: PlayerState, link: Link) -> Decision:
@@ -35,15 +35,15 @@ def upcoming_horizon(state: PlayerState, link: Link) -> Horizon:
     the buffer costs a round trip. Otherwise the link is idle for a round trip before every segment; the bytes that it
     could have carried in that time are taken at the trace's mean rate.
     """
-    c, slots = state.catalogue, []
+    slots = []
     first_byte_s = state.now_s + state.request_latency_s
     start_s = first_start_s = max(state.deadline_s, first_byte_s)
-    for segment, starts_group in c.upcoming(state.position, state.end - state.position, state.end):
-        end_s = start_s + c.seconds(segment)
+    for offer, _ in state.upcoming():
+        end_s = start_s + offer.seconds
         release_s = max(first_byte_s, end_s - state.buffer_limit_s + link.rtt_s)
-        slots.append(Slot(segment, starts_group, link.bytes_between(0.0, release_s), link.bytes_between(0.0, start_s)))
+        slots.append(Slot(offer, link.bytes_between(0.0, release_s), link.bytes_between(0.0, start_s)))
         start_s = end_s
         if start_s > first_start_s + 2 * state.buffer_limit_s:
             break
     idle_bytes = 0.0 if state.pipelined else link.rtt_s * link.trace.mean_bps / 8
-    return Horizon(c, tuple(slots), state.decoded, idle_bytes)
+    return Horizon(tuple(slots), state.decoded, idle_bytes)

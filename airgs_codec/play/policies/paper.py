@@ -33,7 +33,7 @@ def choose_paper_literal(state: PlayerState, beta: float = DEFAULT_BETA) -> Deci
 
     Its levels are the rungs with the finest keys, whole group keys in the sizes.
     """
-    levels = [p for p in state.options if p.index < len(state.catalogue.manifest.levels)] or list(state.options)
+    levels = [p for p in state.options if state.offer.rungs[p.index].quality == 0] or list(state.options)
     budget = frame_budget(estimate_throughput(state.history), 1 / state.segment_s)
     answer = select_literal(levels, budget, beta)
     chosen = levels[-1 if answer is None else answer]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Decision, Ladder, Option
-from airgs_codec.play.units import KeyUnits
+from airgs_codec.play.offers import SegmentOffer, Units
 
 SAFETY = 0.9  # share of the estimated throughput that is spent
 HALF_LIVES_S = (3.0, 8.0)  # of the two throughput averages; the smaller one counts (as in dash.js)
@@ -25,14 +24,17 @@ class Download:
     seconds: float  # from the first byte to the last
 
 
+Coming = tuple[SegmentOffer, Units]  # of this segment and each after it, while tables are there: what is decoded for it
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlayerState:
     """What is known when a segment is to be requested."""
 
-    catalogue: Catalogue
     position: int  # of the segment in the session
-    end: int  # positions of the session
-    decoded: Mapping[int, KeyUnits]  # key units of the groups of this loop over the sequence, by group
+    offer: SegmentOffer  # of what is to be fetched of it: all tiles or some
+    upcoming: Callable[[], Iterator[Coming]]
+    decoded: Units  # in this loop over the sequence
     options: tuple[Option, ...]  # every rung that can be had, with its wire bytes
     now_s: float
     deadline_s: float  # when it must arrive to be shown in time; in the past when the player waits
@@ -43,19 +45,9 @@ class PlayerState:
     history: tuple[Download, ...]  # oldest first
 
     @property
-    def segment(self) -> int:
-        """The segment in the package."""
-        return self.catalogue.index(self.position)
-
-    def known_keys(self, position: int) -> Mapping[int, KeyUnits]:
-        """What is decoded for a position: nothing for one in a later loop over the sequence, where keys are new."""
-        place = self.catalogue.place
-        return self.decoded if place(position)[0] == place(self.position)[0] else {}
-
-    @property
     def segment_s(self) -> float:
         """Seconds that the segment shows."""
-        return self.catalogue.seconds_at(self.position)
+        return self.offer.seconds
 
     @property
     def buffer_s(self) -> float:
@@ -112,7 +104,7 @@ def before_cliff(state: PlayerState) -> PlayerState:
     keys, by the bytes of their states. A segment of two levels has a cliff only where the second is 3 dB worse per
     10 % of the bytes saved; of one level, none. Key qualities have no cliff: they are not updates withheld.
     """
-    c, levels = state.catalogue, state.catalogue.levels(state.segment)
-    least = Ladder.build(levels).options[-1].size_bytes
-    kept = tuple(p for p in state.options if levels[c.rungs[p.index][1]].size_bytes >= least)
+    rungs = state.offer.rungs
+    least = Ladder.build(state.offer.levels).options[-1].size_bytes
+    kept = tuple(p for p in state.options if rungs[p.index].state_bytes >= least)
     return replace(state, options=kept or state.options)

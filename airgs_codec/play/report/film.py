@@ -13,9 +13,9 @@ from airgs_codec.errors import FormatError
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.media.movie import write_movie
 from airgs_codec.package.package import Package
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.events import Shown
-from airgs_codec.play.report.viewer import Viewer
+from airgs_codec.play.downloader import Shown
+from airgs_codec.play.offers import Offers
+from airgs_codec.play.report.map import Viewer
 from airgs_codec.play.session import SessionLog
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
@@ -65,7 +65,7 @@ def _frames(
 ) -> list[Gaussians]:
     if part not in known:
         rung, *tiles = part
-        known[part] = _segment(package, log.shown[entry].segment, log.catalogue.rungs[rung], tiles or None)
+        known[part] = _segment(package, log.shown[entry].segment, log.offers.rungs[rung], tiles or None)
     return known[part]
 
 
@@ -78,7 +78,7 @@ def _segment(
     return list(decode_segment(package, index, base, level, range(segment.stop - segment.start), tiles))
 
 
-def _best(package: Package, c: Catalogue, segment: int) -> tuple[list[Gaussians], str]:
+def _best(package: Package, c: Offers, segment: int) -> tuple[list[Gaussians], str]:
     """Frames of a segment at the first rung whose files are whole, and what to call it."""
     for name, rung in zip(c.names, c.rungs, strict=True):
         try:
@@ -102,7 +102,7 @@ def film(
 
     Raises CodecError.
     """
-    write_movie(path, _pictures(package, log, viewer, original, progress), log.catalogue.manifest.fps)
+    write_movie(path, _pictures(package, log, viewer, original, progress), log.offers.manifest.fps)
 
 
 def _pictures(
@@ -112,7 +112,7 @@ def _pictures(
     original: GaussianSequence | None,
     progress: Progress,
 ) -> Iterator[NDArray[np.uint8]]:
-    c, ticks, draw = log.catalogue, log.screen_ticks, viewer.renderer.render
+    c, ticks, draw = log.offers, log.screen_ticks, viewer.renderer.render
     best: dict[int, tuple[list[Gaussians], str]] = {}
     beside: Gaussians | None
     seen = [0] * len(log.shown)
@@ -142,7 +142,7 @@ def _pictures(
 
 def buffered_s(log: SessionLog, at_s: float) -> float:
     """Seconds of media that have arrived and are not shown yet, at a moment."""
-    fps = log.catalogue.fps
+    fps = log.offers.fps
     arrived = sum(s.frames / fps for s in log.shown if s.ready_s <= at_s)
     played = sum(min(max(at_s - s.start_s, 0.0), s.frames / fps) for s in log.shown)
     return max(0.0, arrived - played)
@@ -161,7 +161,7 @@ def buffer_bar(picture: NDArray[np.uint8], seconds: float, limit: float, waits: 
 
 def still(package: Package, log: SessionLog, camera: Camera, renderer: Renderer = CPU) -> NDArray[np.uint8]:
     """(H, W, 3) the worst segment shown, as it was when it began: at the package's best rung, and as it was shown."""
-    c = log.catalogue
+    c = log.offers
     entries = [entry for entry, s in enumerate(log.shown) if s.rung is not None]
     if not entries:
         return label(_black(camera), "nothing could be shown")

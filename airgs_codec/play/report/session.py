@@ -15,14 +15,11 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.region_summary import RegionSummary
 from airgs_codec.places.whole import write_json
-from airgs_codec.play.events import BatchKind
-from airgs_codec.play.figures import FIGURES, meanings
-from airgs_codec.play.metrics import SessionMetrics
-from airgs_codec.play.regret import session_bound
-from airgs_codec.play.report.region_map import plot_region
-from airgs_codec.play.report.tile_chart import plot_tiles, tile_words
-from airgs_codec.play.report.viewer import Viewer
-from airgs_codec.play.session import SessionLog
+from airgs_codec.play.downloader import BatchKind
+from airgs_codec.play.metrics import FIGURES, SessionMetrics, meanings
+from airgs_codec.play.playout import TileFigures
+from airgs_codec.play.report.map import Viewer, plot_region
+from airgs_codec.play.session import SessionLog, session_bound
 
 MOST_LINES = 10  # of what went wrong
 _BLUE, _ORANGE, _GREEN, _RED, _GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
@@ -56,13 +53,13 @@ def write_report(log: SessionLog, directory: Path, viewer: Viewer | None = None)
 
 def place_record(log: SessionLog, viewer: Viewer | None) -> dict[str, Any]:
     """The viewing region, and how the viewer kept to it (None: there was no walk), as plain values."""
-    region = dataclasses.asdict(RegionSummary.of(log.catalogue.manifest.region))
+    region = dataclasses.asdict(RegionSummary.of(log.offers.manifest.region))
     return {"region": region, "viewer": viewer.table() if viewer else None}
 
 
 def _rung_record(log: SessionLog) -> list[dict[str, Any]]:
     """Every rung with the quality that the package claims for it, None where it was not measured."""
-    c = log.catalogue
+    c = log.offers
     qualities = [pooled_quality(c.manifest, level, quality) for quality, level in c.rungs]
     return [
         {"rung": name, "psnr": q.psnr if q else None, "worst": q.worst if q else None}
@@ -90,7 +87,7 @@ def plot_session(log: SessionLog, path: Path) -> None:
 
 def _end(log: SessionLog) -> float:
     last = log.shown[-1]
-    return last.start_s + last.frames / log.catalogue.fps
+    return last.start_s + last.frames / log.offers.fps
 
 
 def _throughput(axis: Any, log: SessionLog) -> None:
@@ -134,11 +131,11 @@ def _throughput(axis: Any, log: SessionLog) -> None:
 
 
 def _rungs(axis: Any, log: SessionLog) -> None:
-    names = [*log.catalogue.names, "lost"]
+    names = [*log.offers.names, "lost"]
     for s in log.shown:
         y = len(names) - 1 if s.rung is None else s.rung
         color = _GREEN if s.rung is not None else _RED
-        axis.plot([s.start_s, s.start_s + s.frames / log.catalogue.fps], [y, y], color=color, linewidth=5)
+        axis.plot([s.start_s, s.start_s + s.frames / log.offers.fps], [y, y], color=color, linewidth=5)
     if all(s.rung is not None for s in log.shown):
         names.pop()
     axis.set_yticks(range(len(names)), names, fontsize=8)
@@ -146,7 +143,7 @@ def _rungs(axis: Any, log: SessionLog) -> None:
 
 
 def _buffer(axis: Any, log: SessionLog) -> None:
-    fps = log.catalogue.fps
+    fps = log.offers.fps
     ready = [0.0, *np.cumsum([s.frames / fps for s in log.shown])]
     grid = np.linspace(0, _end(log), 1500)
     starts, arrivals = np.array([s.start_s for s in log.shown]), np.array([s.ready_s for s in log.shown])
@@ -164,14 +161,14 @@ def _psnr(axis: Any, log: SessionLog) -> None:
     if all(v is None for v in values):
         axis.text(0.5, 0.5, "quality was not measured", ha="center", transform=axis.transAxes)
     else:
-        fps = log.catalogue.fps
+        fps = log.offers.fps
         times = log.shown[0].start_s + np.arange(len(values)) / fps
         axis.step(times, np.array(values, np.float64), where="post", color=_BLUE)
     axis.set(ylabel="dB", title="PSNR on the screen: each segment has that of its rung, a frozen picture keeps its own")
 
 
 def _arrivals(axis: Any, log: SessionLog) -> None:
-    fps = log.catalogue.fps
+    fps = log.offers.fps
     displays = np.concatenate([s.start_s + np.arange(s.frames) / fps for s in log.shown])
     arrivals = np.concatenate([np.full(s.frames, s.ready_s) for s in log.shown])
     frames = np.arange(len(displays))
@@ -186,7 +183,7 @@ def _transfers(axis: Any, log: SessionLog) -> None:
     batches = [f for f in log.fetches if f.kind is not BatchKind.TABLES]
     frames = np.array([log.shown[f.position].frames for f in batches])
     took = 1e3 * np.array([f.arrival_s - f.request_s for f in batches]) / np.maximum(frames, 1)
-    axis.axhline(1e3 / log.catalogue.fps, color=_GREY, linestyle="--", label="a frame on the screen")
+    axis.axhline(1e3 / log.offers.fps, color=_GREY, linestyle="--", label="a frame on the screen")
     axis.plot([f.arrival_s for f in batches], took, ".", color=_GREEN, label="a frame on its way")
     every = 1e3 * log.frame_times
     title = "Time a frame was on its way, its share of round trip and key included"
@@ -196,20 +193,46 @@ def _transfers(axis: Any, log: SessionLog) -> None:
     axis.legend(loc="upper left", fontsize=8)
 
 
+def plot_tiles(axis: Any, log: SessionLog) -> None:
+    """A row for every tile: when it could be shown, from when it came late, and when it was lacking in sight."""
+    assert log.tiles is not None, "only of a session in which tiles were fetched by view"
+    fps, count = log.offers.fps, log.offers.manifest.tiles
+    for position, entry in enumerate(log.shown):
+        end_s = entry.start_s + entry.frames / fps
+        for event in log.tiles.came(position):
+            from_s, late = max(entry.start_s, event.ready_s), event.ready_s > entry.start_s
+            if from_s < end_s:
+                axis.plot([from_s, end_s], [event.tile] * 2, color=_ORANGE if late else _GREEN, linewidth=4)
+    ticks, tiles = np.nonzero(log.tiles.missing)
+    axis.plot(log.tiles.tick_times[ticks], tiles, "|", color=_RED, ms=6)
+    axis.set_yticks(range(count), [str(tile + 1) for tile in range(count)], fontsize=8)
+    title = "Tiles that can be shown (orange: they came late; red: lacking in sight)"
+    axis.set(ylabel="tile", title=title, ylim=(count - 0.5, -0.5))
+
+
+def tile_words(figures: TileFigures) -> str:
+    """What was fetched and what was lacking."""
+    sizes = ", ".join(f"{size / 1e3:.0f}" for size in figures.bytes)
+    return (
+        f"{100 * figures.fetched:.0f} % fetched, {figures.late} after their segment had begun; "
+        f"one in sight was lacking for {figures.missing_s:.2f} s; kB of each: {sizes}"
+    )
+
+
 def format_metrics(log: SessionLog, viewer: Viewer | None = None) -> str:
     """The figures as lines of text."""
     return "\n".join(f"{name:<22}{value}" for name, value in [*_readable(log), *_place_rows(log, viewer)])
 
 
 def _place_rows(log: SessionLog, viewer: Viewer | None) -> list[tuple[str, str]]:
-    region = RegionSummary.of(log.catalogue.manifest.region)
+    region = RegionSummary.of(log.offers.manifest.region)
     rows = [("viewing region", region.words), ("views", region.views)]
     return rows + ([("viewer", viewer.words)] if viewer else [])
 
 
 def _readable(log: SessionLog) -> list[tuple[str, str]]:
     r: dict[str, Any] = dataclasses.asdict(log.metrics)
-    bound = session_bound(log) if log.catalogue.measured else None
+    bound = session_bound(log) if log.offers.manifest.measured else None
     quality = "not measured"
     if r["psnr_mean"] is not None:
         quality = f"mean over ticks {r['psnr_mean']:.2f} dB, 5th percentile {r['psnr_p5']:.2f} dB"

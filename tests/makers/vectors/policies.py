@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from airgs_codec.play.offers import NONE
 from airgs_codec.play.policies.mpc import discounted_throughput
 from airgs_codec.play.policies.named import ADAPTIVE
 from airgs_codec.play.policies.state import estimate_throughput
-from airgs_codec.play.units import NONE
 from tests.makers.vectors.text import Table, plain
-from tests.support.offers import Numbers, Offer
+from tests.support.offers import NumberOffers, Numbers
 from tests.support.policy_states import State, choices, player_state
 
 KEPT = 3  # states of every session
@@ -73,24 +73,25 @@ def _segment(group: int, shape: Shape, rng: np.random.Generator) -> Numbers:
     return {"group": group, "seconds": shape.seconds, "state_bytes": sizes, "psnr": psnr}
 
 
-def session(offer: Offer, driver: str, limit_s: float, rng: np.random.Generator) -> Iterator[State]:
+def session(offers: NumberOffers, driver: str, limit_s: float, rng: np.random.Generator) -> Iterator[State]:
     """The states of one session: as a player meets them that fetches one segment after the other."""
     now_s = deadline_s = 0.5
     history: list[list[Any]] = []
     shown: float | None = None
-    rate = float(np.median([size for s in range(len(offer.segments)) for size in offer.sizes(s, NONE)])) * 8
-    rate *= rng.uniform(0.5, 2.0) / offer.seconds(0)
+    rate = float(np.median([size for offer in offers.segments for size in offer.sizes(NONE)])) * 8
+    rate *= rng.uniform(0.5, 2.0) / offers.segments[0].seconds
     decoded: dict[int, int] = {}
-    end = max(2 * len(offer.segments), 16)
+    end = max(2 * len(offers.segments), 16)
     for position in range(end):
-        if offer.starts_group(offer.index(position)):
+        offer = offers.at(position)
+        if offer.starts_group:
             decoded = {}
         lost = rng.integers(0, len(offer.rungs)) if rng.uniform() < 0.15 else 0
         missing = rng.permutation(len(offer.rungs))[:lost].tolist()
         state: State = {
             "position": position,
             "end": end,
-            "decoded": [decoded.get(q, 0) for q in range(len(offer.groups[0]))],
+            "decoded": [decoded.get(q, 0) for q in range(offers.qualities)],
             "unavailable": sorted(missing),
             "now_s": round(now_s, 6),
             "deadline_s": round(deadline_s, 6),
@@ -100,27 +101,26 @@ def session(offer: Offer, driver: str, limit_s: float, rng: np.random.Generator)
             "history": history[-REMEMBERED:],
         }
         yield state
-        rung, _, size = choices(offer, state)[driver]
+        rung, _, size = choices(offers, state)[driver]
         rate *= float(np.exp(rng.normal(0, 0.4)))
         took_s = round(max(size * 8 / rate, 1e-3), 6)
         history.append([size, took_s] if size else [350, took_s])
-        seconds = offer.seconds_at(position)
         now_s += took_s + state["request_latency_s"]
-        deadline_s = max(deadline_s, now_s) + seconds
+        deadline_s = max(deadline_s, now_s) + offer.seconds
         now_s = max(now_s, deadline_s - limit_s)
-        q, j = offer.rungs[rung]
-        decoded[q] = max(decoded.get(q, 0), offer.manifest.levels[j]["tiers"])
-        shown = float(offer.quality[offer.index(position), rung])
+        chosen = offer.rungs[rung]
+        decoded[chosen.quality] = max(decoded.get(chosen.quality, 0), offers.tiers[chosen.level])
+        shown = chosen.psnr
 
 
-def settled(offer: Offer, state: State) -> bool:
+def settled(offers: NumberOffers, state: State) -> bool:
     """Whether all choices stay the same when measured times change by the least bit."""
     nudged = [
         {**state, "history": [[size, seconds * (1 + sign * TINY)] for size, seconds in state["history"]]}
         | {"deadline_s": state["deadline_s"] + sign * TINY}
         for sign in (-1, 1)
     ]
-    return all(choices(offer, other) == choices(offer, state) for other in nudged)
+    return all(choices(offers, other) == choices(offers, state) for other in nudged)
 
 
 def table() -> Table:
@@ -129,7 +129,7 @@ def table() -> Table:
     offers = [make_offer(shape, rng) for shape in SHAPES]
     states = []
     for number, numbers in enumerate(offers):
-        offer = Offer(numbers)
+        offer = NumberOffers(numbers)
         for driver in (name for name in ADAPTIVE if not name.endswith("no-cliff")):
             for limit_s in (2.7, 10.0):
                 met = [state for state in session(offer, driver, limit_s, rng) if settled(offer, state)]
@@ -138,7 +138,7 @@ def table() -> Table:
     return {"offers": [dict(numbers) for numbers in offers], "states": states}
 
 
-def _answered(number: int, offer: Offer, state: State) -> dict[str, Any]:
+def _answered(number: int, offer: NumberOffers, state: State) -> dict[str, Any]:
     history = player_state(offer, state).history
     estimates = {"throughput": estimate_throughput(history), "discounted": discounted_throughput(history)}
     answers = {"estimates": {name: plain(value) for name, value in estimates.items()}, "choices": choices(offer, state)}

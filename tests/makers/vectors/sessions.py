@@ -16,17 +16,26 @@ from airgs_codec.errors import FormatError
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import open_package
 from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.downloader import GiveUp, SimulatedDownloader
-from airgs_codec.play.events import Arrival, Arrived, Cut, Event, Lost, Replaced, Request, TileReady
-from airgs_codec.play.link import Link
+from airgs_codec.play.downloader import (
+    Arrival,
+    Arrived,
+    Cut,
+    Event,
+    GiveUp,
+    Lost,
+    Replaced,
+    Request,
+    SimulatedDownloader,
+    TileReady,
+)
+from airgs_codec.play.offers import NONE
+from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import ADAPTIVE, make_policy
-from airgs_codec.play.run import run
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace
+from airgs_codec.play.trace import Link, Trace
 from tests.makers.vectors.text import Table, plain
 from tests.support.paths import GOLDEN
-from tests.support.session_packages import Numbers, catalogue_of, growing_catalogue, numbers_of
+from tests.support.session_packages import Numbers, growing_offers, numbers_of, offers_of
 
 TRACE_S = 60
 POLICIES = (*ADAPTIVE, "fixed:0", "fixed:Q1+L1")
@@ -129,8 +138,8 @@ def traces(numbers: Numbers, rng: np.random.Generator) -> list[Trace]:
     """A constant link, one with steps, one with outages, and one that wanders as LTE does; about as fast as a middle
     rung needs.
     """
-    c = catalogue_of(numbers)
-    middle = sum(float(np.median(c.bytes_from_scratch[s])) * 8 for s in range(c.segments)) / c.duration_s
+    c = offers_of(numbers)
+    middle = sum(float(np.median(c.offer(s).sizes(NONE))) * 8 for s in range(c.segments)) / c.duration_s
     steps = Trace("steps", np.array([0.0, 5, 9, 14]), np.array([1.0, 0.25, 3.0, 0.6]), 22.0)
     outages = Trace("outages", np.array([0.0, 3, 5.5, 12, 12.75]), np.array([1.5, 0.0, 1.5, 0.05, 4.0]), 20.0)
     wander = np.exp(np.cumsum(rng.normal(0, 0.5, TRACE_S) - 0.02)) + 0.05
@@ -180,24 +189,24 @@ class GrowingDownloader:
         """See Downloader."""
         grows = self._opened and request.batch.tables == (JSON_NAME,)
         if grows and (step := next(self._steps, None)) is not None:
-            self._below.catalogue.grow(*step)
+            self._below.offers.grow(*step)
         self._opened = True
         return self._below.fetch(request, give_up)
 
 
 def events(play: Play, numbers: Numbers, trace: Trace) -> list[list[Any]]:
     """What happens."""
-    catalogue = catalogue_of(numbers)
+    offers = offers_of(numbers)
     faults = {path: FormatError(reason, path, "made up") for path, reason in play.faults.items()}
     if play.growth:
-        catalogue, steps = growing_catalogue(numbers, play.growth)
-    below = SimulatedDownloader(Link(trace, play.rtt_s), catalogue, faults, play.pipelines)
+        offers, steps = growing_offers(numbers, play.growth)
+    below = SimulatedDownloader(Link(trace, play.rtt_s), offers, faults, play.pipelines)
     downloader = GrowingDownloader(below, steps) if play.growth else below
-    policy = make_policy(play.policy, catalogue)
-    return [row(event, catalogue) for event in run(catalogue, downloader, policy, SessionSettings(**play.settings))]
+    policy = make_policy(play.policy, offers)
+    return [row(event) for event in run(offers, downloader, policy, SessionSettings(**play.settings))]
 
 
-def row(event: Event, c: Catalogue) -> list[Any]:
+def row(event: Event) -> list[Any]:
     """An event as the vectors have it."""
     match event:
         case Arrived(a):
@@ -219,11 +228,11 @@ def row(event: Event, c: Catalogue) -> list[Any]:
 
 def table() -> Table:
     """Packages, traces, and sessions over them."""
-    offers = packages()
+    played = packages()
     rng = np.random.default_rng(32)
-    links = [trace for numbers in offers for trace in traces(numbers, rng)]
-    rows = [asdict(play) | {"events": events(play, offers[play.package], links[play.trace])} for play in plays()]
-    return {"packages": [dict(numbers) for numbers in offers], "traces": [_trace(t) for t in links], "sessions": rows}
+    links = [trace for numbers in played for trace in traces(numbers, rng)]
+    rows = [asdict(play) | {"events": events(play, played[play.package], links[play.trace])} for play in plays()]
+    return {"packages": [dict(numbers) for numbers in played], "traces": [_trace(t) for t in links], "sessions": rows}
 
 
 def _trace(t: Trace) -> dict[str, Any]:

@@ -8,11 +8,10 @@ import pytest
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package
-from airgs_codec.play.link import Link
 from airgs_codec.play.policies.mpc import GRID_POINTS, Model
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.play.trace import Link, Trace, open_trace
 from tools.lab.crowd.costs import Measured, Prices, cost
 from tools.lab.crowd.edge import Edge, EqualShares, LruCache, replay
 from tools.lab.crowd.experiment import rung_rows, stored_rows

@@ -8,10 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Ladder, Option, select
-from airgs_codec.play.link import Link
-from airgs_codec.play.trace import Trace
+from airgs_codec.play.offers import Offers
+from airgs_codec.play.trace import Link, Trace
 from tests.support.manifests import tiny_manifest
 from tools.lab.paper.frames import (
     CHOOSERS,
@@ -28,7 +27,7 @@ from tools.lab.paper.frames import (
 )
 from tools.lab.paper.streaming import page
 
-CATALOGUE = Catalogue(tiny_manifest())  # 10 fps; state 200, 100, 50 B a frame and 10 B of sidecar
+CATALOGUE = Offers(tiny_manifest())  # 10 fps; state 200, 100, 50 B a frame and 10 B of sidecar
 
 
 def link(rates, starts=None):
@@ -77,7 +76,7 @@ def test_the_cliff_acts_before_the_search():
     names = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
     levels = {name: set(simulate_frames(CATALOGUE, slow, name, 1).levels.tolist()) for name in names}
     assert levels == {"paper": {SKIPPED}, "paper-no-cliff": {2}, "paper-literal": {2}, "paper-literal-no-cliff": {2}}
-    c = Catalogue(tiny_manifest(psnr=((40.0, 36.0), (38.0, 35.0), (32.0, 32.0))))  # as printed: 6 dB after 2
+    c = Offers(tiny_manifest(psnr=((40.0, 36.0), (38.0, 35.0), (32.0, 32.0))))  # as printed: 6 dB after 2
     nothing = link([10.0])
     printed = [simulate_frames(c, nothing, name, 1).levels[0] for name in names[2:]]
     assert printed == [2, 2]  # the cliff's level where nothing fits, and the last where that is undefined
@@ -157,7 +156,7 @@ def test_what_cannot_be_played():
     with pytest.raises(TransportError, match="would take inf s"):
         simulate_frames(CATALOGUE, link([1e-20]), "unpruned", 1)
     with pytest.raises(ConfigError, match="no measured quality"):
-        simulate_frames(Catalogue(tiny_manifest(psnr=None)), link([1e4]), "paper", 1)
+        simulate_frames(Offers(tiny_manifest(psnr=None)), link([1e4]), "paper", 1)
 
 
 @settings(deadline=None, max_examples=40)

@@ -10,9 +10,8 @@ import pytest
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import Link
-from airgs_codec.play.trace import Trace
+from airgs_codec.play.offers import Offers
+from airgs_codec.play.trace import Link, Trace
 from airgs_codec.train.data.readers import open_scene
 from tests.support.paths import FOX, FOX_VIEWS, VALID
 from tests.support.training import SETTINGS
@@ -106,7 +105,7 @@ def test_levels_save_shares_of_bytes_as_players_count_them():
     package = open_package(VALID / "moving")
     m = package.manifest
     saved = saved_by_level(m)
-    by_player = [[option.saved for option in levels] for levels in frame_options(Catalogue(m), keys=False)]
+    by_player = [[option.saved for option in levels] for levels in frame_options(Offers(m), keys=False)]
     np.testing.assert_array_equal(saved.T, by_player)
     assert saved[1:].max() > 0 and not np.allclose(saved[-1], m.levels[-1].pruned)
     t = np.array([1000.0])

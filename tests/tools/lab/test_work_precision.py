@@ -11,8 +11,8 @@ import pytest
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Option
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import make_policy
 from tests.support.paths import FOX, REPOSITORY, VALID
 from tools.lab import main
@@ -152,9 +152,9 @@ def test_pictures_of_a_trial_are_drawn_as_its_curve_says(two_frames, tmp_path):
 
 
 def test_sessions_give_regret_and_what_it_leaves_out():
-    links = selector.Links(Catalogue.of(open_package(VALID / "moving")), 2)
+    links = selector.Links(Offers.of(open_package(VALID / "moving")), 2)
     place = Place("selector", "policies", "moving", "throughput", "throughput")
-    regret, qoe = selector._sessions(links, place, partial(make_policy, "throughput", links.catalogue))
+    regret, qoe = selector._sessions(links, place, partial(make_policy, "throughput", links.offers))
     assert (regret.panel, qoe.panel) == ("policies", "policies qoe") and regret.error >= 0 and qoe.unit == "dB of QoE"
     assert regret.runs == qoe.runs > 2 and {regret.panel, qoe.panel} <= set(PANELS)
 

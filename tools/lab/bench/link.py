@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.package.package import open_package
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.http import HttpDownloader
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.session import SessionLog, play, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Link, open_trace
 from tools.lab import Lab, Page, Row, Section, Table, required, setting
 from tools.lab.serving import airgs_serve
 
@@ -35,20 +34,20 @@ class Options:
 
 def run(options: Options, lab: Lab) -> Page:
     """A row for each trace."""
-    catalogue = Catalogue.of(open_package(options.package))
-    rows = [row_of(options, catalogue, trace) for trace in options.traces]
+    offers = Offers.of(open_package(options.package))
+    rows = [row_of(options, offers, trace) for trace in options.traces]
     most = max(row["arrivals off, mean"] for row in rows)
     answer = f"Arrivals are {100 * most:.1f} % off on average over the worst trace."
     return Page([Section(answer, tables=[Table("link", rows)])])
 
 
-def row_of(options: Options, catalogue: Catalogue, trace: str) -> Row:
+def row_of(options: Options, offers: Offers, trace: str) -> Row:
     """Play both ways over a trace."""
-    loops = max(1, round(options.seconds / catalogue.duration_s))
+    loops = max(1, round(options.seconds / offers.duration_s))
     settings = SessionSettings(loops=loops, pipelined=False)
     with airgs_serve(options.package, "--trace", trace) as (_, url):
         real = play_really(f"{url}/{options.package.resolve().name}/", options.policy, settings)
-    simulated = simulate(catalogue, Link.over(open_trace(trace)), options.policy, settings)
+    simulated = simulate(offers, Link.over(open_trace(trace)), options.policy, settings)
     same, mean, worst = compare(real, simulated)
     return {
         "trace": Path(trace).name, "same batches": same, "of": len(simulated.fetches),

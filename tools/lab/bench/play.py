@@ -15,13 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.package.package import open_package
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Ladder, Option, select
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import NAMES
-from airgs_codec.play.regret import session_bound
-from airgs_codec.play.session import simulate
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.session import session_bound, simulate
+from airgs_codec.play.trace import Link, open_trace
 from tools.lab import Lab, Page, Row, Section, Table, required, setting
 
 LEVELS = (4, 11, 100, 1000, 10_000)
@@ -39,10 +37,10 @@ class Options:
 
 def run(options: Options, lab: Lab) -> Page:
     """Both tables."""
-    catalogue = Catalogue.of(open_package(options.package))
+    offers = Offers.of(open_package(options.package))
     link = Link(open_trace(options.trace).cut(scale=options.scale))
     ladders = [ladder_row(count) for count in LEVELS]
-    policies = [policy_row(catalogue, link, name) for name in (*NAMES, "fixed:0")]
+    policies = [policy_row(offers, link, name) for name in (*NAMES, "fixed:0")]
     most = ladders[-1]
     answer = f"A choice among {most['levels']:,d} levels takes {most['select, us']:.1f} us, a session "
     answer += f"{min(p['ms a session'] for p in policies):.0f} to {max(p['ms a session'] for p in policies):.0f} ms."
@@ -59,11 +57,11 @@ def ladder_row(count: int) -> Row:
     return {"levels": count, "build, us": build, "a level, us": build / count, "select, us": choose}
 
 
-def policy_row(catalogue: Catalogue, link: Link, name: str) -> Row:
+def policy_row(offers: Offers, link: Link, name: str) -> Row:
     """Of sessions of a policy and their bounds."""
-    log = simulate(catalogue, link, name)
-    took = seconds(lambda: simulate(catalogue, link, name))
-    played = sum(s.frames for s in log.shown) / catalogue.fps
+    log = simulate(offers, link, name)
+    took = seconds(lambda: simulate(offers, link, name))
+    played = sum(s.frames for s in log.shown) / offers.fps
     relaxed, exact = (session_bound(log, integer) for integer in (False, True))
     lp, milp = (1e3 * seconds(lambda i=i: session_bound(log, i), 0.0) for i in (False, True))  # type: ignore[misc]
     gap = None if relaxed is None or exact is None else relaxed - exact

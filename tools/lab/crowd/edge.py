@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from airgs_codec.package.paths import ROOTS
-from airgs_codec.play.catalogue import HEADER_BYTES
+from airgs_codec.play.offers import HEADER_BYTES
 
 
 class LruCache:

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.catalogue import Catalogue
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.mpc import GRID_POINTS, LOW_BUFFER_DB, SWITCH_DB, Model, choose_robust_mpc
 from airgs_codec.play.policies.named import ORACLES, make_policy
 from airgs_codec.play.policies.state import RESERVE_S, STALL_DB, Policy
@@ -79,11 +79,11 @@ def value_before(
     return np.asarray(_best_totals(sizes, quality, quality_before, seconds, value, *link))
 
 
-def crowd_policy(name: str, catalogue: Catalogue) -> Policy:
+def crowd_policy(name: str, offers: Offers) -> Policy:
     """A policy by name. Raises ConfigError for an unknown one, and for the oracles: no viewer knows the shared link."""
     if name in ORACLES:
         raise ConfigError(f"policy {name}: it knows one trace in advance, and here viewers share a link")
-    policy = make_policy(name, catalogue)
+    policy = make_policy(name, offers)
     if policy.choose is not choose_robust_mpc:
         return policy
     return replace(policy, choose=partial(choose_robust_mpc, value_before=value_before))

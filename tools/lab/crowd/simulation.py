@@ -15,10 +15,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.link import DEFAULT_RTT_S
 from airgs_codec.play.policies.named import DEFAULT_POLICY
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace
+from airgs_codec.play.trace import DEFAULT_RTT_S, Trace
 from airgs_codec.progress import Progress, silent
 from tools.lab.crowd.edge import Edge, EqualShares, LruCache
 from tools.lab.crowd.links import Flows, SharedLink, Traces

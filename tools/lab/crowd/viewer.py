@@ -8,11 +8,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from airgs_codec.play.downloader import CHECK_S, GiveUp, Partial, Wanted
-from airgs_codec.play.events import Arrival, Arrived, BatchKind, Event, Request, Shown
-from airgs_codec.play.player import SHORTEST_S
+from airgs_codec.play.downloader import (
+    CHECK_S,
+    Arrival,
+    Arrived,
+    BatchKind,
+    Event,
+    GiveUp,
+    Partial,
+    Request,
+    Shown,
+    Wanted,
+)
+from airgs_codec.play.fetcher import SHORTEST_S
+from airgs_codec.play.player import play_steps
 from airgs_codec.play.policies.state import Policy
-from airgs_codec.play.run import play_steps
 from airgs_codec.play.settings import SessionSettings
 from tools.lab.crowd.programme import Visit
 

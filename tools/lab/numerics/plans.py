@@ -5,10 +5,9 @@ K slots, L levels.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
-from typing import cast
 from unittest.mock import patch
 
 import numpy as np
@@ -17,12 +16,10 @@ from numpy.typing import NDArray
 from airgs_codec.package.package import open_package
 from airgs_codec.play import bound
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import Link
-from airgs_codec.play.regret import session_bound
-from airgs_codec.play.session import simulate
+from airgs_codec.play.offers import Offers, RungOffer, SegmentOffer
+from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace
+from airgs_codec.play.trace import Link, Trace
 from tools.lab.numerics.outcome import BOUNDED, CONVERGES, DIVERGES, NOT_FINITE, REFUSED, Case, Judged, grid
 
 PACKAGE = Path(__file__).parents[3] / "manifests" / "valid" / "moving"
@@ -41,30 +38,14 @@ class Offer:
 
     def horizon(self, capacities: NDArray[np.float64]) -> Horizon:
         """All slots, released at once, with (K,) bytes that the link has carried at their deadlines."""
-        slots = tuple(Slot(k, True, 0.0, float(c)) for k, c in enumerate(capacities))
-        return Horizon(cast(Catalogue, self._catalogue()), slots, {})
+        return Horizon(tuple(Slot(self._segment(k), 0.0, float(c)) for k, c in enumerate(capacities)))
 
-    def _catalogue(self) -> SimpleNamespace:
-        group = SimpleNamespace(units=[SimpleNamespace(kept=0)])
-        levels = range(self.sizes.shape[1])
-        manifest = SimpleNamespace(
-            qualities=[None],
-            units=1,
-            units_of=lambda level: [0],
-            levels=levels,
-            groups=[group] * len(self.sizes),
-            group_of=lambda s: s,
-            base_of=lambda g: None,
+    def _segment(self, k: int) -> SegmentOffer:
+        rungs = tuple(
+            RungOffer(0, level, float(quality), math.nan, 0, True, 0.0, (), (), int(size))
+            for level, (size, quality) in enumerate(zip(self.sizes[k], self.quality[k], strict=True))
         )
-        return SimpleNamespace(
-            manifest=manifest,
-            rungs=[(0, level) for level in range(len(levels))],
-            quality=self.quality,
-            state_bytes=self.sizes,
-            key_bytes=np.zeros((len(self.sizes), 1, 1)),
-            seconds=lambda s: 1.0,
-            allowed=lambda s: np.ones(len(levels), np.bool_),
-        )
+        return SegmentOffer(k, k, k + 1, 1.0, k, None, True, (), rungs)
 
 
 def offer(kind: str, rate_bps: float) -> tuple[Offer, NDArray[np.float64]]:
@@ -140,7 +121,7 @@ def judge_margin(margin: float, scale: float, tries: int = 12) -> Judged:
 def play_once(policy: str, rate_bps: float) -> Judged:
     """A session of 30 loops over a link of a constant rate: seconds of stall. Raises TransportError."""
     trace = Trace("const", np.zeros(1), np.array([rate_bps]), 1000.0)
-    log = simulate(Catalogue.of(open_package(PACKAGE)), Link(trace), policy, SessionSettings(loops=30))
+    log = simulate(Offers.of(open_package(PACKAGE)), Link(trace), policy, SessionSettings(loops=30))
     m = log.metrics
     limit = session_bound(log)
     if not np.isfinite([log.mean_quality, m.stall_s]).all() or limit is None:

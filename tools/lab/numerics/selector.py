@@ -17,17 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.play.bound import solve_horizon
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import Decision, Ladder, Option, select
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies import mpc
 from airgs_codec.play.policies.named import ADAPTIVE, NAMES, make_policy
 from airgs_codec.play.policies.oracle import choose_oracle_frame, upcoming_horizon
 from airgs_codec.play.policies.state import PlayerState, Policy
-from airgs_codec.play.regret import session_bound
-from airgs_codec.play.session import simulate
+from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import markov_trace
+from airgs_codec.play.trace import Link, markov_trace
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene
 from tools.lab.paper.frames import frame_options, paper_programme
 from tools.lab.timing import Took, seconds_of, timed
@@ -47,19 +45,19 @@ UNIT, QOE = "dB of regret", "dB of QoE"
 class Links:
     """What sessions are played over."""
 
-    catalogue: Catalogue
+    offers: Offers
     count: int
 
     def link(self, seed: int) -> Link:
         """A link of a seed."""
-        m, c = self.catalogue.manifest, self.catalogue
+        m, c = self.offers.manifest, self.offers
         return Link(markov_trace(seed, SHARE * 8 * m.bytes_of(m.rung_files(0, 0)) / c.duration_s))
 
 
 def measure(bench: Bench) -> Iterator[Point]:
     """Policies by name, by horizon, and choices among dense levels, with the ladder of the first scene."""
     scene = bench.scenes[0]
-    links = Links(Catalogue.of(bench.ladder(scene)), 3 if bench.quick else 8)
+    links = Links(Offers.of(bench.ladder(scene)), 3 if bench.quick else 8)
     for place, make in policies(scene, links, QUICK_HORIZONS if bench.quick else HORIZONS):
         yield Point("sessions", scene, {"place": place, "links": links.count}, partial(_sessions, links, place, make))
     for count in QUICK_LEVELS if bench.quick else LEVELS:
@@ -72,7 +70,7 @@ Maker = Callable[[Link], Policy]
 def policies(scene: Scene, links: Links, horizons: Sequence[int]) -> Iterator[tuple[Place, Maker]]:
     """(place, policy over a link) of every point."""
     for name in NAMES:
-        make: Maker = partial(make_policy, name, links.catalogue)
+        make: Maker = partial(make_policy, name, links.offers)
         yield Place("selector", "policies", scene.name, name, name), make
     for h in horizons:
         yield Place("selector", "horizon", scene.name, MPC, str(h)), partial(_mpc, links, h)
@@ -83,7 +81,7 @@ def policies(scene: Scene, links: Links, horizons: Sequence[int]) -> Iterator[tu
 
 def _mpc(links: Links, horizon: int, link: Link) -> Policy:
     """The controller that looks at so many segments."""
-    policy = make_policy(MPC, links.catalogue, link)
+    policy = make_policy(MPC, links.offers, link)
 
     def choose(state: PlayerState) -> Decision:
         with patch.object(mpc, "HORIZON_SEGMENTS", horizon):
@@ -112,12 +110,12 @@ def _greedy(link: Link) -> Policy:
 
 def _sessions(links: Links, place: Place, make: Maker) -> list[Row]:
     """What single choices take; the regret of every session, and its QoE, which counts waiting and changes, too."""
-    rules = SessionSettings(loops=max(1, round(PLAY_S / links.catalogue.duration_s)))
+    rules = SessionSettings(loops=max(1, round(PLAY_S / links.offers.duration_s)))
     took: list[Took] = []
     regrets, experience = [], []
     for seed in range(links.count):
         link = links.link(seed)
-        log = simulate(links.catalogue, link, watched(make(link), took), rules)
+        log = simulate(links.offers, link, watched(make(link), took), rules)
         bound = session_bound(log)
         assert bound is not None and log.metrics.qoe is not None
         regrets.append(bound - log.mean_quality)
@@ -139,7 +137,7 @@ def watched(policy: Policy, took: list[Took]) -> Policy:
 
 def dense(links: Links, scene: Scene, count: int) -> list[Row]:
     """Ways to choose one of so many levels for each frame within what the link carries in its time."""
-    c = links.catalogue
+    c = links.offers
     sizes, quality = dense_levels(frame_options(c, keys=True), count)
     trace = links.link(0).trace
     times = np.arange(len(sizes)) / c.fps

@@ -23,10 +23,9 @@ from airgs_codec._settings import setting
 from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import frame_budget
-from airgs_codec.play.link import Link
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.offers import Offers
+from airgs_codec.play.trace import Link, open_trace
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.render.backend import CPU, Renderer
@@ -264,7 +263,7 @@ def run(options: Options, lab: Lab) -> Page:
     package, link = open_package(options.package), Link.over(open_trace(options.trace))
     m = package.manifest
     training, measured = checking_views(m.region, list(read_cameras(options.views)) if options.views else [])
-    settings = ClosedLoopSettings(training, measured, link, Catalogue(m).loops(options.loops))
+    settings = ClosedLoopSettings(training, measured, link, Offers(m).loops(options.loops))
     row = closed_loop_table(run_closed_loop(package, adaptive, settings, lab.progress))
     state = sum(m.bytes_of(m.state_files(i, 0)) for i in range(len(m.segments))) / m.frames / 1e3
     answer = f"Level 0 of the package, which is the same for every viewer, has {state:.2f} kB a frame."

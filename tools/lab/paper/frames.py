@@ -28,10 +28,10 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.catalogue import Catalogue
 from airgs_codec.play.ladder import DEFAULT_BETA, Ladder, Option, frame_budget, saved_shares, select, select_literal
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.state import Download, estimate_throughput
+from airgs_codec.play.trace import Link
 
 MEMORY = 24  # frames that the throughput estimate looks back on
 PROBE_BYTES = 1500
@@ -79,7 +79,7 @@ class FrameLog:
         return np.concatenate([[NOTHING], sent])[places]
 
 
-def frame_options(c: Catalogue, keys: bool) -> list[Levels]:
+def frame_options(c: Offers, keys: bool) -> list[Levels]:
     """For each frame of the sequence its levels: the bytes of its state picture and its share of the rest of its file.
 
     With `keys`, its share of its group's keys too.
@@ -99,7 +99,7 @@ def frame_options(c: Catalogue, keys: bool) -> list[Levels]:
     return frames
 
 
-def _shared_bytes(c: Catalogue, index: int, level: int, keys: bool) -> float:
+def _shared_bytes(c: Offers, index: int, level: int, keys: bool) -> float:
     """Bytes a frame of what the frames of a segment share: escapes, boxes and, with `keys`, its group's keys."""
     m = c.manifest
     segment = m.segments[index]
@@ -149,7 +149,7 @@ CHOOSERS: dict[str, Chooser] = {
 
 
 def simulate_frames(
-    c: Catalogue, link: Link, chooser: str, loops: int, keys: bool = False, known: bool = True
+    c: Offers, link: Link, chooser: str, loops: int, keys: bool = False, known: bool = True
 ) -> FrameLog:
     """Push `loops` rounds of a package's frames, with levels that one of CHOOSERS names; see `push_frames`.
 
@@ -158,7 +158,7 @@ def simulate_frames(
     """
     if chooser not in CHOOSERS:
         raise ConfigError(f"frame mode: expected {', '.join(CHOOSERS)}, got {chooser}")
-    if not c.measured:
+    if not c.manifest.measured:
         raise ConfigError("frame mode: the package has no measured quality, encode it without --measure-pictures 0")
     return push_frames(frame_options(c, keys) * loops, c.fps, link, CHOOSERS[chooser], known)
 

@@ -14,10 +14,9 @@ import numpy as np
 
 from airgs_codec._settings import setting
 from airgs_codec.package.package import open_package
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.study import offsets_of
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Link, open_trace
 from tools.lab.options import required
 from tools.lab.page import Page, Section, Table
 from tools.lab.paper.frames import CHOOSERS, frame_options, frame_programme, frame_table, simulate_frames
@@ -54,7 +53,7 @@ class Options:
 
 def run(options: Options, lab: Lab) -> Page:
     """Stream all of it. Raises ConfigError, FormatError, TransportError."""
-    c = Catalogue.of(open_package(options.package))
+    c = Offers.of(open_package(options.package))
     loops = c.loops(options.loops)
     links = []
     for name in options.traces:

@@ -19,9 +19,8 @@ from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
 from airgs_codec.play.ladder import Option, saved_shares
-from airgs_codec.play.link import Link
 from airgs_codec.play.study import offsets_of
-from airgs_codec.play.trace import Trace
+from airgs_codec.play.trace import Link, Trace
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.pictures import Pictures

@@ -32,10 +32,10 @@ from airgs_codec.package.paths import JSON_NAME, MPD_NAME, FileKind, file_kind
 from airgs_codec.package.publish import GrowingPackage, write_root
 from airgs_codec.package.tables import Group
 from airgs_codec.places.place import Folder
-from airgs_codec.play.events import Arrived, BatchKind
+from airgs_codec.play.downloader import Arrived, BatchKind
 from airgs_codec.play.http import HttpDownloader
+from airgs_codec.play.player import run as play
 from airgs_codec.play.policies.named import DEFAULT_POLICY, make_policy
-from airgs_codec.play.run import run as play
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Picture, Section, Table, memory_of, rows_of, setting
@@ -182,9 +182,9 @@ def join(folder: str) -> tuple[int, int, int]:
     """Requests, bytes of tables and bytes of all files that a viewer fetches before its first picture."""
     requests = tables = total = 0
     with served_folder(Path(folder)) as url, HttpDownloader(url) as downloader:
-        catalogue = downloader.open()
-        policy = make_policy(DEFAULT_POLICY, catalogue)
-        for event in play(catalogue, downloader, policy, SessionSettings()):
+        offers = downloader.open()
+        policy = make_policy(DEFAULT_POLICY, offers)
+        for event in play(offers, downloader, policy, SessionSettings()):
             if not isinstance(event, Arrived):
                 continue
             arrival = event.arrival

@@ -19,10 +19,9 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, plan_views, survey_group
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.play.link import Link
 from airgs_codec.play.session import SessionLog
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Link, open_trace
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, expect_names, required, setting

@@ -14,12 +14,11 @@ import numpy as np
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Region
 from airgs_codec.package.viewpath import Path, path_of_region
-from airgs_codec.play.catalogue import Catalogue
-from airgs_codec.play.link import Link
+from airgs_codec.play.offers import Offers
 from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Link, open_trace
 from airgs_codec.scene.camera import Camera
 from tools.lab.page import Row
 
@@ -93,7 +92,7 @@ class Bench:
     def _play(self, package: Package, level: int, link: Link, view: View | None = None) -> SessionLog:
         entry = package.manifest.levels[level]
         policy = f"fixed:{package.manifest.qualities[entry.quality].id}+{entry.id}"
-        return simulate(Catalogue.of(package), link, policy, self.settings, view=view)
+        return simulate(Offers.of(package), link, policy, self.settings, view=view)
 
 
 def links_of(rate_bps: float, times: Sequence[float], trace: str | None, seconds: float) -> dict[str, Link]:

@@ -121,7 +121,7 @@ class Screen:
 
     def moments(self, log: SessionLog) -> list[Moment]:
         """The pictures of a session: `ticks` of each segment shown, as it was shown."""
-        fps, m, first_s = log.catalogue.fps, self.package.manifest, log.shown[0].start_s
+        fps, m, first_s = log.offers.fps, self.package.manifest, log.shown[0].start_s
         found = []
         for position, entry in enumerate(log.shown):
             span = m.segments[entry.segment]
@@ -144,8 +144,8 @@ class Screen:
         return self._errors[place]
 
     def part(self, log: SessionLog, tile: int, rung: int, frame: int) -> Gaussians:
-        """A frame of a tile in a rung of the session's catalogue."""
-        return self._decoded.tile(log.catalogue.rungs[rung], tile, frame)
+        """A frame of a tile in a rung of the session."""
+        return self._decoded.tile(log.offers.rungs[rung], tile, frame)
 
     def _original(self, moment: Moment) -> tuple[Camera, Squares]:
         place = moment.frame, moment.at_s

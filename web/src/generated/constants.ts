@@ -124,7 +124,7 @@ export const DEFAULT_BETA = 2.0;
 export const EPS_DB = 0.25;
 export const CLIFF_DB = 3.0;
 
-// airgs_codec.play.catalogue
+// airgs_codec.play.offers
 export const SESSION_S = 30.0;
 export const HEADER_BYTES = 350;
 export const OVER_BUDGET = 1125899906842624;
@@ -132,19 +132,21 @@ export const OVER_BUDGET = 1125899906842624;
 // airgs_codec.play.downloader
 export const CHECK_S = 0.5;
 
-// airgs_codec.play.player
+// airgs_codec.play.buffered
 export const REPLACE_GAIN_DB = 0.5;
+
+// airgs_codec.play.fetcher
 export const REMEMBERED = 24;
 export const SHORTEST_S = 1e-09;
+
+// airgs_codec.play.player
 export const POLL_S = 0.2;
 export const SILENCE_S = 60.0;
 export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decodeFrameS": 0.004, "replace": true, "abandon": true, "pipelined": true, "loops": null} as const;
 export const VIEW_BUFFER_S = 1.0;
 
-// airgs_codec.play.view_player
+// airgs_codec.play.fetch_plan
 export const LOOK_S = 0.05;
-
-// airgs_codec.play.tile_choice
 export const EARLY_MARGIN = 0.0;
 export const LATE_MARGIN = 30.0;
 export const FURTHEST_S = 1.0;

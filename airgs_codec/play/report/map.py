@@ -1,13 +1,19 @@
-"""Where the viewer of a session stands at every display tick, and whether he keeps to the package's region."""
+"""Where the viewer of a session stands at every display tick, whether he keeps to the package's region, and a map.
+
+The map shows the region from above: places, how far they reach, what they look at, and the walk.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from airgs_codec._report import new_figure, save_figure
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.region import Departure, departures, levelled
@@ -21,6 +27,7 @@ from airgs_codec.scene.camera import resized
 
 MOST_PIXELS = 640  # of the longer side of a picture of the screen
 MOST_STOPS = 64  # cameras that the walk comes by
+_BLUE, _ORANGE, _RED, _GREY = "#2a6fbb", "#e08a1e", "#c8453b", "#8a8f98"
 
 
 def path_of(m: Manifest, cameras: Sequence[Camera] = ()) -> Path:
@@ -44,8 +51,8 @@ class Viewer:
     @staticmethod
     def of(log: SessionLog, cameras: Sequence[Camera] = (), renderer: Renderer = CPU) -> Viewer:
         """The walk along `path_of(manifest, cameras)`."""
-        path, ticks = path_of(log.catalogue.manifest, cameras), len(log.screen_ticks)
-        times = np.arange(ticks) / log.catalogue.fps if log.tiles is None else log.tiles.view_times
+        path, ticks = path_of(log.offers.manifest, cameras), len(log.screen_ticks)
+        times = np.arange(ticks) / log.offers.fps if log.tiles is None else log.tiles.view_times
         shown = [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in path.cameras(times)]
         return Viewer(path.region, shown, departures(path.region, shown), path.unreached, renderer)
 
@@ -85,3 +92,48 @@ class Viewer:
             "furthest_degrees": self.furthest.degrees,
             "stops_unreached": self.unreached,
         }
+
+
+def plot_region(viewer: Viewer, path: FilePath) -> None:
+    """The region with the walk of a viewer. Raises ConfigError."""
+    figure = new_figure(6, 6)
+    axis = figure.subplots()
+    draw_region(axis, viewer.region)
+    _draw_walk(axis, viewer.region, viewer.cameras, viewer.departures)
+    axis.legend(fontsize=8, loc="upper right")
+    save_figure(figure, path)
+
+
+def draw_region(axis: Any, region: Region) -> None:
+    """Balls as circles, a line from each place to its focus."""
+    plane = _plane(region)
+    positions = np.array([place.position for place in region.places]) @ plane
+    foci = np.array([place.focus for place in region.places]) @ plane
+    turns = np.linspace(0, 2 * np.pi, 64)
+    ring = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    for position, place in zip(positions, region.places, strict=True):
+        axis.fill(*(position + place.reach * ring).T, color=_BLUE, alpha=0.12, linewidth=0)
+    axis.plot(*np.stack([positions, foci], axis=1).T, color=_GREY, linewidth=0.5, alpha=0.6)
+    axis.plot(*foci.T, "x", ms=4, color=_ORANGE, label="looked at")
+    axis.plot(*positions.T, ".", ms=5, color=_BLUE, label="places, and their reach")
+    axis.set(title="Viewing region from above, world units", aspect="equal")
+    axis.grid(alpha=0.3)
+    axis.set_axisbelow(True)
+
+
+def _plane(region: Region) -> NDArray[np.float64]:
+    """(3, 2) directions to the right and towards the top of the map, across the mean up of the places."""
+    up = np.mean([np.array(place.up) / np.linalg.norm(place.up) for place in region.places], axis=0)
+    _, _, axes = np.linalg.svd(up[None])  # the first row is along `up`
+    right, top = axes[1:]
+    if np.cross(right, top) @ up < 0:
+        top = -top
+    return np.stack([right, top], axis=1)
+
+
+def _draw_walk(axis: Any, region: Region, cameras: Sequence[Camera], away: Sequence[Departure]) -> None:
+    line = np.array([camera.position for camera in cameras]) @ _plane(region)
+    axis.plot(*line.T, color="black", linewidth=1, label="the walk")
+    outside = line[[not d.inside for d in away]]
+    if len(outside):
+        axis.plot(*outside.T, ".", ms=3, color=_RED, label="outside")

@@ -1,0 +1,218 @@
+"""What a player asks for and what comes of it: tables, decoded units, and what is learned of the link on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from airgs_codec.package.paths import FileKind, file_kind, group_path
+from airgs_codec.play.downloader import (
+    Arrival,
+    Arrived,
+    BatchKind,
+    Connection,
+    Fetching,
+    GiveUp,
+    Partial,
+    Request,
+    Steps,
+    Wanted,
+)
+from airgs_codec.play.fetch_plan import Part
+from airgs_codec.play.ladder import Decision, Option
+from airgs_codec.play.offers import NONE, Batch, Offers, SegmentOffer, Unit, Units
+from airgs_codec.play.policies.state import Download, Policy, estimate_throughput
+from airgs_codec.play.settings import SessionSettings
+
+REMEMBERED = 24  # downloads that policies know
+SHORTEST_S = 1e-9  # a download that rounds to no time still has a rate
+
+
+@dataclass(slots=True, eq=False)
+class TableStore:
+    """The tables that have come: pages of the index and tables of groups are fetched once, whatever is played again."""
+
+    offers: Offers
+    _paths: set[str] = field(default_factory=set)
+
+    def add(self, arrival: Arrival) -> None:
+        """Keep what arrived."""
+        self._paths.update(path for path in arrival.kept if file_kind(path) is FileKind.MANIFESTS)
+
+    def has(self, position: int) -> bool:
+        """Whether the table of the segment at a position is there."""
+        return not self.missing(range(position, position + 1))
+
+    def missing(self, positions: range) -> tuple[str, ...]:
+        """What these positions still need and can be asked for: pages, and tables that a page or the root leads to."""
+        wanted = dict.fromkeys(self._next(self.offers.place(position)[1]) for position in positions)
+        return tuple(path for path in wanted if path is not None)
+
+    def missing_pages(self) -> tuple[str, ...]:
+        """Pages of the index with segments of the session."""
+        return tuple(self.offers.manifest.groups.places.missing_pages(self.offers.first, self._paths))
+
+    def _next(self, segment: int) -> str | None:
+        """The first missing of what leads to a segment, and then to the group whose rows its group keeps."""
+        return next((path for path in self._way(segment) if path not in self._paths), None)
+
+    def _way(self, segment: int) -> Iterator[str]:
+        """Pages and tables; each is read when the next is asked for."""
+        groups = self.offers.manifest.groups
+        yield from groups.places.pages_to_segment(segment)
+        group = groups.places.at_segment(segment)
+        yield group_path(group + 1)
+        keeps = groups[group].keeps
+        if keeps is not None:
+            yield from groups.places.pages_to_group(keeps - 1)
+            yield group_path(keeps)
+
+
+@dataclass(slots=True, eq=False)
+class UnitStore:
+    """The key units that are decoded, by loop: a group that is played again is fetched again."""
+
+    _units: dict[int, set[Unit]] = field(default_factory=dict)
+    _options: dict[tuple[int, SegmentOffer], tuple[Option, ...]] = field(default_factory=dict)  # since the last unit
+
+    def decoded(self, loop: int) -> Units:
+        """The units of a loop."""
+        return self._units.get(loop, NONE)
+
+    def shows(self, loop: int, offer: SegmentOffer, rung: int) -> bool:
+        """Whether all units of a rung of a segment are decoded."""
+        return all(unit.unit in self.decoded(loop) for unit in offer.rungs[rung].units)
+
+    def missing(self, loop: int, offer: SegmentOffer, rung: int) -> Batch:
+        """The files that a rung of a segment still needs."""
+        return offer.missing(rung, self.decoded(loop))
+
+    def options(self, loop: int, offer: SegmentOffer) -> tuple[Option, ...]:
+        """The rungs of a segment that are allowed, with the bytes that each still needs."""
+        if (loop, offer) not in self._options:
+            self._options[loop, offer] = offer.options(self.decoded(loop))
+        return self._options[loop, offer]
+
+    def add(self, loop: int, offer: SegmentOffer, arrival: Arrival) -> None:
+        """Decode what arrived for a rung of a segment, of all tiles: a unit counts once its files are there."""
+        arrived, units = set(arrival.kept), self._units.setdefault(loop, set())
+        new = {unit.unit for unit in offer.rungs[arrival.request.rung].units if arrived.issuperset(unit.files)}
+        if not new <= units:
+            units |= new
+            self._options.clear()
+
+
+@dataclass(slots=True, eq=False)
+class Fetcher:
+    """The fetching side of one session."""
+
+    offers: Offers
+    connection: Connection
+    policy: Policy
+    settings: SessionSettings
+    tables: TableStore = field(init=False)
+    units: UnitStore = field(default_factory=UnitStore)
+    now_s: float = 0.0  # when the last batch was over, or when there was room for the next
+    downloads: list[tuple[float, Download]] = field(default_factory=list)  # with their arrivals
+    unusable: set[str] = field(default_factory=set)  # files found missing or corrupt
+    given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for there again
+
+    def __post_init__(self) -> None:
+        self.tables = TableStore(self.offers)
+
+    def loop(self, position: int) -> int:
+        """The loop over the sequence that a position is in."""
+        return self.offers.place(position)[0]
+
+    def offer(self, position: int, part: Part = None) -> SegmentOffer:
+        """The offer of the segment at a position, within the budget."""
+        return self.offers.offer(self.offers.place(position)[1], part, self.settings.budget)
+
+    def upcoming(self, positions: range, part: Part = None) -> Iterator[tuple[SegmentOffer, Units]]:
+        """Offers of positions while tables are there, each with what is decoded in its loop."""
+        for loop, offer in self.offers.upcoming(positions, part, self.settings.budget):
+            yield offer, self.units.decoded(loop)
+
+    def wanted_tables(self, positions: range) -> tuple[str, ...]:
+        """Tables that a policy needs to choose at the first of some positions, and that can be had."""
+        reach = positions[: self.policy.horizon]
+        return tuple(path for path in self.tables.missing(reach) if path not in self.unusable)
+
+    def fetch_tables(self, paths: tuple[str, ...], position: int) -> Steps:
+        """Fetch tables and nothing else."""
+        request = Request(BatchKind.TABLES, position, 0, Batch(tables=paths), self.now_s, self.connection.rtt_s)
+        arrival = yield from self.receive(request)
+        yield Arrived(arrival, Decision(0, True, "tables", arrival.bytes), 0.0, 0.0)
+
+    def receive(self, request: Request, give_up: GiveUp | None = None) -> Fetching[Arrival]:
+        """Wait for a batch and store what is of use; time goes on."""
+        arrival = yield Wanted(request, give_up)
+        assert arrival is not None, "a player that waits for a batch was sent none"
+        self.now_s = arrival.at_s
+        took_s = max(arrival.at_s - arrival.first_byte_s, SHORTEST_S)
+        self.unusable.update(arrival.refused)
+        self.tables.add(arrival)
+        if request.kind is not BatchKind.TABLES:  # too small to tell the rate: they come in one burst
+            self.downloads.append((arrival.at_s, Download(arrival.bytes, took_s)))
+            self.units.add(self.loop(request.position), self.offer(request.position), arrival)
+        return arrival
+
+    @property
+    def pipelines(self) -> bool:
+        """Whether a request is sent before the batch before it has arrived."""
+        return self.settings.pipelined and self.connection.pipelines
+
+    def latency_s(self, earliest_s: float) -> float:
+        """What is left of the round trip when the link is free: pipelined, the request was sent before."""
+        rtt_s = self.connection.rtt_s
+        return max(0.0, rtt_s - (self.now_s - earliest_s)) if self.pipelines and earliest_s < self.now_s else rtt_s
+
+    def sent_s(self, latency_s: float) -> float:
+        """When a request is sent of whose round trip so much is left."""
+        return self.now_s - (self.connection.rtt_s - latency_s)
+
+    def history(self, sent_s: float) -> tuple[Download, ...]:
+        """The last downloads that are over when a request is sent, oldest first."""
+        return tuple(d for at_s, d in self.downloads[-REMEMBERED:] if at_s <= sent_s + SHORTEST_S)
+
+    def throughput_bps(self, sent_s: float) -> float:
+        """The estimate when a request is sent."""
+        return estimate_throughput(self.history(sent_s))
+
+    def missing(self, position: int, rung: int, part: Part = None) -> Batch:
+        """The files that a rung of the segment at a position still needs."""
+        return self.units.missing(self.loop(position), self.offer(position, part), rung)
+
+    def options(self, position: int, part: Part = None) -> tuple[Option, ...]:
+        """Every rung of the segment at a position that is allowed."""
+        return self.units.options(self.loop(position), self.offer(position, part))
+
+    def usable(self, batch: Batch) -> bool:
+        """Whether no file of a batch was found missing or corrupt."""
+        return self.unusable.isdisjoint(batch.files)
+
+    def usable_options(self, position: int, part: Part = None) -> tuple[Option, ...]:
+        """The rungs of the segment at a position that can be had."""
+        options = self.options(position, part)
+        if not self.unusable:
+            return options
+        return tuple(p for p in options if self.usable(self.missing(position, p.index, part)))
+
+    def choices(self, position: int, part: Part = None) -> tuple[Option, ...]:
+        """The rungs that can be had and are smaller than what was given up."""
+        options = self.usable_options(position, part)
+        return tuple(p for p in options if self.given_up[0] != position or p.size_bytes < self.given_up[1])
+
+    def give_up(self, deadline_s: float, size: int, smallest: int) -> GiveUp | None:
+        """Abandon a download that, at the rate so far, would come after its deadline, and after the smallest rung
+        if that were requested now.
+        """
+        if not (self.settings.abandon and self.policy.may_abandon) or smallest >= size:
+            return None
+        due_s, rtt_s = max(deadline_s, self.now_s), self.connection.rtt_s
+
+        def too_late(partial: Partial) -> bool:
+            left_s = partial.left_s
+            return partial.at_s + left_s > due_s and left_s > rtt_s + smallest / partial.rate
+
+        return too_late

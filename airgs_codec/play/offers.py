@@ -1,0 +1,319 @@
+"""What a package offers a viewer: for each segment one frozen value, which players, policies, bounds and studies read.
+
+R rungs. A rung is a key quality with a level; rungs are numbered quality by quality. A unit is a key tier of a tile in
+a key quality, which is fetched and decoded once for its group. A position is a segment of a session, which may play the
+sequence several times. Wire bytes are those of files with `header_bytes` for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.package import Package
+from airgs_codec.package.paths import JSON_NAME
+from airgs_codec.package.tables import GroupTile, SegmentLevel
+from airgs_codec.play.ladder import Option, saved_shares
+from airgs_codec.play.sight import Boxes
+
+SESSION_S = 30.0  # of play
+HEADER_BYTES = 350  # HTTP response headers a file
+RETAINED = 4096  # offers, and sizes of files, that are not made again
+OVER_BUDGET = 1 << 50  # bytes of a rung that shows too many Gaussians: more than any link carries
+
+Unit = tuple[int, int, int]  # group, key quality, number of the key tier: tile * tiers + tier
+Units = AbstractSet[Unit]
+NONE: Units = frozenset()
+Tiles = frozenset[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Paths of the files that are requested together, in the order in which they arrive."""
+
+    keys: tuple[str, ...] = ()
+    state: tuple[str, ...] = ()
+    tables: tuple[str, ...] = ()
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """All paths: key units in their order, then the state segment, then tables for what comes next."""
+        return self.keys + self.state + self.tables
+
+
+@dataclass(frozen=True, slots=True)
+class UnitOffer:
+    """A key unit."""
+
+    unit: Unit
+    files: tuple[str, ...]  # none where it has no rows
+    bytes: int  # on the wire
+
+
+@dataclass(frozen=True, slots=True)
+class RungOffer:
+    """One form of a segment."""
+
+    quality: int  # of the keys
+    level: int
+    psnr: float  # dB; 0 where it was not measured
+    delta_e: float  # mean colour difference CIEDE2000; NaN where it was not measured
+    gaussians: int  # that a picture shows
+    allowed: bool  # whether the budget has as many
+    saved: float  # share of the first level's state that its level saves
+    units: tuple[UnitOffer, ...]  # of every key tier that of the group, then that of the base where rows of it are kept
+    state: tuple[str, ...]  # files
+    state_bytes: int  # on the wire
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentOffer:
+    """A segment, of all tiles or some; quality and numbers of Gaussians are always those of all."""
+
+    segment: int  # in the package
+    start: int  # frame
+    stop: int
+    seconds: float  # of play
+    group: int
+    base: int | None  # the group whose rows the group keeps
+    starts_group: bool
+    tiles: Sequence[GroupTile]  # all of the group
+    rungs: tuple[RungOffer, ...]
+
+    @cached_property
+    def psnr(self) -> NDArray[np.float64]:
+        """(R,) dB."""
+        return np.array([rung.psnr for rung in self.rungs])
+
+    @cached_property
+    def boxes(self) -> Boxes:
+        """The boxes of all tiles."""
+        return Boxes.of_tiles(self.tiles)
+
+    @cached_property
+    def levels(self) -> tuple[Option, ...]:
+        """The levels by the bytes of their states and their quality with the finest keys."""
+        finest = [rung for rung in self.rungs if rung.quality == 0]
+        return tuple(Option(rung.level, rung.state_bytes, rung.psnr, rung.saved) for rung in finest)
+
+    def sizes(self, decoded: Units) -> list[int]:
+        """(R,) wire bytes of the state and of the units that are not decoded; OVER_BUDGET where it is not allowed."""
+        return [
+            rung.state_bytes + sum(unit.bytes for unit in rung.units if unit.unit not in decoded)
+            if rung.allowed
+            else OVER_BUDGET
+            for rung in self.rungs
+        ]
+
+    def options(self, decoded: Units) -> tuple[Option, ...]:
+        """Every rung that is allowed, by number."""
+        sizes = self.sizes(decoded)
+        return tuple(Option(r, sizes[r], o.psnr, o.saved) for r, o in enumerate(self.rungs) if o.allowed)
+
+    def missing(self, rung: int, decoded: Units) -> Batch:
+        """The files that a rung needs beside what is decoded."""
+        offer = self.rungs[rung]
+        keys = tuple(path for unit in offer.units if unit.unit not in decoded for path in unit.files)
+        return Batch(keys, offer.state)
+
+    def with_keys(self, rung: int, quality: int) -> int:
+        """The rung with the same level and keys of a quality."""
+        level = self.rungs[rung].level
+        return next(r for r, other in enumerate(self.rungs) if (other.quality, other.level) == (quality, level))
+
+    def bytes_after(self, before: SegmentOffer, known: Units) -> NDArray[np.int64]:
+        """(R or 1, R) wire bytes of every rung by the rung of the segment before; one row where that does not matter.
+
+        At the start of a group, units that are `known` need not be fetched.
+        """
+        if not self.starts_group:
+            return self._within_group
+        if self.base is None:
+            return self._from_scratch
+        if self.base not in (before.group, before.base):
+            return np.array([self.sizes(known)])
+        return np.array([self.sizes(known | units) for units in before._units])
+
+    @cached_property
+    def _units(self) -> list[frozenset[Unit]]:
+        """The units of every rung."""
+        return [frozenset(unit.unit for unit in rung.units) for rung in self.rungs]
+
+    @cached_property
+    def _within_group(self) -> NDArray[np.int64]:
+        return np.array([self.sizes(units) for units in self._units])
+
+    @cached_property
+    def _from_scratch(self) -> NDArray[np.int64]:
+        return np.array([self.sizes(NONE)])
+
+
+class Offers:
+    """Makes the offers of a package, and says which segment a session plays when.
+
+    A session over a growing package (`live`) begins with its newest group and goes on while `grow` is called. Groups
+    that came before stay as they are.
+    """
+
+    def __init__(
+        self,
+        manifest: Manifest,
+        header_bytes: int = HEADER_BYTES,
+        root_bytes: int = 0,
+        live: bool = False,
+        first: int = 0,
+    ) -> None:
+        """`root_bytes` are those of airgs.json; a session begins with the segment `first`."""
+        self.header_bytes, self.first = header_bytes, first
+        self.grow(manifest, root_bytes)
+        self.live = live  # more groups may come in this session
+        self._made = lru_cache(RETAINED)(self._make)
+        self._sizes = lru_cache(RETAINED)(lambda path: self.manifest.entry(path).bytes)
+        self._group_units = lru_cache(RETAINED)(self._make_units)
+
+    @staticmethod
+    def of(package: Package) -> Offers:
+        """The offers of an open package."""
+        return Offers(package.manifest, root_bytes=package.root_bytes)
+
+    def grow(self, manifest: Manifest, root_bytes: int) -> None:
+        """Go on with the tables of the same package, to which groups were added."""
+        self.manifest, self.root_bytes, self.live = manifest, root_bytes, manifest.live
+        self.segments = len(manifest.segments)
+        self.fps = float(manifest.fps)
+
+    def offer(self, segment: int, tiles: Tiles | None = None, budget: int | None = None) -> SegmentOffer:
+        """The offer of a segment: of some tiles, or of all; no more Gaussians than the budget are allowed.
+
+        Raises FormatError where its tables cannot be had.
+        """
+        return self._made(segment, tiles, budget)
+
+    def _make(self, segment: int, tiles: Tiles | None, budget: int | None) -> SegmentOffer:
+        m = self.manifest
+        group, found = m.group_of(segment), m.segments[segment]
+        base, table = m.base_of(group), m.groups[group]
+        order = None if tiles is None else sorted(tiles)
+        states = [tuple(m.state_files(segment, j, order)) for j in range(len(m.levels))]
+        sizes = [self._wire(path for path in files) for files in states]
+        saved, counts = saved_shares(sizes), [unit.count for unit in table.units]
+        rungs = []
+        for q, j in self.rungs:
+            rows, level = sum(counts[k] for k in m.units_of(j)), found.levels[j]
+            allowed = budget is None or rows <= budget
+            units = self._group_units(group, base, tiles, (q, j))
+            quality = _measure(level, "psnr", q, 0.0), _measure(level, "delta_e", q, np.nan)
+            rungs.append(RungOffer(q, j, *quality, rows, allowed, saved[j], units, states[j], sizes[j]))
+        starts_group = segment == m.segments_of(group)[0]
+        seconds = (found.stop - found.start) / self.fps
+        return SegmentOffer(
+            segment, found.start, found.stop, seconds, group, base, starts_group, table.tiles, tuple(rungs)
+        )
+
+    def _make_units(
+        self, group: int, base: int | None, tiles: Tiles | None, rung: tuple[int, int]
+    ) -> tuple[UnitOffer, ...]:
+        """The key units of a rung in a group, in the order of fetching."""
+        m, (quality, level) = self.manifest, rung
+        units: list[UnitOffer] = []
+        table = m.groups[group].units
+        for number in m.units_of(level, None if tiles is None else sorted(tiles)):
+            of = [group] if base is None or not table[number].kept else [group, base]
+            for g in of:
+                files = m.key_files(g, number, quality)
+                units.append(UnitOffer((g, quality, number), tuple(files), self._wire(files)))
+        return tuple(units)
+
+    @property
+    def rungs(self) -> list[tuple[int, int]]:
+        """(key quality, level) of every rung."""
+        return [(q, j) for q in range(len(self.manifest.qualities)) for j in range(len(self.manifest.levels))]
+
+    @property
+    def names(self) -> list[str]:
+        """The name of every rung, such as Q1+L2."""
+        m = self.manifest
+        return [f"{m.qualities[q].id}+{m.levels[j].id}" for q, j in self.rungs]
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds of play of the whole sequence."""
+        return self.manifest.frames / self.fps
+
+    @property
+    def newest_seconds(self) -> float:
+        """Seconds of play of the last group so far."""
+        entry = self.manifest.groups.places.entry(len(self.manifest.groups) - 1)
+        return (entry.stop - entry.start) / self.fps
+
+    def span(self, segment: int) -> tuple[int, int]:
+        """Frames [start, stop) of a segment; where its table cannot be had, as if its neighbours were of one length."""
+        try:
+            found = self.manifest.segments[segment]
+        except FormatError:
+            return self.manifest.groups.places.guess_span(segment)
+        return found.start, found.stop
+
+    def seconds_at(self, position: int) -> float:
+        """Seconds of play at a position."""
+        start, stop = self.span(self.place(position)[1])
+        return (stop - start) / self.fps
+
+    def place(self, position: int) -> tuple[int, int]:
+        """(loop, segment) that a session plays at a position."""
+        return divmod(self.first + position, self.segments)
+
+    def end(self, loops: int) -> int:
+        """How many positions a session has that plays the sequence so often, as far as is known."""
+        return loops * self.segments - self.first
+
+    def loops(self, wanted: int | None = None) -> int:
+        """How often the sequence is played: as wanted, else for about SESSION_S; once while it grows."""
+        return 1 if self.live else wanted or max(1, round(SESSION_S / self.duration_s))
+
+    def upcoming(
+        self, positions: range, tiles: Tiles | None = None, budget: int | None = None
+    ) -> Iterator[tuple[int, SegmentOffer]]:
+        """(loop, offer) of positions, up to the first one whose tables cannot be had."""
+        for position in positions:
+            loop, segment = self.place(position)
+            try:
+                offer = self.offer(segment, tiles, budget)
+            except FormatError:
+                return
+            yield loop, offer
+
+    def check_budget(self, segments: Iterable[int], budget: int | None) -> None:
+        """Raise ConfigError where all rungs of one of these segments show more Gaussians than the budget has."""
+        if budget is None:
+            return
+        least = 0
+        for segment in segments:
+            with suppress(FormatError):  # a table cannot be had
+                least = max(least, min(rung.gaussians for rung in self.offer(segment).rungs))
+        if least > budget:
+            raise ConfigError(f"budget: expected {least} Gaussians or more, got {budget}")
+
+    def file_bytes(self, path: str) -> int:
+        """Bytes of a file without headers."""
+        return self.root_bytes if path == JSON_NAME else self._sizes(path)
+
+    def wire_bytes(self, sizes: Sequence[int]) -> int:
+        """Bytes of files with their headers."""
+        return sum(sizes) + self.header_bytes * len(sizes)
+
+    def _wire(self, paths: Iterable[str]) -> int:
+        return self.wire_bytes([self.file_bytes(path) for path in paths])
+
+
+def _measure(level: SegmentLevel, name: str, quality: int, unknown: float) -> float:
+    values = getattr(level, name)
+    return float(values[quality]) if values else unknown
