@@ -16,9 +16,9 @@ from airgs_codec.scene.formats.table import has_frames
 from airgs_codec.train.data.colmap import has_colmap, read_colmap
 from airgs_codec.train.data.hifi4g import has_hifi4g, read_hifi4g
 from airgs_codec.train.data.multiview import MultiviewScene, Points
-from airgs_codec.train.data.poses_bounds import read_poses_bounds
 from airgs_codec.train.data.rig import has_rig, read_rig
 from airgs_codec.train.data.transforms import read_panoptic, read_transforms
+from airgs_codec.train.data.videos import read_poses_bounds
 
 POINT_FILES = (
     "points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "sparse_pc.ply", "points3d.npy",
