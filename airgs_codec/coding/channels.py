@@ -3,6 +3,9 @@
 N rows of all decoded tiers, n rows of a level, T frames, C colour channels. `key_channels` and `dequantise_key`,
 `state_channels` and `StateApplier.apply` are inverse pairs up to quantisation. The order of channels is
 `package.layout`'s. The encoder works in float64, the decoder in float32 but for canonical means.
+
+A colour is the K + 1 SH coefficients of a row, C = 3 (1 + K); the KLT that decorrelates colours takes them in units of
+their steps.
 """
 
 from __future__ import annotations
@@ -13,13 +16,12 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.colour import colour_steps, colours, from_klt, split_colours, to_klt
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.coding.kernels import FrameMemory, consecutive, for_chunks, klt_colours, to_quaternions
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.package.layout import COLOUR, KEY, STATE
-from airgs_codec.package.tables import Grid, KeySteps, StateSteps
+from airgs_codec.package.tables import Grid, KeySteps, StateSteps, pack_matrix
 from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, sigmoid, to_rotation_vector
 
 _MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
@@ -281,3 +283,50 @@ def from_opacity(opacity: NDArray[np.float32]) -> NDArray[np.float32]:
     """Decoded alpha -> finite logits; alpha that coding error carried out of [0, 1] is limited first (FORMAT.md §5)."""
     a = np.clip(opacity, OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     return np.log(a / (1 - a))
+
+
+def colours(sh_dc: NDArray[np.floating], sh_rest: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(..., N, 3) and (..., N, K, 3) -> (..., N, C): DC r g b, then each SH rest coefficient r g b."""
+    return np.concatenate([sh_dc, sh_rest.reshape(*sh_rest.shape[:-2], -1)], axis=-1)
+
+
+def split_colours(channels: NDArray[np.floating]) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Inverse of `colours`: (..., N, C) -> (..., N, 3) and (..., N, K, 3)."""
+    rest = channels[..., 3:]
+    return channels[..., :3], rest.reshape(*rest.shape[:-1], rest.shape[-1] // 3, 3)
+
+
+def colour_steps(sh_dc: float, sh_rest: float, channels: int) -> NDArray[np.float64]:
+    """(C,) step of each colour channel before the KLT, from those of SH DC and SH rest; after it every step is 1."""
+    return np.where(np.arange(channels) < 3, sh_dc, sh_rest)
+
+
+def fit_colour_transform(scaled: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The orthonormal KLT (C, C) of (N, C) colours in units of their steps: row k is the k-th strongest direction.
+
+    The entry of a row that is largest by size is positive, so that equal scenes give equal packages.
+    """
+    centred = scaled - scaled.mean(axis=0)
+    _, vectors = np.linalg.eigh(centred.T @ centred)
+    rows = vectors.T[::-1]
+    strongest = np.take_along_axis(rows, np.abs(rows).argmax(axis=1)[:, None], axis=1)
+    return rows * np.where(strongest < 0, -1.0, 1.0)
+
+
+def to_klt(scaled: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(..., C) colours in units of their steps -> KLT channels.
+
+    The exact inverse of `from_klt`: the stored transform is rounded, so it is inverted, not transposed.
+    """
+    return scaled @ np.linalg.inv(transform)
+
+
+def from_klt(channels: NDArray[np.floating], transform: NDArray[np.floating]) -> NDArray[np.floating]:
+    """(..., C) KLT channels -> colours in units of their steps."""
+    return channels @ transform
+
+
+def colour_transform(key: Gaussians, steps: KeySteps) -> str:
+    """The KLT of the colours of a canonical frame, as the table of a group stores it (base64 of C x C int16)."""
+    colour = colours(key.sh_dc, key.sh_rest).astype(np.float64)
+    return pack_matrix(fit_colour_transform(colour / colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1])))

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import RowPruning, WrittenRows
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, LEAK, Sensitivity
-from airgs_codec.coding.channels import Canonical, dequantise_key, key_channels
-from airgs_codec.coding.colour import colour_transform
+from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels
 from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import channel_weights, classify_motion, withheld_error
 from airgs_codec.coding.sidecar import KeySidecar

@@ -21,8 +21,7 @@ from airgs_codec.analysis.rows import count_runs
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import assemble, centre_codes, fit_atlas, picture_size, read_codes
-from airgs_codec.coding.channels import Canonical, dequantise_key, key_channels, state_channels
-from airgs_codec.coding.colour import colour_transform
+from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels, state_channels
 from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import channel_weights, classify_motion, withheld_error
 from airgs_codec.coding.quantize import StepSettings, from_codes, to_codes

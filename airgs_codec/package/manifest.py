@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import overload
+from typing import TYPE_CHECKING, overload
 
 from airgs_codec.errors import FormatError
-from airgs_codec.media.metrics import Quality, psnr
 from airgs_codec.package.index import Entry, GroupIndex, ReadPage
 from airgs_codec.package.packing import build_index, pack_group
 from airgs_codec.package.paths import (
@@ -26,6 +25,9 @@ from airgs_codec.package.paths import (
 )
 from airgs_codec.package.references import check_kept
 from airgs_codec.package.tables import MAX_PSNR, FileEntry, Group, Header, Segment, Spans
+
+if TYPE_CHECKING:  # decoding compares no pictures
+    from airgs_codec.media.metrics import Quality
 
 KEPT = 1024  # tables of groups
 
@@ -218,6 +220,8 @@ class Manifest(Header):
 
 def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:
     """Quality of a rung over the whole sequence, segments weighed by frames; None when one was not measured."""
+    from airgs_codec.media.metrics import Quality, psnr
+
     squared, similarity, difference, worst = 0.0, 0.0, 0.0, MAX_PSNR
     for segment in m.segments:
         measured = segment.levels[level]

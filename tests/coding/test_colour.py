@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airgs_codec.coding.colour import fit_colour_transform, from_klt, to_klt
+from airgs_codec.coding.channels import fit_colour_transform, from_klt, to_klt
 from airgs_codec.package.tables import pack_matrix, unpack_matrix
 
 

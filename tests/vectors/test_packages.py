@@ -5,7 +5,7 @@ from hashlib import sha256
 import numpy as np
 import pytest
 
-from airgs_codec.coding.colour import colours
+from airgs_codec.coding.channels import colours
 from airgs_codec.decoder.decode import Part, decode_frames
 from airgs_codec.media.h264 import decode_pictures, open_segment
 from airgs_codec.package import package as opening

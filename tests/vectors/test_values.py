@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key
-from airgs_codec.coding.colour import colours
+from airgs_codec.coding.channels import Canonical, StateApplier, colours, dequantise_key
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.coding.sidecar import KeySidecar

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.coding.atlas import picture_size
-from airgs_codec.coding.colour import colours
+from airgs_codec.coding.channels import colours
 from airgs_codec.decoder.decode import Part, decode_frames
 from airgs_codec.encoder import representation
 from airgs_codec.encoder.publish import encode

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import measure_sensitivity
-from airgs_codec.coding.channels import key_channels
-from airgs_codec.coding.colour import colour_transform, fit_colour_transform, from_klt, to_klt
+from airgs_codec.coding.channels import colour_transform, fit_colour_transform, from_klt, key_channels, to_klt
 from airgs_codec.coding.grid import fit_grid
 from airgs_codec.coding.motion import FLOOR, classify_motion, motion_classes, motion_units
 from airgs_codec.coding.quantize import StepSettings

@@ -17,8 +17,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.channels import to_opacity
-from airgs_codec.coding.colour import colours, split_colours
+from airgs_codec.coding.channels import colours, split_colours, to_opacity
 from airgs_codec.scene.gaussians import Gaussians
 
 RANGE_BYTES = 8  # two float32 for each range that is sent
