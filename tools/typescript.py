@@ -21,7 +21,7 @@ import numpy as np
 
 from airgs_codec.coding import atlas, channels, escapes, rangecoder
 from airgs_codec.media import h264, metrics, mp4
-from airgs_codec.package import layout, packing, paths, region, tables, world
+from airgs_codec.package import layout, parse, paths, region, tables, world
 from airgs_codec.package.constraints import OneOf, as_required
 from airgs_codec.package.schema import manifest_schema
 from airgs_codec.play import buffered, downloader, fetch_plan, fetcher, http_files, ladder, offers, player, sight
@@ -56,7 +56,7 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
             tables, "VERSION", "PAGE", "DIGEST", "BLOCK", "STATIC", "LEAST_CLASS", "MOST_CLASS", "TRANSFORM_UNITS"
         )
         | _same(tables, "MAX_BITS", "MAX_PICTURE_SIDE", "MIN_PICTURE_SIDE", "MAX_MACROBLOCKS", "MAX_PAGES"),
-        packing: _same(packing, "MAX_ROOT_BYTES", "MAX_TABLE_BYTES"),
+        parse: _same(parse, "MAX_ROOT_BYTES", "MAX_TABLE_BYTES"),
         paths: {"ROOT_PATH": paths.JSON_NAME, "INIT_PATH": paths.INIT_NAME}
         | {"PATHS": [[f"^{pattern}$", what] for pattern, what in paths.PATTERNS.items()]},
         layout: _channels(layout.KEY) | _channels(layout.STATE),

@@ -38,8 +38,7 @@ from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
 from airgs_codec.encoder.survey import GroupSpan, Pictures, Survey, ViewPlan, survey_group
 from airgs_codec.encoder.tables import CodedGroup, finish_group
-from airgs_codec.jobs.digest import digest
-from airgs_codec.jobs.job import Job
+from airgs_codec.jobs.job import Job, digest
 from airgs_codec.package.package import Package, manifest_of
 from airgs_codec.package.tables import Group, Root
 from airgs_codec.places.place import Memory

@@ -12,8 +12,8 @@ from airgs_codec.analysis.rows import IN_ORDER, Grouping, Restored, compare_orde
 from airgs_codec.encoder.pipeline import LENGTHS, PreparedSequence, Read, chosen, seen
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views
-from airgs_codec.jobs.digest import digest
 from airgs_codec.jobs.engines import InProcess
+from airgs_codec.jobs.job import digest
 from airgs_codec.jobs.work import Work
 from airgs_codec.scene.frames import HeldFrames
 from airgs_codec.scene.sequence import GaussianSequence

@@ -16,8 +16,7 @@ from airgs_codec.encoder.search import Goal, search_quality
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
 from airgs_codec.errors import WorkError
-from airgs_codec.jobs.digest import code_digest
-from airgs_codec.jobs.job import Record, Stored, read_result
+from airgs_codec.jobs.job import Record, Stored, code_digest, read_result
 from airgs_codec.jobs.work import Work, temporary_work
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock

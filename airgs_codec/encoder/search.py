@@ -22,7 +22,7 @@ from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.package import root_of
-from airgs_codec.package.packing import pack_json
+from airgs_codec.package.parse import pack_json
 from airgs_codec.package.tables import FileEntry, Group, SegmentLevel, digest
 from airgs_codec.render.compare import compare, draw_ahead, draw_still
 from airgs_codec.scene.gaussians import Gaussians, join_rows

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec.inspect.left_out import describe_left_out
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.manifest import Manifest, pooled_quality
-from airgs_codec.package.region_summary import RegionSummary
+from airgs_codec.package.region import RegionSummary
 from airgs_codec.package.tables import Views, World
 
 

@@ -16,7 +16,7 @@ from airgs_codec.inspect.errors import Measured
 from airgs_codec.media.h264 import BRIGHTEST, DARKEST, decode_pictures, in_range, open_segment
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import Package, find_file, open_files
-from airgs_codec.package.packing import MAX_ROOT_BYTES
+from airgs_codec.package.parse import MAX_ROOT_BYTES
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path
 from airgs_codec.package.tables import Atlas
 from airgs_codec.places.place import Place, place_at

@@ -11,9 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.errors import AirgsError, WorkError
-from airgs_codec.jobs.digest import code_digest, digest
 from airgs_codec.jobs.engines import Engine, InProcess
-from airgs_codec.jobs.job import Job, LostResultError, Record, Stored, load, packages_of, perform, read_record
+from airgs_codec.jobs.job import (
+    Job,
+    LostResultError,
+    Record,
+    Stored,
+    code_digest,
+    digest,
+    load,
+    packages_of,
+    perform,
+    read_record,
+)
 from airgs_codec.places.results import Store, open_store, pack
 from airgs_codec.progress import Progress, silent
 

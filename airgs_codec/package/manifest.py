@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, overload
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry, GroupIndex, ReadPage
-from airgs_codec.package.packing import build_index, pack_group
+from airgs_codec.package.parse import build_index, pack_group
 from airgs_codec.package.paths import (
     INIT_NAME,
     group_path,

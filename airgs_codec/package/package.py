@@ -9,8 +9,7 @@ from pathlib import Path
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry
 from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.package.packing import MAX_ROOT_BYTES
-from airgs_codec.package.parse import parse_group, parse_page, parse_root
+from airgs_codec.package.parse import MAX_ROOT_BYTES, parse_group, parse_page, parse_root
 from airgs_codec.package.paths import JSON_NAME, MEDIA_TYPES, MPD_NAME, ROOTS, group_path, locate
 from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest, file_entry
 from airgs_codec.places.place import BUCKETS, WEB, Place, place_at

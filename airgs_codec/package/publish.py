@@ -25,7 +25,7 @@ from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock, Streams, write_mpd
 from airgs_codec.package.package import open_manifest, read_file, root_of, write_file
-from airgs_codec.package.packing import build_index, extend_index, pack_group, pack_json
+from airgs_codec.package.parse import build_index, extend_index, pack_group, pack_json
 from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME, belongs, group_path
 from airgs_codec.package.tables import FileEntry, Group
 from airgs_codec.places.place import PARALLEL, Bucket, Folder, Place

@@ -23,8 +23,7 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.index import count_groups
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import check_digest, open_manifest
-from airgs_codec.package.packing import MAX_ROOT_BYTES
-from airgs_codec.package.parse import parse_root
+from airgs_codec.package.parse import MAX_ROOT_BYTES, parse_root
 from airgs_codec.package.paths import JSON_NAME, group_path, locate
 from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
 from airgs_codec.play.downloader import CHECK_S, Arrival, BatchKind, GiveUp, Partial, Request

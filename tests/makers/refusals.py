@@ -22,8 +22,7 @@ import numpy as np
 from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.media.mp4 import box, read_boxes, with_columns
-from airgs_codec.package.packing import MAX_ROOT_BYTES
-from airgs_codec.package.parse import parse_root
+from airgs_codec.package.parse import MAX_ROOT_BYTES, parse_root
 from airgs_codec.package.paths import JSON_NAME, MPD_NAME
 from airgs_codec.package.tables import Grid, digest
 from tests.support.mutations import (

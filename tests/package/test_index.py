@@ -13,8 +13,7 @@ from airgs_codec.package.index import GroupIndex, count_groups
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.package import open_manifest, open_package, root_of
-from airgs_codec.package.packing import build_index, extend_index, pack_group, pack_json
-from airgs_codec.package.parse import parse_root
+from airgs_codec.package.parse import build_index, extend_index, pack_group, pack_json, parse_root
 from airgs_codec.package.paths import file_kind, group_path, locate
 from airgs_codec.package.tables import PAGE, digest
 from tests.support.manifests import no_page, tiny_manifest

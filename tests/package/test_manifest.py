@@ -13,12 +13,11 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
-from airgs_codec.package import packing
+from airgs_codec.package import parse
 from airgs_codec.package.mpd import LiveClock, adaptation_sets, write_mpd
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.packing import pack_group, pack_json
-from airgs_codec.package.parse import parse_group, parse_root
+from airgs_codec.package.parse import pack_group, pack_json, parse_group, parse_root
 from airgs_codec.package.paths import JSON_NAME, group_path
 from airgs_codec.package.schema import manifest_schema
 from airgs_codec.package.tables import PAGE
@@ -226,9 +225,9 @@ def test_a_value_out_of_its_range_is_refused_by_reader_and_schema_alike(name, pl
 
 
 def test_a_table_that_would_fill_the_memory_is_refused(monkeypatch):
-    monkeypatch.setattr(packing, "MAX_TABLE_BYTES", 1000)
+    monkeypatch.setattr(parse, "MAX_TABLE_BYTES", 1000)
     with pytest.raises(FormatError) as caught:
-        packing.inflate(gzip.compress(bytes(10**6)), TABLE)
+        parse.inflate(gzip.compress(bytes(10**6)), TABLE)
     assert caught.value.reason == "too_large"
 
 

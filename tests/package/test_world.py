@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.packing import pack_json
-from airgs_codec.package.parse import parse_root
+from airgs_codec.package.parse import pack_json, parse_root
 from airgs_codec.package.region import first_place, levelled, upright
 from airgs_codec.package.tables import World
 from airgs_codec.package.world import fault_of, misread, parse_up, read_world, unit_of, up_of, world_from, world_words

@@ -6,7 +6,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
-from airgs_codec.package.packing import build_index
+from airgs_codec.package.parse import build_index
 from airgs_codec.package.tables import Spans
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.packing import pack_json
+from airgs_codec.package.parse import pack_json
 from airgs_codec.play.trace import Trace
 from airgs_codec.serve.server import ServerSettings, Shape
 from tests.support.browser import WEB, build_pages, missing, serve, visit

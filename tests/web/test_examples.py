@@ -13,7 +13,7 @@ from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.publish import encode
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.packing import pack_json
+from airgs_codec.package.parse import pack_json
 from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.region import levelled
 from airgs_codec.package.tables import World

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from airgs_codec.jobs.digest import code_digest, digest
 from airgs_codec.jobs.engines import Engine, InProcess
-from airgs_codec.jobs.job import Job, read_record
+from airgs_codec.jobs.job import Job, code_digest, digest, read_record
 from airgs_codec.jobs.work import Work
 from airgs_codec.places.results import Store, open_store
 from airgs_codec.progress import Progress, silent

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec._report import new_figure, save_figure
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.region import Departure, departures, levelled
-from airgs_codec.package.region_summary import ORBIT, departure_words
+from airgs_codec.package.region import ORBIT, Departure, departure_words, departures, levelled
 from airgs_codec.package.tables import Region
 from airgs_codec.package.viewpath import Path, path_by_cameras, path_of_region
 from airgs_codec.play.session import SessionLog

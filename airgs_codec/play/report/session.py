@@ -13,7 +13,7 @@ import numpy as np
 from airgs_codec._report import new_figure, page, plain_log_ticks, save_figure
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.manifest import pooled_quality
-from airgs_codec.package.region_summary import RegionSummary
+from airgs_codec.package.region import RegionSummary
 from airgs_codec.places.whole import write_json
 from airgs_codec.play.downloader import BatchKind
 from airgs_codec.play.metrics import FIGURES, SessionMetrics, meanings

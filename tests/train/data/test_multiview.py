@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from airgs_codec.errors import SceneError
-from airgs_codec.jobs.digest import digest
+from airgs_codec.jobs.job import digest
 from airgs_codec.jobs.work import Work
 from airgs_codec.places.results import open_store
 from airgs_codec.train.data.multiview import (

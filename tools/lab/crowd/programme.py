@@ -14,7 +14,7 @@ import numpy as np
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package, root_of
-from airgs_codec.package.packing import pack_json
+from airgs_codec.package.parse import pack_json
 from airgs_codec.package.tables import Group
 from airgs_codec.play.offers import Offers
 

@@ -15,7 +15,7 @@ export const MIN_PICTURE_SIDE = 64;
 export const MAX_MACROBLOCKS = 36864;
 export const MAX_PAGES = 128;
 
-// airgs_codec.package.packing
+// airgs_codec.package.parse
 export const MAX_ROOT_BYTES = 16777216;
 export const MAX_TABLE_BYTES = 268435456;
 

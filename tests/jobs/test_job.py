@@ -12,7 +12,7 @@ import pytest
 
 from airgs_codec.encoder.pipeline import code_key
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.jobs.digest import code_digest, digest, modules_run
+from airgs_codec.jobs.job import code_digest, digest, modules_run
 from airgs_codec.train.pipeline import do_piece
 from tests.support.jobs import square
 from tests.support.paths import PACKAGE
@@ -79,7 +79,7 @@ def test_a_function_has_the_code_of_its_own_package_as_well():
 
 EDITS = """
 from pathlib import Path
-from airgs_codec.jobs.digest import _digest_of_module
+from airgs_codec.jobs.job import _digest_of_module
 
 JOBS = {"train": "airgs_codec.train.pipeline", "encode": "airgs_codec.encoder.pipeline"}
 for edited in ("play/player.py", "encoder/publish.py", "train/pipeline.py", "render/cpu.py", "scene/gaussians.py"):
