@@ -102,7 +102,7 @@ import sys
 for name in ("torch", "pycolmap", "gsplat", "matplotlib"):
     sys.modules[name] = None  # an import of it fails as where it is not installed
 from airgs_codec.cli import decode, encode, manifest, play, train
-options = ["--steps", "default", "--measure-pictures", "2", "--preset", "ultrafast"]
+options = ["--calibrate", "none", "--measure-pictures", "2", "--x264-preset", "ultrafast"]
 assert encode.main(["scene", "-o", "scene.airgs", *options]) == 0
 assert decode.main(["scene.airgs", "-o", "decoded"]) == 0
 assert manifest.main(["validate", "scene.airgs", "--against", "scene"]) == 0

@@ -47,9 +47,9 @@ def test_pages_are_short():
 @pytest.mark.parametrize(
     ("code", "finding"),
     [
-        ("airgs-encode scene/ --no-such-option", "unrecognized arguments"),
-        ("airgs-play scene.airgs --decode 4 --policy", "expected one argument"),
-        ("airgs-train views/ | airgs-encode model/ --no-such-option", "unrecognized arguments"),
+        ("airgs-encode scene/ --no-such-option", "expected an option that there is"),
+        ("airgs-play scene.airgs --seed 4 --policy", "expected a value"),
+        ("airgs-train views/ | airgs-encode model/ --no-such-option", "expected an option"),
         ("python -m tools.no_such_tool --quick", "No module"),
         ("python -m tools.check_docs --lots 3", "unrecognized arguments"),
         ("tools/no_such_tool.py", "no such file"),

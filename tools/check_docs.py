@@ -26,11 +26,15 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from unittest.mock import patch
 
+from cyclopts import App, CycloptsError
+
+from airgs_codec.cli import options
+from airgs_codec.cli.manifest import make_manifest as manifest_app
 from tools.lab.experiments import EXPERIMENTS
 
 REPOSITORY = Path(__file__).parent.parent
@@ -39,6 +43,7 @@ FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`]+)`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 PATH = re.compile(r"(airgs_codec|docs|tests|tools|manifests|\.ci)/[\w./-]*")
+MISSING = re.compile("the following arguments are required|^expected .*, got none$")
 NUMBER = re.compile(r"\d[\d,]*(?:\.\d+)?")
 OTHER_PROGRAMS = {"git", "cd", "pip", "python3", "source"}
 
@@ -110,7 +115,7 @@ def inline_errors(code: str) -> Iterator[str]:
         yield f"{program}: no such file"
     elif re.fullmatch(r"airgs(_codec)?(\.\w+)+", code) and not resolves(code.replace("airgs.", "airgs_codec.", 1)):
         yield f"{code}: no such name"
-    elif re.fullmatch(r"--[a-z][a-z0-9-]*", program) and program not in known_options():
+    elif re.fullmatch(r"--[a-z][a-z0-9.-]*", program) and program not in known_options():
         yield f"{program}: no command and no tool has this option"
 
 
@@ -140,11 +145,19 @@ def scripts() -> dict[str, str]:
 @cache
 def known_options() -> set[str]:
     """Every option that a command, a tool or an experiment of this repository declares."""
-    folders = ("airgs_codec/cli", "tools", "tests/long", "tests/makers")
-    sources = [path for folder in folders for path in (REPOSITORY / folder).rglob("*.py")]
+    sources = [
+        path for folder in ("tools", "tests/long", "tests/makers") for path in (REPOSITORY / folder).rglob("*.py")
+    ]
     declared = {option for path in sources for option in re.findall(r'"(--[a-z][a-z0-9-]*)"', path.read_text())}
-    modules = [importlib.import_module(one.module) for one in EXPERIMENTS]
-    return declared | {f"--{f.name.replace('_', '-')}" for module in modules for f in fields(module.Options)}
+    programs = [[name] for name in scripts()] + [["airgs-manifest", name] for name in manifest_app()]
+    programs += [["python", "-m", "tools.lab", one.name] for one in EXPERIMENTS]
+    helps = io.StringIO()
+    with contextlib.redirect_stdout(helps):
+        for words in programs:
+            main, argv = _main_of([*words, "--help-all"])
+            with patch.object(sys, "argv", argv):
+                main()
+    return declared | set(re.findall(r"--[a-z][a-z0-9.-]*", helps.getvalue()))
 
 
 def resolves(name: str) -> bool:
@@ -177,7 +190,7 @@ def command_error(words: list[str], whole: bool) -> str | None:
     if module and len(words) == 3 and (not whole or words[2].startswith("tests.makers.")):  # makers take no arguments
         return None if resolves(words[2]) else f"{words[2]}: no such module"
     refusal = _refusal(words)
-    if refusal is None or (refusal.startswith("the following arguments are required") and not whole):
+    if refusal is None or (MISSING.search(refusal) and not whole):
         return None
     return f"{shlex.join(words)}: {refusal}"
 
@@ -203,6 +216,14 @@ def _refusal(words: list[str]) -> str | None:
         parse(self, *args)  # type: ignore[call-overload]
         raise _ParserError
 
+    def stop_app(app: App, words: list[str]) -> None:
+        try:
+            if "--help-all" not in words:
+                app.parse_args(words)
+        except CycloptsError as error:
+            raise _ParserError(options.refusal(error)) from error
+        raise _ParserError
+
     def refuse(_: argparse.ArgumentParser, message: str) -> None:
         raise _ParserError(message)
 
@@ -213,6 +234,7 @@ def _refusal(words: list[str]) -> str | None:
     with (
         patch.object(argparse.ArgumentParser, "parse_args", stop),
         patch.object(argparse.ArgumentParser, "error", refuse),
+        patch.object(options, "_run", stop_app),
         patch.object(sys, "argv", argv),
         contextlib.redirect_stdout(io.StringIO()),
     ):

@@ -1,28 +1,36 @@
-"""What every command shares: errors as one line, progress on stderr, frame ranges."""
+"""What commands share: errors as one line, progress on stderr, and the options that several of them have."""
 
 from __future__ import annotations
 
-import argparse
+import importlib.util
 import os
+import re
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from tqdm import tqdm
 
+from airgs_codec._report import require_matplotlib
+from airgs_codec._settings import required, setting
 from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.scene.sequence_json import MAX_FPS, exact_number
 
+if TYPE_CHECKING:
+    from airgs_codec.jobs.engines import Engine
+    from airgs_codec.jobs.work import Part, Work
+    from airgs_codec.package.tables import World
+    from airgs_codec.progress import Progress
+
 # OpenMP threads of numba spin while they wait unless told so before the first import that loads them.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-
-
-PACKAGE = "a package: its folder, or its address, s3://, gs:// or az://"
 
 
 class _Terminated(KeyboardInterrupt):
@@ -69,14 +77,6 @@ def _terminable() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def fraction(text: str) -> Fraction:
-    """The type of an option that is an exact number, as 30, 29.97 or 30000/1001."""
-    try:
-        return exact_number(text)
-    except (ValueError, ZeroDivisionError) as error:
-        raise argparse.ArgumentTypeError(f"expected a number or a fraction, got {text!r}") from error
-
-
 def expect_rate(option: str, fps: Fraction | None) -> None:
     """Raise ConfigError where an option is no number of frames a second."""
     if fps is not None and not 0 < fps <= MAX_FPS:
@@ -109,21 +109,6 @@ class Bar:
             self._bar = None
 
 
-def add_views(parser: argparse._ActionsContainer, purpose: str, default: str) -> None:
-    """The option --views; `purpose` says what the cameras are for, `default` which are taken without it."""
-    forms = "transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json, poses_bounds.npy"
-    words = f"{purpose}: a file or folder of any form ({forms}, .splatv, .4dgs; default: {default})"
-    parser.add_argument("--views", type=Path, metavar="PATH", help=words)
-
-
-def add_device(parser: argparse._ActionsContainer, purpose: str) -> None:
-    """The option --device; `purpose` says what the device is for."""
-    from airgs_codec.render.backend import DEVICES  # loads numba, for which OMP_WAIT_POLICY must have been set
-
-    words = f"{purpose}: cuda needs a GPU and the cuda extra (default: auto, cuda where it can)"
-    parser.add_argument("--device", choices=DEVICES, default="auto", help=words)
-
-
 def parse_frames(text: str | None) -> tuple[int, int | None]:
     """First frame and the one after the last of A:B, A:, :B or a single number; None stands for the end.
 
@@ -144,3 +129,211 @@ def parse_range(text: str, frames: int) -> tuple[int, int]:
     if not 0 <= start < stop <= frames:
         raise ConfigError(f"--frames: expected A:B inside 0:{frames}, got {text!r}")
     return start, stop
+
+
+PACKAGE = "a package: its folder, or its address, s3://, gs:// or az://"
+DEVICES = ("auto", "cpu", "cuda")
+DASK = re.compile(r"dask(?::(.+))?")
+
+
+def package() -> Any:
+    """Returns the field of a package."""
+    return required(PACKAGE)
+
+
+def views(purpose: str, default: str) -> Any:
+    """Returns the field of --views; `purpose` says what the cameras are for, `default` which are taken without it."""
+    return setting(None, f"{purpose} (default: {default}); docs/encoding.md lists the forms of cameras", metavar="PATH")
+
+
+def device(purpose: str, topic: str | None = None) -> Any:
+    """Returns the field of --device; `purpose` says what the device is for."""
+    words = f"{purpose}; cuda needs a GPU and the cuda extra, auto takes it where it can"
+    return setting("auto", words, choices=DEVICES, topic=topic)
+
+
+def frames(words: str = "all") -> Any:
+    """Returns the field of --frames; `words` says which frames are taken without it."""
+    return setting(":", "frames A to B - 1, or one frame", metavar="A:B", default=words)
+
+
+def report(words: str) -> Any:
+    """Returns the field of --report."""
+    return setting(None, f"folder for {words}", metavar="DIR")
+
+
+def as_json(words: str = "print figures as JSON") -> Any:
+    """Returns the field of --json."""
+    return setting(False, words)
+
+
+def fraction(text: str) -> Fraction:
+    """Returns an exact number, of 30, 29.97 or 30000/1001. Raises ValueError."""
+    return exact_number(text)
+
+
+def frame_rate() -> Any:
+    """Returns the field of --fps."""
+    return setting(None, "frames a second (default: what the scene says, else 30)", read=fraction, metavar="FPS")
+
+
+class Baking(TypedDict):
+    """Arguments of `open_sequence`; None: what the file says, or else the default of its format."""
+
+    bake_fps: Fraction | None
+    duration: Fraction | None
+
+
+@dataclass(frozen=True, slots=True)
+class BakingOptions:
+    """How a clip becomes frames."""
+
+    bake_fps: Fraction | None = setting(
+        None,
+        "frames a second that a clip of moving Gaussians is baked to (default: what the file says, else 30)",
+        read=fraction,
+        metavar="FPS",
+    )
+    duration: Fraction | None = setting(
+        None,
+        "length of a clip whose file states none: .splatv, Spacetime Gaussians .ply (default: 5/3)",
+        read=fraction,
+        metavar="S",
+    )
+
+    def baking(self) -> Baking:
+        """Returns what the options say."""
+        return {"bake_fps": self.bake_fps, "duration": self.duration}
+
+    def given(self) -> bool:
+        """Returns whether any option was given."""
+        return self != BakingOptions()
+
+
+def read_up(text: str) -> tuple[float, ...]:
+    """Returns the direction that a text names. Raises ConfigError."""
+    from airgs_codec.package.world import parse_up
+
+    return parse_up(text)
+
+
+@dataclass(frozen=True, slots=True)
+class WorldOptions:
+    """Which way is up and how long a unit is: for players, nothing is turned or scaled."""
+
+    up: tuple[float, ...] | None = setting(
+        None,
+        "direction that points up in the frames, x, -y, … or X,Y,Z; by default what the format of the frames specifies",
+        read=read_up,
+        metavar="AXIS",
+        signed=True,
+    )
+    unit: float | None = setting(None, "with --up: how many metres a unit of the frames is long", metavar="METRES")
+    transform: Path | None = setting(
+        None,
+        "instead of these: 3x4 or 4x4 numbers row by row, text or JSON, from the frames to a world with y up in "
+        "metres: a turn, one scale, a shift",
+        metavar="FILE",
+    )
+
+    def world(self) -> World | None:
+        """Returns where the scene stands, as far as the options say. Raises ConfigError."""
+        from airgs_codec.package.world import read_world, world_from
+
+        if self.transform:
+            if self.up or self.unit is not None:
+                raise ConfigError("--transform: expected neither --up nor --unit with it: it says both")
+            return read_world(self.transform)
+        if self.up:
+            return world_from(self.up, self.unit)
+        if self.unit is not None:
+            raise ConfigError("--unit: expected --up with it")
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class WorkOptions:
+    """Who does the work (docs/farm.md): processes of this machine, a Dask cluster, a share of several runs."""
+
+    jobs: int = setting(1, "processes that share the work")
+    work: str | None = setting(
+        None,
+        "where finished jobs stay, so that a run that was cut off goes on; a folder that all workers see, or s3://, "
+        "gs://, az:// and a prefix; by default a temporary folder",
+        metavar="PLACE",
+    )
+    executor: str | None = setting(
+        None,
+        "a Dask cluster does the work: the one whose scheduler is at ADDRESS, which needs --work, or one of --jobs "
+        "processes on this machine",
+        metavar="dask[:ADDRESS]",
+    )
+    part: str | None = setting(
+        None,
+        "one of N runs that share --work, counted from 1, which do the jobs together; a run without --part, or "
+        "airgs-manifest merge, makes a whole of them",
+        metavar="I/N",
+    )
+
+    def shared_by(self) -> str | None:
+        """Returns the first of the options that is given; None where one process does everything by itself."""
+        given = {"--jobs": self.jobs != 1, "--executor": self.executor, "--work": self.work, "--part": self.part}
+        return next((name for name, value in given.items() if value), None)
+
+    @contextmanager
+    def opened(self, progress: Progress) -> Iterator[Work]:
+        """What the options ask for, until the block ends. Raises ConfigError for options that cannot work."""
+        from airgs_codec.jobs.work import Work
+        from airgs_codec.places.results import open_store
+
+        if self.jobs < 1:
+            raise ConfigError(f"--jobs: expected at least one process, got {self.jobs}")
+        if self.part and not self.work:
+            raise ConfigError("--part: expected --work, a place that all parts share, got none")
+        with tempfile.TemporaryDirectory(prefix="airgs-work-") as folder:
+            store = open_store(self.work) if self.work else open_store(Path(folder), lasting=False)
+            engine = self._engine()
+            try:
+                yield Work(store, engine, self._share(), progress)
+            finally:
+                engine.close()
+
+    def _share(self) -> Part:
+        from airgs_codec.jobs.work import Part
+
+        if self.part is None:
+            return Part()
+        found = re.fullmatch(r"(\d+)/(\d+)", self.part)
+        if not found or not 1 <= int(found[1]) <= int(found[2]):
+            raise ConfigError(f"--part: expected I/N with 1 <= I <= N, got {self.part!r}")
+        return Part(int(found[1]) - 1, int(found[2]))
+
+    def _engine(self) -> Engine:
+        from airgs_codec.jobs.engines import InProcess, Processes
+
+        if self.executor is None:
+            return Processes(self.jobs) if self.jobs > 1 else InProcess()
+        found = DASK.fullmatch(self.executor)
+        if not found:
+            raise ConfigError(f"--executor: expected dask or dask:ADDRESS, got {self.executor!r}")
+        if found[1] and not self.work:
+            raise ConfigError("--executor dask:ADDRESS: expected --work, a place that all workers see, got none")
+        if importlib.util.find_spec("distributed") is None:
+            raise ConfigError("--executor dask needs Dask: pip install 'airgs-codec[farm]'")
+        from airgs_codec.jobs.dask_engine import DaskEngine
+
+        return DaskEngine.at(found[1]) if found[1] else DaskEngine.local(self.jobs)
+
+
+def expect_report(folder: Path | None) -> None:
+    """Raise ConfigError where a report cannot be drawn, or a file is where its folder should be."""
+    if folder:
+        require_matplotlib("--report")
+        expect_folder(folder)
+
+
+def expect_folder(path: Path) -> None:
+    """Raise ConfigError where something that is no folder is in the way, before the work begins."""
+    for place in (path, *path.absolute().parents):
+        if place.exists() and not place.is_dir():
+            raise ConfigError(f"{place}: expected a folder, got a file")

@@ -1,15 +1,38 @@
-"""airgs-manifest compare: two scenes or packages beside each other, in figures and pictures."""
+"""airgs-manifest compare and rungs: two scenes or packages beside each other, or a package beside its original."""
 
 from __future__ import annotations
 
-import argparse
 import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from airgs_codec.cli.baking import UNTOLD, add_baking, is_told, told_baking
-from airgs_codec.cli.common import PACKAGE, Bar, add_views, parse_range
+from airgs_codec._settings import required, setting
+from airgs_codec.cli.common import (
+    PACKAGE,
+    BakingOptions,
+    Bar,
+    as_json,
+    expect_folder,
+    frames,
+    package,
+    parse_range,
+    views,
+)
+from airgs_codec.cli.options import nested, takes
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.compare import Comparison, compare_two, comparison_json, format_two, side_by_side
+from airgs_codec.inspect.compare import (
+    Comparison,
+    claimed_quality,
+    compare_streams,
+    compare_two,
+    comparison_json,
+    format_comparison,
+    format_two,
+    pool_splits,
+    side_by_side,
+)
 from airgs_codec.inspect.sides import (
     Side,
     before_both,
@@ -19,77 +42,87 @@ from airgs_codec.inspect.sides import (
     is_package,
     left_out,
     open_side,
+    region_views,
+    rung_streams,
     shared_views,
+    splits_of,
 )
 from airgs_codec.media.image import write_png
+from airgs_codec.media.metrics import Difference, Quality
+from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.package import Package, open_package
+from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background
+from airgs_codec.package.world import up_of
 from airgs_codec.places.whole import atomic_path
 from airgs_codec.render import Camera, read_cameras
+from airgs_codec.scene.camera import UP, orbit_views
 from airgs_codec.scene.formats.table import is_clip
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+
+EVERY = "only every N-th of the frames"
 
 
-def add_compare(parser: argparse.ArgumentParser) -> None:
-    """The arguments."""
-    parser.add_argument("a", metavar="A", help=f"the reference: a scene, or {PACKAGE}")
-    parser.add_argument("b", metavar="B", help="what is compared with it, either as well")
-    parser.add_argument("--frames", default=":", metavar="A:B", help="frames A to B - 1 (default: all that both have)")
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="only every N-th of the frames (default: 1)")
-    rung = "key quality and level of the package, of B where both are packages (default: Q0+L0, always for the other)"
-    parser.add_argument("--rung", metavar="Q0+L0", help=rung)
-    default = "those of A or B, or drawn from the viewing region of a package, or an orbit"
-    add_views(parser, "cameras to compare from", default)
-    add_baking(parser)
-    pictures = "write pictures of A, B and their difference: worst.png and typical.png"
-    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help=pictures)
-    parser.add_argument("--json", action="store_true", help="the same as JSON")
+@dataclass(frozen=True, slots=True)
+class Compare:
+    """Options of compare."""
+
+    a: str = required(f"the reference: a scene, or {PACKAGE}")
+    b: str = required("what is compared with it, either as well")
+    frames: str = frames("all that both have")
+    every: int = setting(1, EVERY)
+    rung: str | None = setting(
+        None, "key quality and level of the package, of B where both are (default: Q0+L0)", metavar="Q0+L0"
+    )
+    views: Path | None = views("cameras to compare from", "those of A or B, or of a package's region, or an orbit")
+    clip: BakingOptions = nested(BakingOptions, "clips", own=True)
+    output: Path | None = setting(
+        None, "write pictures of A, B and their difference: worst.png, typical.png", short="-o", metavar="DIR"
+    )
+    json: bool = as_json("the same as JSON")
 
 
-def compare(args: argparse.Namespace) -> int:
-    """Run it. Raises AirgsError for what cannot be compared, before anything is written."""
-    _expect_folder(args.output)
-    if args.every < 1:
-        raise ConfigError(f"--every: expected at least 1, got {args.every}")
-    a, b = _open_both(args)
-    frames = range(*parse_range(args.frames, min(a.frames, b.frames)), args.every)
-    views, cameras = _views(a, b, args.views)
-    bar = Bar(args.json)
-    result = compare_two(a, b, frames, cameras, bar)
+@takes(Compare)
+def compare(options: Compare) -> int:
+    """Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."""
+    if options.output:
+        expect_folder(options.output)
+    _expect_least(every=(options.every, 1))
+    a, b = _open_both(options)
+    numbers = range(*parse_range(options.frames, min(a.frames, b.frames)), options.every)
+    words, cameras = _views(a, b, options.views)
+    bar = Bar(options.json)
+    result = compare_two(a, b, numbers, cameras, bar)
     bar.close()
-    written = _write_pictures(args.output, a, b, result) if args.output else []
+    written = _write_pictures(options.output, a, b, result) if options.output else []
     notes = left_out(a, b)
-    if args.json:
-        more = {"views": views, "left_out": notes, "pictures": [str(path) for path in written]}
+    if options.json:
+        more = {"views": words, "left_out": notes, "pictures": [str(path) for path in written]}
         print(json.dumps(comparison_json(a, b, result) | more))
     else:
-        print(format_two(a, b, result, views, notes))
+        print(format_two(a, b, result, words, notes))
         if written:
             print(f"pictures: {', '.join(map(str, written))}")
     return 0
 
 
-def _open_both(args: argparse.Namespace) -> tuple[Side, Side]:
-    packages = [is_package(place) for place in (args.a, args.b)]
-    if args.rung is not None and not any(packages):
+def _open_both(options: Compare) -> tuple[Side, Side]:
+    packages = [is_package(place) for place in (options.a, options.b)]
+    if options.rung is not None and not any(packages):
         raise ConfigError("--rung: expected a package, got two scenes")
-    baking = told_baking(args)
-    baked = {place: baking for place in (args.a, args.b) if is_told(baking) and is_clip(Path(place))}
-    if is_told(baking) and not baked:
-        raise ConfigError(f"--bake-fps, --duration: expected a clip, got {args.a} and {args.b}")
-    b = open_side(args.b, args.rung if packages[1] else None, **baked.get(args.b, UNTOLD))
-    a = open_side(args.a, None if packages[1] else args.rung, **baked.get(args.a, UNTOLD))
+    clip = options.clip
+    baked = {place: clip for place in (options.a, options.b) if clip.given() and is_clip(Path(place))}
+    if clip.given() and not baked:
+        raise ConfigError(f"--bake-fps, --duration: expected a clip, got {options.a} and {options.b}")
+    untold = BakingOptions()
+    b = open_side(options.b, options.rung if packages[1] else None, **baked.get(options.b, untold).baking())
+    a = open_side(options.a, None if packages[1] else options.rung, **baked.get(options.a, untold).baking())
     expect_same_rate(a, b)
     return a, b
 
 
 def _views(a: Side, b: Side, path: Path | None) -> tuple[str, list[Camera]]:
-    words, views = described(compared_views(read_cameras(path), None), str(path)) if path else shared_views(a, b)
-    return words, before_both(a, b, views)
-
-
-def _expect_folder(path: Path | None) -> None:
-    """Raise ConfigError where something that is no folder is in the way, before the work begins."""
-    for place in [path, *path.absolute().parents] if path else []:
-        if place.exists() and not place.is_dir():
-            raise ConfigError(f"{place}: expected a folder, got a file")
+    words, found = described(compared_views(read_cameras(path), None), str(path)) if path else shared_views(a, b)
+    return words, before_both(a, b, found)
 
 
 def _write_pictures(folder: Path, a: Side, b: Side, result: Comparison) -> list[Path]:
@@ -99,3 +132,71 @@ def _write_pictures(folder: Path, a: Side, b: Side, result: Comparison) -> list[
         with atomic_path(folder / f"{name}.png") as temporary:
             write_png(temporary, picture)
     return [folder / f"{name}.png" for name in pictures]
+
+
+@dataclass(frozen=True, slots=True)
+class Rungs:
+    """Options of rungs."""
+
+    package: str = package()
+    original: str = required("the sequence that it was made of")
+    clip: BakingOptions = nested(BakingOptions, "clips", own=True)
+    level: str | None = setting(None, "one level, L0, L1, … or its number (default: all)")
+    key_quality: str | None = setting(None, "one key quality, Q0, Q1, … or its number (default: all)")
+    frames: str = frames()
+    every: int = setting(1, EVERY)
+    views: Path | None = views("cameras to compare from", "the original's")
+    split: str | None = setting(None, "train, test or region alone (default: the last two, or all)", metavar="NAME")
+    draws: int = setting(8, "views drawn from the package's region: the split region")
+    seed: int = setting(CHECKING, f"seed of the draws; the encoder used {DECIDING} and {MEASURING}")
+    json: bool = as_json("the same as JSON")
+
+
+@takes(Rungs)
+def rungs(options: Rungs) -> int:
+    """Measure PSNR, SSIM and CIEDE2000 of every rung against the original."""
+    package, original = open_package(options.package), open_sequence(options.original, **options.clip.baking())
+    if len(original) != package.manifest.frames:
+        raise ConfigError(f"{options.original}: expected {package.manifest.frames} frames, got {len(original)}")
+    _expect_least(every=(options.every, 1), draws=(options.draws, 0), seed=(options.seed, 0))
+    numbers = range(*parse_range(options.frames, len(original)), options.every)
+    cameras = _rung_cameras(options, package, original)
+    streams = rung_streams(package, numbers, options.level, options.key_quality)
+    claimed = claimed_quality(package.manifest, streams)
+    bar = Bar(options.json)
+    looked_at = [(number, camera) for number in numbers for camera in cameras]
+    splits = pool_splits(compare_streams(streams, original, looked_at, Difference.of, bar), looked_at)
+    bar.close()
+    if options.json:
+        quality = {"claimed": _plain(claimed), **{split: _plain(some) for split, some in splits.items()}}
+        print(json.dumps({"frames": list(numbers), "views": splits_of(cameras), "quality": quality}))
+    else:
+        words = ", ".join(f"{count} {split}" for split, count in splits_of(cameras).items())
+        print(
+            f"{len(numbers)} frames; views: {words}; PSNR of the error pooled over pictures, and of the worst picture"
+        )
+        print(format_comparison({"claimed": claimed, **splits}))
+    return 0
+
+
+def _rung_cameras(options: Rungs, package: Package, original: GaussianSequence) -> list[Camera]:
+    cameras = list(read_cameras(options.views) if options.views else original.cameras)
+    region = package.manifest.region
+    cameras += region_views(region, options.draws, options.seed)
+    cameras = compared_views(cameras or _around(package.manifest, original), options.split)
+    return before_background(region, cameras)
+
+
+def _around(m: Manifest, original: GaussianSequence) -> list[Camera]:
+    """Views on an orbit around the middle frame, upright as the package tells."""
+    return orbit_views(original.read(len(original) // 2), up=UP if m.world is None else up_of(m.world))
+
+
+def _plain(qualities: Mapping[str, Quality | None]) -> dict[str, Any]:
+    return {name: quality and asdict(quality) for name, quality in qualities.items()}
+
+
+def _expect_least(**limits: tuple[int, int]) -> None:
+    for name, (value, least) in limits.items():
+        if value < least:
+            raise ConfigError(f"--{name}: expected at least {least}, got {value}")

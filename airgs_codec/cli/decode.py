@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
-from airgs_codec.cli.common import PACKAGE, Bar, parse_range, run_command
+from airgs_codec._settings import required, setting
+from airgs_codec.cli.common import Bar, as_json, frames, package, parse_range
+from airgs_codec.cli.options import run_program, takes
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import Package, open_package
@@ -15,46 +17,52 @@ from airgs_codec.package.region import background_of
 from airgs_codec.package.world import misread
 from airgs_codec.scene.formats.write import Numbered, Target, choose_target, format_keys, write_frames
 
-_OUTPUT = "folder for the frames, 000000.ply and on; or a file whose ending says its format"
 
+@dataclass(frozen=True, slots=True)
+class Decode:
+    """Options of the command."""
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="airgs-decode", description="Decode a package to .ply or other splat files.")
-    parser.add_argument("package", help=PACKAGE)
-    parser.add_argument("-o", "--output", required=True, help=_OUTPUT)
-    words = "format of the files (default: that of the output's ending, or ply)"
-    parser.add_argument("--format", choices=format_keys(), help=words)
-    parser.add_argument("--level", default="L0", help="state level: L0, L1, … or its number (default: L0)")
-    parser.add_argument("--key-quality", default="Q0", help="key quality: Q0, Q1, … or its number (default: Q0)")
-    parser.add_argument("--frames", default=":", metavar="A:B", help="frames A to B - 1, or one frame (default: all)")
-    parser.add_argument("--json", action="store_true", help="print a JSON report instead of words")
-    return parser
+    package: str = package()
+    output: str = required(
+        "folder for the frames, 000000.ply and on, or a file whose name ends in a format", short="-o", metavar="PLACE"
+    )
+    format: str | None = setting(
+        None,
+        f"{', '.join(format_keys())} (default: what the output's name ends in, or ply)",
+        choices=tuple(format_keys()),
+        metavar="FORMAT",
+    )
+    level: str = setting("L0", "state level: L0, L1, … or its number")
+    key_quality: str = setting("Q0", "key quality: Q0, Q1, … or its number")
+    frames: str = frames()
+    json: bool = as_json()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
-    args = _parser().parse_args(argv)
-    return run_command("airgs-decode", lambda: _run(args))
+    """Decode as the arguments say; returns the exit status."""
+    return run_program("airgs-decode", decode, argv)
 
 
-def _run(args: argparse.Namespace) -> int:
-    package = open_package(args.package)
+@takes(Decode)
+def decode(options: Decode) -> int:
+    """Decode a package to .ply or other splat files."""
+    package = open_package(options.package)
     m = package.manifest
-    level, quality = m.levels[m.level_index(args.level)].id, m.qualities[m.quality_index(args.key_quality)].id
-    start, stop = parse_range(args.frames, m.frames)
-    target = choose_target(args.output, args.format, stop - start)
+    level, quality = m.levels[m.level_index(options.level)].id, m.qualities[m.quality_index(options.key_quality)].id
+    start, stop = parse_range(options.frames, m.frames)
+    target = choose_target(options.output, options.format, stop - start)
     _expect_outside(target)
-    bar = Bar(args.json)
+    bar = Bar(options.json)
     try:
-        frames = _decoded(package, (start, stop), (level, quality), bar)
-        lost = write_frames(target, frames, m.fps, background_of(m.region))
+        decoded = _decoded(package, (start, stop), (level, quality), bar)
+        lost = write_frames(target, decoded, m.fps, background_of(m.region))
     finally:
         bar.close()
-    report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": args.output}
+    report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": options.output}
     report |= {"format": target.form.key, "lost": lost}
     report |= {"notes": (notes := misread(m.world, target.form.name, target.form.axes))}
-    words = f"{stop - start} frames of {quality} + {level} in {args.output}"
-    print(json.dumps(report) if args.json else "\n".join([words, *lost, *notes]))
+    words = f"{stop - start} frames of {quality} + {level} in {options.output}"
+    print(json.dumps(report) if options.json else "\n".join([words, *lost, *notes]))
     return 0
 
 

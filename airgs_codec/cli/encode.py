@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
-import argparse
 import json
-import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 
-from airgs_codec._settings import about
-from airgs_codec.cli.baking import add_baking, is_told, told_baking
-from airgs_codec.cli.common import Bar, add_views, expect_rate, fraction, run_command
-from airgs_codec.cli.encoding import add_encoding, told_settings
+from airgs_codec._settings import applied, required, setting
+from airgs_codec.cli.common import (
+    BakingOptions,
+    Bar,
+    WorkOptions,
+    WorldOptions,
+    as_json,
+    device,
+    expect_rate,
+    expect_report,
+    frame_rate,
+    report,
+    views,
+)
 from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.kernels import prepare
+from airgs_codec.cli.options import Given, expect_one, given, nested, option_name, run_program, takes
 from airgs_codec.cli.training import train_by_default
-from airgs_codec.cli.work import add_work, told_work
-from airgs_codec.cli.world import add_world, with_signs
 from airgs_codec.encoder.live import follow
-from airgs_codec.encoder.publish import EncodeReport, encode, encode_part
+from airgs_codec.encoder.publish import EncodeReport, encode_part
+from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.search import PSNR, SIZE, Goal
-from airgs_codec.encoder.settings import (
-    EncodeSettings,
-)
+from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.contact_sheet import write_contact_sheet
 from airgs_codec.inspect.summary import summarise
@@ -34,99 +42,121 @@ from airgs_codec.places.place import is_address
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence, read_attribution
 from airgs_codec.train.data.readers import is_multiview
 
+PRESETS = ("default", "quick", "paper")
+EVERYDAY = ("quality", "levels", "tiles", "group_frames", "margin")  # of the settings of the encoder
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="airgs-encode",
-        description="Encode Gaussian frames, a folder of them or one file, as H.264 pictures and a DASH manifest. "
-        "Multi-view video is trained first, as airgs-train does by default.",
+
+@dataclass(frozen=True, slots=True)
+class Encode:
+    """Options of the command."""
+
+    scene: str = required(
+        "frames (a folder or a file: .ply, compressed .ply, .spz, SOG, .splat, glTF), a clip (.splatv, .4dgs, "
+        ".splat4d, Spacetime Gaussians .ply), either at s3://, gs://, az:// too, or a folder of multi-view pictures"
     )
-    parser.add_argument(
-        "scene",
-        help="a folder of frames (.ply, compressed .ply, .spz, SOG, .splat, glTF), optionally with sequence.json and "
-        "cameras, or one such file; or a clip (.splatv, .4dgs, .splat4d, Spacetime Gaussians .ply); or a folder of "
-        "multi-view pictures; frames and clips also at an address, s3://, gs:// or az://",
+    output: str | None = setting(
+        None,
+        "package: a folder or s3://, gs://, az:// and a prefix (default: SCENE.airgs)",
+        short="-o",
+        metavar="PLACE",
     )
-    parser.add_argument(
-        "-o",
-        "--output",
-        help="package folder, or s3://, gs://, az:// and a prefix (default: SCENE with .airgs appended)",
+    preset: str = setting(
+        "default",
+        "settings to begin with: quick is a first look; it makes no trial encodes; paper has eleven levels pruned by "
+        "usage alone, equal steps, one key",
+        choices=PRESETS,
     )
-    parser.add_argument("--fps", type=fraction, help="frames a second (default: what sequence.json says, else 30)")
-    add_baking(parser)
-    add_views(
-        parser, "cameras that usage and quality are measured with", "those beside the frames, else cameras on an orbit"
+    settings: Given = given(EncodeSettings, "encoder", EVERYDAY, own=True)
+    target_psnr: float | None = setting(
+        None, "search for the quality at which the top rung has so many dB", metavar="DB"
     )
-    where = parser.add_mutually_exclusive_group()
-    where.add_argument(
-        "--margin",
-        type=float,
-        metavar="UNITS",
-        help=about(EncodeSettings, "margin"),
+    target_mb: float | None = setting(None, "the same for so many megabytes a frame on the top rung", metavar="MB")
+    target_mbps: float | None = setting(None, "the same for so many megabits a second of playback", metavar="MBPS")
+    views: Path | None = views("cameras to measure with", "those beside the frames, else on an orbit")
+    fps: Fraction | None = frame_rate()
+    clip: BakingOptions = nested(BakingOptions, "clips", own=True)
+    world: WorldOptions = nested(WorldOptions, "which way is up", ("up",), own=True)
+    follow: bool = setting(False, "encode group by group while frames are still being written")
+    idle: float = setting(
+        30.0,
+        "with --follow, where standard input is no pipe that ends: seconds without a frame until the sequence ends",
+        metavar="S",
+        topic="output",
     )
-    where.add_argument(
-        "--region",
-        type=Path,
-        metavar="FILE",
-        help=f"{about(EncodeSettings, 'region')}: JSON as `region` in airgs.json",
+    work: WorkOptions = nested(WorkOptions, "work", ("jobs", "work"), own=True)
+    device: str = device("where video is trained, and pictures that decide and measure are drawn", topic="work")
+    contact_sheet: Path | None = setting(
+        None, "write a PNG of the scene from every place of its region", metavar="FILE", topic="output"
     )
-    add_world(parser)
-    parser.add_argument(
-        "--contact-sheet", type=Path, metavar="FILE", help="write a PNG of the scene from every place of its region"
-    )
-    parser.add_argument("--attribution", metavar="TEXT", help="who made the scene (default: SCENE/ATTRIBUTION.txt)")
-    parser.add_argument(
-        "--follow",
-        action="store_true",
-        help="encode group by group while frames are still being written, and publish each group when it is whole; "
-        "until standard input ends, where it is a pipe, else until no frame has come for --idle seconds",
-    )
-    parser.add_argument("--idle", type=float, default=30.0, metavar="SECONDS", help="see --follow (default: 30)")
-    parser.add_argument("--json", action="store_true", help="print a JSON report instead of a table")
-    add_encoding(parser)
-    add_work(parser, "nothing is published: airgs-manifest merge does that")
-    parser.add_argument("--report", type=Path, metavar="FILE.html", help="write a page on who did which job, and when")
-    return parser
+    attribution: str | None = setting(None, "who made the scene (default: SCENE/ATTRIBUTION.txt)", topic="output")
+    report: Path | None = report("a page on who did which job, and when")
+    json: bool = as_json()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Encode as the arguments say; returns the exit status."""
-    args = _parser().parse_args(with_signs(sys.argv[1:] if argv is None else argv))
-    return run_command("airgs-encode", lambda: _run(args))
+    return run_program("airgs-encode", encode, argv)
 
 
-def _run(args: argparse.Namespace) -> int:
-    settings = told_settings(args)
-    expect_rate("--fps", args.fps)
-    target: str = args.output or _default_target(args.scene)
-    if args.follow:
-        return _follow(args, settings, target)
-    sequence, credit = _open(args)
-    if sequence.clip and not args.json:
-        print(f"clip: {args.scene}: {sequence.clip.note}", flush=True)
-    goal, attribution = _goal(args, sequence), args.attribution or credit
+@takes(Encode)
+def encode(options: Encode) -> int:
+    """Encode Gaussian frames as H.264 pictures and a DASH manifest; multi-view video is trained first."""
+    settings = _settings(options)
+    expect_rate("--fps", options.fps)
+    expect_report(options.report)
+    target = options.output or _default_target(options.scene)
+    if options.follow:
+        return _follow(options, settings, target)
+    sequence, credit = _open(options)
+    if sequence.clip and not options.json:
+        print(f"clip: {options.scene}: {sequence.clip.note}", flush=True)
+    goal, attribution = _goal(options, sequence), options.attribution or credit
     cameras = sequence.files.name_of(sequence.cameras_path) if sequence.cameras_path else None
-    if cameras and not args.json:
+    if cameras and not options.json:
         print(f"cameras: {cameras}, {_counts(sequence)}", flush=True)
     prepare()
-    bar = Bar(args.json)
+    bar = Bar(options.json)
     try:
-        with told_work(args, bar) as work:
-            if args.part:
-                report = encode_part(sequence, settings, work, goal=goal, attribution=attribution)
+        with options.work.opened(bar) as work:
+            if options.work.part:
+                done = encode_part(sequence, settings, work, goal=goal, attribution=attribution)
             else:
-                report = encode(sequence, target, settings, goal=goal, attribution=attribution, work=work)
+                done = publish(sequence, target, settings, goal=goal, attribution=attribution, work=work)
     finally:
         bar.close()
-    if args.report:
-        write_report(args.report, report.records)
-    if args.contact_sheet:
-        _draw_places(args.contact_sheet, sequence, report.manifest.region)
-    if args.part:
-        print(f"{args.work}: all jobs are done; airgs-manifest merge {args.work} -o {target} publishes the package")
+    if options.report:
+        options.report.mkdir(parents=True, exist_ok=True)
+        write_report(options.report / "index.html", done.records)
+    if options.contact_sheet:
+        _draw_places(options.contact_sheet, sequence, done.manifest.region)
+    if options.work.part:
+        place = options.work.work
+        print(f"{place}: all jobs are done; airgs-manifest merge {place} -o {target} publishes the package")
         return 0
-    print(json.dumps(_as_json(report, target) | {"cameras": cameras}) if args.json else _as_words(report, target))
+    print(json.dumps(_as_json(done, target) | {"cameras": cameras}) if options.json else _as_words(done, target))
     return 0
+
+
+def _settings(options: Encode) -> EncodeSettings:
+    """Raises ConfigError for options that cannot work."""
+    told = options.settings
+    expect_one(
+        quality=told.get("quality"),
+        target_psnr=options.target_psnr,
+        target_mb=options.target_mb,
+        target_mbps=options.target_mbps,
+    )
+    expect_one(margin=told.get("margin"), region=told.get("region"))
+    threads = max(1, DEFAULT_SETTINGS.threads // max(1, options.work.jobs))
+    settings = replace(DEFAULT_SETTINGS, threads=threads, device=options.device, world=options.world.world())
+    settings = {"default": _unchanged, "quick": as_preview, "paper": as_in_paper}[options.preset](settings)
+    if settings.calibrate == "ladder" and {"levels", "tiers"} & told.keys():  # which trial encodes would replace
+        told = {"calibrate": "steps"} | told
+    return applied(settings, told)
+
+
+def _unchanged(settings: EncodeSettings) -> EncodeSettings:
+    return settings
 
 
 def _default_target(scene: str) -> str:
@@ -135,35 +165,34 @@ def _default_target(scene: str) -> str:
     return f"{place}.airgs"
 
 
-def _open(args: argparse.Namespace) -> tuple[GaussianSequence, str]:
+def _open(options: Encode) -> tuple[GaussianSequence, str]:
     """The sequence that is encoded, trained where pictures were given, and who made the scene."""
-    baking, folder = told_baking(args), Path(args.scene)
-    if is_address(args.scene) or not is_multiview(folder):
-        sequence = open_sequence(args.scene, views=args.views, fps=args.fps, **baking)
+    folder = Path(options.scene)
+    if is_address(options.scene) or not is_multiview(folder):
+        sequence = open_sequence(options.scene, views=options.views, fps=options.fps, **options.clip.baking())
         return sequence, sequence.attribution
-    if is_told(baking):
-        raise ConfigError(f"{args.scene}: expected a clip for --bake-fps or --duration, got multi-view pictures")
-    trained = train_by_default(folder, args.fps, args.device, quiet=args.json)
-    return open_sequence(trained, views=args.views, fps=args.fps), read_attribution(folder)
+    if options.clip.given():
+        raise ConfigError(f"{options.scene}: expected a clip for --bake-fps or --duration, got multi-view pictures")
+    trained = train_by_default(folder, options.fps, options.device, quiet=options.json)
+    return open_sequence(trained, views=options.views, fps=options.fps), read_attribution(folder)
 
 
-def _follow(args: argparse.Namespace, settings: EncodeSettings, target: str) -> int:
+def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:
     """Encode a sequence that somebody still writes."""
-    whole = ("target_psnr", "target_mb", "target_mbps", "contact_sheet", "bake_fps", "duration")
-    for name in (*whole, "work", "part", "executor", "report"):
-        if getattr(args, name) is not None:
-            raise ConfigError(f"--{name.replace('_', '-')}: expected a sequence that is whole, got --follow")
-    if args.jobs != 1:
-        raise ConfigError("--jobs: expected a sequence that is whole, got --follow, whose groups come one by one")
-    if is_address(args.scene):
-        raise ConfigError(f"--follow: expected a folder of this machine, got {args.scene}")
-    folder = GrowingFolder(args.scene, views=args.views, fps=args.fps)
-    bar = Bar(args.json)
-    more = frames_may_come(args.idle)
+    whole = ("target_psnr", "target_mb", "target_mbps", "contact_sheet", "report")
+    asked = {name: getattr(options, name) for name in whole} | options.clip.baking()
+    told = [f"--{option_name(name)}" for name, value in asked.items() if value is not None]
+    if option := next(iter(told), options.work.shared_by()):
+        raise ConfigError(f"{option}: expected a sequence that is whole, got --follow, whose groups come one by one")
+    if is_address(options.scene):
+        raise ConfigError(f"--follow: expected a folder of this machine, got {options.scene}")
+    folder = GrowingFolder(options.scene, views=options.views, fps=options.fps)
+    bar = Bar(options.json)
+    more = frames_may_come(options.idle)
     prepare()
     try:
-        groups = follow(folder, target, settings, more=more, attribution=args.attribution, progress=bar)
-        report_groups(groups, target, args.json)
+        groups = follow(folder, target, settings, more=more, attribution=options.attribution, progress=bar)
+        report_groups(groups, target, options.json)
     finally:
         bar.close()
     return 0
@@ -181,13 +210,13 @@ def _counts(sequence: GaussianSequence) -> str:
     return f"{len(sequence.cameras)} of them, {held_out} held out"
 
 
-def _goal(args: argparse.Namespace, sequence: GaussianSequence) -> Goal | None:
-    if args.target_psnr is not None:
-        return Goal(PSNR, args.target_psnr)
-    if args.target_mb is not None:
-        return Goal(SIZE, 1e3 * args.target_mb)
-    if args.target_mbps is not None:
-        return Goal(SIZE, 1e3 / 8 * args.target_mbps / float(sequence.fps))
+def _goal(options: Encode, sequence: GaussianSequence) -> Goal | None:
+    if options.target_psnr is not None:
+        return Goal(PSNR, options.target_psnr)
+    if options.target_mb is not None:
+        return Goal(SIZE, 1e3 * options.target_mb)
+    if options.target_mbps is not None:
+        return Goal(SIZE, 1e3 / 8 * options.target_mbps / float(sequence.fps))
     return None
 
 

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import dataclasses
 import math
-import os
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from airgs_codec._report import require_matplotlib
-from airgs_codec._settings import about
-from airgs_codec.cli.baking import add_baking, told_baking
-from airgs_codec.cli.common import PACKAGE, Bar, add_device, add_views, run_command
+from airgs_codec._settings import required, setting
+from airgs_codec.cli.common import (
+    PACKAGE,
+    BakingOptions,
+    Bar,
+    as_json,
+    device,
+    expect_report,
+    report,
+    views,
+)
+from airgs_codec.cli.options import nested, run_program, takes
 from airgs_codec.decoder.decode import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
@@ -31,7 +38,8 @@ from airgs_codec.play.report.film import film, still
 from airgs_codec.play.report.map import Viewer, path_of
 from airgs_codec.play.report.session import format_metrics, place_record, write_report
 from airgs_codec.play.report.study import format_study, write_study
-from airgs_codec.play.session import SessionLog, play, simulate
+from airgs_codec.play.session import SessionLog, simulate
+from airgs_codec.play.session import play as play_over
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View
 from airgs_codec.play.study import StudySettings, run_study
@@ -42,206 +50,170 @@ from airgs_codec.scene.sequence import open_sequence
 
 PAPER = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
 COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
+TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="airgs-play",
-        description="Simulate a viewer of a package over a bandwidth trace, compare policies over many, or play it "
-        "from a web server.",
+@dataclass(frozen=True, slots=True)
+class Play:
+    """Options of the command."""
+
+    package: str = required(f"{PACKAGE}, or where a web server has it", metavar="PACKAGE|URL")
+    trace: str | None = setting(None, f"rates of the link: {TRACES}")
+    policy: str = setting(DEFAULT_POLICY, f"what chooses rungs; {', '.join(NAMES)}, fixed:J (level J) or fixed:RUNG")
+    rtt: float | None = setting(None, f"round trip (default: the trace's, else {1e3 * DEFAULT_RTT_S:g})", metavar="MS")
+    offset: float = setting(0.0, "where in the trace to begin", metavar="S", topic="link")
+    scale: float = setting(1.0, "factor on the trace's rates", topic="link")
+    end: str = setting("loop", "what follows the trace's last second", choices=ENDS, topic="link")
+    player: SessionSettings = nested(SessionSettings, "player", ("buffer_s", "budget", "loops"))
+    measure_decoding: bool = setting(
+        False, "measure the time to decode a frame, instead of --player.decode-frame", topic="player"
     )
-    parser.add_argument("package", metavar="PACKAGE|URL", help=f"{PACKAGE}, or where a web server has it")
-    traces = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
-    parser.add_argument("--trace", metavar="TRACE", help=traces)
-    names = f"{', '.join(NAMES)}, fixed:J (level J) or fixed:RUNG (default: %(default)s)"
-    parser.add_argument("--policy", default=DEFAULT_POLICY, help=names)
-    link = parser.add_argument_group("link")
-    trip = f"round trip (default: the trace's, else {1e3 * DEFAULT_RTT_S:g})"
-    link.add_argument("--rtt", type=float, metavar="MS", help=trip)
-    link.add_argument("--offset", type=float, default=0.0, metavar="S", help="where in the trace to begin (default: 0)")
-    link.add_argument("--scale", type=float, default=1.0, help="factor on the trace's rates (default: 1, as measured)")
-    link.add_argument("--end", choices=ENDS, default="loop", help="what follows the trace's last second")
-    _add_player_options(parser)
-    http = parser.add_argument_group("http, for a URL")
-    http.add_argument("--as-fast", action="store_true", help=about(HttpSettings, "as_fast"))
-    words = f"{about(HttpSettings, 'timeout_s')} (default: %(default)g)"
-    http.add_argument("--timeout", type=float, default=HttpSettings().timeout_s, metavar="S", help=words)
-    study = parser.add_argument_group("study")
-    study.add_argument("--compare", action="store_true", help="policies against each other on --traces")
-    study.add_argument("--traces", nargs="+", default=[], metavar="DIR|TRACE", help="folders of traces, or traces")
-    study.add_argument("--offsets", type=int, default=8, help="starts in each trace, drawn from --seed (default: 8)")
-    study.add_argument("--policies", default=",".join(COMPARED), help=f"default: {','.join(COMPARED)}")
-    study.add_argument("--seed", type=int, default=1)
-    study.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: one a core)")
-    out = parser.add_argument_group("output")
-    add_views(out, "cameras that the viewer goes by", "the viewing region")
-    out.add_argument("--original", metavar="SEQUENCE", help="shown beside the screen in --video")
-    add_baking(out)
-    out.add_argument("--report", type=Path, metavar="DIR", help="write pictures and a page")
-    out.add_argument("--video", type=Path, metavar="OUT.mp4", help="film what was on the screen")
-    add_device(out, "where pictures are drawn")
-    out.add_argument("--json", action="store_true", help="print the figures as JSON")
-    return parser
-
-
-def _add_player_options(parser: argparse.ArgumentParser) -> None:
-    """Options for the fields of SessionSettings, which say what they mean and their defaults."""
-    player = parser.add_argument_group("player")
-    defaults = SessionSettings()
-    seconds = ("--buffer", "buffer_s"), ("--view-buffer", "view_buffer_s"), ("--startup", "startup_s")
-    for option, name in (*seconds, ("--resume", "resume_s")):
-        words = f"{about(SessionSettings, name)} (default: %(default)g)"
-        player.add_argument(option, dest=name, type=float, default=getattr(defaults, name), metavar="S", help=words)
-    milliseconds = f"{1e3 * defaults.decode_frame_s:g}"
-    words = f"{about(SessionSettings, 'decode_frame_s')}, or measure (default: %(default)s)"
-    player.add_argument("--decode-ms", default=milliseconds, metavar="MS", help=words)
-    for option, name in (("--no-replace", "replace"), ("--no-abandon", "abandon"), ("--no-pipelining", "pipelined")):
-        words = f"do not {about(SessionSettings, name)}"
-        player.add_argument(option, dest=name, action="store_false", help=words)
-    player.add_argument("--loops", type=int, help=about(SessionSettings, "loops"))
-    player.add_argument("--budget", type=int, metavar="N", help=about(SessionSettings, "budget"))
-    words = "fetch the tiles that the viewer is expected to see, who walks as in --video"
-    player.add_argument("--view-adaptive", action="store_true", help=words)
+    view_adaptive: bool = setting(False, "fetch the tiles that the viewer, who walks as in --video, is expected to see")
+    http: HttpSettings = nested(HttpSettings, "http, for a URL")
+    compare: bool = setting(False, "compare policies with each other on --traces")
+    traces: tuple[str, ...] = setting((), "folders of traces, or traces", metavar="PLACE")
+    policies: str = setting(",".join(COMPARED), "policies to compare, with commas", default="eight of them")
+    offsets: int = setting(8, "starts in each trace, drawn from --seed")
+    seed: int = setting(1, "seed of the starts", topic="study")
+    jobs: int = setting(1, "processes that share the sessions of --compare")
+    views: Path | None = views("cameras that the viewer goes by", "the viewing region")
+    original: str | None = setting(None, "shown beside the screen in --video", metavar="SEQUENCE")
+    clip: BakingOptions = nested(BakingOptions, "clips", own=True)
+    device: str = device("where pictures are drawn", topic="output")
+    report: Path | None = report("pictures and a page")
+    video: Path | None = setting(None, "film what was on the screen, as MP4", metavar="FILE")
+    json: bool = as_json()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
-    args = _parser().parse_args(argv)
-    return run_command("airgs-play", lambda: _run(args))
+    """Play as the arguments say; returns the exit status."""
+    return run_program("airgs-play", play, argv)
 
 
-def _run(args: argparse.Namespace) -> int:
-    if args.report:
-        require_matplotlib("--report")
-        if args.report.exists() and not args.report.is_dir():
-            raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
-    if args.compare and (args.budget is not None or args.view_adaptive):
-        option = "--view-adaptive" if args.budget is None else "--budget"
+@takes(Play)
+def play(options: Play) -> int:
+    """Simulate a viewer of a package over a bandwidth trace, compare policies over many, or play from a web server."""
+    expect_report(options.report)
+    if options.compare and (options.player.budget is not None or options.view_adaptive):
+        option = "--view-adaptive" if options.player.budget is None else "--player.budget"
         raise ConfigError(f"{option}: expected a single session, got --compare")
-    if args.package.startswith(("http://", "https://")):
-        return _over_http(args)
-    if args.as_fast:
-        raise ConfigError(f"--as-fast: expected a URL, got {args.package}; a simulated session takes no time")
-    package = open_package(args.package)
-    if args.compare:
-        return _compare(package, args)
-    if not args.trace:
+    if options.package.startswith(("http://", "https://")):
+        return _over_http(options)
+    if options.http.as_fast:
+        raise ConfigError(f"--http.as-fast: expected a URL, got {options.package}; a simulated session takes no time")
+    package = open_package(options.package)
+    if options.compare:
+        return _compare(package, options)
+    if not options.trace:
         raise ConfigError("expected --trace, or --compare with --traces")
-    if args.rtt is not None and not (math.isfinite(args.rtt) and args.rtt >= 0):
-        raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {args.rtt:g}")
-    trace = open_trace(args.trace).cut(args.offset, args.scale).ending(args.end)
-    link = Link.over(trace, None if args.rtt is None else args.rtt / 1e3)
-    return _session(package, link, args)
+    if options.rtt is not None and not (math.isfinite(options.rtt) and options.rtt >= 0):
+        raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {options.rtt:g}")
+    trace = open_trace(options.trace).cut(options.offset, options.scale).ending(options.end)
+    link = Link.over(trace, None if options.rtt is None else options.rtt / 1e3)
+    return _session(package, link, options)
 
 
-def _over_http(args: argparse.Namespace) -> int:
-    if args.trace or args.compare:
+def _over_http(options: Play) -> int:
+    if options.trace or options.compare:
         raise ConfigError("a URL is played over the real connection: expected no --trace and no --compare")
-    pictures = args.report or args.video
+    pictures = options.report or options.video
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="airgs-")))
         keep = Folder(folder).write if pictures else None
-        http = HttpSettings(timeout_s=args.timeout, as_fast=args.as_fast)
-        downloader = stack.enter_context(HttpDownloader(args.package, http, keep))
-        settings = _settings(None, args)
+        downloader = stack.enter_context(HttpDownloader(options.package, options.http, keep))
+        settings = _settings(None, options)
         offers = downloader.open()
-        log = play(offers, downloader, args.policy, settings, view=_view(offers.manifest, args))
+        log = play_over(offers, downloader, options.policy, settings, view=_view(offers.manifest, options))
         if pictures:
             fetch_beside(log, downloader)
-        _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, args)
+        _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, options)
     return 0
 
 
-def _settings(package: Package | None, args: argparse.Namespace) -> SessionSettings:
-    if args.decode_ms == "measure":
-        if package is None:
-            raise ConfigError("--decode-ms measure: expected a folder, got a URL")
-        decode_s = measure_decoding(package)
-    else:
-        try:
-            decode_s = float(args.decode_ms) / 1e3
-        except ValueError as error:
-            raise ConfigError(f"--decode-ms: expected milliseconds or measure, got {args.decode_ms}") from error
-    names = ("buffer_s", "view_buffer_s", "startup_s", "resume_s", "replace", "abandon", "pipelined", "loops", "budget")
-    return SessionSettings(decode_frame_s=decode_s, **{name: getattr(args, name) for name in names})
+def _settings(package: Package | None, options: Play) -> SessionSettings:
+    if not options.measure_decoding:
+        return options.player
+    if package is None:
+        raise ConfigError("--measure-decoding: expected a folder, got a URL")
+    return dataclasses.replace(options.player, decode_frame_s=measure_decoding(package))
 
 
-def _session(package: Package, link: Link, args: argparse.Namespace) -> int:
-    settings, faults = _settings(package, args), find_faults(package)
-    log = simulate(package, link, args.policy, settings, faults, view=_view(package.manifest, args))
-    _present(package, log, args)
+def _session(package: Package, link: Link, options: Play) -> int:
+    settings, faults = _settings(package, options), find_faults(package)
+    log = simulate(package, link, options.policy, settings, faults, view=_view(package.manifest, options))
+    _present(package, log, options)
     return 0
 
 
-def _view(m: Manifest, args: argparse.Namespace) -> View | None:
+def _view(m: Manifest, options: Play) -> View | None:
     """The way of a viewer by whom tiles are fetched; None where all are."""
-    if not args.view_adaptive:
+    if not options.view_adaptive:
         return None
-    return path_of(m, read_cameras(args.views) if args.views else [])
+    return path_of(m, read_cameras(options.views) if options.views else [])
 
 
-def _present(package: Package, log: SessionLog, args: argparse.Namespace) -> None:
+def _present(package: Package, log: SessionLog, options: Play) -> None:
     """Make the pictures and print the figures that were asked for."""
-    original = open_sequence(args.original, **told_baking(args)) if args.original else None
-    viewer = _viewer(log, args) if args.report or args.video else None
-    if args.report and viewer:
-        args.report.mkdir(parents=True, exist_ok=True)
-        write_png(args.report / "screen.png", still(package, log, viewer.cameras[0], viewer.renderer))
-        write_report(log, args.report, viewer)
-    if args.video and viewer:
-        bar = Bar(args.json)
-        film(package, log, viewer, args.video, original, bar)
+    original = open_sequence(options.original, **options.clip.baking()) if options.original else None
+    viewer = _viewer(log, options) if options.report or options.video else None
+    if options.report and viewer:
+        options.report.mkdir(parents=True, exist_ok=True)
+        write_png(options.report / "screen.png", still(package, log, viewer.cameras[0], viewer.renderer))
+        write_report(log, options.report, viewer)
+    if options.video and viewer:
+        bar = Bar(options.json)
+        film(package, log, viewer, options.video, original, bar)
         bar.close()
     said = {"policy": log.policy, "lost": log.lost, "retried": log.retried}
     record = dataclasses.asdict(log.metrics) | said | place_record(log, viewer)
-    print(to_json(record) if args.json else _as_words(log, viewer, args))
+    print(to_json(record) if options.json else _as_words(log, viewer, options))
 
 
-def _viewer(log: SessionLog, args: argparse.Namespace) -> Viewer:
-    cameras = read_cameras(args.views) if args.views else []
+def _viewer(log: SessionLog, options: Play) -> Viewer:
+    cameras = read_cameras(options.views) if options.views else []
     if all(shown.rung is None for shown in log.shown):
-        raise ConfigError(f"{args.package}: nothing can be shown: {'; '.join(log.lost)}")
+        raise ConfigError(f"{options.package}: nothing can be shown: {'; '.join(log.lost)}")
     walked = before_background(log.offers.manifest.region, cameras)
-    return Viewer.of(log, walked, open_renderer(args.device))
+    return Viewer.of(log, walked, open_renderer(options.device))
 
 
-def _as_words(log: SessionLog, viewer: Viewer | None, args: argparse.Namespace) -> str:
-    report = f"\n{'report':<22}{args.report / 'index.html'}" if args.report else ""
-    film_line = f"\n{'film':<22}{args.video}" if args.video else ""
+def _as_words(log: SessionLog, viewer: Viewer | None, options: Play) -> str:
+    report = f"\n{'report':<22}{options.report / 'index.html'}" if options.report else ""
+    film_line = f"\n{'film':<22}{options.video}" if options.video else ""
     return format_metrics(log, viewer) + report + film_line
 
 
-def _compare(package: Package, args: argparse.Namespace) -> int:
-    if not args.traces:
+def _compare(package: Package, options: Play) -> int:
+    if not options.traces:
         raise ConfigError("--compare: expected --traces with folders of traces, or traces")
     traces: list[str] = []
-    for text in args.traces:
+    for text in options.traces:
         folder = Path(text)
         found = sorted(str(p) for p in folder.iterdir() if p.is_file()) if folder.is_dir() else [text]
         if not found:
             raise ConfigError(f"{folder}: expected a folder with traces, got an empty one")
         traces += found
     c = Offers(package.manifest)
-    policies = tuple(name for name in args.policies.split(",") if name)
+    policies = tuple(name for name in options.policies.split(",") if name)
     for name in policies:
         make_policy(name, c, Link(open_trace("const:1")))
     settings = StudySettings(
         policies,
         tuple(traces),
-        args.offsets,
-        args.scale,
-        args.end,
-        None if args.rtt is None else args.rtt / 1e3,
-        args.seed,
-        _settings(package, args),
-        args.jobs,
+        options.offsets,
+        options.scale,
+        options.end,
+        None if options.rtt is None else options.rtt / 1e3,
+        options.seed,
+        _settings(package, options),
+        options.jobs,
     )
-    bar = Bar(args.json)
-    study = run_study(args.package, settings, bar)
+    bar = Bar(options.json)
+    study = run_study(options.package, settings, bar)
     bar.close()
-    if args.report:
-        write_study(study, args.report)
-    print(format_study(study, args.json))
-    if args.report and not args.json:
-        print(f"report: {args.report / 'index.html'}")
+    if options.report:
+        write_study(study, options.report)
+    print(format_study(study, options.json))
+    if options.report and not options.json:
+        print(f"report: {options.report / 'index.html'}")
     return 0

@@ -2,56 +2,60 @@
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import logging
 import resource
 import signal
 import socket
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import quote
 
-from airgs_codec.cli.common import run_command
+from airgs_codec._settings import required, setting
+from airgs_codec.cli.options import run_program, takes
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.trace import Link, Trace, open_trace
 from airgs_codec.serve.app import make_app
 from airgs_codec.serve.files import PackageFiles
 from airgs_codec.serve.pages import NOT_BUILT, is_built, player_address
-from airgs_codec.serve.server import Certificate, ServerSettings, Shape, check_certificate, listen, serve
+from airgs_codec.serve.server import Certificate, ServerSettings, Shape, check_certificate, listen
+from airgs_codec.serve.server import serve as serve_app
 
 PACKAGES = "folder with airgs.json, or a folder that holds such folders: new ones are served, too, as they appear"
 ANY_HOST = ("0.0.0.0", "::")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="airgs-serve", description="Serve packages over HTTP, each below its name.")
-    parser.add_argument("packages", type=Path, nargs="+", metavar="PACKAGE", help=PACKAGES)
-    parser.add_argument("--host", default="127.0.0.1", help="address to listen at; 0.0.0.0: all (default: %(default)s)")
-    parser.add_argument("--port", type=int, default=8000, help="0: any free one (default: %(default)s)")
-    parser.add_argument("--verbose", action="store_true", help="a line on stderr for every request")
-    link = parser.add_argument_group("link, shared by all connections")
-    traces = "rates that answers pass at, from the first request on; what airgs-play takes for --trace"
-    link.add_argument("--trace", metavar="TRACE", help=traces)
-    words = "how late requests arrive (default: as airgs-play with --trace, else 0)"
-    link.add_argument("--rtt", type=float, metavar="MS", help=words)
-    tls = parser.add_argument_group("https, with HTTP/2")
-    tls.add_argument("--certificate", type=Path, metavar="PEM", help="certificate with its chain; needs --key")
-    tls.add_argument("--key", type=Path, metavar="PEM", help="key of the certificate")
-    return parser
+@dataclass(frozen=True, slots=True)
+class Serve:
+    """Options of the command."""
+
+    packages: tuple[Path, ...] = required(PACKAGES, metavar="PACKAGE")
+    host: str = setting("127.0.0.1", "address to listen at; 0.0.0.0: all")
+    port: int = setting(8000, "port to listen at, 0: any free one")
+    trace: str | None = setting(None, "rates that answers pass at, shared by all connections; as airgs-play takes it")
+    rtt: float | None = setting(
+        None, "how late requests arrive (default: as airgs-play with --trace, else 0)", metavar="MS"
+    )
+    certificate: Path | None = setting(
+        None, "certificate with its chain, for https with HTTP/2; needs --key", metavar="PEM"
+    )
+    key: Path | None = setting(None, "key of the certificate", metavar="PEM")
+    verbose: bool = setting(False, "a line on stderr for every request")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
-    args = _parser().parse_args(argv)
-    return run_command("airgs-serve", lambda: _run(args))
+    """Serve as the arguments say; returns the exit status."""
+    return run_program("airgs-serve", serve, argv)
 
 
-def _run(args: argparse.Namespace) -> int:
-    files = PackageFiles(args.packages)
-    shape, certificate = _shape(args), _certificate(args)
-    settings = ServerSettings(shape, certificate, access_log=_access_log() if args.verbose else None)
-    listening = listen(args.host, args.port, settings.patience_s)
+@takes(Serve)
+def serve(options: Serve) -> int:
+    """Serve packages over HTTP, each below its name, at full speed or over a shaped link."""
+    files = PackageFiles(list(options.packages))
+    shape, certificate = _shape(options), _certificate(options)
+    settings = ServerSettings(shape, certificate, access_log=_access_log() if options.verbose else None)
+    listening = listen(options.host, options.port, settings.patience_s)
     _allow_connections()
     print(_greeting(files, listening, "https" if certificate else "http"), flush=True)
     asyncio.run(_serve_until_signal(files, listening, settings))
@@ -69,24 +73,24 @@ async def _serve_until_signal(files: PackageFiles, listening: socket.socket, set
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    await serve(make_app(files), listening, settings, stop)
+    await serve_app(make_app(files), listening, settings, stop)
 
 
-def _shape(args: argparse.Namespace) -> Shape | None:
-    if args.trace is None and args.rtt is None:
+def _shape(options: Serve) -> Shape | None:
+    if options.trace is None and options.rtt is None:
         return None
-    trace: Trace | None = open_trace(args.trace) if args.trace is not None else None
-    rtt_s = None if args.rtt is None else args.rtt / 1e3
+    trace: Trace | None = open_trace(options.trace) if options.trace is not None else None
+    rtt_s = None if options.rtt is None else options.rtt / 1e3
     link = Link.over(trace or open_trace("const:1"), rtt_s)  # checks the round trip
     return Shape(trace, link.rtt_s)
 
 
-def _certificate(args: argparse.Namespace) -> Certificate | None:
-    if args.certificate is None and args.key is None:
+def _certificate(options: Serve) -> Certificate | None:
+    if options.certificate is None and options.key is None:
         return None
-    if args.certificate is None or args.key is None:
+    if options.certificate is None or options.key is None:
         raise ConfigError("expected --certificate and --key together")
-    certificate = Certificate(args.certificate, args.key)
+    certificate = Certificate(options.certificate, options.key)
     check_certificate(certificate)
     return certificate
 

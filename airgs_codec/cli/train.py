@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, dataclass
+from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from airgs_codec._report import require_matplotlib
-from airgs_codec._settings import about
-from airgs_codec.cli.common import Bar, add_device, expect_rate, fraction, parse_frames, run_command
+from airgs_codec._settings import applied, required, setting
+from airgs_codec.cli.common import (
+    Bar,
+    WorkOptions,
+    as_json,
+    device,
+    expect_rate,
+    expect_report,
+    frame_rate,
+    parse_frames,
+    report,
+)
+from airgs_codec.cli.common import frames as frames_option
+from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.training import (
     default_model,
     default_settings,
@@ -20,7 +31,6 @@ from airgs_codec.cli.training import (
     require_torch,
     run_training,
 )
-from airgs_codec.cli.work import add_work, shared_by, told_work
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.report import NAME as JOBS_NAME
@@ -28,213 +38,155 @@ from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.settings import DELTAS, FIRST_A_VIEW, PRESETS, STATIC, Temporal, TrainSettings, preset
+from airgs_codec.train.settings import FIRST, FIRST_A_VIEW, PRESETS, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.train.pipeline import Run
     from airgs_codec.train.record import Model
 
 DEFAULTS = TrainSettings()
+EVERYDAY = ("max_size", "background", "match_exposure", "budget", "min_psnr_db", "group_frames")
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="airgs-train",
-        description="Train a tracked Gaussian sequence from multi-view video, for airgs-encode.",
+@dataclass(frozen=True, slots=True)
+class Train:
+    """Options of the command."""
+
+    scene: Path = required(
+        "folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's sparse/ "
+        "or poses_bounds.npy, and pictures or a video of each camera; or videos alone, which COLMAP finds poses for"
     )
-    parser.add_argument(
-        "scene",
-        type=Path,
-        help="folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's "
-        "sparse/ or poses_bounds.npy, and pictures or a video of each camera; or videos alone, whose cameras' poses "
-        "COLMAP finds",
-    )
-    parser.add_argument("-o", "--output", type=Path, help="model folder (default: SCENE with .gaussians appended)")
-    parser.add_argument("--resume", action="store_true", help="go on with the run in the model folder")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="write curves, pictures, error maps and a page")
-    parser.add_argument("--json", action="store_true", help="print the record as JSON instead of a line a frame")
-    add_device(parser, "where it runs")
-    add_work(parser, "no model is written: the same command without --part does that")
-    _add_pictures(parser.add_argument_group("pictures"))
-    _add_rig(parser.add_argument_group("videos without poses"))
-    _add_method(parser.add_argument_group("method"))
-    return parser
-
-
-def _add_pictures(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--frames", metavar="A:B", help="train frames A to B - 1 (default: all)")
-    group.add_argument("--fps", type=fraction, help="frames a second (default: what the scene says, else 30)")
-    _add_setting(group, "--max-size", "max_size", int, "PX", "as they are")
-    group.add_argument(
-        "--hold-out",
-        metavar="NAMES",
-        help="cameras kept for testing, with commas; 'none' (default: the scene's own, else one in eight)",
-    )
-    group.add_argument(
-        "--near",
-        type=float,
-        metavar="UNITS",
-        help="hide Gaussians nearer to a camera than this many world units (default: the scene's, else 0.01)",
-    )
-    group.add_argument("--match-exposure", action="store_true", help=about(TrainSettings, "match_exposure"))
-    _add_setting(group, "--reference", "reference", str, "CAMERA", "the average of all")
-    _add_setting(group, "--background", "background", str, "COLOUR", "the scene's own, else black")
-    group.add_argument("--foreground", action="store_true", help=about(TrainSettings, "foreground"))
-
-
-def _add_rig(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
-        "--lenses", choices=("own", "shared"), default="own", help="whether cameras have one lens (default: their own)"
-    )
-    group.add_argument(
-        "--pose-frame", type=int, default=0, metavar="N", help="frame that poses are found from (default: 0)"
-    )
-
-
-def _add_method(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
-        "--preset",
+    output: Path | None = setting(None, "model folder (default: SCENE.gaussians)", short="-o", metavar="DIR")
+    resume: bool = setting(False, "go on with the run in the model folder")
+    preset: str = setting(
+        PRESETS[0],
+        "settings to begin with: paper has the AirGS paper's method and constants, read literally",
         choices=PRESETS,
-        default=PRESETS[0],
-        help="paper: the AirGS paper's method and constants, read literally",
     )
-    group.add_argument("--deltas", choices=DELTAS, help=_help("deltas", "direct; mlp+residual on CUDA"))
-    _add_setting(group, "--budget", "budget", int, "N")
-    _add_setting(group, "--capacity", "capacity", int, "N", "1.5 times the budget")
-    _add_setting(group, "--sh-degree", "sh_degree", int, "D")
-    _add_setting(group, "--coarse", "coarse", float, "SHARE")
-    _add_setting(group, "--ssim-weight", "ssim_weight", float, "SHARE")
-    group.add_argument(
-        "--temporal",
-        type=float,
-        metavar="W",
-        help=f"weight of changes from frame to frame, in codec steps; 0: none (default: {Temporal().weight:g})",
+    frames: str = frames_option()
+    fps: Fraction | None = frame_rate()
+    hold_out: str | None = setting(
+        None,
+        "cameras held out for testing, with commas, or none (default: the scene's, else one in eight)",
+        metavar="NAMES",
     )
-    _add_setting(group, "--min-psnr", "min_psnr_db", float, "DB")
-    _add_setting(group, "--max-drop", "max_drop_db", float, "DB")
-    _add_setting(group, "--max-growth", "max_growth", float, "SHARE")
-    _add_setting(group, "--inflation", "inflation", float, "W")
-    group.add_argument("--static", choices=STATIC, help=_help("static"))
-    counts = (DEFAULTS.iterations_from_scratch(1), DEFAULTS.key_iterations, DEFAULTS.frame_iterations)
-    group.add_argument(
-        "--iterations",
+    iterations: str | None = setting(
+        None,
+        "iterations of a first frame, a keyframe and any other frame "
+        f"(default: {FIRST},{DEFAULTS.key_iterations},{DEFAULTS.frame_iterations}); "
+        f"of a first frame at least {FIRST_A_VIEW} for each view",
         metavar="FIRST,KEY,FRAME",
-        help="iterations of a first frame, a keyframe and any other frame "
-        f"(default: {','.join(map(str, counts))}; of a first frame at least {FIRST_A_VIEW} for each view)",
     )
-    _add_setting(group, "--iteration-views", "iteration_views", int, "N", "1; 4 on CUDA")
-    _add_setting(group, "--group-frames", "group_frames", int, "N", "one chunk")
-    _add_setting(group, "--seed", "seed", int, "N")
-
-
-def _add_setting(
-    group: argparse._ArgumentGroup, option: str, name: str, kind: type, metavar: str, default: str = ""
-) -> None:
-    group.add_argument(option, dest=name, type=kind, metavar=metavar, help=_help(name, default))
-
-
-def _help(name: str, default: str = "") -> str:
-    """Meaning and default of a setting; `default` in words where the field does not tell it."""
-    value = getattr(DEFAULTS, name)
-    default = default or (f"{value:g}" if isinstance(value, float) else str(value))
-    return f"{about(TrainSettings, name)} (default: {default})"
+    settings: Given = given(TrainSettings, "method", EVERYDAY, own=True)
+    near: float | None = setting(
+        None,
+        "hide Gaussians nearer to a camera than this many world units (default: the scene's, else 0.01)",
+        metavar="UNITS",
+        topic="scene",
+    )
+    lenses: str = setting(
+        "own", "videos without poses: whether cameras have one lens", choices=("own", "shared"), topic="scene"
+    )
+    pose_frame: int = setting(0, "videos without poses: frame that poses are found from", topic="scene")
+    device: str = device("where it runs")
+    work: WorkOptions = nested(WorkOptions, "work", ("jobs", "work"), own=True)
+    report: Path | None = report("a page with curves, pictures and error maps")
+    json: bool = as_json("print the record as JSON instead of a line a frame")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point; returns the exit status."""
-    return run_command("airgs-train", lambda: _run(_parser().parse_args(argv)))
+    """Train as the arguments say; returns the exit status."""
+    return run_program("airgs-train", train, argv)
 
 
-def _run(args: argparse.Namespace) -> int:
+@takes(Train)
+def train(options: Train) -> int:
+    """Train a tracked Gaussian sequence from multi-view video, for airgs-encode."""
     require_torch()
     from airgs_codec.render.backend import open_renderer
     from airgs_codec.train.pipeline import open_run
     from airgs_codec.train.report import write_report
 
-    if args.report:
-        require_matplotlib("--report")
-        if args.report.exists() and not args.report.is_dir():
-            raise ConfigError(f"{args.report}: expected a folder for the report, got a file")
-    elsewhere = args.executor and args.device == "cuda"  # the workers have it
-    renderer = open_renderer("auto" if elsewhere else args.device)
+    expect_report(options.report)
+    elsewhere = options.work.executor and options.device == "cuda"  # the workers have it
+    renderer = open_renderer("auto" if elsewhere else options.device)
     device = "cuda" if elsewhere else renderer.device
-    settings = _settings(args, device)
-    if settings.group_frames is None and (option := shared_by(args)):
-        raise ConfigError(f"{option}: expected --group-frames, without which no frame is fitted before the last one")
-    scene = _scene(args)
-    if settings.background is None and scene.background != BLACK and not args.json:
-        print(f"{args.scene}: its pictures are before a background of {','.join(f'{c:g}' for c in scene.background)}")
-    folder = args.output or default_model(args.scene)
-    if args.part:
-        return _train_part(args, scene, settings, device)
-    run = open_run(scene, folder, settings, resume=args.resume, device=device)
+    settings = _settings(options, device)
+    shared = options.work.shared_by()
+    if settings.group_frames is None and shared:
+        raise ConfigError(f"{shared}: expected --group-frames, without which no frame is fitted before the last one")
+    scene = _scene(options)
+    if settings.background is None and scene.background != BLACK and not options.json:
+        colour = ",".join(f"{c:g}" for c in scene.background)
+        print(f"{options.scene}: its pictures are before a background of {colour}")
+    if options.work.part:
+        return _train_part(options, scene, settings, device)
+    run = open_run(
+        scene, options.output or default_model(options.scene), settings, resume=options.resume, device=device
+    )
     jobs: Sequence[Record] = ()
-    if shared_by(args):
-        jobs = _train_in_jobs(args, run)
+    if shared:
+        jobs = _train_in_jobs(options, run)
     else:
-        run_training(run, quiet=args.json)
+        run_training(run, quiet=options.json)
     model = run.model
-    if args.report:
-        write_report(model, run.capture.pictures.with_exposure(model.record.exposure), args.report, renderer, jobs)
-    print(json.dumps(summary(model)) if args.json else as_words(model, args.report))
+    if options.report:
+        write_report(model, run.capture.pictures.with_exposure(model.record.exposure), options.report, renderer, jobs)
+    print(json.dumps(summary(model)) if options.json else as_words(model, options.report))
     return 0
 
 
-def _train_in_jobs(args: argparse.Namespace, run: Run) -> list[Record]:
+def _train_in_jobs(options: Train, run: Run) -> list[Record]:
     """Train by jobs; gives who did which."""
     from airgs_codec.train.pipeline import train_in_jobs
 
-    bar = Bar(args.json)
+    bar = Bar(options.json)
     try:
-        with told_work(args, bar) as work:
-            follow_training(run, train_in_jobs(run, work), bar, quiet=args.json)
+        with options.work.opened(bar) as work:
+            follow_training(run, train_in_jobs(run, work), bar, quiet=options.json)
             return work.records()
     finally:
         bar.close()
 
 
-def _train_part(args: argparse.Namespace, scene: MultiviewScene, settings: TrainSettings, device: str) -> int:
+def _train_part(options: Train, scene: MultiviewScene, settings: TrainSettings, device: str) -> int:
     """Do the jobs, and write no model."""
     from airgs_codec.train.pipeline import train_part
 
-    bar = Bar(args.json)
+    bar = Bar(options.json)
     try:
-        with told_work(args, bar) as work:
+        with options.work.opened(bar) as work:
             train_part(scene, settings, device, work)
             records = work.records()
     finally:
         bar.close()
-    if args.report:
-        args.report.mkdir(parents=True, exist_ok=True)
-        write_jobs(args.report / JOBS_NAME, records)
-    print(f"{args.work}: all jobs are done; the same command without --part writes the model")
+    if options.report:
+        options.report.mkdir(parents=True, exist_ok=True)
+        write_jobs(options.report / JOBS_NAME, records)
+    print(f"{options.work.work}: all jobs are done; the same command without --part writes the model")
     return 0
 
 
-def _scene(args: argparse.Namespace) -> MultiviewScene:
-    expect_rate("--fps", args.fps)
-    if args.near is not None and not 0 < args.near < float("inf"):
-        raise ConfigError(f"--near: expected a positive distance, got {args.near}")
-    if args.pose_frame < 0:
-        raise ConfigError(f"--pose-frame: expected a frame of at least 0, got {args.pose_frame}")
-    pose_rig(args.scene, frame=args.pose_frame, shared_lens=args.lenses == "shared", quiet=args.json)
-    scene = open_scene(args.scene, fps=args.fps, frames=parse_frames(args.frames))
-    names = None if args.hold_out is None else [] if args.hold_out == "none" else args.hold_out.split(",")
+def _scene(options: Train) -> MultiviewScene:
+    expect_rate("--fps", options.fps)
+    if options.near is not None and not 0 < options.near < float("inf"):
+        raise ConfigError(f"--near: expected a positive distance, got {options.near}")
+    if options.pose_frame < 0:
+        raise ConfigError(f"--pose-frame: expected a frame of at least 0, got {options.pose_frame}")
+    pose_rig(options.scene, frame=options.pose_frame, shared_lens=options.lenses == "shared", quiet=options.json)
+    scene = open_scene(options.scene, fps=options.fps, frames=parse_frames(options.frames))
+    names = None if options.hold_out is None else [] if options.hold_out == "none" else options.hold_out.split(",")
     scene = with_held_out(scene, names)
-    return scene if args.near is None else with_near(scene, args.near)
+    return scene if options.near is None else with_near(scene, options.near)
 
 
-def _settings(args: argparse.Namespace, device: str) -> TrainSettings:
-    settings = preset(args.preset, default_settings(device))
-    names = {f.name for f in fields(TrainSettings)} - {"temporal"}
-    given: dict[str, Any] = {name: v for name, v in vars(args).items() if name in names and v is not None}
-    if args.budget is not None and args.capacity is None:
-        given["capacity"] = args.budget * 3 // 2
-    if args.temporal is not None:
-        given["temporal"] = replace(settings.temporal, weight=args.temporal)
-    if args.iterations is not None:
-        given |= _iterations(args.iterations)
-    return replace(settings, **given)
+def _settings(options: Train, device: str) -> TrainSettings:
+    """Raises ConfigError for options that cannot work."""
+    told = dict(options.settings)
+    if "budget" in told:
+        told.setdefault("capacity", told["budget"] * 3 // 2)
+    counts = {} if options.iterations is None else _iterations(options.iterations)
+    return applied(preset(options.preset, default_settings(device)), counts | told)
 
 
 def _iterations(text: str) -> dict[str, int]:

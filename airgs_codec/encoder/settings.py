@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from airgs_codec.analysis.rows import AUTO, DEFAULT_GROUP_FRAMES, ROWS
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
+from airgs_codec.package.parse import read_region
 from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, MAX_TILES, Region, World
 from airgs_codec.package.world import fault_of
 from airgs_codec.scene.usage import MEASURES
@@ -31,6 +33,33 @@ class LevelSettings:
     def words(self) -> str:
         """Pruned percentage and factor, as options have them."""
         return f"{self.pruned * 100:g}:{self.factor:g}"
+
+
+def read_levels(text: str) -> tuple[LevelSettings, ...]:
+    """Returns levels of text: '0:1,30:1.5' has a second one with 30 % withheld and steps times 1.5.
+
+    Raises ConfigError.
+    """
+    try:
+        pairs = [part.split(":") for part in text.split(",")]
+        return tuple(LevelSettings(float(pruned) / 100, float(factor)) for pruned, factor in pairs)
+    except ValueError as error:
+        raise ConfigError(f"expected PRUNED:FACTOR,…, got {text!r}") from error
+
+
+def read_quality(text: str) -> float:
+    """Returns the factor that a name stands for, or that the text is. Raises ConfigError."""
+    try:
+        return QUALITY_FACTORS[text] if text in QUALITY_FACTORS else float(text)
+    except ValueError as error:
+        raise ConfigError(f"expected {', '.join(QUALITY_FACTORS)} or a number, got {text!r}") from error
+
+
+def read_group(text: str) -> int | None:
+    """Returns frames of a group; None stands for auto. Raises ConfigError."""
+    if text != "auto" and not text.isdecimal():
+        raise ConfigError(f"expected auto or a number of frames, got {text!r}")
+    return None if text == "auto" else int(text)
 
 
 Shares = tuple[tuple[float, float], ...]  # (factor on the steps, share of the updates to withhold), ascending
@@ -60,25 +89,36 @@ class EncodeSettings:
     Raises ConfigError, when it is made, for values that cannot work.
     """
 
-    quality: float = setting(1.0, "factor on every quantiser step: smaller is finer and takes more bytes")
+    quality: float = setting(
+        1.0,
+        "factor on every quantiser step; smaller is finer and takes more bytes: low is 1.6, medium 1, high 0.6",
+        read=read_quality,
+        metavar="low|medium|high|X",
+    )
     calibrate: str = setting(
         "ladder",
         "what trial encodes of the scene decide, kept for the next time: quantiser steps, levels and tiers (ladder, "
         "which asks for the default levels and tiers), the steps alone (steps), or nothing (none)",
+        choices=CALIBRATIONS,
     )
     levels: tuple[LevelSettings, ...] = setting(
         DEFAULT_LEVELS,
-        "for each level the share of the updates withheld, 0 to 1 ascending, a factor on the steps, the number of key "
-        "tiers, descending, and the key quality, ascending",
+        "for each level the percentage of the updates withheld and a factor on the steps; percentages (as text, shares "
+        "of 0 to 1 here) ascend; beside them stand the number of key tiers, descending, and the key quality, ascending",
+        read=read_levels,
+        metavar="PRUNED:FACTOR,…",
+        default=",".join(level.words for level in DEFAULT_LEVELS),
     )
     tiers: tuple[float, ...] = setting(DEFAULT_TIERS, "share of the Gaussians in each key tier, summing to 1")
     tiles: int = setting(
         1,
-        "parts of space that each group is cut into, which viewers fetch and decode apart from each other: for wide "
+        "parts of space that each group is cut into; viewers fetch and decode them apart from each other: for wide "
         "scenes, of which a picture shows a part",
     )
     shares: Shares = computed_setting(
-        tuple, "(factor on the steps, share of the updates to withhold), ascending; calibration finds them"
+        tuple,
+        "(factor on the steps, share of the updates to withhold), ascending; calibration finds them",
+        option=False,
     )
     key_factors: tuple[float, ...] = setting(
         (1.0, 3.0), "for each key quality a factor on the key steps; cells of positions grow with it"
@@ -87,18 +127,23 @@ class EncodeSettings:
     segment_s: float = setting(1.0, "longest state segment, in seconds")
     group_frames: int | None = setting(
         None,
-        "longest group of frames with a common canonical space, where no keyframes are given; by default the length "
-        "that a sample of the scene says is cheapest",
+        "longest group of frames with a common canonical space; it counts where no keyframes are given; auto: "
+        "the length that a sample of the scene says is cheapest",
+        default="auto",
+        read=read_group,
+        metavar="auto|N",
     )
     rows: str = setting(
         AUTO,
         "rows of frames that are not tracked: matched with those of the frame before where they lost their order, or "
         "else coded frame by frame (auto); taken as they are (keep); or matched whether they look lost or not (match)",
+        choices=ROWS,
     )
     keys: str = setting(
         KEPT,
         "what viewers know of an earlier group: rows that are still as they were are not coded again (kept), or every "
         "group is coded by itself (apart)",
+        choices=KEYS,
     )
     margin: float | None = setting(
         None,
@@ -106,22 +151,30 @@ class EncodeSettings:
         "distance between two of them, or a tenth of the distance to the content if that is more, but at most "
         "a quarter of it",
     )
-    region: Region | None = setting(None, "where the scene may be looked at from, instead of about its cameras")
+    region: Region | None = setting(
+        None,
+        "where the scene may be looked at from, instead of about its cameras: JSON as `region` in airgs.json",
+        read=lambda text: read_region(Path(text)),
+        metavar="FILE",
+    )
     world: World | None = setting(
         None,
         "which way is up and how long a unit is (`package.world.world_from`), for players; by default what the format "
         "of the frames specifies",
+        option=False,
     )
     usage: str = setting(
         "importance",
         "what ranks Gaussians for the key tiers: the largest blending weight alpha T (max), the sum of these weights "
         "(sum), the number of pixels blended (hits, literally as in the paper), or max x sum x the error of leaving "
         "the Gaussian out (importance)",
+        choices=MEASURES,
     )
     update_rank: str = setting(
         "error",
         "what ranks updates for pruning: the error expected of withholding one (error), usage x the size of the "
         "change (usage), or the number of pixels blended alone, whatever ranks Gaussians, as in the paper (hits)",
+        choices=UPDATE_RANKS,
     )
     keep_all: bool = setting(False, "leave nothing out but what is constant")
     decide_pictures: int = setting(24, "pictures of each group that decide what matters, at least")
@@ -133,13 +186,16 @@ class EncodeSettings:
     measure_pictures: int = setting(
         10, "pictures of each segment, at least, of frames and views of their own, that measure every rung; 0: none"
     )
-    preset: str = setting(DEFAULT_PRESET, "x264 preset")
+    preset: str = setting(DEFAULT_PRESET, "x264 preset", name="x264-preset", choices=PRESETS)
     threads: int = computed_setting(
         available_cores,
-        "representations of a group encoded at the same time, by default one for each core; the bytes are the same",
+        "representations of a group encoded at the same time; the bytes are the same",
+        default="one a core, shared by --jobs",
     )
     device: str = setting(
-        "auto", "where pictures that decide and measure are drawn: cpu, cuda, or auto, cuda where gsplat can run"
+        "auto",
+        "where pictures that decide and measure are drawn: cpu, cuda, or auto, cuda where gsplat can run",
+        option=False,
     )
 
     def __post_init__(self) -> None:

@@ -23,8 +23,8 @@ class SessionSettings:
     pipelined: bool = setting(
         True, "request a segment one round trip before the current batch ends, knowing one download less"
     )
-    loops: int | None = setting(None, "times the sequence is played (default: about 30 s of play)")
-    budget: int | None = setting(None, "most Gaussians that are fetched and shown of a group (default: any number)")
+    loops: int | None = setting(None, "times the sequence is played; by default about 30 s of play")
+    budget: int | None = setting(None, "most Gaussians that are fetched and shown of a group; by default any number")
     view_buffer_s: float = setting(
         1.0, "most media time ahead of the playhead where tiles are fetched by view; two segments always fit"
     )

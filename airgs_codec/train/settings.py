@@ -27,11 +27,15 @@ BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 class Temporal:
     """Weight and unit of the temporal loss; see `fit.losses`."""
 
-    weight: float = 1e-3
-    unit: str = "step"  # step: mean over Gaussians, in codec steps; raw: the paper's sum, read literally
-    # Share of the iterations in which it acts; then what is still 0 stays so, and the rest is free. In fits of networks
-    # it acts throughout.
-    until: float = 0.65
+    weight: float = setting(1e-3, "weight of changes from frame to frame; 0: none")
+    unit: str = setting(
+        "step", "mean over Gaussians, in codec steps (step), or the paper's sum, read literally (raw)", choices=UNITS
+    )
+    until: float = setting(
+        0.65,
+        "share of the iterations in which the temporal loss acts; then what is still 0 stays so, and the rest is free; "
+        "in fits of networks it acts throughout",
+    )
 
 
 @documented
@@ -40,16 +44,22 @@ class TrainSettings:
     """The settings of a run. Raises ConfigError for values that cannot work."""
 
     budget: int = setting(8_000, "Gaussians of the first frame")
-    capacity: int = setting(12_000, "most Gaussians that there may ever be")
+    capacity: int = setting(12_000, "most Gaussians that there may ever be", default="1.5 times the budget")
     sh_degree: int = setting(1, "degree of the spherical harmonics, 0 to 3")
     first_iterations: int | None = setting(
         None,
         f"iterations of the first frame; None: {FIRST}, at least {FIRST_A_VIEW} a view",
+        default=FIRST,
     )
     key_iterations: int = setting(1000, "iterations of a keyframe")
     frame_iterations: int = setting(300, "iterations of a frame in a group")
-    iteration_views: int = setting(1, "pictures that an iteration sees")
-    deltas: str = setting("direct", "how frames in a group move: each Gaussian on its own, by six MLPs, or by both")
+    iteration_views: int = setting(1, "pictures that an iteration sees", default="1; 4 on CUDA")
+    deltas: str = setting(
+        "direct",
+        "how frames in a group move: each Gaussian on its own, by six MLPs, or by both",
+        choices=DELTAS,
+        default="direct; mlp+residual on CUDA",
+    )
     coarse: float = setting(
         0.4, "share of the iterations of a frame in a group, the first ones, that see pictures of half the size"
     )
@@ -59,8 +69,9 @@ class TrainSettings:
     )
     group_frames: int | None = setting(
         None,
-        "frames of a chunk, which begins with a keyframe that starts from the first frame of the run, so that chunks "
+        "frames of a chunk; it begins with a keyframe that starts from the first frame of the run, so that chunks "
         "can be trained apart; None: every frame follows the one before",
+        default="one chunk",
     )
     temporal: Temporal = computed_setting(Temporal, "weight, unit and end of the temporal loss")
     velocity: bool = setting(True, "start a frame where its Gaussians would be if they moved on as before")
@@ -78,22 +89,35 @@ class TrainSettings:
         BUDGET,
         "which Gaussians are split or cloned: the strongest, as many as lead to the budget (budget), or all whose "
         "gradient is above the threshold of 3DGS, from the given points alone (threshold)",
+        choices=DENSIFY,
     )
     max_growth: float = setting(
         0.3, "most Gaussians that a keyframe adds within the budget, as a share of those it starts from"
     )
     inflation: float = setting(1e-6, "weight of the summed opacity of what a keyframe adds")
     static: str = setting(
-        "auto", "auto: what rests before cameras that stand still stays as it is; off: anything may change at any frame"
+        "auto",
+        "auto: what rests before cameras that stand still stays as it is; off: anything may change at any frame",
+        choices=STATIC,
     )
-    max_size: int | None = setting(None, "longest side of the pictures in pixels, larger ones are shrunk")
+    max_size: int | None = setting(
+        None, "longest side of the pictures in pixels; larger ones are shrunk", metavar="PX", default="as they are"
+    )
     background: str | None = setting(
         None,
-        "what is behind the scene: black, white, R,G,B, or random: another one at every step, for pictures with alpha",
+        "what is behind the scene: black, white, R,G,B or random; random: another one at every step, for pictures with "
+        "alpha",
+        metavar="COLOUR",
+        default="the scene's own, else black",
     )
     foreground: bool = setting(False, "train only what the scene's masks show")
     match_exposure: bool = setting(False, "find a gain and an offset for each camera at the first frame")
-    reference: str | None = setting(None, "camera whose exposure the Gaussians have, where cameras are exposed alike")
+    reference: str | None = setting(
+        None,
+        "camera whose exposure the Gaussians have, where cameras are exposed alike",
+        metavar="CAMERA",
+        default="the average of all",
+    )
     seed: int = setting(0, "seed of all random numbers")
 
     def __post_init__(self) -> None:

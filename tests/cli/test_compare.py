@@ -21,7 +21,7 @@ def original(tmp_path_factory):
 @pytest.fixture(scope="module")
 def package(original):
     out = original.parent / "scene.airgs"
-    options = ["--preset", "veryfast", "--steps", "default", "--measure-pictures", "8"]
+    options = ["--x264-preset", "veryfast", "--calibrate", "none", "--measure-pictures", "8"]
     assert encode.main([str(original), "-o", str(out), *options, "--json"]) == 0
     return out
 

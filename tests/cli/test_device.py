@@ -11,7 +11,7 @@ from tests.support.paths import FOX, FOX_VIEWS, VALID
     ("command", "arguments"),
     [
         (train, [FOX_VIEWS, "-o"]),
-        (encode, [FOX, "--steps", "default", "-o"]),
+        (encode, [FOX, "--calibrate", "none", "-o"]),
         (encode, [FOX_VIEWS, "-o"]),
         (play, [VALID / "two-groups-sh1", "--trace", FOX / "trace.csv", "--video"]),
     ],

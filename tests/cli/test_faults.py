@@ -21,7 +21,7 @@ from tests.support.paths import FOX, VALID
 from tests.support.scenes import moving_frames, write_sequence
 
 MOVING = VALID / "moving"
-ENCODE = ["--preset", "ultrafast", "--steps", "default", "--measure-pictures", "0"]
+ENCODE = ["--x264-preset", "ultrafast", "--calibrate", "none", "--measure-pictures", "0"]
 
 
 def command(module, *words, limit=None, check=False):

@@ -5,7 +5,9 @@ import json
 import pytest
 
 from airgs_codec.cli import play as play_command
+from airgs_codec.cli.options import read_options
 from airgs_codec.cli.play import main
+from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.settings import SessionSettings
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX, VALID
@@ -27,10 +29,10 @@ def test_a_url_is_played_over_http(capsys, tmp_path):
     with plainly_serving(PACKAGE) as port:
         url = f"http://127.0.0.1:{port}/"
         options = [
-            "--as-fast",
+            "--http.as-fast",
             "--policy",
             "fixed:Q1+L0",
-            "--loops",
+            "--player.loops",
             "1",
             "--video",
             str(film),
@@ -50,9 +52,9 @@ def test_a_url_is_played_over_http(capsys, tmp_path):
         (["http://127.0.0.1:1/x"], "cannot be reached"),
         (["http://127.0.0.1:1/x", "--trace", "const:1"], "no --trace"),
         (["http://127.0.0.1:1/x", "--compare"], "--compare"),
-        (["http://127.0.0.1:1/x", "--timeout", "0"], "time-out"),
-        (["http://127.0.0.1:1/x", "--decode-ms", "measure"], "got a URL"),
-        ([str(PACKAGE), "--trace", "const:1", "--as-fast"], "--as-fast"),
+        (["http://127.0.0.1:1/x", "--http.timeout", "0"], "time-out"),
+        (["http://127.0.0.1:1/x", "--measure-decoding"], "got a URL"),
+        ([str(PACKAGE), "--trace", "const:1", "--http.as-fast"], "--http.as-fast"),
     ],
 )
 def test_what_a_url_cannot_be_played_with_is_one_line_and_2(capsys, options, words):
@@ -76,7 +78,7 @@ def test_report_and_film(capsys, tmp_path):
         capsys,
         "--policy",
         "fixed:0",
-        "--loops",
+        "--player.loops",
         1,
         "--report",
         report,
@@ -92,26 +94,24 @@ def test_report_and_film(capsys, tmp_path):
 
 def test_without_cameras_the_viewer_walks_through_the_region(capsys, tmp_path):
     film = tmp_path / "out.mp4"
-    status, out, _ = play(capsys, "--policy", "fixed:0", "--loops", 1, "--video", film, "--json")
+    status, out, _ = play(capsys, "--policy", "fixed:0", "--player.loops", 1, "--video", film, "--json")
     result = json.loads(out)
     assert status == 0 and film.exists()
     assert result["viewer"]["ticks_outside"] == 0 and result["region"]["source"] == "orbit"
 
 
-def test_help_and_defaults_are_those_of_the_settings(monkeypatch):
-    monkeypatch.setattr(play_command, "DEFAULT_RTT_S", 0.123)
-    text = play_command._parser().format_help()
-    assert "else 123)" in text
-    args = play_command._parser().parse_args(["scene.airgs"])
-    assert play_command._settings(None, args) == SessionSettings()
-    changed = ["--buffer", "3", "--startup", "2", "--resume", "1", "--decode-ms", "5", "--loops", "4", "--budget", "9"]
-    flags = ["--no-replace", "--no-abandon", "--no-pipelining"]
-    args = play_command._parser().parse_args(["scene.airgs", *changed, *flags])
-    assert play_command._settings(None, args) == SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4, 9)
+def test_defaults_are_those_of_the_settings():
+    options = read_options(play_command.Play, ["scene.airgs"], "airgs-play")
+    assert options.player == SessionSettings() and options.http == HttpSettings()
+    changed = {"buffer": "3", "startup": "2", "resume": "1", "decode-frame": "0.005", "loops": "4", "budget": "9"}
+    words = [word for name, value in changed.items() for word in (f"--player.{name}", value)]
+    flags = ["--player.no-replace", "--player.no-abandon", "--player.no-pipelined"]
+    options = read_options(play_command.Play, ["scene.airgs", *words, *flags], "airgs-play")
+    assert options.player == SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4, 9)
 
 
 def test_policies_are_compared_over_traces(capsys):
-    options = ["--compare", "--traces", str(TRACE), "--offsets", "1", "--policies", "fixed:0", "--loops", "1"]
+    options = ["--compare", "--traces", str(TRACE), "--offsets", "1", "--policies", "fixed:0", "--player.loops", "1"]
     assert main([str(PACKAGE), *options, "--jobs", "1"]) == 0
     assert PACKAGE.name in capsys.readouterr().out
 
@@ -122,11 +122,11 @@ def test_policies_are_compared_over_traces(capsys):
         (["--policy", "fixed:99"], "--policy: expected"),
         (["--rtt", "-1"], "round trip"),
         (["--rtt", "nan"], "round trip"),
-        (["--loops", "0"], "loops"),
-        (["--budget", "0"], "budget: expected at least 1 Gaussian"),
-        (["--budget", "1"], "Gaussians or more, got 1"),
-        (["--budget", "9", "--compare"], "--budget: expected a single session"),
-        (["--buffer", "nan"], "buffer"),
+        (["--player.loops", "0"], "loops"),
+        (["--player.budget", "0"], "budget: expected at least 1 Gaussian"),
+        (["--player.budget", "1"], "Gaussians or more, got 1"),
+        (["--player.budget", "9", "--compare"], "--player.budget: expected a single session"),
+        (["--player.buffer", "nan"], "buffer"),
         (["--offset", "1e9"], "offset"),
         (["--scale", "0"], "scale"),
         (["--views", "none.json", "--report", "never"], "none.json"),

@@ -26,7 +26,7 @@ from tests.support.servers import plainly_serving
 from tests.support.tiled import Turning, tiled_manifest
 
 PACKAGE = GOLDEN / "tiles"
-OPTIONS = ["--policy", "fixed:0", "--loops", "2", "--json"]
+OPTIONS = ["--policy", "fixed:0", "--player.loops", "2", "--json"]
 
 
 def play(capsys, *options, trace="const:8"):
@@ -44,7 +44,7 @@ def test_all_of_a_scene_is_fetched_unless_told_otherwise(capsys):
 
 def test_over_http_the_same_tiles_are_fetched(capsys, tmp_path):
     with plainly_serving(PACKAGE) as port:
-        words = [f"http://127.0.0.1:{port}/", "--as-fast", *OPTIONS, "--view-adaptive"]
+        words = [f"http://127.0.0.1:{port}/", "--http.as-fast", *OPTIONS, "--view-adaptive"]
         assert main([*words, "--report", str(tmp_path / "report"), "--video", str(tmp_path / "seen.mp4")]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["tiles"]["tiles"] == open_package(PACKAGE).manifest.tiles and result["lost"] == []
@@ -65,7 +65,7 @@ def test_a_package_of_one_tile_is_played_as_ever(capsys):
     ("options", "words"),
     [
         (["--compare", "--traces", "const:1"], "--view-adaptive: expected a single session"),
-        (["--trace", "const:1", "--view-buffer", "0"], "buffer by view: expected more than 0 s"),
+        (["--trace", "const:1", "--player.view-buffer", "0"], "buffer by view: expected more than 0 s"),
         (["--trace", "const:1", "--views", "none.json"], "none.json"),
     ],
 )
@@ -136,4 +136,4 @@ def test_a_scene_without_rows_is_an_empty_picture():
 def test_a_budget_counts_all_tiles(capsys):
     m = open_package(PACKAGE).manifest
     fewest = m.groups[0].count
-    assert play(capsys, "--budget", fewest, "--view-adaptive")["gaussians"] <= fewest
+    assert play(capsys, "--player.budget", fewest, "--view-adaptive")["gaussians"] <= fewest

@@ -18,7 +18,7 @@ from tests.support.paths import VALID
 from tests.support.scenes import moving_frames, write_sequence
 from tests.support.servers import put_folder
 
-ENCODE = ["--preset", "ultrafast", "--steps", "default", "--measure-pictures", "0"]
+ENCODE = ["--x264-preset", "ultrafast", "--calibrate", "none", "--measure-pictures", "0"]
 
 
 @pytest.fixture
@@ -48,9 +48,9 @@ def contents(address):
 
 
 def test_a_package_is_encoded_there_and_replaced(place, scene, capsys):
-    assert encode.main([str(scene), "-o", place, *ENCODE, "--group", "2"]) == 0
+    assert encode.main([str(scene), "-o", place, *ENCODE, "--group-frames", "2"]) == 0
     assert f"{place}: " in capsys.readouterr().out and len(open_package(place).manifest.groups) == 2
-    assert encode.main([str(scene), "-o", place, *ENCODE, "--group", "4"]) == 0
+    assert encode.main([str(scene), "-o", place, *ENCODE, "--group-frames", "4"]) == 0
     assert len(open_package(place).manifest.groups) == 1 and validate(place) == []
     assert manifest.main(["rungs", place, str(scene), "--frames", "0", "--draws", "1", "--json"]) == 0
     assert manifest.main(["compare", str(scene), place, "--frames", "0", "--json"]) == 0
@@ -99,7 +99,7 @@ def test_a_growing_package_is_readable_after_every_group(place, scene, monkeypat
         report(each(), target, as_json)
 
     monkeypatch.setattr(module, "report_groups", watched)
-    assert encode.main([str(scene), "-o", place, *ENCODE, "--follow", "--group", "1"]) == 0
+    assert encode.main([str(scene), "-o", place, *ENCODE, "--follow", "--group-frames", "1"]) == 0
     m = open_package(place).manifest
     assert [count for _, count, _ in seen] == list(range(1, len(m.groups) + 1)) and len(seen) > 1
     assert all(live and not findings for live, _, findings in seen)

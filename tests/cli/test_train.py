@@ -73,7 +73,7 @@ def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, mo
         "airgs_codec.cli.training.default_settings", lambda device: replace(SETTINGS, frame_iterations=5)
     )
     shutil.copytree(blobs, tmp_path / "blobs")
-    words = [str(tmp_path / "blobs"), "--preset", "ultrafast", "--measure-pictures", "2"]
+    words = [str(tmp_path / "blobs"), "--x264-preset", "ultrafast", "--measure-pictures", "2"]
     assert encode_main(words) == 0
     assert "first frame" in capsys.readouterr().out
     package = open_package(tmp_path / "blobs.airgs")

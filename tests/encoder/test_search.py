@@ -40,7 +40,7 @@ def first_frames(tmp_path_factory):
 
 
 def run(scene, tmp_path, capsys, *options):
-    arguments = [str(scene), "-o", str(tmp_path / "out"), "--preset", "veryfast", *options]
+    arguments = [str(scene), "-o", str(tmp_path / "out"), "--x264-preset", "veryfast", *options]
     code = command.main([*arguments, "--json"])
     captured = capsys.readouterr()
     return code, json.loads(captured.out) if code == 0 else captured.err

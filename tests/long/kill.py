@@ -24,7 +24,7 @@ from pathlib import Path
 from airgs_codec.inspect.validate import validate
 from tests.support.paths import FOX, FOX_VIEWS
 
-ENCODE = ["airgs_codec.cli.encode", str(FOX), "--preset", "ultrafast", "--steps", "default", "--json"]
+ENCODE = ["airgs_codec.cli.encode", str(FOX), "--x264-preset", "ultrafast", "--calibrate", "none", "--json"]
 TRAIN = ["airgs_codec.cli.train", str(FOX_VIEWS), "--iterations", "120,60,30", "--budget", "1500", "--json"]
 
 

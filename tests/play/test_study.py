@@ -60,7 +60,18 @@ def test_intervals_are_over_traces():
 
 
 def test_a_study_compares_on_the_same_links(demo_package, tmp_path, capsys):
-    options = ["--compare", "--traces", "markov:1:6", "const:9", "--offsets", "2", "--loops", "20", "--jobs", "1"]
+    options = [
+        "--compare",
+        "--traces",
+        "markov:1:6",
+        "const:9",
+        "--offsets",
+        "2",
+        "--player.loops",
+        "20",
+        "--jobs",
+        "1",
+    ]
     policies = "robust-mpc,paper,paper-literal,throughput,bola,oracle-frame,oracle-lp,fixed:0"
     report = tmp_path / "report"
     assert main([str(demo_package), *options, "--policies", policies, "--report", str(report)]) == 0
@@ -87,7 +98,7 @@ def test_a_study_compares_on_the_same_links(demo_package, tmp_path, capsys):
 
 
 def test_every_table_says_which_psnr_it_shows(demo_package, tmp_path, capsys):
-    options = ["--compare", "--traces", "const:9", "--offsets", "1", "--loops", "2", "--jobs", "1"]
+    options = ["--compare", "--traces", "const:9", "--offsets", "1", "--player.loops", "2", "--jobs", "1"]
     report = tmp_path / "report"
     assert main([str(demo_package), *options, "--policies", "paper", "--report", str(report)]) == 0
     assert "mean over display ticks" in capsys.readouterr().out
@@ -103,7 +114,7 @@ def test_every_table_says_which_psnr_it_shows(demo_package, tmp_path, capsys):
 
 
 def test_a_session_says_which_psnr_it_shows(demo_package, tmp_path, capsys):
-    assert main([str(demo_package), "--trace", "const:9", "--loops", "1", "--report", str(tmp_path)]) == 0
+    assert main([str(demo_package), "--trace", "const:9", "--player.loops", "1", "--report", str(tmp_path)]) == 0
     assert "mean over ticks" in capsys.readouterr().out
     assert "mean over ticks" in (tmp_path / "index.html").read_text()
     assert "mean over display ticks" in json.loads((tmp_path / "session.json").read_text())["meanings"]["psnr_mean"]
@@ -126,8 +137,8 @@ def test_a_study_repeats_exactly(demo_package):
         (["--compare", "--traces", "const:1", "--policies", "paper,paper"], "policies"),
         (["--compare", "--traces", "const:1", "--offsets", "0"], "offset"),
         ([], "--trace"),
-        (["--trace", "const:1", "--decode-ms", "fast"], "--decode-ms"),
-        (["--trace", "markov:1:1", "--end", "error", "--loops", "3000"], "ends after"),
+        (["--trace", "const:1", "--player.decode-frame", "fast"], "--player.decode-frame"),
+        (["--trace", "markov:1:1", "--end", "error", "--player.loops", "3000"], "ends after"),
     ],
 )
 def test_studies_that_cannot_be(demo_package, options, words, capsys):
@@ -150,7 +161,7 @@ def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
     faults = find_faults(package)
     assert (faults[first].reason, faults[second].reason) == ("missing_file", "hash_mismatch")
     film = tmp_path / "film.mp4"
-    play = [str(demo_copy), "--trace", "const:50", "--loops", "1", "--video", str(film)]
+    play = [str(demo_copy), "--trace", "const:50", "--player.loops", "1", "--video", str(film)]
     assert main([*play, "--policy", "fixed:0"]) == 0
     assert first in capsys.readouterr().out and film.exists()
     for group in range(len(package.manifest.groups)):

@@ -180,7 +180,7 @@ def test_a_clip_is_encoded_and_says_how_it_was_baked(tmp_path, splatv, capsys):
     rows = random_rows(300)
     rows["quaternion"][:7], rows["turn"][:7], rows["mean"][7] = 0, 0, np.nan
     splatv.write_bytes(splatv_bytes(rows, cameras=as_inria(ring(3))))
-    options = ["--bake-fps", "8", "--duration", "0.5", "--preset", "ultrafast", "--steps", "default"]
+    options = ["--bake-fps", "8", "--duration", "0.5", "--x264-preset", "ultrafast", "--calibrate", "none"]
     assert encode.main([str(splatv), "-o", str(tmp_path / "out"), *options, "--measure-pictures", "2"]) == 0
     out = capsys.readouterr().out
     assert f"clip: {splatv}: .splatv, 300 Gaussians baked to 4 frames at 8 a second: 0.5 s\n" in out

@@ -29,7 +29,6 @@ from tools.lab.bench.claims import (
     with_single,
 )
 from tools.lab.command import Lab
-from tools.lab.options import with_fields
 
 FOUND = Measured(40.0, 35.0)
 
@@ -79,14 +78,6 @@ def test_the_verdict_names_the_largest_error_and_what_is_beaten():
     assert [is_beaten(r, rows) for r in rows] == [True, False, True, False]
     (line,) = verdict(rows)
     assert "-1.00 dB at most" in line and "1.00 dB below" in line and line.endswith("rung: 4")
-
-
-def test_settings_are_read_as_what_they_are():
-    read = with_fields("--set", EncodeSettings(), ["group_frames=7", "keep_all=True", "preset=medium", "segment_s=0.5"])
-    assert (read.group_frames, read.keep_all, read.preset, read.segment_s) == (7, True, "medium", 0.5)
-    for wrong in ("levels=3", "nothing=3", "group_frames=x", "keep_all=yes", "group_frames=0", "segment_s"):
-        with pytest.raises(ConfigError):
-            with_fields("--set", EncodeSettings(), [wrong])
 
 
 def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):

@@ -25,7 +25,7 @@ def traces(tmp_path):
 def test_a_crowd_is_simulated_and_written(demo_package, traces, tmp_path, capsys):
     out = tmp_path / "out"
     words = ["crowd", str(demo_package), str(traces), "-o", str(out), "--viewers", "12", "--join", "2", "--watch", "2"]
-    words += ["--policies", "throughput", "throughput,bola", "--jobs", "1", "--price", "edge_gb=2"]
+    words += ["--policies", "throughput", "throughput,bola", "--jobs", "1", "--prices.edge-gb", "2"]
     assert main(words) == 0
     assert "Side by side behind one of 50 %" in " ".join(capsys.readouterr().out.split())
     with (out / "crowd.csv").open() as file:

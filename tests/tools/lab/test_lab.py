@@ -9,13 +9,14 @@ from pathlib import Path
 
 import pytest
 
+from airgs_codec.cli.options import read_options
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.engines import Processes
 from tests.support.paths import REPOSITORY
 from tools.lab import main
 from tools.lab.command import Lab
 from tools.lab.experiments import EXPERIMENTS, FIGURES
-from tools.lab.options import add_options, expect_names, read_options, required, setting
+from tools.lab.options import expect_names, required, setting
 from tools.lab.page import Made, Page, Picture, Section, Table, markdown, text_of, update, wrapped, write_page
 from tools.lab.results import Results, content
 from tools.lab.timing import alone, middle, seconds_of, timed
@@ -35,11 +36,7 @@ class Things:
 
 
 def parsed(words):
-    import argparse
-
-    parser = argparse.ArgumentParser()
-    add_options(parser, Things)
-    return read_options(Things, parser.parse_args(words))
+    return read_options(Things, words, "lab things")
 
 
 def test_options_come_from_a_dataclass():
@@ -170,9 +167,8 @@ def test_every_experiment_is_there_and_can_be_asked_for_help(capsys):
     for one in EXPERIMENTS:
         module = importlib.import_module(one.module)
         assert one.name in listed and one.question.endswith("?") and module.__doc__ and callable(module.run)
-        assert all("about" in f.metadata for f in fields(module.Options))
-        with pytest.raises(SystemExit, match="0"):
-            main([one.name, "--help"])
+        assert all("help" in f.metadata for f in fields(module.Options))
+        assert main([one.name, "--help"]) == 0 and module.__doc__.splitlines()[0] in capsys.readouterr().out
 
 
 def test_an_experiment_that_found_what_must_not_be_ends_with_status_1(tmp_path, monkeypatch, capsys):

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec import EncodeSettings, encode, open_package, open_sequence
+from airgs_codec._settings import applied
 from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import DEFAULT_LEVELS
 from airgs_codec.errors import AirgsError, ConfigError
@@ -25,11 +26,10 @@ from airgs_codec.inspect.sides import compared_views, rung_streams
 from airgs_codec.inspect.summary import RungSummary, summarise
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package
-from airgs_codec.package.parse import read_region
 from airgs_codec.package.region import draw_views
 from airgs_codec.render import Camera, read_cameras, render
 from airgs_codec.scene.sequence import GaussianSequence
-from tools.lab import Lab, Page, Section, Table, required, setting, with_fields
+from tools.lab import Given, Lab, Page, Section, Table, given, required, setting
 from tools.lab import Row as PlainRow
 
 DEFAULT = "default"  # in place of a target: the encoder's own quality
@@ -45,8 +45,7 @@ class Options:
     pictures: int = setting(64, "pictures that measure a rung, each of its own view")
     seed: int = setting(1000, "of their draw")
     held_views: Path | None = setting(None, "cameras to measure from instead")
-    region: Path | None = setting(None, "a viewing region, as airgs-encode has it")
-    set: tuple[str, ...] = setting((), "fields of EncodeSettings, as NAME=VALUE")
+    settings: Given = given(EncodeSettings, "settings of the encoder")
 
     def __post_init__(self) -> None:
         for target in (target for target in self.targets if target != DEFAULT):
@@ -57,8 +56,7 @@ class Options:
 def run(options: Options, lab: Lab) -> Page:
     """Encode, measure, compare."""
     views = tuple(compared_views(read_cameras(options.held_views), None)) if options.held_views else ()
-    region = read_region(options.region) if options.region else None
-    settings = replace(with_fields("--set", EncodeSettings(), options.set), region=region)
+    settings = applied(EncodeSettings(), options.settings)
     bench = Bench(settings, options.pictures, options.seed, views, lab.folder, lab.tell)
     rows: list[Row] = []
     for spec in options.scenes:

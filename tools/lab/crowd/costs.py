@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from airgs_codec._settings import setting
 from airgs_codec.errors import ConfigError
 
 
@@ -14,12 +15,12 @@ from airgs_codec.errors import ConfigError
 class Prices:
     """Prices in one currency; the defaults are examples. Raises ConfigError for a negative one."""
 
-    edge_gb: float = 0.02  # for 10^9 bytes from the edge to viewers
-    edge_million: float = 0.75  # for 10^6 requests to the edge
-    origin_gb: float = 0.05  # for 10^9 bytes from the origin to the edge
-    origin_million: float = 0.40  # for 10^6 requests to the origin
-    storage_gb_month: float = 0.02  # for 10^9 bytes kept for a month
-    encode_core_hour: float = 0.05  # for a core and an hour
+    edge_gb: float = setting(0.02, "price for 10^9 bytes from the edge to viewers")
+    edge_million: float = setting(0.75, "price for 10^6 requests to the edge")
+    origin_gb: float = setting(0.05, "price for 10^9 bytes from the origin to the edge")
+    origin_million: float = setting(0.40, "price for 10^6 requests to the origin")
+    storage_gb_month: float = setting(0.02, "price for 10^9 bytes kept for a month")
+    encode_core_hour: float = setting(0.05, "price for a core and an hour")
 
     def __post_init__(self) -> None:
         for field in fields(self):

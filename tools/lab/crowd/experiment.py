@@ -3,13 +3,13 @@
 Every viewer is a real player with a real policy; bytes, files and qualities are those of the package, whose groups are
 repeated as files of their own for as long as the programme goes on. Each population (--policies; names with commas
 share one crowd) is simulated without a bottleneck, then behind links of 100 % and 50 % of what it took in its busiest
-seconds; --bottleneck-mbps sets other ones (0: none). Prices are what --price says, by default examples.
+seconds; --bottleneck-mbps sets other ones (0: none). Prices are what --prices.NAME says, by default examples.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from airgs_codec.errors import ConfigError
@@ -18,7 +18,7 @@ from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.paths import FileKind, file_kind
 from airgs_codec.play.trace import open_trace
-from tools.lab import Lab, Page, required, setting, with_fields
+from tools.lab import Lab, Page, nested, required, setting
 from tools.lab.crowd.costs import Prices
 from tools.lab.crowd.page import Inputs, page
 from tools.lab.crowd.policies import crowd_policy
@@ -49,23 +49,19 @@ class Options:
     late: float = setting(DEFAULTS.late, "share that begins at the beginning")
     seed: int = setting(DEFAULTS.seed, "of the draw of viewers")
     jobs: int = setting(2, "processes, each with a crowd of its own")
-    price: tuple[str, ...] = setting((), f"NAME=PRICE of {', '.join(f.name for f in fields(Prices))}")
+    prices: Prices = nested(Prices, "prices")
     encode_core_s: float = setting(0.0, "core seconds to encode a second of media")
 
 
 def run(options: Options, lab: Lab) -> Page:
     """Simulate every crowd. Raises AirgsError."""
-    prices, tasks, package = (
-        with_fields("--price", Prices(), options.price),
-        make_tasks(options),
-        open_package(options.package),
-    )
+    tasks, package = make_tasks(options), open_package(options.package)
     engine = Processes(options.jobs)
     try:
         runs = run_all(tasks, () if options.bottleneck_mbps else SHARES, replace(lab.results, engine=engine))
     finally:
         engine.close()
-    return page(runs, Inputs(rung_rows(package), stored_rows(package), prices, options.encode_core_s))
+    return page(runs, Inputs(rung_rows(package), stored_rows(package), options.prices, options.encode_core_s))
 
 
 def make_tasks(options: Options) -> list[Task]:

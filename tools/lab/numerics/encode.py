@@ -1,4 +1,4 @@
-"""Bytes of a frame at 43 dB against seconds of the encoder: presets of x264, `--quick`, with and without calibration.
+"""Bytes of a frame at 43 dB against seconds of the encoder: of x264's presets and `--preset quick`, calibrated or not.
 
 The quality factor is interpolated between two encodes near the target. PSNR is that of the package, from views by
 which nothing was decided. Seconds are those of the whole encode but for measuring, with an empty cache of calibrations.
@@ -28,7 +28,7 @@ MEASURED = 8  # pictures of a segment, at least
 PRESETS = ("ultrafast", "veryfast", "medium", "veryslow")
 FEW_PRESETS = ("ultrafast", "veryslow")  # of every scene but the first, of quick runs, and where it is calibrated
 ONE_RUNG = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), key_factors=(1.0,), measure_pictures=MEASURED)
-PLAIN, CALIBRATED, PREVIEW = "default steps", "calibrated", "--quick"
+PLAIN, CALIBRATED, PREVIEW = "default steps", "calibrated", "--preset quick"
 UNIT = "kB a frame at 43 dB"
 
 
@@ -41,7 +41,7 @@ class Trial:
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """A row for each preset, calibrated and not, and one for `--quick`."""
+    """A row for each preset, calibrated and not, and one for `--preset quick`."""
     repeats = 1 if bench.quick else 2
     for scene in bench.scenes:
         presets = FEW_PRESETS if bench.quick or scene is not bench.scenes[0] else PRESETS
