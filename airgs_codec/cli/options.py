@@ -328,7 +328,7 @@ class Columns:
 
     def render_usage(self, console: Console, options: Any, usage: Any) -> None:
         """Print how the command is called."""
-        self._print(console, textwrap.fill(str(usage).replace("Usage:", "usage:"), self._width()))
+        self._print(console, textwrap.fill(f"usage: {str(usage).removeprefix('Usage:').strip()}", self._width()))
 
     def render_description(self, console: Console, options: Any, description: Any) -> None:
         """Print what the command does, paragraph for paragraph as it is written."""
