@@ -89,7 +89,7 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
         state: _same(state, "SAFETY", "HALF_LIVES_S", "BUFFER_SHARE", "RESERVE_S", "STALL_DB"),
         mpc: _same(mpc, "SWITCH_DB", "LOW_BUFFER_DB", "HORIZON_S", "HORIZON_SEGMENTS", "GRID_POINTS", "PAST_DOWNLOADS"),
         ladder: _same(ladder, "DEFAULT_BETA", "EPS_DB", "CLIFF_DB"),
-        offers: _same(offers, "SESSION_S", "HEADER_BYTES", "OVER_BUDGET"),
+        offers: _same(offers, "HEADER_BYTES", "OVER_BUDGET"),
         downloader: _same(downloader, "CHECK_S"),
         buffered: _same(buffered, "REPLACE_GAIN_DB"),
         fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),

@@ -16,14 +16,14 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
-from tqdm import tqdm
-
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
 from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.scene.sequence_json import MAX_FPS, exact_number
 
 if TYPE_CHECKING:
+    from tqdm import tqdm
+
     from airgs_codec.jobs.engines import Engine
     from airgs_codec.jobs.work import Part, Work
     from airgs_codec.package.tables import World
@@ -98,6 +98,8 @@ class Bar:
         if stage != self._stage:
             self.close()
             self._stage = stage
+            from tqdm import tqdm  # 0.1 s, which a command without long work need not wait for
+
             self._bar = tqdm(total=total, desc=stage, leave=False)
         if self._bar is not None:
             self._bar.update(done - self._bar.n)

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.policies.bola import choose_bola
 from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, choose_robust_mpc, discounted_throughput
 from airgs_codec.play.policies.named import NAMES, make_policy
 from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
@@ -20,7 +19,7 @@ from airgs_codec.play.policies.paper import (
     choose_paper_literal_no_cliff,
     choose_paper_no_cliff,
 )
-from airgs_codec.play.policies.simple import choose_throughput
+from airgs_codec.play.policies.simple import choose_bola, choose_throughput
 from airgs_codec.play.policies.state import (
     RESERVE_S,
     STALL_DB,

@@ -8,7 +8,6 @@ from functools import partial
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.policies.bola import choose_bola
 from airgs_codec.play.policies.mpc import HORIZON_SEGMENTS, choose_robust_mpc
 from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
 from airgs_codec.play.policies.paper import (
@@ -17,7 +16,7 @@ from airgs_codec.play.policies.paper import (
     choose_paper_literal_no_cliff,
     choose_paper_no_cliff,
 )
-from airgs_codec.play.policies.simple import choose_fixed, choose_throughput
+from airgs_codec.play.policies.simple import choose_bola, choose_fixed, choose_throughput
 from airgs_codec.play.policies.state import PlayerState, Policy
 from airgs_codec.play.trace import Link
 

@@ -125,7 +125,6 @@ export const EPS_DB = 0.25;
 export const CLIFF_DB = 3.0;
 
 // airgs_codec.play.offers
-export const SESSION_S = 30.0;
 export const HEADER_BYTES = 350;
 export const OVER_BUDGET = 1125899906842624;
 
