@@ -27,6 +27,7 @@ from cyclopts.exceptions import (
     CoercionError,
     CycloptsError,
     MissingArgumentError,
+    RepeatArgumentError,
     UnknownCommandError,
     UnknownOptionError,
     UnusedCliTokensError,
@@ -303,6 +304,8 @@ def refusal(error: CycloptsError) -> str:
         if error.keyword:
             return f"argument {error.keyword}: expected a value, got none"
         return f"expected {_name(error)}, got none"
+    if isinstance(error, RepeatArgumentError):
+        return f"argument {error.token.keyword}: expected one value, got another one: {error.token.value!r}"
     if isinstance(error, UnknownOptionError):
         known = [name for argument in error.argument_collection for name in argument.names]
         word = str(error.token.keyword)

@@ -95,11 +95,16 @@ def test_a_psnr_that_no_fit_reaches_is_said_once(blobs, tmp_path, capsys):
     assert "no fit reaches the 99 dB" in json.loads(capsys.readouterr().out)["warnings"][0]
 
 
+def test_an_option_is_given_once(blobs, capsys):
+    assert train_main([str(blobs), "--seed", "1", "--seed", "2"]) == 2
+    assert capsys.readouterr().err == "airgs-train: argument --seed: expected one value, got another one: '2'\n"
+
+
 def test_pictures_without_anything_are_one_line_and_exit_2(blobs, tmp_path, capsys):
     shutil.copytree(blobs, tmp_path / "scene")
     for path in (tmp_path / "scene" / "images").rglob("*.png"):
         write_png(path, np.zeros_like(read_picture(path)))
-    words = [str(tmp_path / "scene"), "-o", str(tmp_path / "m"), *QUICK, "--iterations", "90,20,8"]
+    words = [str(tmp_path / "scene"), "-o", str(tmp_path / "m"), "--iterations", "90,20,8", *QUICK[2:]]
     assert train_main(words) == 2
     err = capsys.readouterr().err
     assert "expected pictures that show something" in err and err.count("\n") == 1
