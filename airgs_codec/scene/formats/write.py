@@ -41,10 +41,11 @@ def format_keys() -> list[str]:
 
 
 def choose_target(place: str, key: str | None, frames: int) -> Target:
-    """Return where so many frames go, by the format's name or the ending of a place; a place without any is a folder.
+    """Return where so many frames go, by the format's name or the ending of a place.
 
-    What ends in a slash or exists as a folder is a folder. Raises ConfigError when the place does not suit the format
-    or the number of frames, is in the way, or the library that writes the format is not there.
+    A place may have any name. One that ends like no format is a folder of frames, or the file of a clip format that is
+    named; so is what ends in a slash or exists as a folder. Raises ConfigError when the ending is that of another
+    format, the place does not suit the number of frames or is in the way, or the library that writes is not there.
     """
     if not place:
         raise ConfigError("expected the name of a file or folder for the frames, got an empty one")
@@ -53,11 +54,11 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
     ending = max((form for form in WRITERS if path.name.lower().endswith(f".{form.key}")), key=_length, default=None)
     if path.name == META_NAME and named in (None, SOG):
         target = Target(path.parent, SOG_FOLDER, True)
-    elif place.endswith(os.sep) or (path.is_dir() and ending is None) or not path.suffix:
-        target = Target(path, named or INRIA, True)
-    elif ending is None or named not in (None, ending):
-        wanted = f".{named.key}" if named else ", ".join(f".{form.key}" for form in WRITERS)
-        raise ConfigError(f"{place}: expected a name that ends in {wanted}, or in / for a folder")
+    elif place.endswith(os.sep) or ending is None:
+        is_clip = isinstance(named, ClipFormat) and not place.endswith(os.sep) and not path.is_dir()
+        target = Target(path, named or INRIA, not is_clip)
+    elif named not in (None, ending):
+        raise ConfigError(f"{place}: expected a name that ends in .{named.key}, or in / for a folder, got another format")
     else:
         target = Target(path, ending, False)
     _check(place, target, frames)
