@@ -207,9 +207,8 @@ class _Constraints:
 
     def add(self, terms: Sequence[tuple[int, float]], low: float, high: float) -> None:
         """One more row."""
-        for column, value in terms:
-            self._columns.append(column)
-            self._values.append(value)
+        self._columns += [column for column, _ in terms]
+        self._values += [value for _, value in terms]
         self._ends.append(len(self._columns))
         self._low.append(low)
         self._high.append(high)

@@ -73,7 +73,7 @@ class UnitStore:
     """The key units that are decoded, by loop: a group that is played again is fetched again."""
 
     _units: dict[int, set[Unit]] = field(default_factory=dict)
-    _options: dict[tuple[int, SegmentOffer], tuple[Option, ...]] = field(default_factory=dict)  # since the last unit
+    _options: dict[tuple[int, int], dict[SegmentOffer, tuple[Option, ...]]] = field(default_factory=dict)  # by root
 
     def decoded(self, loop: int) -> Units:
         """The units of a loop."""
@@ -89,9 +89,10 @@ class UnitStore:
 
     def options(self, loop: int, offer: SegmentOffer) -> tuple[Option, ...]:
         """The rungs of a segment that are allowed, with the bytes that each still needs."""
-        if (loop, offer) not in self._options:
-            self._options[loop, offer] = offer.options(self.decoded(loop))
-        return self._options[loop, offer]
+        known = self._options.setdefault((loop, offer.root), {})
+        if offer not in known:
+            known[offer] = offer.options(self.decoded(loop))
+        return known[offer]
 
     def add(self, loop: int, offer: SegmentOffer, arrival: Arrival) -> None:
         """Decode what arrived for a rung of a segment, of all tiles: a unit counts once its files are there."""
@@ -99,7 +100,7 @@ class UnitStore:
         new = {unit.unit for unit in offer.rungs[arrival.request.rung].units if arrived.issuperset(unit.files)}
         if not new <= units:
             units |= new
-            self._options.clear()
+            self._options.pop((loop, offer.root), None)
 
 
 @dataclass(slots=True, eq=False)

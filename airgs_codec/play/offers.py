@@ -88,6 +88,11 @@ class SegmentOffer:
     tiles: Sequence[GroupTile]  # all of the group
     rungs: tuple[RungOffer, ...]
 
+    @property
+    def root(self) -> int:
+        """The group that keeps no rows of another: the base, or the segment's own."""
+        return self.group if self.base is None else self.base
+
     @cached_property
     def psnr(self) -> NDArray[np.float64]:
         """(R,) dB."""
