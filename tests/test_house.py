@@ -18,8 +18,8 @@ def test_most_of_the_package_is_much_shorter():
     columns = measure(REPOSITORY / "airgs_codec").columns()
     modules, bodies, parameters = (columns[name] for name in ("module lines", "body lines", "parameters"))
     assert len(modules) > 100 and len(bodies) > 800
-    assert statistics.median(modules) <= 130
-    assert statistics.median(bodies) <= 6 and percentile(bodies, 0.9) <= 18
+    assert statistics.median(modules) <= 160  # modules under 40 lines join the one that imports them
+    assert statistics.median(bodies) <= 6 and percentile(bodies, 0.9) <= 16
     assert percentile(parameters, 0.9) <= 4
 
 

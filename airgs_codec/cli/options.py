@@ -10,17 +10,14 @@ from __future__ import annotations
 
 import difflib
 import inspect
-import re
-import shutil
 import sys
-import textwrap
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypedDict, TypeVar, get_args, get_origin, get_type_hints
 
 from cyclopts import App, Group, Parameter
 from cyclopts.exceptions import (
@@ -36,22 +33,15 @@ from cyclopts.exceptions import (
 from airgs_codec import __version__
 from airgs_codec._settings import applied, computed_setting, default_of
 from airgs_codec.cli.common import run_command
+from airgs_codec.cli.help import ARGUMENTS, COMMANDS, EVERYDAY, Columns
 from airgs_codec.errors import AirgsError, ConfigError
-
-if TYPE_CHECKING:
-    from cyclopts.help import HelpEntry, HelpPanel
-    from rich.console import Console
 
 Options = TypeVar("Options")
 Given = dict[str, Any]  # settings that were given, by name; those of settings within them are such a dictionary again
 
-EVERYDAY = Group("Options", sort_key=1)
-ARGUMENTS = Group("Arguments", sort_key=0)
-COMMANDS = Group("Commands", sort_key=0)
 ALL = "--help-all"
 ONE, SEVERAL = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.VAR_POSITIONAL
 NAMED: Any = inspect.Parameter.KEYWORD_ONLY
-FLAGS = {"--help", "--version"}
 UNITS = {"_s": "S", "_db": "DB"}  # endings of names: their words in help
 KINDS: dict[Any, tuple[str, str]] = {  # words in help and in errors
     int: ("N", "a whole number"),
@@ -60,8 +50,6 @@ KINDS: dict[Any, tuple[str, str]] = {  # words in help and in errors
     Path: ("PATH", "a path"),
     bool: ("", "no value"),
 }
-DETAIL = re.compile(r"; .*?( \(default: [^()]*\))?$")  # of a help text: what follows the first semicolon
-WIDTH, COLUMN = 100, 30  # of help: characters in a line at most, and before what options mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,54 +309,3 @@ def refusal(error: CycloptsError) -> str:
 
 def _name(error: CycloptsError) -> str:
     return error.argument.name if error.argument else "an argument"
-
-
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """Prints help in two columns, as wide as the terminal, at most WIDTH; `everything`: not everyday options alone."""
-
-    everything: bool
-
-    def render_usage(self, console: Console, options: Any, usage: Any) -> None:
-        """Print how the command is called."""
-        self._print(console, textwrap.fill(f"usage: {str(usage).removeprefix('Usage:').strip()}", self._width()))
-
-    def render_description(self, console: Console, options: Any, description: Any) -> None:
-        """Print what the command does, paragraph for paragraph as it is written."""
-        if text := _text(description):
-            self._print(console, "\n".join(["", *(textwrap.fill(line, self._width()) for line in text.split("\n"))]))
-
-    def __call__(self, console: Console, options: Any, panel: HelpPanel) -> None:
-        """Print a group of options."""
-        shown = self.everything or panel.title in {one.name for one in (ARGUMENTS, COMMANDS, EVERYDAY)}
-        entries = [entry for entry in panel.entries if not FLAGS & set(entry.names)]
-        if shown and entries:
-            lines = [line for entry in entries for line in self._lines(entry)]
-            self._print(console, "\n".join([f"\n{str(panel.title).lower()}:", *lines]))
-
-    def _lines(self, entry: HelpEntry) -> list[str]:
-        names = [*entry.positive_shorts, *entry.positive_names, *entry.negative_names]
-        head = entry.positional_label or ", ".join(names)
-        if entry.metavar and not entry.positional_label:
-            head += f" {entry.metavar}"
-        words = _text(entry.description)
-        return self._columns(head, words if self.everything else DETAIL.sub(r"\1", words))
-
-    def _columns(self, head: str, words: str) -> list[str]:
-        indent = " " * COLUMN
-        wrap = textwrap.TextWrapper(self._width(), indent, indent, break_on_hyphens=False)
-        lines = wrap.wrap(words) or [""]
-        if len(head) > COLUMN - 4:
-            return [f"  {head}", *lines]
-        return [f"  {head:<{COLUMN - 2}}{lines[0].strip()}", *lines[1:]]
-
-    def _width(self) -> int:
-        return min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
-
-    def _print(self, console: Console, text: str) -> None:
-        console.print(text, markup=False, highlight=False, emoji=False, soft_wrap=True)
-
-
-def _text(written: Any) -> str:
-    """What the library makes of a help text, as it was."""
-    return "" if written is None else str(getattr(written.primary_renderable, "plain", "")).strip()

@@ -132,9 +132,7 @@ def session_metrics(
     on_screen = [shown[i] for i, _ in screen_ticks(shown, offers.fps)]
     psnr = np.array([s.psnr for s in on_screen if s.psnr is not None])
     found = [offers.offer(s.segment).rungs[s.rung] for s in shown if s.rung is not None]
-    delta_e = [
-        offers.offer(s.segment).rungs[s.rung].delta_e for s in on_screen if s.psnr is not None and s.rung is not None
-    ]
+    seen = [offers.offer(s.segment).rungs[s.rung] for s in on_screen if s.psnr is not None and s.rung is not None]
     quality = [s.psnr for s in shown if s.psnr is not None]
     changes = [abs(b - a) for a, b in itertools.pairwise(quality)]
     rungs = [s.rung for s in shown]
@@ -159,7 +157,7 @@ def session_metrics(
         switches=sum(a != b for a, b in itertools.pairwise(rungs)),
         psnr_mean=float(psnr.mean()) if len(psnr) else None,
         psnr_p5=float(np.percentile(psnr, 5)) if len(psnr) else None,
-        delta_e_mean=float(np.mean(delta_e)) if delta_e else None,
+        delta_e_mean=float(np.mean([rung.delta_e for rung in seen])) if seen else None,
         change_db=float(np.mean(changes)) if changes else 0.0,
         qoe=(sum(quality) - sum(changes) - STALL_DB * stall) / len(quality) if quality else None,
         bytes={kind.value: size for kind, size in bytes_by_kind.items()},

@@ -97,10 +97,17 @@ def test_what_a_range_loses_is_said(tmp_path, capsys):
     assert len(lines) == 3 and "rounds" in lines[1] and "which Gaussian is which is lost" in lines[2]
 
 
+def test_a_place_may_have_any_name(tmp_path, capsys):
+    """What ends like no format is a folder of frames, or the file of a clip format."""
+    assert run("-o", tmp_path / "x.dec", "--frames", "1:3") == 0
+    assert len(list((tmp_path / "x.dec").glob("*.ply"))) == 2
+    assert run("-o", tmp_path / "x.v2", "--format", "splat4d") == 0
+    assert (tmp_path / "x.v2").is_file()
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["-o", "a.xyz"], "expected a name that ends in .ply, .compressed.ply, .spz"),
         (["-o", "a.spz", "--format", "sog", "--frames", "0"], "ends in .sog, or in / for a folder"),
         (["-o", "a.spz"], "expected one frame, got 4 (--frames N; for more, name a folder and --format spz)"),
         (["-o", "meta.json"], "expected one frame, got 4"),

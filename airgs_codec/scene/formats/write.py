@@ -58,7 +58,9 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
         is_clip = isinstance(named, ClipFormat) and not place.endswith(os.sep) and not path.is_dir()
         target = Target(path, named or INRIA, not is_clip)
     elif named not in (None, ending):
-        raise ConfigError(f"{place}: expected a name that ends in .{named.key}, or in / for a folder, got another format")
+        raise ConfigError(
+            f"{place}: expected a name that ends in .{named.key}, or in / for a folder, got another format"
+        )
     else:
         target = Target(path, ending, False)
     _check(place, target, frames)
