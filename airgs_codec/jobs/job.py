@@ -77,13 +77,13 @@ def code_digest(function: Callable[..., Any]) -> str:
 
     That is its module and all that this imports, directly or not, of the package that it is in and of this one.
     """
-    while isinstance(function, partial):
-        function = function.func
     return _digest_of_module(module_name(function))
 
 
 def module_name(function: Callable[..., Any]) -> str:
-    """The module of a function, by the name that others import it by."""
+    """Return the module of a function, by the name that others import it by; of a partial, its function's."""
+    while isinstance(function, partial):
+        function = function.func
     name = function.__module__
     spec = sys.modules["__main__"].__spec__ if name == "__main__" else None
     return spec.name if spec is not None else name

@@ -138,6 +138,7 @@ const checks: Record<string, () => Promise<unknown>> = {
     let hidden = true;
     Object.defineProperty(document, "hidden", { get: () => hidden });
     document.dispatchEvent(new Event("visibilitychange"));
+    await sleep(500); // a frame that was due before is decoded and shown
     await shown();
     const before = log.player.currentTime;
     const request = window.requestAnimationFrame;
