@@ -22,7 +22,6 @@ from airgs_codec.cli.common import (
     views,
 )
 from airgs_codec.cli.options import nested, run_program, takes
-from airgs_codec.decoder.decode import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
 from airgs_codec.package.manifest import Manifest
@@ -38,7 +37,7 @@ from airgs_codec.play.report.film import film, still
 from airgs_codec.play.report.map import Viewer, path_of
 from airgs_codec.play.report.session import format_metrics, place_record, write_report
 from airgs_codec.play.report.study import format_study, write_study
-from airgs_codec.play.session import SessionLog, simulate
+from airgs_codec.play.session import SessionLog, measure_decoding, simulate
 from airgs_codec.play.session import play as play_over
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
@@ -54,9 +53,9 @@ def decode(package: Package, frame: int, *, level: str | int = "L0", key_quality
     """One frame as a viewer of that level and key quality sees it, each given by its id or its index.
 
     Decodes nothing but the key units of the frame's group, those of the group whose rows it keeps, and its segment up
-    to the frame; key units of some groups stay decoded while the package is open. The result has as many rows as the
-    key units that viewers of the level fetch. Raises ConfigError for a frame, level or key quality that the package
-    does not have, FormatError for a broken package.
+    to the frame. While the package is open, key units of some groups stay decoded, and the escapes of one segment. The
+    result has as many rows as the key units that viewers of the level fetch. Raises ConfigError for a frame, level or
+    key quality that the package does not have, FormatError for a broken package.
     """
     m = package.manifest
     if not 0 <= frame < m.frames:
@@ -69,7 +68,10 @@ def decode(package: Package, frame: int, *, level: str | int = "L0", key_quality
     return Gaussians(*(c.copy() if any(np.may_share_memory(c, of) for of in coded) else c for c in columns))
 
 
-_decoded: WeakKeyDictionary[Package, dict[tuple[int, int, int], Canonical]] = WeakKeyDictionary()
+# Of an open package: canonical spaces by group, key quality and tiers; escapes of one segment and level, by tile too.
+_Which = tuple[int, int, int]
+_decoded: WeakKeyDictionary[Package, dict[_Which, Canonical]] = WeakKeyDictionary()
+_escapes: WeakKeyDictionary[Package, dict[_Which, escapes.Escapes]] = WeakKeyDictionary()
 
 
 def _canonical_again(package: Package, group: int, quality: int, tiers: int) -> Canonical:
@@ -216,9 +218,7 @@ def decode_state(
         yield read_codes(picture, atlas, bases)
 
 
-_Shown = tuple[
-    NDArray[np.uint8], NDArray[np.int32] | None
-]  # (pages * H, W) luma, and the bases in force, until the next
+_Shown = tuple[NDArray[np.uint8], NDArray[np.int32] | None]  # (pages * H, W) luma, the bases in force until the next
 
 
 def _decode_pictures(package: Package, index: int, level: int, frames: range, tile: int) -> Iterator[_Shown]:
@@ -229,7 +229,7 @@ def _decode_pictures(package: Package, index: int, level: int, frames: range, ti
     atlas = m.groups[m.group_of(index)].tiles[tile].levels[level]
     shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
     file = open_segment(package.read(media), media)
-    bases = escapes.unpack(file.columns, shape, media).running()
+    bases = _escapes_again(package, (index, level, tile), lambda: escapes.unpack(file.columns, shape, media)).running()
     shown = 0
     pictures = itertools.islice(decode_pictures(file.samples, media, atlas.pages), last)
     for shown, picture in enumerate(_ahead(pictures), 1):
@@ -241,6 +241,18 @@ def _decode_pictures(package: Package, index: int, level: int, frames: range, ti
         raise FormatError("bad_picture", media, f"expected {shape[0]} pictures, got {shown}")
 
 
+def _escapes_again(package: Package, which: _Which, read: Callable[[], escapes.Escapes]) -> escapes.Escapes:
+    """Return the escapes of `which` segment, level and tile; those of the last segment and level stay decoded."""
+    known = _escapes.setdefault(package, {})
+    found = known.get(which)
+    if found is None:
+        found = read()
+        if any(other[:2] != which[:2] for other in list(known)):
+            known.clear()
+        known[which] = found
+    return found
+
+
 def _ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
     """The same pictures, of which the next one is decoded on another thread while one is worked with."""
     with ThreadPoolExecutor(1) as pool:
@@ -248,15 +260,6 @@ def _ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]
         while (picture := coming.result()) is not None:
             coming = pool.submit(next, pictures, None)
             yield picture
-
-
-def fewer_tiers(group: Group, base: Canonical, tiers: int) -> Canonical:
-    """The canonical space that the first `tiers` key tiers of all tiles make, of the one that all tiers make."""
-    counts = [tier.count for tier in group.units]
-    if len(group.tiles) == 1:
-        return base.first(sum(counts[:tiers]))
-    there = [unit % len(group.tiles[0].tiers) < tiers for unit in range(len(counts))]
-    return base.part(np.flatnonzero(np.repeat(there, counts)))
 
 
 def decode_segment(
@@ -345,17 +348,3 @@ def _expect_size(picture: NDArray[np.uint8], atlas: Atlas, where: str) -> None:
     if picture.shape != (atlas.pages * atlas.height, atlas.width):
         got = f"{picture.shape[1]}x{picture.shape[0] // atlas.pages}"
         raise FormatError("bad_picture", where, f"expected {atlas.width}x{atlas.height}, got {got}")
-
-
-def measure_decoding(package: Package) -> float:
-    """Seconds a frame that this machine takes to decode the package once at its top rung, keys included."""
-    m = package.manifest
-    began = time.perf_counter()
-    group = -1
-    for index, segment in enumerate(m.segments):
-        if m.group_of(index) != group:
-            group = m.group_of(index)
-            base = decode_canonical(package, group, 0)
-        for _ in decode_segment(package, index, base, 0, range(segment.stop - segment.start)):
-            pass
-    return (time.perf_counter() - began) / m.frames

@@ -36,6 +36,7 @@ from airgs_codec.encoder.survey import Survey
 from airgs_codec.errors import SceneError
 from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import STATE
+from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES
 from airgs_codec.render.compare import compare, draw_ahead, draw_frames
 from airgs_codec.scene.gaussians import Gaussians, mix_rows
 from airgs_codec.scene.sequence import GaussianSequence
@@ -49,18 +50,9 @@ TRIAL = 1.5  # factor between the two steps at which bytes and error are measure
 PRIOR = 0.02  # share of all bytes and error that every step has at least: a step without effect hardly moves
 # The attribute whose planes are coded anew when a step changes.
 STEPS = {
-    "key.quaternions": "quaternions",
-    "key.log_scales": "log_scales",
-    "key.opacity": "opacity",
-    "key.sh_dc": "colour",
-    "key.sh_rest": "colour",
+    **{f"key.{name}": "colour" if name.startswith("sh_") else name for name in KEY_ATTRIBUTES},
     "grid": "means",
-    "state.means": "means",
-    "state.quaternions": "quaternions",
-    "state.log_scales": "log_scales",
-    "state.opacity": "opacity",
-    "state.sh_dc": "colour",
-    "state.sh_rest": "colour",
+    **{f"state.{name}": "colour" if name.startswith("sh_") else name for name in STATE_ATTRIBUTES},
 }
 # m: bytes saved by a step e times as large; b: the error of a step f times as large is b f^2
 Slope = tuple[float, float]
@@ -87,10 +79,6 @@ class Subject:
         loaded = sequence.load(range(survey.span.start, survey.span.stop))
         layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
         return Subject(loaded.frames, layout, prune_rows(loaded.frames, survey), settings)
-
-    def canonical(self) -> Gaussians:
-        """The canonical frame, N rows in file order."""
-        return self.layout.key
 
     def sample(self, fps: float) -> CalibrationSample:
         """Blocks spread over all rows, and the frames of the first segment: enough to see P and B pictures settle."""
@@ -238,7 +226,7 @@ class Withholding:
     @staticmethod
     def of(subject: Subject) -> Withholding:
         """Rank the updates of all rows and render without the lowest ones."""
-        canonical, rows, pictures = subject.canonical(), subject.layout.rows, subject.layout.pictures
+        canonical, rows, pictures = subject.layout.key, subject.layout.rows, subject.layout.pictures
         frames = [subject.frames[t].take(rows) for t, _ in pictures]
         score, moving = _rank(subject, [canonical, *frames])
         depths = assign_depths(score, moving, SHARES)

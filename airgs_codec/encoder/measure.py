@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from airgs_codec.coding.channels import Canonical
-from airgs_codec.decoder.decode import decode_canonical, decode_segment, fewer_tiers
+from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.survey import Pictures, ViewPlan
 from airgs_codec.media.metrics import Difference, pool
 from airgs_codec.package.manifest import Groups, Manifest
@@ -150,10 +150,19 @@ def _rung(package: Package, rung: tuple[int, int], base: Canonical, pictures: Pi
     """
     m, (index, level) = package.manifest, rung
     segment = m.segments[index]
-    fewer = fewer_tiers(m.groups[m.group_of(index)], base, m.levels[level].tiers)
+    fewer = _fewer_tiers(m.groups[m.group_of(index)], base, m.levels[level].tiers)
     numbers = sorted({number for number, _ in pictures})
     frames = decode_segment(package, index, fewer, level, [number - segment.start for number in numbers])
     return draw_frames(in_order(numbers, frames), renderer)
+
+
+def _fewer_tiers(group: Group, base: Canonical, tiers: int) -> Canonical:
+    """The canonical space that the first `tiers` key tiers of all tiles make, of the one that all tiers make."""
+    counts = [tier.count for tier in group.units]
+    if len(group.tiles) == 1:
+        return base.first(sum(counts[:tiers]))
+    there = [unit % len(group.tiles[0].tiers) < tiers for unit in range(len(counts))]
+    return base.part(np.flatnonzero(np.repeat(there, counts)))
 
 
 def _with_quality(

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import airgs_codec
+from airgs_codec.coding import escapes
 from airgs_codec.decoder.decode import decode_canonical
 from airgs_codec.package.package import open_package
 from tests.support.paths import GOLDEN
@@ -43,7 +44,7 @@ def run_bare(code, *arguments):
 def test_decoding_loads_few_modules_and_no_library_but_numpy_and_av():
     modules = json.loads(run_bare(DECODES, str(GOLDEN / "fox")))
     folders = {name.split(".")[1] for name in modules if "." in name}
-    assert len(modules) <= 36, modules
+    assert len(modules) <= 35, modules
     assert not folders & {"render", "analysis", "encoder", "train", "play", "jobs", "inspect", "cli"}
 
 
@@ -79,3 +80,16 @@ def test_other_groups_and_qualities_are_not_mistaken_for_the_last_one():
         got = airgs_codec.decode(package, frame, key_quality=quality)
         np.testing.assert_array_equal(got.opacity_logits, fresh.opacity_logits)
     assert len(decode_canonical(package, 0, 0).means) == len(got)
+
+
+def test_escapes_are_read_once_while_frames_are_of_one_segment_and_level(monkeypatch):
+    asked = ((0, 0), (1, 0), (0, 1), (2, 0), (3, 0), (1, 0))  # frame and level; a segment has two frames
+    fresh = [airgs_codec.decode(open_package(GOLDEN / "tiles"), frame, level=level) for frame, level in asked]
+    package, read, unpack = open_package(GOLDEN / "tiles"), [], escapes.unpack
+    monkeypatch.setattr(escapes, "unpack", lambda *arguments: read.append(arguments[-1]) or unpack(*arguments))
+    for (frame, level), expected in zip(asked, fresh, strict=True):
+        got = airgs_codec.decode(package, frame, level=level)
+        for name in got.__slots__:
+            np.testing.assert_array_equal(getattr(got, name), getattr(expected, name))
+    segments = ((0, 0), (0, 1), (1, 0), (0, 0))  # segment and level, whenever they change
+    assert read == [file for which in segments for file in package.manifest.state_files(*which)]

@@ -9,12 +9,12 @@ import pytest
 
 from airgs_codec.cli.manifest import main as inspect_main
 from airgs_codec.cli.play import main
-from airgs_codec.decoder.decode import measure_decoding
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import find_faults, open_package
 from airgs_codec.package.region import draw_views
 from airgs_codec.play.metrics import FIGURES
 from airgs_codec.play.offers import Offers
+from airgs_codec.play.session import measure_decoding
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
 from airgs_codec.play.trace import Link, Trace, open_trace
