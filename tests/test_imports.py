@@ -16,10 +16,11 @@ ORDER = (
 )  # fmt: skip
 MAY_IMPORT = {
     "torch": {
+        "render/absgrad.py",
+        "render/differentiable.py",
         "render/cuda.py",
         "render/cuda_loaded.py",
         "render/reference.py",
-        "render/torch.py",
         "train",
     },
     "gsplat": {"render/cuda.py"},

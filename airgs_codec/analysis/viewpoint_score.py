@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.render import Camera, cpu
-from airgs_codec.render.cpu import RasterInputs
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.scene.gaussians import SH_C0, Gaussians, to_matrices
 

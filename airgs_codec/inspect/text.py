@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from airgs_codec._report import table
-from airgs_codec.inspect.summary import LevelSummary, RungSummary, Summary, span
+from airgs_codec.inspect.left_out import span
+from airgs_codec.inspect.summary import LevelSummary, RungSummary, Summary
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.world import world_words
 

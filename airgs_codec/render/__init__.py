@@ -1,6 +1,6 @@
 """Rendering Gaussians as cameras see them.
 
-`cpu` draws with numba kernels (`cpu_kernels`) and needs no torch. `torch` is the same as a torch function with
+`cpu` draws with numba kernels (`cpu_kernels`) and needs no torch. `differentiable` is the same as a torch function with
 gradients; for tensors on a CUDA device it calls gsplat (`cuda`). `reference` is the definition: slow, plain, float64.
 """
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import cpu
-from airgs_codec.render.cpu import Contribution, Floats, RasterInputs, Render, Weights
+from airgs_codec.render.cpu import Contribution, Floats, Render, Weights
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Background, Camera
 from airgs_codec.scene.gaussians import Gaussians
 

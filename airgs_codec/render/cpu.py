@@ -1,23 +1,20 @@
-"""Rendering on the CPU without torch. N Gaussians, V visible, M (Gaussian, tile) pairs, H x W pixels.
-
-K = (degree + 1)^2 - 1 SH coefficients past DC.
-"""
+"""Rendering on the CPU without torch. N Gaussians, V visible, M (Gaussian, tile) pairs, H x W pixels."""
 
 from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.render import cpu_kernels as kernels
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.gaussians import Gaussians
 
@@ -31,32 +28,6 @@ DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
 
 _LOCK = threading.Lock()  # numba's thread layers abort when two threads run parallel kernels
 _announced = False
-
-
-class Shaped(Protocol):
-    """A numpy array or a torch tensor."""
-
-    @property
-    def shape(self) -> Sequence[int]:
-        """The length of each axis."""
-
-
-Array = TypeVar("Array", bound=Shaped)
-
-
-class RasterInputs(NamedTuple, Generic[Array]):
-    """Activated Gaussians, of one precision and device; or the derivatives of a loss by them."""
-
-    means: Array  # (N, 3) world units
-    quaternions: Array  # (N, 4) w, x, y, z of any length
-    scales: Array  # (N, 3) world units
-    opacities: Array  # (N,) 0..1
-    sh: Array  # (N, K + 1, 3)
-
-    @property
-    def sh_degree(self) -> int:
-        """The degree of the spherical harmonics, 0 to 3."""
-        return round(self.sh.shape[1] ** 0.5) - 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

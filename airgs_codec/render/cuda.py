@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from airgs_codec.render.cpu import DILATION, FAR, RasterInputs
-from airgs_codec.render.torch import AbsGrad
+from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.cpu import DILATION, FAR
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Background, Camera
 
 BAND_PAIRS = 1 << 17  # (Gaussian, tile) pairs whose pixels are listed at once: at most 256 each, of 70 bytes

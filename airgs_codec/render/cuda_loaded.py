@@ -10,8 +10,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from airgs_codec.render.cpu import TILE, Contribution, Floats, RasterInputs, Render, Weights
+from airgs_codec.render.cpu import TILE, Contribution, Floats, Render, Weights
 from airgs_codec.render.cuda import Drawn, measure_pairs, measure_weights, rasterize, upload
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Background, Camera
 
 

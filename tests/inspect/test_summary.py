@@ -7,8 +7,9 @@ import pytest
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
+from airgs_codec.inspect.left_out import describe_left_out
 from airgs_codec.inspect.plot import plot_ladder
-from airgs_codec.inspect.summary import bytes_by_kind, describe_left_out, segment_rates, summarise
+from airgs_codec.inspect.summary import bytes_by_kind, segment_rates, summarise
 from airgs_codec.inspect.text import format_summary
 from airgs_codec.media.image import read_png
 from airgs_codec.package.layout import KEY, STATE

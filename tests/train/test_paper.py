@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.render.torch import AbsGrad
+from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit import optimise, parameters

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from airgs_codec.media.image import box_mean
+from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.backend import CPU, Renderer
-from airgs_codec.render.torch import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.data.plates import Masks

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from airgs_codec.errors import TrainingError
 from airgs_codec.media.image import resize
 from airgs_codec.progress import Progress, silent
+from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.cpu import TILE, Redraw, Render
-from airgs_codec.render.torch import AbsGrad
 from airgs_codec.scene.camera import with_pixels
 from airgs_codec.train.data.pictures import Picture, Target, View
 from airgs_codec.train.fit.losses import LAMBDA, ExposureModel, photometric

@@ -15,8 +15,10 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from airgs_codec.render.cpu import RasterInputs, Redraw
-from airgs_codec.render.torch import AbsGrad, Picture, rasterize_views
+from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.cpu import Redraw
+from airgs_codec.render.differentiable import Picture, rasterize_views
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
 from airgs_codec.scene.repair import QUATERNION_MIN_NORM

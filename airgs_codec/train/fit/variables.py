@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from airgs_codec.errors import TrainingError
-from airgs_codec.render.torch import AbsGrad
+from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.train.fit.active import Resting
 from airgs_codec.train.fit.grow import Densifier, is_visible
 from airgs_codec.train.fit.parameters import ATTRIBUTES, BETAS, Adam, Parameters, take_and_append, zeros_like

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render.torch import AbsGrad
+from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.train.fit.grow import (
     Densifier,
     Growth,

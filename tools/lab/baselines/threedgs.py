@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from airgs_codec.errors import TrainingError
-from airgs_codec.render.torch import AbsGrad
+from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.fit.grow import LOW_OPACITY, is_visible, split_or_clone
 from airgs_codec.train.fit.parameters import Adam, Parameters, from_gaussians, to_gaussians

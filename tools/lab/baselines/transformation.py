@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from airgs_codec.render.torch import AbsGrad
+from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.fit.grow import Densifier, Growth
 from airgs_codec.train.fit.parameters import EPSILON, Parameters, from_gaussians, to_gaussians

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from airgs_codec.render import Camera, cpu
-from airgs_codec.render.cpu import RasterInputs
+from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.render.reference import render_reference
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.repair import QUATERNION_MIN_NORM
