@@ -19,7 +19,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.media.image import read_mask, resize, to_bytes, to_floats, undistort
 from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera, with_pixels
-from airgs_codec.train.data.kept import Kept
+from airgs_codec.train.data.recent import Recent
 from airgs_codec.train.data.multiview import MultiviewScene, Shot
 from airgs_codec.train.settings import RANDOM, TrainSettings, named_background
 
@@ -85,8 +85,8 @@ class Pictures:
         self.background = named_background(background) or scene.background
         self._exposure: Exposure = {}
         self._target_bytes = target_bytes
-        self._stored = Kept(self._load, picture_bytes)
-        self._targets = Kept(self._make_target, target_bytes)
+        self._stored = Recent(self._load, picture_bytes)
+        self._targets = Recent(self._make_target, target_bytes)
 
     @property
     def exposure(self) -> Exposure:
@@ -97,7 +97,7 @@ class Pictures:
         """The same pictures as the average camera would have exposed them; those buffered in 8 bits are shared."""
         other = copy(self)
         other._exposure = dict(exposure)
-        other._targets = Kept(other._make_target, self._target_bytes)
+        other._targets = Recent(other._make_target, self._target_bytes)
         return other
 
     @property

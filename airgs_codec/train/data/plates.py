@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.media.image import box_mean, to_bytes, to_floats
 from airgs_codec.scene.camera import Camera
-from airgs_codec.train.data.kept import Kept
+from airgs_codec.train.data.recent import Recent
 from airgs_codec.train.data.multiview import MultiviewScene
 from airgs_codec.train.data.pictures import (
     PICTURE_BYTES,
@@ -134,7 +134,7 @@ def settle(views: Sequence[View], plates: Plates, exposure: Exposure) -> Settled
         return Target(np.where(masks[place][..., None], target.rgb, rgb), target.clear)
 
     masks = find_moving(views, plates, exposure)
-    buffer = Kept(flatten, TARGET_BYTES)
+    buffer = Recent(flatten, TARGET_BYTES)
     return Settled([View(v.camera, _Flattened(buffer, place, v.picture)) for place, v in enumerate(views)], masks)
 
 
@@ -147,7 +147,7 @@ def find_moving(views: Sequence[View], plates: Plates, exposure: Exposure) -> Ma
 class _Flattened:
     """The picture of a view, as its plate has it where it rests."""
 
-    buffer: Kept[int, Target]
+    buffer: Recent[int, Target]
     place: int
     picture: Picture
 

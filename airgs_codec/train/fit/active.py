@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from airgs_codec.render import cpu
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.kept import Kept
+from airgs_codec.train.data.recent import Recent
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.parameters import Parameters
 
@@ -79,7 +79,7 @@ def find_active(
 ) -> Active:
     """Find what may change, from the Gaussians of the frame before and what moves (H, W) in each view."""
     loaded = renderer.load(before)
-    rests: Kept[int, _Rest] = Kept(lambda place: _Rest(loaded.draw(views[place].camera)), REST_BYTES)
+    rests: Recent[int, _Rest] = Recent(lambda place: _Rest(loaded.draw(views[place].camera)), REST_BYTES)
     weights, on_moving, whole = [], np.zeros(len(before)), np.zeros(len(before))
     for place, (view, mask) in enumerate(zip(views, moving, strict=True)):
         w = loaded.weights(view.camera, mask)
@@ -109,7 +109,7 @@ class _Rest:
         return self.picture.rgb.nbytes + self.picture.transmittance.nbytes
 
 
-def _picture(rests: Kept[int, _Rest], place: int) -> cpu.Render:
+def _picture(rests: Recent[int, _Rest], place: int) -> cpu.Render:
     return rests.get(place).picture
 
 

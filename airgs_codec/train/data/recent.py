@@ -1,4 +1,4 @@
-"""Values that are made when they are asked for, of which those used last are kept, up to a number of bytes."""
+"""Values that are made when they are asked for, of which those used last stay in memory, up to a number of bytes."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value", bound=Sized)
 
 
-class Kept(Generic[Key, Value]):
+class Recent(Generic[Key, Value]):
     """The values used last. Several threads may ask; values are made one at a time."""
 
     def __init__(self, make: Callable[[Key], Value], most: int) -> None:
-        """`most`: bytes that are kept together; the one that was asked for last is kept whatever it takes."""
+        """`most`: bytes that stay together; the value that was asked for last stays whatever it takes."""
         self._make = make
         self._most = most
         self._values: OrderedDict[Key, Value] = OrderedDict()
@@ -35,7 +35,7 @@ class Kept(Generic[Key, Value]):
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the values that are kept now."""
+        """Return the bytes of the values in memory now."""
         with self._changing:
             return sum(value.nbytes for value in self._values.values())
 
@@ -44,20 +44,20 @@ class Kept(Generic[Key, Value]):
             return key in self._values
 
     def get(self, key: Key) -> Value:
-        """The value of a key. Raises what making it raises."""
+        """Return the value of a key. Raises what making it raises."""
         found = self._find(key)
         if found is not None:
             return found
         with self._making:
             found = self._find(key)  # somebody may have made it meanwhile
-            return self._keep(key, self._make(key)) if found is None else found
+            return self._hold(key, self._make(key)) if found is None else found
 
     def put(self, key: Key, value: Value) -> None:
-        """Keep a value that is known already."""
-        self._keep(key, value)
+        """Hold a value that is known already."""
+        self._hold(key, value)
 
     def expect(self, key: Key) -> None:
-        """Make the value of a key in another thread, where it is not kept; a failure is left for `get` to find."""
+        """Make the value of a key in another thread, where it is not in memory; a failure is left for `get` to find."""
         if key not in self:
             if self._thread is None:
                 self._thread = ThreadPoolExecutor(1)
@@ -69,7 +69,7 @@ class Kept(Generic[Key, Value]):
                 self._values.move_to_end(key)
             return self._values.get(key)
 
-    def _keep(self, key: Key, value: Value) -> Value:
+    def _hold(self, key: Key, value: Value) -> Value:
         with self._changing:
             self._values[key] = value
             held = sum(v.nbytes for v in self._values.values())
