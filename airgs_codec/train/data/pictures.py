@@ -19,8 +19,8 @@ from airgs_codec.errors import SceneError
 from airgs_codec.media.image import read_mask, resize, to_bytes, to_floats, undistort
 from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera, with_pixels
-from airgs_codec.train.data.recent import Recent
 from airgs_codec.train.data.multiview import MultiviewScene, Shot
+from airgs_codec.train.data.recent import Recent
 from airgs_codec.train.settings import RANDOM, TrainSettings, named_background
 
 PICTURE_BYTES = 1 << 30  # of pictures in 8 bits: 40 in 4K, or 170 in 1080p

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from airgs_codec.media.image import box_mean, to_bytes, to_floats
 from airgs_codec.scene.camera import Camera
-from airgs_codec.train.data.recent import Recent
 from airgs_codec.train.data.multiview import MultiviewScene
 from airgs_codec.train.data.pictures import (
     PICTURE_BYTES,
@@ -31,6 +30,7 @@ from airgs_codec.train.data.pictures import (
     View,
     exposed_alike,
 )
+from airgs_codec.train.data.recent import Recent
 
 FEWEST = 3  # frames of a run that has plates
 SAMPLES = 16  # most frames that a plate is the median of

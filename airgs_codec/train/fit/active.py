@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from airgs_codec.render import cpu
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.recent import Recent
 from airgs_codec.train.data.pictures import View
+from airgs_codec.train.data.recent import Recent
 from airgs_codec.train.fit.parameters import Parameters
 
 SHARE = 0.2  # of a row's blending weights over all views that fall on moving pixels, from which it is active
