@@ -87,7 +87,7 @@ def parse_up(text: str) -> tuple[float, ...]:
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError as error:
-        raise ConfigError(f"expected a direction that points up, {', '.join(AXES)} or X,Y,Z, got {text!r}") from error
+        raise ConfigError(f"expected {', '.join(AXES)} or X,Y,Z that points up, got {text!r}") from error
     return x, y, z
 
 

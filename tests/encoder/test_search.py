@@ -58,10 +58,10 @@ def test_targets_are_reached(first_frames, tmp_path, capsys):
 
 
 def test_sizes_are_told_by_the_frame_or_by_the_second(first_frames):
-    parser, sequence = command._parser(), open_sequence(first_frames, fps=Fraction(25))
+    sequence = open_sequence(first_frames, fps=Fraction(25))
     goals = [
-        command._goal(parser.parse_args(["x", *words]), sequence)
-        for words in (["--target-psnr", "41"], ["--target-mb", "0.02"], ["--target-mbps", "4"], [])
+        command._goal(command.Encode("x", **target), sequence)
+        for target in ({"target_psnr": 41.0}, {"target_mb": 0.02}, {"target_mbps": 4.0}, {})
     ]
     assert goals == [Goal(PSNR, 41.0), Goal(SIZE, 20.0), Goal(SIZE, 20.0), None]  # kB a frame
 

@@ -87,7 +87,7 @@ def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):
         targets=("99.9", "default"),
         single_rungs=(0.2, 8.0),
         pictures=2,
-        set=("margin=0.1", "preset=ultrafast", "threads=1"),
+        settings={"margin": 0.1, "preset": "ultrafast", "threads": 1},
     )
     (section,) = run(options, Lab.at(tmp_path / "out")).sections
     assert "clip 99.9: target: 99.9 PSNR is out of reach" in capsys.readouterr().err

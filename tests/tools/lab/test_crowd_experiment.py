@@ -50,8 +50,6 @@ def test_a_crowd_is_simulated_and_written(demo_package, traces, tmp_path, capsys
         ({"policies": ("nothing",)}, "nothing"),
         ({"policies": ("oracle-lp",)}, "oracle-lp"),
         ({"viewers": 0}, "viewer"),
-        ({"price": ("nothing=1",)}, "expected NAME=VALUE of edge_gb"),
-        ({"price": ("edge_gb=much",)}, "expected float, got 'much'"),
         ({"traces": Path("/nowhere")}, "expected a folder of traces"),
         ({"jobs": 0}, "--jobs"),
     ],

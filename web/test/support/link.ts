@@ -1,6 +1,6 @@
 // A link that replays a trace: airgs_codec/play/trace.py, link.py and SimulatedDownloader, number by number.
 import { FormatError, type Reason } from "../../src/format/errors.ts";
-import { CHECK_S, SESSION_S } from "../../src/generated/constants.ts";
+import { CHECK_S } from "../../src/generated/constants.ts";
 import type { Arrival, Downloader, GiveUp, Partial, Request } from "../../src/play/downloader.ts";
 import { filesOf, type Offers } from "../../src/play/offers.ts";
 import { Playout } from "../../src/play/playout.ts";
@@ -138,6 +138,9 @@ function roundHalfEven(value: number): number {
   const whole = Math.round(value);
   return whole - value === 0.5 && whole % 2 ? whole - 1 : whole;
 }
+
+/** As in airgs_codec/play/offers.py. */
+const SESSION_S = 30;
 
 /** How often a session plays the sequence: as wanted, else for about SESSION_S; once while it grows. */
 export function loopsOf({ live, durationS }: Offers, wanted: number | null): number {
