@@ -296,7 +296,7 @@ def refusal(error: CycloptsError) -> str:
         return f"argument {error.token.keyword}: expected one value, got another one: {error.token.value!r}"
     if isinstance(error, UnknownOptionError):
         known = [name for argument in error.argument_collection for name in argument.names]
-        word = str(error.token.keyword)
+        word = error.token.keyword or error.token.value  # the one where it has a value, else the other
         close = difflib.get_close_matches(word, known, 1)
         return f"argument {word}: expected an option that there is{f' ({close[0]}?)' if close else ''}; see {ALL}"
     if isinstance(error, UnknownCommandError):
