@@ -124,7 +124,7 @@ def _folder(top: str) -> Path:
     """The folder of a package that is imported; of a script, which is none, a folder without modules."""
     module = sys.modules.get(top) or importlib.import_module(top)
     paths = list(getattr(module, "__path__", []))
-    return Path(paths[0]) if paths else Path(getattr(module, "__file__", None) or ".").with_suffix("")
+    return Path(paths[0]) if paths else Path(getattr(module, "__file__", None) or top).with_suffix("")
 
 
 def _file(stem: Path) -> Path | None:
@@ -206,7 +206,7 @@ def perform(store: Store, job: Job) -> Record:
     result that is no value that `places.results.pack` takes, and WorkError on a worker with another version of this
     package or its libraries.
     """
-    if job.code not in ("", code_digest(job.function)):
+    if job.code and job.code != code_digest(job.function):
         version = "expected the version of airgs-codec, its libraries and FFmpeg that the command has, got another one"
         raise WorkError(f"worker {platform.node()}: {version}")
     known = read_record(store, job.entry)

@@ -121,4 +121,8 @@ def waits(count: int, seconds: float) -> Iterator[Timed]:
 
 
 def _wait(number: int, seconds: float) -> Job:
-    return Job("wait", str(number), f"wait {number}", time.sleep, (seconds,))
+    return Job("wait", str(number), f"wait {number}", _pause, (seconds,))
+
+
+def _pause(seconds: float) -> None:
+    time.sleep(seconds)
