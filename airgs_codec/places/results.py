@@ -128,7 +128,7 @@ class _Packer:
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
-        self._known: dict[int, int] = {}  # arrays by identity, which are written once
+        self._known: dict[int, tuple[np.ndarray, int]] = {}  # by identity, so that each is written once: they stay alive
 
     def plain(self, value: Any) -> Any:
         """Return what stands for a value in JSON."""
@@ -166,8 +166,8 @@ class _Packer:
         if id(array) not in self._known:
             file = io.BytesIO()
             np.lib.format.write_array(file, array, allow_pickle=False)
-            self._known[id(array)] = self._add(file.getvalue())
-        return self._known[id(array)]
+            self._known[id(array)] = array, self._add(file.getvalue())
+        return self._known[id(array)][1]
 
 
 def _value(plain: Any, parts: list[bytes], trusted: tuple[str, ...]) -> Any:

@@ -41,6 +41,8 @@ def test_values_come_back_as_they_were():
         np.testing.assert_array_equal(array, other)
         assert type(array) is type(other) and array.dtype == other.dtype
         assert array.flags.f_contiguous == other.flags.f_contiguous or array is arrays[3]
+    numbers = [np.float64(n) for n in range(100)]  # made and gone one after another, they may lie at one address
+    assert unpack(pack(numbers)) == numbers
     assert np.isnan(unpack(pack(float("nan"))))
     usage = Usage(np.ones(3), np.zeros(3), np.arange(3), np.full(3, np.nan))
     np.testing.assert_array_equal(unpack(pack(usage)).moved, usage.moved)
