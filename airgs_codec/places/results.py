@@ -128,7 +128,7 @@ class _Packer:
 
     def __init__(self) -> None:
         self.parts: list[bytes] = []
-        self._known: dict[int, tuple[np.ndarray, int]] = {}  # by identity, so that each is written once: they stay alive
+        self._known: dict[int, tuple[np.ndarray, int]] = {}  # by identity: they stay alive
 
     def plain(self, value: Any) -> Any:
         """Return what stands for a value in JSON."""
