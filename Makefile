@@ -3,6 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 SCENE := tests/data/fox
 OUT := build/demo
+HEAD := manifests/showcase/head.airgs
 
 VIEWS := tests/data/fox_views
 
@@ -26,6 +27,9 @@ page: web/node_modules/installed
 
 demo: .venv/installed web/node_modules/installed
 	mkdir -p $(OUT)
+	-$(BIN)/python -m tools.screenshot $(HEAD) -o $(OUT)/head.png
+	@echo "A picture of it playing: $(OUT)/head.png. To watch it: $(BIN)/airgs-serve $(HEAD), then open the address it says."
+	@echo
 	$(BIN)/airgs-encode $(SCENE) -o $(OUT)/fox.airgs
 	$(BIN)/airgs-manifest inspect $(OUT)/fox.airgs --plot $(OUT)/ladder.png
 	$(BIN)/airgs-manifest validate $(OUT)/fox.airgs
@@ -64,10 +68,11 @@ web-check: web/node_modules/installed
 pytest: .venv/installed
 	$(BIN)/pytest --numprocesses 3 --dist loadfile -rs
 
-# What takes long: mutated packages, killed encodes and trainings, a farm and a publisher that fail. Hours in all.
+# What takes long: mutated files, killed encodes and trainings, full disks, a farm and a publisher that fail. Hours in all.
 soak: .venv/installed
 	$(BIN)/python -m tests.long.fuzz
 	$(BIN)/python -m tests.long.kill
+	$(BIN)/python -m tests.long.faults
 	rm -rf build/lab/soak-farm
 	$(BIN)/python -m tools.lab soak-farm
 	$(BIN)/python -m tools.lab soak-live

@@ -19,6 +19,14 @@ hypothesis.settings.register_profile("airgs", deadline=None)
 hypothesis.settings.load_profile("airgs")
 
 
+def pytest_terminal_summary(terminalreporter):
+    """Tell which browsers tests played in: each such test records its own."""
+    reports = [report for kind in ("passed", "failed") for report in terminalreporter.stats.get(kind, [])]
+    browsers = {value for report in reports for name, value in report.user_properties if name == "browser"}
+    if browsers:
+        terminalreporter.write_line(f"browsers: {', '.join(sorted(browsers))}")
+
+
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
     """Calibrations of tests stay out of the user's cache."""

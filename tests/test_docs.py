@@ -8,7 +8,18 @@ from tests.support.paths import REPOSITORY
 from tools import check_docs
 
 MOST_WORDS = {"README.md": 800, "CHANGELOG.md": 400, "CONTRIBUTING.md": 1000, "FORMAT.md": 5200}
-USER_PAGES = ["README", "browser", "encoding", "farm", "formats", "playing", "python", "serving", "training"]
+USER_PAGES = [
+    "README",
+    "browser",
+    "encoding",
+    "farm",
+    "formats",
+    "playing",
+    "python",
+    "security",
+    "serving",
+    "training",
+]
 USER_PAGE_WORDS = 1200
 USER_WORDS = 9000
 WORDS = 24_000

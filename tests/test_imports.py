@@ -16,10 +16,8 @@ ORDER = (
 )  # fmt: skip
 MAY_IMPORT = {
     "torch": {
-        "render/absgrad.py",
         "render/differentiable.py",
         "render/cuda.py",
-        "render/cuda_loaded.py",
         "render/reference.py",
         "train",
     },
@@ -29,8 +27,9 @@ MAY_IMPORT = {
     "fourdgs": {"scene/formats/bake_4dgs.py", "scene/formats/fourdgs.py"},
     "gsply": {"scene/formats/spz.py"},
     "pygltflib": set(),  # of tests alone
-    "av": {"media/h264.py", "media/movie.py"},
+    "av": {"media/h264.py", "media/movie.py", "media/sound.py"},
     "cv2": {"media/image.py"},
+    "PIL": {"media/image.py"},
     "colour": {"media/metrics.py"},
     "numba": {
         "cli/kernels.py",
@@ -42,7 +41,7 @@ MAY_IMPORT = {
     "matplotlib": {"_report.py", "jobs/report.py"},
     "dask": {"jobs/dask_engine.py"},
     "distributed": {"jobs/dask_engine.py"},
-    "aiohttp": {"play/http.py", "play/http_files.py"},
+    "aiohttp": {"play/http_files.py"},
     "hypercorn": {"serve/server.py"},
     "obstore": {"places/place.py"},
     "starlette": {"serve/app.py", "serve/server.py"},

@@ -1,27 +1,23 @@
-"""Write docs/session.gif: a simulated session on the embedded scene; left the screen, right the link and the rungs.
+"""Write docs/session.webp: a simulated session on the talking head; above the screen, below the link and the rungs.
 
-    python -m tools.make_film [-o docs/session.gif]
+    python -m tools.make_film [-o docs/session.webp]
 
-The scene is encoded at 12 frames a second, half its speed, so that a viewer of the film can follow it, and the measured
-rates of the LTE trace beside it are scaled so that the top rung does not always fit. The viewer walks through the
-viewing region of the package. H x W pixels; pictures are (H, W, 3) RGB of 8 bits.
+The measured rates of an LTE trace are scaled so that the top rung does not always fit. The viewer walks through the
+viewing region of the package. Every second frame is shown. H x W pixels; pictures are (H, W, 3) RGB of 8 bits.
 """
 
 from __future__ import annotations
 
 import argparse
 import io
-import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
-from typing import cast
 
-import av
 import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 import airgs_codec as airgs
 from airgs_codec.media.image import label, to_bytes
@@ -31,24 +27,23 @@ from airgs_codec.play.report.map import Viewer
 from airgs_codec.play.session import SessionLog
 from airgs_codec.play.trace import Trace
 from airgs_codec.render import render
+from airgs_codec.scene.camera import with_pixels
 
 REPOSITORY = Path(__file__).parent.parent
-SCENE = REPOSITORY / "tests" / "data" / "fox"
-FPS = 12
-LOOPS = 10  # of the ten frames: about eight seconds
+HEAD = REPOSITORY / "manifests" / "showcase" / "head.airgs"
+TRACE = REPOSITORY / "tests" / "data" / "fox" / "trace.csv"
+EVERY, FPS = 2, 15  # frames of the package, and pictures a second
+WIDTH, HEIGHT, CHART_HEIGHT = 720, 405, 130
 BUFFER_S = 1.5  # short, so that the choices follow the link
-OFFSET_S, SCALE = 278.0, 0.7  # of the trace: a stretch where the rate falls and comes back
-CROP = slice(40, 300)  # rows of the 320 that are shown
-COLOURS = 64  # of the palette
+OFFSET_S, SCALE = 282.0, 0.6  # of the trace: a stretch where the rate falls and comes back
+QUALITY = 70  # of WebP
 
 
-def play(folder: Path) -> tuple[Package, SessionLog, Trace]:
-    """Encode the scene into `folder` and play it over its trace."""
-    sequence = airgs.open_sequence(SCENE, fps=Fraction(FPS))
-    airgs.encode(sequence, folder / "fox.airgs")
-    package = airgs.open_package(folder / "fox.airgs")
-    trace = airgs.open_trace(SCENE / "trace.csv").cut(OFFSET_S, SCALE)
-    log = airgs.simulate(package, trace, "robust-mpc", airgs.SessionSettings(buffer_s=BUFFER_S, loops=LOOPS))
+def play() -> tuple[Package, SessionLog, Trace]:
+    """Play the head once over the trace."""
+    package = airgs.open_package(HEAD)
+    trace = airgs.open_trace(TRACE).cut(OFFSET_S, SCALE)
+    log = airgs.simulate(package, trace, "robust-mpc", airgs.SessionSettings(buffer_s=BUFFER_S, loops=1))
     return package, log, trace
 
 
@@ -59,9 +54,12 @@ def screens(package: Package, log: SessionLog, viewer: Viewer) -> Iterable[NDArr
         shown = log.shown[entry]
         waits = seen[entry] == shown.frames
         seen[entry] += not waits
+        if tick % EVERY:
+            continue
         assert gaussians is not None and shown.rung is not None, "nothing is lost on this link"
         text = "waiting for data" if waits else f"{log.offers.names[shown.rung]}   {shown.psnr:.1f} dB"
-        picture = label(to_bytes(render(gaussians, viewer.cameras[tick]).rgb)[CROP], text)
+        camera = with_pixels(viewer.cameras[tick], WIDTH, HEIGHT)
+        picture = label(to_bytes(render(gaussians, camera).rgb), text)
         yield label(picture, viewer.caption(tick), 1) if viewer.caption(tick) else picture
 
 
@@ -85,9 +83,10 @@ class Chart:
 def draw_chart(log: SessionLog, trace: Trace, height: int, width: int) -> Chart:
     """The chart of a session in so many pixels."""
     start, ticks = log.shown[0].start_s, len(log.screen_ticks)
-    stop = start + ticks / FPS
+    fps = float(log.offers.fps)
+    stop = start + ticks / fps
     figure, (rate, rungs) = plt.subplots(
-        2, 1, figsize=(width / 100, height / 100), dpi=100, sharex=True, height_ratios=(3, 1), layout="constrained"
+        2, 1, figsize=(width / 100, height / 100), dpi=100, sharex=True, height_ratios=(2, 1), layout="constrained"
     )
     seconds = np.linspace(start, stop, 400)
     rate.fill_between(seconds, [trace.rate_at(s) / 1e6 for s in seconds], step="mid", color="#9db8d6")
@@ -97,14 +96,13 @@ def draw_chart(log: SessionLog, trace: Trace, height: int, width: int) -> Chart:
     shade = plt.Normalize(min(qualities), max(qualities))
     for shown, quality in zip(log.shown, qualities, strict=True):
         colour = plt.get_cmap("RdYlGn")(shade(quality))
-        rungs.axvspan(shown.start_s, shown.start_s + shown.frames / FPS, color=colour, linewidth=0)
-    rungs.set(yticks=[], xlabel="seconds")
+        rungs.axvspan(shown.start_s, shown.start_s + shown.frames / fps, color=colour, linewidth=0)
+    rungs.set(yticks=[])
     rungs.set_title(
         f"on the screen: {min(qualities):.1f} dB (red) to {max(qualities):.1f} dB (green)", fontsize=8, loc="left"
     )
     for axes in (rate, rungs):
         axes.tick_params(labelsize=7)
-    rungs.xaxis.label.set_size(7)
     data = io.BytesIO()
     figure.savefig(data, format="rgba")
     first, last = (float(rungs.transData.transform((s, 0))[0]) for s in (start, stop))
@@ -114,43 +112,24 @@ def draw_chart(log: SessionLog, trace: Trace, height: int, width: int) -> Chart:
     return Chart(picture, first, last, rows)
 
 
-def write_gif(path: Path, pictures: Sequence[NDArray[np.uint8]]) -> None:
-    """An endless GIF at FPS with one palette for all pictures, without dithering: what stands still costs nothing."""
-    height, width = pictures[0].shape[:2]
-    graph = av.filter.Graph()
-    source = graph.add_buffer(width=width, height=height, format=av.VideoFormat("rgb24"), time_base=Fraction(1, FPS))
-    split, palette = graph.add("split"), graph.add("palettegen", f"max_colors={COLOURS}:stats_mode=full")
-    use, sink = graph.add("paletteuse", "dither=none:diff_mode=rectangle"), graph.add("buffersink")
-    source.link_to(split)
-    split.link_to(palette, 0)
-    split.link_to(use, 1, 0)
-    palette.link_to(use, 0, 1)
-    use.link_to(sink)
-    graph.configure()
-    for number, picture in enumerate(pictures):
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
-        frame.pts, frame.time_base = number, Fraction(1, FPS)
-        source.push(frame)
-    source.push(None)
-    with av.open(str(path), "w", format="gif") as container:
-        stream = container.add_stream("gif", rate=FPS, width=width, height=height, pix_fmt="pal8")
-        for _ in pictures:
-            container.mux(stream.encode(cast(av.VideoFrame, sink.pull())))
-        container.mux(stream.encode(None))
+def write_animation(path: Path, pictures: Sequence[NDArray[np.uint8]]) -> None:
+    """An endless WebP at FPS."""
+    first, *others = map(Image.fromarray, pictures)
+    shown = [round(1000 * (place + 1) / FPS) - round(1000 * place / FPS) for place in range(len(pictures))]
+    first.save(path, save_all=True, append_images=others, duration=shown, loop=0, quality=QUALITY, method=4)
 
 
 def main() -> None:
     """Make the film."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-o", "--output", type=Path, default=REPOSITORY / "docs" / "session.gif")
+    parser.add_argument("-o", "--output", type=Path, default=REPOSITORY / "docs" / "session.webp")
     args = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        package, log, trace = play(Path(folder))
-        shots = list(screens(package, log, Viewer.of(log)))
-    chart = draw_chart(log, trace, *shots[0].shape[:2])
+    package, log, trace = play()
+    shots = list(screens(package, log, Viewer.of(log)))
+    chart = draw_chart(log, trace, CHART_HEIGHT, WIDTH)
     shares = np.linspace(0, 1, len(shots))
-    pictures = [np.hstack([shot, chart.at(float(share))]) for shot, share in zip(shots, shares, strict=True)]
-    write_gif(args.output, pictures)
+    pictures = [np.vstack([shot, chart.at(float(share))]) for shot, share in zip(shots, shares, strict=True)]
+    write_animation(args.output, pictures)
     print(f"{args.output}: {len(pictures)} pictures, {args.output.stat().st_size / 1e6:.2f} MB")
 
 

@@ -20,13 +20,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.cli.common import Bar, parse_frames, run_command
+from airgs_codec.cli.common import parse_frames
+from airgs_codec.cli.terminal import Bar, run_command
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.beside import ATTRIBUTION_NAME, read_attribution, write_settings
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, look_at
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians, join_rows
-from airgs_codec.scene.sequence import ATTRIBUTION_NAME, GaussianSequence, open_sequence, read_attribution
-from airgs_codec.scene.sequence_json import write_settings
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 VISIBLE = 0.3  # opacity of Gaussians that say how wide a copy is
 SPACING = 1.1  # copies side by side, in their own widths
@@ -69,8 +70,13 @@ def make_scene(
         write_ply(folder / f"{time:06d}.ply", join_rows(parts))
         bar("frames", time + 1, length)
     bar.close()
+    write_beside(folder, sequence, cameras_of(radius))
+
+
+def write_beside(folder: Path, sequence: GaussianSequence, cameras: Sequence[Camera]) -> None:
+    """What lies beside frames that were made of those of a sequence: rate, one group, cameras and attribution."""
     write_settings(folder, sequence.fps, [0])
-    entries = {"camera_model": "OPENCV", "frames": [entry(camera) for camera in cameras_of(radius)]}
+    entries = {"camera_model": "OPENCV", "frames": [entry(camera) for camera in cameras]}
     (folder / "transforms.json").write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
     if credit := read_attribution(sequence.folder):
         (folder / ATTRIBUTION_NAME).write_text(credit + "\n", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What the browser player in web/src knows from Python: constants, and the tables of a package as types and as schema.
+"""What the browser player in web/src knows from Python: constants, and the schema of the tables of a package.
 
 python -m tools.typescript
 
@@ -9,32 +9,33 @@ imports. What only one side has, such as the sizes of its caches, is not here.
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import re
-import typing
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 
 from airgs_codec.coding import atlas, channels, escapes, rangecoder
 from airgs_codec.media import h264, metrics, mp4
-from airgs_codec.package import layout, parse, paths, region, tables, world
-from airgs_codec.package.constraints import OneOf, as_required
-from airgs_codec.package.schema import manifest_schema
+from airgs_codec.package import layout, parse, references, region, tables
 from airgs_codec.play import buffered, downloader, fetch_plan, fetcher, http_files, ladder, offers, player, sight
 from airgs_codec.play.policies import mpc, named, state
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.render import cpu, cpu_kernels
 from airgs_codec.scene import gaussians
+from tools.schema import manifest_schema
 
 FOLDER = Path(__file__).parents[1] / "web" / "src" / "generated"
+_FLAGS = {
+    "trun": {"offset": mp4.DATA_OFFSET, "first": mp4.FIRST_SAMPLE_FLAGS, "duration": mp4.DURATION, "size": mp4.SIZE}
+    | {"composition": mp4.COMPOSITION_OFFSET},
+    "tfhd": {"base": mp4.BASE_DATA_OFFSET, "description": mp4.DESCRIPTION_INDEX}
+    | {"duration": mp4.DEFAULT_DURATION, "size": mp4.DEFAULT_SIZE},
+}
 MADE = "// Made by python -m tools.typescript from airgs_codec"
-ROOTS = (tables.Root, tables.Spans, tables.Group)
-SETTINGS = ("buffer_s", "startup_s", "resume_s", "decode_frame_s", "replace", "abandon", "pipelined", "loops")
-_PLAIN = {bool: "boolean", int: "number", float: "number", str: "string"}
+SETTINGS = ("buffer_s", "startup_s", "resume_s", "decode_frame_s", "replace", "abandon", "pipelined")
 
 
 def main() -> None:
@@ -46,7 +47,7 @@ def main() -> None:
 
 def files() -> dict[str, str]:
     """The text of each file of the folder, by its name."""
-    return {"constants.ts": _constants_file(), "tables.ts": _tables_file(), "schema.ts": _schema_file()}
+    return {"constants.ts": _constants_file(), "schema.ts": _schema_file()}
 
 
 def constants() -> dict[ModuleType, dict[str, Any]]:
@@ -55,25 +56,28 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
         tables: _same(
             tables, "VERSION", "PAGE", "DIGEST", "BLOCK", "STATIC", "LEAST_CLASS", "MOST_CLASS", "TRANSFORM_UNITS"
         )
-        | _same(tables, "MAX_BITS", "MAX_PICTURE_SIDE", "MIN_PICTURE_SIDE", "MAX_MACROBLOCKS", "MAX_PAGES"),
-        parse: _same(parse, "MAX_ROOT_BYTES", "MAX_TABLE_BYTES"),
-        paths: {"ROOT_PATH": paths.JSON_NAME, "INIT_PATH": paths.INIT_NAME}
-        | {"PATHS": [[f"^{pattern}$", what] for pattern, what in paths.PATTERNS.items()]},
-        layout: _channels(layout.KEY) | _channels(layout.STATE),
-        world: _same(world, "LEAST_SCALE", "MOST_SCALE") | {"WORLD_TOLERANCE": world.TOLERANCE},
-        region: _same(region, "AGREEMENT", "LEVELLING", "SLIGHTLY_DOWN", "GIVE_OR_TAKE")
-        | _same(region, "FORGIVEN_DEGREES", "FORGIVEN_SHARE"),
+        | {
+            "LIMITS": {"bits": tables.MAX_BITS, "side": tables.MAX_PICTURE_SIDE, "macroblocks": tables.MAX_MACROBLOCKS}
+            | {"pages": tables.MAX_PAGES}
+        }
+        | _same(tables, "MIN_PICTURE_SIDE", "MAX_POSTER_BYTES", "PACKETS"),
+        parse: _same(parse, "MAX_TABLE_BYTES", "MAX_VALUES"),
+        layout: {"ROOT_PATH": layout.JSON_NAME, "INIT_PATH": layout.INIT_NAME, "POSTER_PATH": layout.POSTER_NAME}
+        | {"SOUND_INIT_PATH": layout.SOUND_INIT_NAME}
+        | {"PATHS": [[f"^{pattern}$", what] for pattern, what in layout.PATTERNS.items()]}
+        | _channels(layout.KEY)
+        | _channels(layout.STATE),
+        references: _same(references, "LEAST_SCALE", "MOST_SCALE") | {"WORLD_TOLERANCE": references.TOLERANCE},
+        region: _same(region, "AGREEMENT", "LEVELLING") | _same(region, "FORGIVEN_DEGREES", "FORGIVEN_SHARE"),
         gaussians: _same(gaussians, "SMALL_ANGLE", "SH_C0"),
         atlas: _same(atlas, "GREY"),
         channels: _same(channels, "OPACITY_MARGIN"),
         escapes: {"ESCAPE_UNIT": escapes.UNIT},
         rangecoder: _same(rangecoder, "RANGE_START", "RANGE_LEAST", "CHANCE_HALF", "CHANCE_LEAST", "END_BYTES")
         | _same(rangecoder, "MODEL_MEMORY", "MODEL_CONTEXTS", "LENGTH_BITS", "MODELLED_BITS"),
-        mp4: {"BOX_HEADER": mp4.HEADER, "COLUMNS_UUID": mp4.COLUMNS.hex()}
-        | {"HAS_OFFSET": mp4.DATA_OFFSET, "HAS_FIRST_FLAGS": mp4.FIRST_SAMPLE_FLAGS, "HAS_DURATION": mp4.DURATION}
-        | {"HAS_SIZE": mp4.SIZE, "HAS_COMPOSITION": mp4.COMPOSITION_OFFSET, "HAS_BASE": mp4.BASE_DATA_OFFSET}
-        | {"HAS_DESCRIPTION": mp4.DESCRIPTION_INDEX, "HAS_DEFAULT_DURATION": mp4.DEFAULT_DURATION}
-        | {"HAS_DEFAULT_SIZE": mp4.DEFAULT_SIZE},
+        mp4: {"BOX_HEADER": mp4.HEADER, "OWN_UUID": mp4.OWN.hex()}
+        | {"TRUN": _FLAGS["trun"], "TFHD": _FLAGS["tfhd"]}
+        | _same(mp4, "PACKET_TICKS", "SOUND_RATE", "WARM_UP"),
         h264: _same(h264, "DARKEST", "BRIGHTEST"),
         metrics: _same(metrics, "PSNR_CAP"),
         cpu: _same(cpu, "FAR", "DILATION"),
@@ -98,7 +102,7 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
         | {"VIEW_BUFFER_S": settings.view_buffer_s},
         fetch_plan: _same(fetch_plan, "LOOK_S", "EARLY_MARGIN", "LATE_MARGIN", "FURTHEST_S", "SOON_S"),
         sight: _same(sight, "BEFORE_S", "DECAY_S", "CORNERS", "SMALL_TURN"),
-        http_files: _same(http_files, "BUSY", "GARBLED", "LONGEST_PAUSE_S")
+        http_files: _same(http_files, "BUSY", "GARBLED", "LONGEST_PAUSE_S", "LEAST_BYTES")
         | {"TIMEOUT_S": patience.timeout_s, "ATTEMPTS": patience.attempts, "BACKOFF_S": patience.backoff_s},
     }
 
@@ -142,45 +146,12 @@ def _declared(value: Any) -> str:
     return f" = {float(value)!r}" if isinstance(value, float | np.floating) else f" = {json.dumps(value)}"
 
 
-def _tables_file() -> str:
-    """Every dataclass of the tables as an interface, those that others are made of after them."""
-    parts, waiting, seen = [f"{MADE}.package.tables, which says what each field is.\n"], list(ROOTS), set()
-    while waiting:
-        kind = waiting.pop(0)
-        if kind in seen:
-            continue
-        seen.add(kind)
-        fields = []
-        for name, hint in typing.get_type_hints(kind, include_extras=True).items():
-            needed = as_required(hint)
-            fields.append(f"  {name}{'' if needed is hint else '?'}: {_type(needed, waiting)};\n")
-        summary = (kind.__doc__ or "").split("\n")[0]
-        parts.append(f"\n/** {summary} */\nexport interface {kind.__name__} {{\n{''.join(fields)}}}\n")
-    return "".join(parts)
-
-
-def _type(hint: Any, used: list[Any]) -> str:
-    """The TypeScript of a type; dataclasses that it names are added to `used`."""
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    if origin is Annotated:
-        words = next((one.words for one in arguments if isinstance(one, OneOf)), ())
-        return " | ".join(map(json.dumps, words)) or _type(arguments[0], used)
-    if origin is list:
-        return f"{_type(arguments[0], used)}[]"
-    if origin is dict:
-        return "Record<{}, {}>".format(*(_type(argument, used) for argument in arguments))
-    if dataclasses.is_dataclass(hint):
-        used.append(hint)
-        return str(hint.__name__)  # type: ignore[union-attr]
-    return _PLAIN[hint]
-
-
 def _schema_file() -> str:
-    """The JSON Schemas of the tables without their words for people, which the player checks tables against."""
+    """The JSON Schemas of the tables without their words for people: what the player checks, and its types."""
     schema = manifest_schema()
     kinds = {"root": {name: value for name, value in schema.items() if name != "$defs"}, **schema["$defs"]}
-    lines = [f"export const {name} = {json.dumps(_bare(kind))};\n" for name, kind in kinds.items()]
-    return f"{MADE}.package.schema.\n" + "".join(lines)
+    lines = [f"export const {name} = {json.dumps(_bare(kind))} as const;\n" for name, kind in kinds.items()]
+    return f"{MADE}.package.tables.\n" + "".join(lines)
 
 
 def _bare(node: Any, of_properties: bool = False) -> Any:

@@ -13,10 +13,13 @@ from airgs_codec.analysis.sensitivity import CODING_VARIANCE, Sensitivity
 from airgs_codec.media.metrics import mse
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, Without
+from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.usage import Usage
 
 PRECISION = 0.01  # of the rows
+DETAIL = 37  # times the error that is allowed: where a picture without rows differs by more, it shows something else
+LEAST_PIXELS = 0.05  # that a row gives to such places, all pictures together
+DETAIL_ROUNDS = 5
 WIDEST_CHANGE = 255  # steps: larger values count as this one when entropy is estimated
 
 
@@ -100,6 +103,27 @@ class RowPruning:
             else:
                 high = middle
         return WrittenRows(np.sort(self._order[low:]), self._errors[low])
+
+    def with_details(self, written: WrittenRows, allowed: float) -> WrittenRows:
+        """Add those of the rows left out `within` an error that matter where pictures without them are plainly others.
+
+        A mean over pictures does not know small things that people look at, such as eyes.
+        """
+        keep = np.zeros(len(self._order), bool)
+        keep[written.rows] = True
+        for _ in range(DETAIL_ROUNDS):
+            lacking = np.zeros(len(keep))
+            for (g, camera), (without, full) in zip(self._pictures, self._seen, strict=True):
+                mask = np.abs(without(keep) - full).max(axis=-1) > DETAIL * allowed
+                if mask.any():
+                    w = self._renderer.load(g).weights(camera, mask)
+                    lacking += np.bincount(w.ids, w.inside, len(keep))
+            fresh = ~keep & (lacking > LEAST_PIXELS)
+            if not fresh.any():
+                break
+            keep |= fresh
+        errors = [mse(without(keep), full) for without, full in self._seen]
+        return WrittenRows(np.flatnonzero(keep), pooled_error(errors))
 
     def error_of(self, written: int) -> float:
         """Pooled error of pictures of only the `written` most important rows."""

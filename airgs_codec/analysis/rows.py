@@ -1,13 +1,8 @@
-"""Which row of a frame is which of the frame before, and which frames share a canonical space.
+"""Sequences whose rows lost their order, or that lack rows in some frames: rows of a run of frames made to correspond.
 
 Row n of a frame must be the same Gaussian in all frames of a group. Where it is not, since writers sort frames anew and
-trainings begin anew, rows are matched with those of the frame before; a frame whose rows cannot be matched starts a
-group. N rows.
-
-A row is known by its fingerprint: mean, colour, log-scales and opacity, each in a unit of about what changes from one
-frame to the next. Rows are given to their nearest in rounds, the closest pairs first; the number of rounds is bounded,
-so that the work grows with N log N. A row is sure if the second nearest is much further away than the nearest (the
-ratio test of Lowe, Distinctive Image Features from Scale-Invariant Keypoints, 2004, section 7.1).
+drop Gaussians that they do not need, rows are matched with those that were seen before; a row that a frame lacks has no
+opacity in it. A frame whose rows cannot be matched starts a group. N Gaussians of a run, n rows of a frame.
 """
 
 from __future__ import annotations
@@ -18,167 +13,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from airgs_codec.analysis.grouping import count_changes, count_runs, named_runs
+from airgs_codec.analysis.matching import IN_ORDER, LEAST_SURE, LOST, NONE, compare_order, match_rows
 from airgs_codec.progress import Progress, silent
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, join_rows, mix_rows
 from airgs_codec.scene.sequence import GaussianSequence
-
-FEWEST_ROWS = 8  # below it medians say nothing
-LOOKED_AT = 2000  # rows that tell whether the order was lost
-SURE_RATIO = 0.6  # of the distances to the nearest and to the second nearest row
-LEAST_SURE = 0.3  # share of the rows; with fewer of them frames take more bytes in one group than alone
-LEAST_ELSEWHERE = 0.05  # share of the rows that are surely at another place, of frames that lost their order
-ALIKE = 0.1  # of the distance between unrelated rows: what tracked rows stay below
-NEARLY_ALL = 95  # percent of the rows
-CORRESPONDING = 0.5  # of the difference between unrelated rows: above it rows have nothing to do with each other
-_ROUNDS = 20
-_COLOUR, _LOG_SCALE, _ALPHA = 0.05, 0.05, 0.02  # units of the fingerprint; means are in spacings
-_NOT_FINITE = 1e4  # what stands for it, in these units
-_LARGEST = 1e30  # in these units, so that squares stay finite
-
-IN_ORDER, LOST, UNRELATED = "in order", "lost", "unrelated"
 
 ROWS = ("auto", "keep", "match")
 AUTO, KEEP, MATCH = ROWS
 COST = "a frame coded alone takes five to twenty times the bytes of a tracked one"  # fox 5, spinach 7 and 22
-
-DEFAULT_GROUP_FRAMES = 30
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Matched:
-    """The rows of a frame in the order of another."""
-
-    order: NDArray[np.int32]  # (N,) row of the frame for each row of the other
-    sure: float  # share of the rows that no other row is nearly as close to
-
-
-def attributes(g: Gaussians) -> NDArray[np.float64]:
-    """(N, 7) colour, log-scales and opacity, in units of the fingerprint; always finite."""
-    scales, alpha = g.log_scales.astype(np.float64) / _LOG_SCALE, g.opacities().astype(np.float64) / _ALPHA
-    return _finite(np.column_stack([g.sh_dc.astype(np.float64) / _COLOUR, scales, alpha]))
-
-
-def fingerprints(g: Gaussians, spacing: float) -> NDArray[np.float64]:
-    """(N, 11) mean in units of `spacing` (world units), attributes, number among the rows that equal it."""
-    values = np.hstack([_finite(g.means.astype(np.float64) / spacing), attributes(g)])
-    return np.column_stack([values, _number_of_equal(values)])
-
-
-def _finite(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.where(np.isfinite(values), np.clip(values, -_LARGEST, _LARGEST), _NOT_FINITE)
-
-
-def spacing_of(means: NDArray[np.float32]) -> float:
-    """The median distance, in world units, from a mean to the nearest other one; 1 where all are at one place."""
-    finite = means[np.isfinite(means).all(axis=1)].astype(np.float64)
-    if len(finite) < 2:
-        return 1.0
-    distances, _ = cKDTree(finite).query(finite[_some(len(finite))], k=2)
-    apart = distances[:, 1][distances[:, 1] > 0]
-    return float(np.median(apart)) if len(apart) else 1.0
-
-
-def compare_order(a: Gaussians, b: Gaussians) -> tuple[str, float]:
-    """Whether rows of two frames of one length are IN_ORDER, LOST or UNRELATED, and the share of rows that are sure.
-
-    They are in order where nearly every row differs far less from row n of the other frame than from others; lost where
-    many surely are another row of it; unrelated where most differ as much as any two rows do.
-    """
-    first, second = attributes(a), attributes(b)
-    if len(a) < FEWEST_ROWS or _alike(first, second):
-        return IN_ORDER, 1.0
-    spacing = spacing_of(a.means)
-    wanted, offered = fingerprints(a, spacing), fingerprints(b, spacing)
-    looked = _some(len(a))
-    sure, nearest = _sure(wanted[looked], offered)
-    share = float(sure.mean())
-    if share >= LEAST_SURE and (sure & (nearest != looked)).mean() >= LEAST_ELSEWHERE:
-        return LOST, share
-    return (IN_ORDER if _correspond(wanted, offered) else UNRELATED), share
-
-
-def match_rows(reference: Gaussians, frame: Gaussians, before: Gaussians | None = None) -> Matched:
-    """The row of a frame that each row of a reference, usually the frame before, is; both have N rows.
-
-    `before`: the frame before the reference, in its order; rows are then looked for where they would go on to.
-    """
-    spacing = spacing_of(reference.means)
-    expected = reference
-    if before is not None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            expected = replace(reference, means=2 * reference.means - before.means)
-    wanted, offered = fingerprints(expected, spacing), fingerprints(frame, spacing)
-    sure, _ = _sure(wanted[_some(len(wanted))], offered)
-    return Matched(_assign(wanted, offered), float(sure.mean()))
-
-
-def _sure(wanted: NDArray[np.float64], offered: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-    """Which of some fingerprints are sure, and the row of `offered` that is nearest to each."""
-    if len(offered) < 2:
-        return np.ones(len(wanted), np.bool_), np.zeros(len(wanted), np.intp)
-    distances, nearest = cKDTree(offered).query(wanted, k=2, workers=-1)
-    return distances[:, 0] <= SURE_RATIO * distances[:, 1], nearest[:, 0]
-
-
-def _assign(wanted: NDArray[np.float64], offered: NDArray[np.float64]) -> NDArray[np.int32]:
-    """A row of `offered` for each of `wanted`, both (N, 11): in every round each asks for its nearest free one."""
-    order = np.full(len(wanted), -1, np.int32)
-    asking, free = np.arange(len(wanted)), np.arange(len(offered))
-    for _ in range(_ROUNDS):
-        if not len(asking):
-            break
-        distances, nearest = cKDTree(offered[free]).query(wanted[asking], workers=-1)
-        closest = np.argsort(distances, kind="stable")
-        taken, winners = np.unique(nearest[closest], return_index=True)
-        order[asking[closest[winners]]] = free[taken]
-        asking, free = np.delete(asking, closest[winners]), np.delete(free, taken)
-    order[asking] = free
-    return order
-
-
-def _number_of_equal(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(N,) how many equal rows come before each: it tells equal rows apart, on which a tree would take for ever."""
-    keys = (values * np.random.default_rng(0).random(values.shape[1])).sum(axis=1)
-    order = np.argsort(keys, kind="stable")
-    changes = np.diff(keys[order], prepend=np.nan) != 0
-    starts = np.maximum.accumulate(np.where(changes, np.arange(len(keys)), 0))
-    numbers = np.empty(len(keys))
-    numbers[order] = np.arange(len(keys)) - starts
-    return numbers
-
-
-def _alike(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Whether nearly all rows n of (N, 7) attributes differ far less than unrelated ones do."""
-    own, unrelated = (np.linalg.norm(b - rows, axis=1) for rows in (a, a[_unrelated(len(a))]))
-    return bool(np.percentile(own, NEARLY_ALL) < ALIKE * np.median(unrelated))
-
-
-def _correspond(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Whether rows n of (N, 11) differ less than unrelated ones: in most attributes, or in means if those are equal."""
-    unrelated = _unrelated(len(a))
-    parts = [slice(i, i + 1) for i in range(3, 10)]
-    moved = b[:, :3] - a[:, :3]
-    b = np.hstack([b[:, :3] - np.median(moved, axis=0), b[:, 3:]])  # a scene that moves as a whole is tracked
-    ratios = [_ratio(a[:, part], b[:, part], unrelated) for part in parts]
-    known = [ratio for ratio in ratios if ratio is not None] or [_ratio(a[:, :3], b[:, :3], unrelated) or 0.0]
-    return float(np.median(known)) <= CORRESPONDING
-
-
-def _ratio(a: NDArray[np.float64], b: NDArray[np.float64], unrelated: NDArray[np.intp]) -> float | None:
-    """Median difference of rows n over that of unrelated rows; None where these do not differ."""
-    most = float(np.median(np.linalg.norm(b - a[unrelated], axis=1)))
-    return float(np.median(np.linalg.norm(b - a, axis=1))) / most if most > 0 else None
-
-
-def _unrelated(count: int) -> NDArray[np.intp]:
-    return np.random.default_rng(0).permutation(count)
-
-
-def _some(count: int) -> NDArray[np.intp]:
-    """At most LOOKED_AT of so many rows, drawn alike every time."""
-    return np.sort(np.random.default_rng(1).permutation(count)[:LOOKED_AT])
+LEAST_KNOWN = 0.5  # share of the rows of a frame that a run knows; with fewer the frame starts another
+LOOKED_FRAMES = 3  # of a sequence, before work begins
+FEW_MISSING = 0.1  # share of the Gaussians that a frame may lack; with more of them rows are hardly the same
+MOST_MISSING = 0.5  # share of the Gaussians of a run that its fullest frame may lack; with more it ends
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,8 +36,9 @@ class Restored:
     sequence: GaussianSequence
     matched: tuple[int, ...] = ()  # frames whose rows were put into the order of those before
     sure: float = 1.0  # share of their rows, the mean over these frames
+    missing: float = 0.0  # share of the Gaussians of a run that a frame lacks, the mean over all frames
     unmatched: tuple[int, ...] = ()  # frames whose rows could not be matched with those of the frame before
-    alone: tuple[int, ...] = ()  # frames with another number of rows than those on both sides
+    alone: tuple[int, ...] = ()  # of these, frames with another number of rows than those on both sides
 
     @property
     def notes(self) -> list[str]:
@@ -197,14 +46,30 @@ class Restored:
         notes = []
         if self.matched:
             how = f"matched again, {self.sure:.1%} of them with confidence"
-            notes.append(f"{_spans(self.matched)}: rows were out of order; {how}")
+            lacking = f"; a frame lacks {self.missing:.1%} of them on average" if self.missing else ""
+            notes.append(f"{_spans(self.matched)}: rows were out of order; {how}{lacking}")
         if self.unmatched:
             reason = f"rows are not those of the frame before (under {LEAST_SURE:.0%} could be matched with confidence)"
             notes.append(f"{_spans(self.unmatched)}: {reason}; each starts a group, and {COST}")
         if self.alone:
-            reason = "each has another number of Gaussians than the frames beside it, so that rows cannot be matched"
+            reason = "each has another number of Gaussians than the frames beside it, and rows cannot be matched"
             notes.append(f"{_spans(self.alone)}: {reason}; coded one by one, and {COST}")
         return notes
+
+
+def outlook(sequence: GaussianSequence, rows: str) -> str:
+    """What the first frames say of the rows of all, and what that will cost, in a line; empty where they are tracked.
+
+    Raises SceneError for a broken frame.
+    """
+    looked = min(LOOKED_FRAMES, len(sequence))
+    found = restore_rows(sequence, rows, frames=range(looked))
+    others = "--track fits one set of Gaussians to all frames first, in seconds a frame"
+    if found.unmatched or len(found.sequence.breaks) > len(sequence.breaks):
+        return f"rows: the first {looked} frames do not share them; {COST}; {others}"
+    if found.missing > FEW_MISSING:
+        return f"rows: a frame lacks {found.missing:.0%} of the rows, which takes several times the bytes; {others}"
+    return "rows: out of order, so they are matched again" if found.matched else ""
 
 
 def restore_rows(
@@ -215,67 +80,124 @@ def restore_rows(
     *,
     in_order: bool = False,
 ) -> Restored:
-    """Put the rows of every frame into the order of the first frame of its run; see `count_runs`.
+    """Put the rows of every frame into the order of one list of Gaussians for each run of frames; see `named_runs`.
 
-    `rows`: "auto" compares each frame with the one before and matches those that lost their order; "keep" takes rows as
-    they are; "match" matches every frame, whether it looks out of order or not. `frames`: only these are looked at, by
-    default all. `in_order`: somebody has looked at all of them, and none lost its order. Raises SceneError for a broken
-    frame.
+    `rows`: "auto" compares each frame with the one before and matches those that lost their order or have another
+    number of rows; "keep" takes rows as they are; "match" matches every frame, whether it looks out of order or not.
+    `frames`: only these are looked at, by default all. `in_order`: somebody has looked at all frames of equal numbers
+    of rows, and none lost its order. Raises SceneError for a broken frame.
     """
     asked = range(len(sequence)) if frames is None else frames
     if rows == KEEP:
         return Restored(sequence)
-    runs = [(max(a, asked.start), min(b, asked.stop)) for a, b in count_runs(sequence)]
+    runs = [(max(a, asked.start), min(b, asked.stop)) for a, b in named_runs(sequence)]
     runs = [(start, stop) for start, stop in runs if start < stop]
-    alone = tuple(frame for frame in _alone(sequence) if frame in asked)
-    if rows == AUTO and in_order:
-        return Restored(sequence, alone=alone)
-    orders: dict[int, NDArray[np.int32]] = {}
-    sure, breaks = {}, []
+    changes = set(count_changes(sequence))
+    lone = [frame for frame in _alone(sequence) if frame in asked]
+    if rows == AUTO and in_order and not changes:
+        return Restored(sequence)
+    done: list[_Run] = []
     for start, stop in runs:
-        run = _Run(sequence.read(start), rows)
+        done.append(_Run(start, sequence.read(start), rows))
         for frame in range(start + 1, stop):
             progress("order of rows", frame, len(sequence))
-            run.add(sequence.read(frame))
-            if run.order is not None:
-                orders[frame] = run.order
-            if run.fresh is not None:
-                sure[frame] = run.fresh
-            if run.broken:
-                breaks.append(frame)
-    if not orders and not breaks:
-        return Restored(sequence, alone=alone)
-    restored = replace(sequence, orders=orders, breaks=(*sequence.breaks, *breaks))
-    share = float(np.mean(list(sure.values()))) if sure else 1.0
-    return Restored(restored, tuple(sure), share, tuple(breaks), alone)
+            g = sequence.read(frame)
+            if not done[-1].add(frame, g):
+                done.append(_Run(frame, g, rows))
+    breaks = sorted({run.start for run in done} - {start for start, _ in runs})
+    orders = {frame: order for run in done for frame, order in run.orders().items()}
+    sure = {frame: share for run in done for frame, share in run.sure.items()}
+    restored = replace(sequence, orders=orders, breaks=(*sequence.breaks, *breaks)) if orders or breaks else sequence
+    return Restored(
+        restored,
+        tuple(sure),
+        float(np.mean(list(sure.values()))) if sure else 1.0,
+        float(np.mean([(order == NONE).mean() for order in orders.values()])) if orders else 0.0,
+        tuple(frame for frame in breaks if frame not in changes),
+        tuple(frame for frame in lone if frame not in orders),
+    )
 
 
 class _Run:
-    """The frames of a run, one after the other."""
+    """Frames one after the other that share a list of N Gaussians, which grows by those that no frame had before."""
 
-    def __init__(self, first: Gaussians, rows: str) -> None:
-        self._rows = rows
-        self._file = self._last = first  # the newest frame, as its file has it and in order
-        self._before: Gaussians | None = None
-        self.order: NDArray[np.int32] | None = None  # of the newest frame; None: as its file has it
-        self.fresh: float | None = None  # share of sure rows, where the newest frame was matched
-        self.broken = False  # the newest frame has nothing to do with the one before
+    def __init__(self, start: int, first: Gaussians, rows: str) -> None:
+        self.start, self._matches_all = start, rows == MATCH
+        self.sure: dict[int, float] = {}  # share of sure rows, of frames that were put into another order
+        self._file, self._at = first, start  # the newest frame, as its file has it
+        self._ids = [np.arange(len(first), dtype=np.int32)]  # of each frame (n,): which Gaussian each row is
+        self._known = first  # N Gaussians as they were seen last
+        self._seen = np.full(len(first), start)  # (N,) in which frame
+        self._velocity = np.zeros((len(first), 3), np.float32)  # (N, 3) world units a frame
 
-    def add(self, frame: Gaussians) -> None:
-        """One more frame."""
-        state, _ = (LOST, 1.0) if self._rows == MATCH else compare_order(self._file, frame)
-        self.fresh, self.broken = None, False
-        if state == LOST:
-            matched = match_rows(self._last, frame, self._before)
-            as_in_file = np.arange(len(frame))
-            if not np.array_equal(matched.order, as_in_file if self.order is None else self.order):
-                self.order, self.fresh = matched.order, matched.sure
-            if np.array_equal(matched.order, as_in_file):
-                self.order = None
-        elif state != IN_ORDER:
-            self.order, self.broken = None, True
-        self._file, self._before = frame, None if self.broken else self._last
-        self._last = frame if self.order is None else frame.take(self.order)
+    def add(self, number: int, frame: Gaussians) -> bool:
+        """Take the next frame; False where it has nothing to do with those before, and is not of the run."""
+        state = LOST
+        if not self._matches_all and len(frame) == len(self._file):
+            state, _ = compare_order(self._file, frame)
+        if state == IN_ORDER:
+            ids = self._ids[-1]
+        elif state == LOST:
+            found = self._match(frame)
+            if found is None:
+                return False
+            ids, sure = found
+            if len(frame) != len(self._file) or not np.array_equal(ids, self._ids[-1]):
+                self.sure[number] = sure
+        else:
+            return False
+        self._take(number, frame, ids)
+        return True
+
+    def _match(self, frame: Gaussians) -> tuple[NDArray[np.int32], float] | None:
+        """(n,) which Gaussian each row of a frame is, and the share of sure ones; None where too few are known."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            expected = replace(self._known, means=self._known.means + self._velocity)
+        matched = match_rows(expected, frame)
+        there = np.flatnonzero(matched.order != NONE)
+        ids = np.full(len(frame), NONE, np.int32)
+        ids[matched.order[there]] = there
+        born = np.flatnonzero(ids == NONE)
+        others = len(frame) != len(self._file)
+        if others and (matched.sure < LEAST_SURE or len(born) > (1 - LEAST_KNOWN) * len(frame)):
+            return None
+        count = len(self._known) + len(born)
+        if count * (1 - MOST_MISSING) > max(len(frame), *(len(known) for known in self._ids)):
+            return None
+        ids[born] = np.arange(len(self._known), count)
+        return ids, matched.sure
+
+    def _take(self, number: int, frame: Gaussians, ids: NDArray[np.int32]) -> None:
+        """Remember what the rows of a frame look like."""
+        born = np.flatnonzero(ids >= len(self._known))
+        if len(born):
+            self._known = join_rows([self._known, frame.take(born)])
+            self._seen = np.concatenate([self._seen, np.full(len(born), number)])
+            self._velocity = np.concatenate([self._velocity, np.zeros((len(born), 3), np.float32)])
+        order = _inverse(ids, len(self._known))
+        there = order != NONE
+        now = frame.take(np.maximum(order, 0))
+        goes_on = there & (self._seen == self._at)
+        with np.errstate(over="ignore", invalid="ignore"):
+            self._velocity = np.where(goes_on[:, None], now.means - self._known.means, np.float32(0))
+        self._known = mix_rows(now, self._known, there)
+        self._seen[there] = number
+        self._ids.append(ids)
+        self._file, self._at = frame, number
+
+    def orders(self) -> dict[int, NDArray[np.int32]]:
+        """(N,) rows of the file of each frame that does not have just these rows in just this order."""
+        count = len(self._known)
+        as_in_file = np.arange(count)
+        found = {self.start + i: _inverse(ids, count) for i, ids in enumerate(self._ids)}
+        return {frame: order for frame, order in found.items() if not np.array_equal(order, as_in_file)}
+
+
+def _inverse(ids: NDArray[np.int32], count: int) -> NDArray[np.int32]:
+    """(count,) the row that each Gaussian is, from (n,) the Gaussian that each row is; NONE for those without one."""
+    order = np.full(count, NONE, np.int32)
+    order[ids] = np.arange(len(ids))
+    return order
 
 
 def _alone(sequence: GaussianSequence) -> tuple[int, ...]:
@@ -292,59 +214,3 @@ def _spans(frames: Sequence[int]) -> str:
         numbers = [number for _, number in members]
         spans.append(str(numbers[0]) if len(numbers) == 1 else f"{numbers[0]}-{numbers[-1]}")
     return f"frame{'s' * (len(frames) > 1)} {', '.join(spans)}"
-
-
-@dataclass(frozen=True, slots=True)
-class Grouping:
-    """The groups of a sequence, and why they are what they are."""
-
-    spans: list[tuple[int, int]]  # frames [start, stop), one after the other, covering the sequence
-    notes: list[str]
-
-
-def middle_frame(start: int, stop: int) -> int:
-    """The frame in the middle of a group [start, stop)."""
-    return start + (stop - start) // 2
-
-
-def count_runs(sequence: GaussianSequence) -> list[tuple[int, int]]:
-    """Frames [start, stop) of each run: between named keyframes, changes of the number of rows, and `breaks`."""
-    starts = sorted({0, *_changes(sequence), *sequence.breaks, *(sequence.keyframes or ())})
-    return list(zip(starts, [*starts[1:], len(sequence)], strict=True))
-
-
-def _changes(sequence: GaussianSequence) -> list[int]:
-    """Frames with another number of rows than the one before."""
-    counts = [header.count for header in sequence.headers]
-    return [i for i in range(1, len(counts)) if counts[i] != counts[i - 1]]
-
-
-def plan_groups(sequence: GaussianSequence, group_frames: int = DEFAULT_GROUP_FRAMES) -> Grouping:
-    """Split a sequence into groups: at the keyframes that it names, else every `group_frames` frames.
-
-    A group also starts where the number of Gaussians changes, or rows are not those of the frame before
-    (`analysis.rows`). Notes say where the number overrode the keyframes.
-    """
-    if sequence.keyframes is None:
-        runs = count_runs(sequence)
-        return Grouping(
-            [(i, min(i + group_frames, stop)) for start, stop in runs for i in range(start, stop, group_frames)], []
-        )
-    added = sorted({*_changes(sequence)} - {*sequence.keyframes})
-    notes = [f"frame {i}: the count changes inside a group, a new group starts" for i in added]
-    return Grouping(count_runs(sequence), notes)
-
-
-def closed_groups(sequence: GaussianSequence, start: int, group_frames: int, done: bool) -> list[tuple[int, int]]:
-    """Groups [start, stop) from frame `start` on that no frame will join any more, as `plan_groups` makes them.
-
-    The sequence is the part of a growing one that is there; `done` says that no more will come.
-    """
-    spans = []
-    for first, stop in count_runs(sequence):
-        most = group_frames if sequence.keyframes is None else stop - first
-        for i in range(max(start, first), stop, most):
-            end = min(i + most, stop)
-            if done or stop < len(sequence) or (sequence.keyframes is None and end - i == most):
-                spans.append((i, end))
-    return spans

@@ -15,9 +15,9 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.package.tables import STATE_ATTRIBUTES
 from airgs_codec.render import Camera, Contribution
 from airgs_codec.render.backend import CPU, Renderer
-from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.render.cpu import RasterInputs
+from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.usage import Usage
 
 Floats = NDArray[np.float32]
 MAX_VIEWS = 8  # rendered for each frame; more views change the estimate little

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.render import Camera, cpu
-from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.scene.gaussians import SH_C0, Gaussians, to_matrices
 
@@ -73,9 +73,9 @@ class Sample:
         if not visible.size:
             raise SceneError(f"expected a Gaussian with opacity above {VISIBLE}, got none in {len(gaussians)}")
         chances = _chances(np.sqrt(row_areas(gaussians)[visible]), rows)
-        kept = np.random.default_rng(seed).random(len(visible)) < chances
-        chosen = gaussians.take(visible[kept]).with_degree(0)
-        growth = -0.5 * np.log(chances[kept])  # a row that stands for k rows has k times their area
+        picked = np.random.default_rng(seed).random(len(visible)) < chances
+        chosen = gaussians.take(visible[picked]).with_degree(0)
+        growth = -0.5 * np.log(chances[picked])  # a row that stands for k rows has k times their area
         grown = replace(chosen, log_scales=(chosen.log_scales + growth[:, None]).astype(np.float32))
         return Sample(cpu.activate(grown), _covariances(chosen), flatness(chosen))
 
@@ -150,14 +150,9 @@ def flatness(gaussians: Gaussians) -> Floats:
     return (1 - np.exp(scales[:, 0] - scales[:, 1])) ** 2
 
 
-def row_axes(gaussians: Gaussians) -> NDArray[np.float64]:
-    """(N, 3, 3) rotations of rows, whose quaternions are not 0: column c is the axis of scale c."""
-    return to_matrices(gaussians.quaternions)
-
-
 def _covariances(gaussians: Gaussians) -> Floats:
     scales = np.exp(np.minimum(gaussians.log_scales.astype(np.float64), LARGEST))
-    axes = row_axes(gaussians) * scales[:, None, :]
+    axes = to_matrices(gaussians.quaternions) * scales[:, None, :]
     c = axes @ axes.transpose(0, 2, 1)
     columns = (c[:, 0, 0], c[:, 1, 1], c[:, 2, 2], 2 * c[:, 0, 1], 2 * c[:, 0, 2], 2 * c[:, 1, 2])
     return np.stack(columns, axis=1).astype(np.float32)

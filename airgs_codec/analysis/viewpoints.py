@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from airgs_codec.analysis.region import find_floor
+from airgs_codec.analysis.up import Subject, find_front, guess_up
 from airgs_codec.analysis.viewpoint_score import Look, Sample
 from airgs_codec.errors import SceneError
 from airgs_codec.render.cpu import one_thread
-from airgs_codec.scene.camera import UP, Camera, dome_views, look_at, orbit_views
+from airgs_codec.scene.camera import UP, Camera, dome_views, look_at, orbit_views, side_view
+from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import Gaussians, from_rotation_vector, to_matrices
-from airgs_codec.scene.repair import repair
 
 Vector = NDArray[np.float64]
 
@@ -49,7 +49,8 @@ APART = (0.35, 0.2, 0.1)  # of `gaps`, of the poses that cameras are chosen from
 REGION = 1.5  # of `gaps`, at most, from one pose of a region to the next
 UPRIGHT = np.cos(np.radians(20))  # between the floor's own up and the one that is told
 NOTHING_SEEN = "nothing can be seen: 8 views on an orbit"
-GUESSED_UP = "; nothing tells which way is up, {} is taken"
+GUESS = "up is guessed to be "  # how the line about it begins
+RISE = np.radians(12)  # of the first view of an object, above the horizon
 SURE = 0.05  # score of the best; real captures have 0.1 to 0.2, broken ones mostly up to 0.03
 SURE_COVERED = 0.95  # of most pictures; who films a place fills them, objects with haze about them leave holes
 
@@ -175,14 +176,15 @@ class FoundViews:
     scores: list[float]  # 0..1 for each camera: of `Look` for a place, solidity for an object, 0 of views all around
     confident: bool  # whether viewers stay near these cameras; else they may be anywhere
     story: str  # a line that says what was found, and how sure it is
+    guess: str = ""  # one that says which way is up, where nobody told it
 
 
 def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> FoundViews:
     """Find where some frames of a scene are meant to be seen from. The middle one decides, all of them judge.
 
-    8 to 16 square cameras; the same frames give the same cameras. `up` (3,) points up where somebody told
-    it; else up is away from the floor under an object, or -y, as structure from motion mostly leaves it. A frame need
-    not be repaired; frames need not share rows.
+    8 to 17 square cameras, first the one that viewers begin at; the same frames give the same cameras. `up` (3,) points
+    up where somebody told it; else cues vote on it (`analysis.up`). A frame need not be repaired; frames need not share
+    rows.
 
     Raises SceneError when a frame has no finite row.
     """
@@ -191,15 +193,14 @@ def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> Fo
     try:
         with one_thread():
             solidity = _solidity(middle)
-            floor = find_floor(middle) if solidity >= OBJECT else None
-            upright = up if up is not None else floor if floor is not None else UP
-            found = _object(middle, upright, floor) if solidity >= OBJECT else _place(usable, upright, solidity)
+            found, upright = (_object if solidity >= OBJECT else _place)(usable, up, solidity)
     except SceneError:
-        floor, upright = None, UP if up is None else up
+        upright = UP if up is None else up
         found = FoundViews(orbit_views(middle, up=upright), [0.0] * 8, False, NOTHING_SEEN)
     if up is not None:
         return found
-    return replace(found, story=found.story + GUESSED_UP.format("-y" if floor is None else "away from the floor"))
+    x, y, z = upright.round(2) + 0.0
+    return replace(found, guess=f"{GUESS}({x:g}, {y:g}, {z:g}); --up says otherwise")
 
 
 def _solidity(gaussians: Gaussians) -> float:
@@ -209,17 +210,26 @@ def _solidity(gaussians: Gaussians) -> float:
     return float(np.quantile(sides, 0.25))
 
 
-def _object(gaussians: Gaussians, up: Vector, floor: Vector | None) -> FoundViews:
-    """All around, or over what it stands on, where the floor's own up (3,) is about `up` (3,)."""
-    stands = floor is not None and float(floor @ up) > UPRIGHT * np.linalg.norm(up)
-    cameras = dome_views(gaussians, COUNT, SIZE, up, LOWEST if stands else -np.pi / 2)
-    sample = Sample.of(gaussians, SIDE_ROWS)
+def _object(frames: Sequence[Gaussians], up: Vector | None, _: float) -> tuple[FoundViews, Vector]:
+    """From in front, then all around, or over what it stands on, where the floor's own up is about `up` (3,)."""
+    middle, subject = frames[len(frames) // 2], Subject.of(frames)
+    upright = guess_up(subject) if up is None else up / np.linalg.norm(up)
+    stands = subject.floor is not None and float(subject.floor @ upright) > UPRIGHT
+    around = dome_views(middle, COUNT, SIZE, upright, LOWEST if stands else -np.pi / 2)
+    cameras = [_front(subject, middle, upright), *around]
+    sample = Sample.of(middle, SIDE_ROWS)
     scores = [sample.solidity(camera) for camera in cameras]
     where = "all around it, above its floor" if stands else "all around it"
-    return FoundViews(cameras, scores, True, f"an object in empty space: {COUNT} views {where}")
+    story = f"an object in empty space: a view from in front and {COUNT} {where}"
+    return FoundViews(cameras, scores, True, story), upright
 
 
-def _place(frames: Sequence[Gaussians], up: Vector, solidity: float) -> FoundViews:
+def _front(subject: Subject, middle: Gaussians, up: Vector) -> Camera:
+    side = np.cos(RISE) * find_front(subject, up) + np.sin(RISE) * up
+    return side_view(middle, side, up, SIZE, "front")
+
+
+def _place(frames: Sequence[Gaussians], up: Vector | None, solidity: float) -> tuple[FoundViews, Vector]:
     middle = frames[len(frames) // 2]
     search = Search(middle)
     search.scatter(SCATTERED, KEPT)
@@ -227,14 +237,29 @@ def _place(frames: Sequence[Gaussians], up: Vector, solidity: float) -> FoundVie
     ranked = _ranked(search.poses, frames)
     good = _good(ranked)
     doubt = "it may be an object in a haze" if solidity >= PERHAPS else _doubt(good)
-    chosen = spread(ranked[: 2 * GUESSES], GUESSES) if doubt else spread(good, COUNT)
-    cameras = [pose.camera(f"found{i:02d}", SIZE, up) for i, pose in enumerate(chosen)]
+    chosen = spread(ranked[: 2 * GUESSES], GUESSES) if doubt else _middle_first(spread(good, COUNT))
+    subject = Subject.of(frames, None if doubt else _median(good))
+    upright = guess_up(subject) if up is None else up / np.linalg.norm(up)
+    cameras = [pose.camera(f"found{i:02d}", SIZE, upright) for i, pose in enumerate(chosen)]
     scores = [pose.look.score for pose in chosen]
     if not doubt:
-        return FoundViews(cameras, scores, True, f"a filmed place: {_where(good, len(cameras))}")
-    around = dome_views(middle, GUESSES, SIZE, up)
-    story = f"unclear where from ({doubt}): {_where(chosen, len(cameras))}, and {len(around)} all around"
-    return FoundViews(cameras + around, scores + [0.0] * len(around), False, story)
+        return FoundViews(cameras, scores, True, f"a filmed place: {_where(good, len(cameras))}"), upright
+    front, around = _front(subject, middle, upright), dome_views(middle, GUESSES, SIZE, upright)
+    story = f"unclear where from ({doubt}): {_where(chosen, len(cameras))}, and {1 + len(around)} all around"
+    cameras, scores = [front, *cameras, *around], [0.0, *scores, *[0.0] * len(around)]
+    return FoundViews(cameras, scores, False, story), upright
+
+
+def _median(poses: Sequence[Pose]) -> tuple[Vector, Vector]:
+    """(3,) the middle of the positions of poses, and (3,) that of their directions, of length 1."""
+    positions, directions = (np.median([getattr(p, name) for p in poses], axis=0) for name in ("position", "direction"))
+    return positions, unit(directions)
+
+
+def _middle_first(poses: Sequence[Pose]) -> list[Pose]:
+    """The poses, first the one that the others are nearest to."""
+    middle = int(gaps(poses).sum(axis=1).argmin())
+    return [poses[middle], *poses[:middle], *poses[middle + 1 :]]
 
 
 def _ranked(poses: Sequence[Pose], frames: Sequence[Gaussians]) -> list[Pose]:

@@ -1,15 +1,11 @@
-"""What commands share: errors as one line, progress on stderr, and the options that several of them have."""
+"""What commands share: checks of options, and the options that several of them have."""
 
 from __future__ import annotations
 
 import importlib.util
-import os
 import re
-import signal
-import sys
 import tempfile
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -18,97 +14,20 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
-from airgs_codec.errors import AirgsError, ConfigError
-from airgs_codec.scene.sequence_json import MAX_FPS, exact_number
+from airgs_codec.errors import ConfigError
+from airgs_codec.scene.beside import MAX_FPS, exact_number
 
 if TYPE_CHECKING:
-    from tqdm import tqdm
-
     from airgs_codec.jobs.engines import Engine
     from airgs_codec.jobs.work import Part, Work
     from airgs_codec.package.tables import World
     from airgs_codec.progress import Progress
-
-# OpenMP threads of numba spin while they wait unless told so before the first import that loads them.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-
-
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM came."""
-
-
-def run_command(name: str, work: Callable[[], int]) -> int:
-    """Exit status of a command: bad input or a failing disk is one line on stderr and 2, a bug keeps its traceback.
-
-    SIGINT and SIGTERM end the work where it is, so that it removes what it has begun; the status is 130 or 143.
-    """
-    try:
-        with _terminable():
-            return work()
-    except AirgsError as error:
-        print(f"{name}: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt as error:
-        print(f"{name}: stopped", file=sys.stderr)
-        return 128 + (signal.SIGTERM if isinstance(error, _Terminated) else signal.SIGINT)
-    except BrokenPipeError:  # the reader of our output has gone, `| head` for one
-        sys.stderr.close()
-        return 0
-    except OSError as error:
-        what = error.strerror or f"{error} (is the disk full?)"  # numpy counts bytes instead of asking
-        print(f"{name}: {error.filename or 'file system'}: {what}", file=sys.stderr)
-        return 2
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Within the block SIGTERM raises _Terminated, unless this is a thread of somebody's program."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(*_: Any) -> None:
-        raise _Terminated
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def expect_rate(option: str, fps: Fraction | None) -> None:
     """Raise ConfigError where an option is no number of frames a second."""
     if fps is not None and not 0 < fps <= MAX_FPS:
         raise ConfigError(f"{option}: expected 0 < fps <= {MAX_FPS}, got {fps}")
-
-
-class Bar:
-    """A progress bar for each stage of a long work; silent where stderr is no terminal or `quiet`."""
-
-    def __init__(self, quiet: bool = False) -> None:
-        self._quiet = quiet or not sys.stderr.isatty()
-        self._bar: tqdm | None = None
-        self._stage = ""
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        """`done` of `total` parts of a stage are finished."""
-        if self._quiet:
-            return
-        if stage != self._stage:
-            self.close()
-            self._stage = stage
-            from tqdm import tqdm  # 0.1 s, which a command without long work need not wait for
-
-            self._bar = tqdm(total=total, desc=stage, leave=False)
-        if self._bar is not None:
-            self._bar.update(done - self._bar.n)
-
-    def close(self) -> None:
-        """Clear the line."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
 
 
 def parse_frames(text: str | None) -> tuple[int, int | None]:
@@ -214,7 +133,7 @@ class BakingOptions:
 
 def read_up(text: str) -> tuple[float, ...]:
     """Returns the direction that a text names. Raises ConfigError."""
-    from airgs_codec.package.world import parse_up
+    from airgs_codec.package.region import parse_up
 
     return parse_up(text)
 
@@ -240,7 +159,7 @@ class WorldOptions:
 
     def world(self) -> World | None:
         """Returns where the scene stands, as far as the options say. Raises ConfigError."""
-        from airgs_codec.package.world import read_world, world_from
+        from airgs_codec.package.region import read_world, world_from
 
         if self.transform:
             if self.up or self.unit is not None:
@@ -261,7 +180,7 @@ class WorkOptions:
     work: str | None = setting(
         None,
         "where finished jobs stay, so that a run that was cut off goes on; a folder that all workers see, or s3://, "
-        "gs://, az:// and a prefix; by default a temporary folder",
+        "gs://, az:// and a prefix; who may write there decides what comes out; by default a temporary folder",
         metavar="PLACE",
     )
     executor: str | None = setting(
@@ -284,7 +203,7 @@ class WorkOptions:
 
     @contextmanager
     def opened(self, progress: Progress) -> Iterator[Work]:
-        """What the options ask for, until the block ends. Raises ConfigError for options that cannot work."""
+        """Give what the options ask for, until the block ends. Raises ConfigError for options that cannot work."""
         from airgs_codec.jobs.work import Work
         from airgs_codec.places.results import open_store
 
@@ -335,7 +254,11 @@ def expect_report(folder: Path | None) -> None:
 
 
 def expect_folder(path: Path) -> None:
-    """Raise ConfigError where something that is no folder is in the way, before the work begins."""
-    for place in (path, *path.absolute().parents):
-        if place.exists() and not place.is_dir():
-            raise ConfigError(f"{place}: expected a folder, got a file")
+    """Raise ConfigError where no folder can be made or written, before the work begins."""
+    there = next(place for place in (path.absolute(), *path.absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise ConfigError(f"{there}: expected a folder, got a file")
+    try:
+        tempfile.TemporaryFile(dir=there).close()
+    except OSError as error:
+        raise ConfigError(f"{path}: expected a folder that can be written: {error.strerror}") from error

@@ -4,23 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.common import (
-    PACKAGE,
-    BakingOptions,
-    Bar,
-    as_json,
-    expect_folder,
-    frames,
-    package,
-    parse_range,
-    views,
-)
+from airgs_codec.cli.common import PACKAGE, BakingOptions, as_json, expect_folder, frames, package, parse_range, views
 from airgs_codec.cli.options import nested, takes
+from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import (
     Comparison,
@@ -49,10 +41,8 @@ from airgs_codec.inspect.sides import (
 )
 from airgs_codec.media.image import write_png
 from airgs_codec.media.metrics import Difference, Quality
-from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background
-from airgs_codec.package.world import up_of
+from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background, up_of
 from airgs_codec.places.whole import atomic_path
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.camera import UP, orbit_views
@@ -89,19 +79,22 @@ def compare(options: Compare) -> int:
     _expect_least(every=(options.every, 1))
     a, b = _open_both(options)
     numbers = range(*parse_range(options.frames, min(a.frames, b.frames)), options.every)
-    words, cameras = _views(a, b, options.views)
-    bar = Bar(options.json)
-    result = compare_two(a, b, numbers, cameras, bar)
-    bar.close()
+    if options.views:
+        words, cameras = described(compared_views(read_cameras(options.views), None), str(options.views))
+    else:
+        words, cameras = shared_views(a, b)
+    cameras = before_both(a, b, cameras)
+    with closing(Bar(options.json)) as bar:
+        result = compare_two(a, b, numbers, cameras, bar)
     written = _write_pictures(options.output, a, b, result) if options.output else []
     notes = left_out(a, b)
     if options.json:
         more = {"views": words, "left_out": notes, "pictures": [str(path) for path in written]}
-        print(json.dumps(comparison_json(a, b, result) | more))
+        say(json.dumps(comparison_json(a, b, result) | more))
     else:
-        print(format_two(a, b, result, words, notes))
+        say(format_two(a, b, result, words, notes))
         if written:
-            print(f"pictures: {', '.join(map(str, written))}")
+            say(f"pictures: {', '.join(map(str, written))}")
     return 0
 
 
@@ -118,11 +111,6 @@ def _open_both(options: Compare) -> tuple[Side, Side]:
     a = open_side(options.a, None if packages[1] else options.rung, **baked.get(options.a, untold).baking())
     expect_same_rate(a, b)
     return a, b
-
-
-def _views(a: Side, b: Side, path: Path | None) -> tuple[str, list[Camera]]:
-    words, found = described(compared_views(read_cameras(path), None), str(path)) if path else shared_views(a, b)
-    return words, before_both(a, b, found)
 
 
 def _write_pictures(folder: Path, a: Side, b: Side, result: Comparison) -> list[Path]:
@@ -163,19 +151,16 @@ def rungs(options: Rungs) -> int:
     cameras = _rung_cameras(options, package, original)
     streams = rung_streams(package, numbers, options.level, options.key_quality)
     claimed = claimed_quality(package.manifest, streams)
-    bar = Bar(options.json)
     looked_at = [(number, camera) for number in numbers for camera in cameras]
-    splits = pool_splits(compare_streams(streams, original, looked_at, Difference.of, bar), looked_at)
-    bar.close()
+    with closing(Bar(options.json)) as bar:
+        splits = pool_splits(compare_streams(streams, original, looked_at, Difference.of, bar), looked_at)
     if options.json:
         quality = {"claimed": _plain(claimed), **{split: _plain(some) for split, some in splits.items()}}
-        print(json.dumps({"frames": list(numbers), "views": splits_of(cameras), "quality": quality}))
+        say(json.dumps({"frames": list(numbers), "views": splits_of(cameras), "quality": quality}))
     else:
         words = ", ".join(f"{count} {split}" for split, count in splits_of(cameras).items())
-        print(
-            f"{len(numbers)} frames; views: {words}; PSNR of the error pooled over pictures, and of the worst picture"
-        )
-        print(format_comparison({"claimed": claimed, **splits}))
+        say(f"{len(numbers)} frames; views: {words}; PSNR of the error pooled over pictures, and of the worst picture")
+        say(format_comparison({"claimed": claimed, **splits}))
     return 0
 
 
@@ -183,13 +168,10 @@ def _rung_cameras(options: Rungs, package: Package, original: GaussianSequence) 
     cameras = list(read_cameras(options.views) if options.views else original.cameras)
     region = package.manifest.region
     cameras += region_views(region, options.draws, options.seed)
-    cameras = compared_views(cameras or _around(package.manifest, original), options.split)
-    return before_background(region, cameras)
-
-
-def _around(m: Manifest, original: GaussianSequence) -> list[Camera]:
-    """Views on an orbit around the middle frame, upright as the package tells."""
-    return orbit_views(original.read(len(original) // 2), up=UP if m.world is None else up_of(m.world))
+    if not cameras:  # an orbit around the middle frame, upright as the package tells
+        world = package.manifest.world
+        cameras = orbit_views(original.read(len(original) // 2), up=UP if world is None else up_of(world))
+    return before_background(region, compared_views(cameras, options.split))
 
 
 def _plain(qualities: Mapping[str, Quality | None]) -> dict[str, Any]:

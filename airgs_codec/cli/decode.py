@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.common import Bar, as_json, frames, package, parse_range
+from airgs_codec.cli.common import as_json, frames, package, parse_range
 from airgs_codec.cli.options import run_program, takes
+from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.package.region import background_of
-from airgs_codec.package.world import misread
-from airgs_codec.scene.formats.write import Numbered, Target, choose_target, format_keys, write_frames
+from airgs_codec.package.region import background_of, misread
+from airgs_codec.scene.formats.write import KEYS, Numbered, choose_target, write_frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +29,8 @@ class Decode:
     )
     format: str | None = setting(
         None,
-        f"{', '.join(format_keys())} (default: what the output's name ends in, or ply)",
-        choices=tuple(format_keys()),
+        f"{', '.join(KEYS)} (default: what the output's name ends in, or ply)",
+        choices=KEYS,
         metavar="FORMAT",
     )
     level: str = setting("L0", "state level: L0, L1, … or its number")
@@ -51,26 +52,18 @@ def decode(options: Decode) -> int:
     level, quality = m.levels[m.level_index(options.level)].id, m.qualities[m.quality_index(options.key_quality)].id
     start, stop = parse_range(options.frames, m.frames)
     target = choose_target(options.output, options.format, stop - start)
-    _expect_outside(target)
-    bar = Bar(options.json)
-    try:
-        decoded = _decoded(package, (start, stop), (level, quality), bar)
-        lost = write_frames(target, decoded, m.fps, background_of(m.region))
-    finally:
-        bar.close()
-    report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": options.output}
-    report |= {"format": target.form.key, "lost": lost}
-    report |= {"notes": (notes := misread(m.world, target.form.name, target.form.axes))}
-    words = f"{stop - start} frames of {quality} + {level} in {options.output}"
-    print(json.dumps(report) if options.json else "\n".join([words, *lost, *notes]))
-    return 0
-
-
-def _expect_outside(target: Target) -> None:
-    """Raise ConfigError when frames would lie among the files of a package."""
     folder = target.path if target.folder else target.path.parent
     if (folder / JSON_NAME).is_file():
         raise ConfigError(f"{target.path}: expected a place outside of packages, got one in the package {folder}")
+    with closing(Bar(options.json)) as bar:
+        decoded = _decoded(package, (start, stop), (level, quality), bar)
+        lost = write_frames(target, decoded, m.fps, background_of(m.region))
+    notes = misread(m.world, target.form.name, target.form.axes)
+    report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": options.output}
+    report |= {"format": target.form.key, "lost": lost, "notes": notes}
+    words = f"{stop - start} frames of {quality} + {level} in {options.output}"
+    say(json.dumps(report) if options.json else "\n".join([words, *lost, *notes]))
+    return 0
 
 
 def _decoded(package: Package, frames: tuple[int, int], rung: tuple[str, str], bar: Bar) -> Iterator[Numbered]:

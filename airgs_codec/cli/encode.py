@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec._settings import applied, required, setting
+from airgs_codec.analysis.rows import outlook
+from airgs_codec.analysis.viewpoints import GUESS
 from airgs_codec.cli.common import (
     BakingOptions,
-    Bar,
     WorkOptions,
     WorldOptions,
     as_json,
@@ -25,24 +27,30 @@ from airgs_codec.cli.common import (
 from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.kernels import prepare
 from airgs_codec.cli.options import Given, expect_one, given, nested, option_name, run_program, takes
-from airgs_codec.cli.training import train_by_default
+from airgs_codec.cli.terminal import Bar, say, warn
+from airgs_codec.cli.train import train_by_default
 from airgs_codec.encoder.live import follow
-from airgs_codec.encoder.publish import EncodeReport, encode_part
+from airgs_codec.encoder.publish import Beside, EncodeReport, encode_part
 from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.search import PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.contact_sheet import write_contact_sheet
+from airgs_codec.inspect.compare import write_contact_sheet
 from airgs_codec.inspect.summary import summarise
-from airgs_codec.inspect.text import format_summary
+from airgs_codec.inspect.text import format_ladder, format_summary
 from airgs_codec.jobs.report import write_report
+from airgs_codec.media.sound import encode_sound
 from airgs_codec.package.region import place_view
-from airgs_codec.package.tables import Region
 from airgs_codec.places.place import is_address
-from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence, read_attribution
+from airgs_codec.scene.beside import read_attribution
+from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.train.data.readers import is_multiview
 
-PRESETS = ("default", "quick", "paper")
+PRESETS: dict[str, Callable[[EncodeSettings], EncodeSettings]] = {
+    "default": replace,
+    "quick": as_preview,
+    "paper": as_in_paper,
+}
 EVERYDAY = ("quality", "levels", "tiles", "group_frames", "margin")  # of the settings of the encoder
 
 
@@ -64,7 +72,7 @@ class Encode:
         "default",
         "settings to begin with: quick is a first look; it makes no trial encodes; paper has eleven levels pruned by "
         "usage alone, equal steps, one key",
-        choices=PRESETS,
+        choices=tuple(PRESETS),
     )
     settings: Given = given(EncodeSettings, "encoder", EVERYDAY, own=True)
     target_psnr: float | None = setting(
@@ -88,8 +96,12 @@ class Encode:
     contact_sheet: Path | None = setting(
         None, "write a PNG of the scene from every place of its region", metavar="FILE", topic="output"
     )
+    audio: Path | None = setting(
+        None, "a file whose sound goes with the frames, from its beginning", metavar="FILE", topic="output"
+    )
     attribution: str | None = setting(None, "who made the scene (default: SCENE/ATTRIBUTION.txt)", topic="output")
     report: Path | None = report("a page on who did which job, and when")
+    verbose: bool = setting(False, "print all tables, as airgs-manifest inspect does", topic="output")
     json: bool = as_json()
 
 
@@ -109,31 +121,43 @@ def encode(options: Encode) -> int:
         return _follow(options, settings, target)
     sequence, credit = _open(options)
     if sequence.clip and not options.json:
-        print(f"clip: {options.scene}: {sequence.clip.note}", flush=True)
-    goal, attribution = _goal(options, sequence), options.attribution or credit
+        say(f"clip: {options.scene}: {sequence.clip.note}")
+    goal = _goal(options, sequence)
     cameras = sequence.files.name_of(sequence.cameras_path) if sequence.cameras_path else None
     if cameras and not options.json:
-        print(f"cameras: {cameras}, {_counts(sequence)}", flush=True)
+        held_out = sum(camera.held_out for camera in sequence.cameras)
+        say(f"cameras: {cameras}, {len(sequence.cameras)} of them, {held_out} held out")
+    sound = encode_sound(options.audio, len(sequence) / sequence.fps) if options.audio else None
+    if sound and sound.note and not options.json:
+        say(f"sound: {options.audio}: {sound.note}")
+    beside = Beside(options.attribution or credit, sound)
+    if not settings.track and (line := outlook(sequence, settings.rows)):
+        warn(line)
     prepare()
-    bar = Bar(options.json)
-    try:
-        with options.work.opened(bar) as work:
-            if options.work.part:
-                done = encode_part(sequence, settings, work, goal=goal, attribution=attribution)
-            else:
-                done = publish(sequence, target, settings, goal=goal, attribution=attribution, work=work)
-    finally:
-        bar.close()
+    with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
+        if options.work.part:
+            done = encode_part(sequence, settings, work, goal=goal, beside=beside)
+        else:
+            done = publish(sequence, target, settings, goal=goal, beside=beside, work=work)
     if options.report:
         options.report.mkdir(parents=True, exist_ok=True)
         write_report(options.report / "index.html", done.records)
     if options.contact_sheet:
-        _draw_places(options.contact_sheet, sequence, done.manifest.region)
+        region = done.manifest.region
+        places = [place_view(region, place, f"place {i}") for i, place in enumerate(region.places)]
+        write_contact_sheet(options.contact_sheet, sequence.read(len(sequence) // 2), places)
+    for line in done.manifest.decisions:
+        if line.startswith(GUESS):
+            warn(line)
     if options.work.part:
         place = options.work.work
-        print(f"{place}: all jobs are done; airgs-manifest merge {place} -o {target} publishes the package")
+        say(f"{place}: all jobs are done; airgs-manifest merge {place} -o {target} publishes the package")
         return 0
-    print(json.dumps(_as_json(done, target) | {"cameras": cameras}) if options.json else _as_words(done, target))
+    say(
+        json.dumps(_as_json(done, target) | {"cameras": cameras})
+        if options.json
+        else _as_words(done, target, options.verbose)
+    )
     return 0
 
 
@@ -149,14 +173,10 @@ def _settings(options: Encode) -> EncodeSettings:
     expect_one(margin=told.get("margin"), region=told.get("region"))
     threads = max(1, DEFAULT_SETTINGS.threads // max(1, options.work.jobs))
     settings = replace(DEFAULT_SETTINGS, threads=threads, device=options.device, world=options.world.world())
-    settings = {"default": _unchanged, "quick": as_preview, "paper": as_in_paper}[options.preset](settings)
+    settings = PRESETS[options.preset](settings)
     if settings.calibrate == "ladder" and {"levels", "tiers"} & told.keys():  # which trial encodes would replace
         told = {"calibrate": "steps"} | told
     return applied(settings, told)
-
-
-def _unchanged(settings: EncodeSettings) -> EncodeSettings:
-    return settings
 
 
 def _default_target(scene: str) -> str:
@@ -171,6 +191,8 @@ def _open(options: Encode) -> tuple[GaussianSequence, str]:
     if is_address(options.scene) or not is_multiview(folder):
         sequence = open_sequence(options.scene, views=options.views, fps=options.fps, **options.clip.baking())
         return sequence, sequence.attribution
+    if options.settings.get("track"):
+        raise ConfigError(f"{options.scene}: expected frames for --track, got multi-view pictures, trained as one")
     if options.clip.given():
         raise ConfigError(f"{options.scene}: expected a clip for --bake-fps or --duration, got multi-view pictures")
     trained = train_by_default(folder, options.fps, options.device, quiet=options.json)
@@ -179,35 +201,22 @@ def _open(options: Encode) -> tuple[GaussianSequence, str]:
 
 def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:
     """Encode a sequence that somebody still writes."""
-    whole = ("target_psnr", "target_mb", "target_mbps", "contact_sheet", "report")
+    whole = ("target_psnr", "target_mb", "target_mbps", "audio", "contact_sheet", "report")
     asked = {name: getattr(options, name) for name in whole} | options.clip.baking()
     told = [f"--{option_name(name)}" for name, value in asked.items() if value is not None]
     if option := next(iter(told), options.work.shared_by()):
         raise ConfigError(f"{option}: expected a sequence that is whole, got --follow, whose groups come one by one")
+    if settings.track:
+        raise ConfigError("--track: expected a sequence that is whole, got --follow, whose groups come one by one")
     if is_address(options.scene):
         raise ConfigError(f"--follow: expected a folder of this machine, got {options.scene}")
     folder = GrowingFolder(options.scene, views=options.views, fps=options.fps)
-    bar = Bar(options.json)
     more = frames_may_come(options.idle)
     prepare()
-    try:
+    with closing(Bar(options.json)) as bar:
         groups = follow(folder, target, settings, more=more, attribution=options.attribution, progress=bar)
         report_groups(groups, target, options.json)
-    finally:
-        bar.close()
     return 0
-
-
-def _draw_places(path: Path, sequence: GaussianSequence, region: Region) -> None:
-    """A picture of the middle frame from every place of the region."""
-    views = [place_view(region, place, f"place {i}") for i, place in enumerate(region.places)]
-    write_contact_sheet(path, sequence.read(len(sequence) // 2), views)
-
-
-def _counts(sequence: GaussianSequence) -> str:
-    """How many cameras were taken, in words."""
-    held_out = sum(camera.held_out for camera in sequence.cameras)
-    return f"{len(sequence.cameras)} of them, {held_out} held out"
 
 
 def _goal(options: Encode, sequence: GaussianSequence) -> Goal | None:
@@ -225,9 +234,7 @@ def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
     return {
         "package": target,
         "frames": m.frames,
-        "bytes": m.bytes_of([path for g in range(len(m.groups)) for path in m.group_files(g)])
-        + m.init.bytes
-        + report.manifest_bytes,
+        "bytes": m.media_bytes() + report.manifest_bytes,
         "top_rung_bytes": m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes,
         "seconds": {name: round(value, 3) for name, value in _times(report).items()},
         "calibration_cached": report.cached,
@@ -236,11 +243,21 @@ def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
     }
 
 
-def _as_words(report: EncodeReport, target: str) -> str:
+def _as_words(report: EncodeReport, target: str, verbose: bool) -> str:
     m = report.manifest
-    times = ", ".join(f"{name} {value:.1f} s" for name, value in _times(report).items() if value >= 0.05)
-    kept = " (calibration kept from before)" if report.cached else ""
-    return f"{format_summary(summarise(m, report.manifest_bytes))}\n\n{target}: {m.frames} frames; {times}{kept}"
+    times = _times(report)
+    parts = ", ".join(f"{name} {value:.1f}" for name, value in times.items() if value >= 0.05)
+    stored = "; calibration stored before" if report.cached else ""
+    s = summarise(m, report.manifest_bytes)
+    size = f"{m.frames} frames, {s.duration_s:.2f} s, {s.package_bytes / 1e6:.2f} MB with all rungs"
+    return "\n".join(
+        [
+            format_summary(s) if verbose else format_ladder(s),
+            "",
+            f"{target}: {size}; {sum(times.values()):.0f} s ({parts}{stored})",
+            f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}",
+        ]
+    )
 
 
 def _times(report: EncodeReport) -> dict[str, float]:

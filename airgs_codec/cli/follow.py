@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 
+from airgs_codec.cli.terminal import say, warn
 from airgs_codec.encoder.live import PublishedGroup
 
 
@@ -29,7 +30,7 @@ def _until_end_of_input() -> Callable[[int], bool]:
 
     def read() -> None:
         for line in sys.stdin:
-            print(line, end="", file=sys.stderr, flush=True)
+            warn(line, end="")
         ended.set()
 
     threading.Thread(target=read, daemon=True).start()
@@ -54,10 +55,10 @@ def report_groups(groups: Iterable[PublishedGroup], target: str, as_json: bool) 
     for published in groups:
         count, frames = published.number, published.group.stop
         if not as_json:
-            print("".join(f"{note}\n" for note in published.notes), end="")
-        print(json.dumps(_as_json(published)) if as_json else _as_words(published), flush=True)
+            say("".join(f"{note}\n" for note in published.notes), end="")
+        say(json.dumps(_as_json(published)) if as_json else _as_words(published))
     if not as_json:
-        print(f"{target}: {frames} frames in {count} groups, closed")
+        say(f"{target}: {frames} frames in {count} groups, closed")
 
 
 def _as_json(published: PublishedGroup) -> dict[str, object]:

@@ -18,14 +18,16 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from numba.core.sigutils import normalize_signature
 
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba, as in `cli.common`
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba, as in `cli.terminal`
 
+from airgs_codec.cli.terminal import warn
 from airgs_codec.coding import rangecoder
 from airgs_codec.render import cpu_kernels
 from airgs_codec.train.fit import kernels as loss_kernels
 
-_TILES = "f4[:,::1], i8[::1], i4[::1], i4[::1], i8, i8"  # `Tiles.arguments` and the size of a picture
-_SCENE = "f4[:,::1], f4[:,::1], f4[:,::1], f4[::1], f4[:,:,::1], i8, f8[:,::1], f8[::1], i8, i8"
+_TILES = "Tuple((f4[:,::1], i8[::1], i4[::1], i4[::1], i8, i8))"  # `Tiles.argument`
+_INPUTS = "f4[:,::1], f4[:,::1], f4[:,::1], f4[::1], f4[:,:,::1]"
+_SEEN = f"Tuple(({_INPUTS}, i8)), Tuple((f8[:,::1], f8[::1], i8, i8, f8, f8, f8))"  # a scene and a camera
 _PAIRS = "i4[::1], i8[::1], i4[::1]"  # `Projected.arguments`
 _GRADIENT = f"{_TILES}, f4[:,:,::1], f4[:,::1], i4[::1], f4[:,:,::1], f4[:,::1]"
 
@@ -33,7 +35,7 @@ Kernels = tuple[tuple[Dispatcher, str], ...]
 
 # Kernels and the types that they are called with. An encode needs the first two lists, which take about equally long.
 FORWARD = (
-    (cpu_kernels.project, f"({_SCENE}, f8, f8, f8, b1[::1], f4[:,::1], u8[::1], i4[::1])"),
+    (cpu_kernels.project, f"({_SEEN}, b1[::1], f4[:,::1], u8[::1], i4[::1])"),
     (cpu_kernels.bin_tiles, "(f4[:,::1], i4[::1], i8[::1], b1[::1], i8, i8)"),
     (cpu_kernels.blend_statistics, f"({_TILES}, i8, i8, f4[:,::1])"),
     (cpu_kernels.blend, f"({_TILES}, f4[::1], f4[:,:,::1], f4[:,::1], i4[::1])"),
@@ -42,11 +44,7 @@ FORWARD = (
 BACKWARD = (
     (cpu_kernels.blend_gradient, f"({_GRADIENT}, b1, f4[:,::1])"),
     (cpu_kernels.sum_pairs, f"({_PAIRS}, b1[::1], f4[:,::1], f4[:,::1])"),
-    (
-        cpu_kernels.project_gradient,
-        f"({_SCENE}, f8, f4[:,::1], i4[::1], b1[::1], f4[:,::1], "
-        "f4[:,::1], f4[:,::1], f4[:,::1], f4[::1], f4[:,:,::1])",
-    ),
+    (cpu_kernels.project_gradient, f"({_SEEN}, f4[:,::1], i4[::1], b1[::1], f4[:,::1], Tuple(({_INPUTS})))"),
 )
 TRAINING = (
     (cpu_kernels.blend_gradient, f"({_GRADIENT}, none, f4[:,::1])"),
@@ -65,7 +63,7 @@ def prepare(lists: Sequence[Kernels] = (FORWARD, BACKWARD)) -> None:
     """
     if all(_is_cached(kernel) for kernels in lists for kernel, _ in kernels):
         return
-    print("compiling kernels, once (about 15 s on two cores)", file=sys.stderr, flush=True)
+    warn("compiling kernels, once (about 15 s on two cores)")
     rest = [subprocess.Popen([sys.executable, "-m", __spec__.name, str(n)]) for n in range(1, len(lists))]
     try:
         compile_kernels(lists[0])
@@ -84,13 +82,13 @@ def compile_kernels(kernels: Kernels) -> None:
 
 
 def _is_cached(kernel: Dispatcher) -> bool:
-    """Whether numba has kept the kernel since its file was written; it throws away what is older."""
+    """Whether numba has cached the kernel since its file was written; it throws away what is older."""
     folder, source = kernel.stats.cache_path, Path(inspect.getfile(kernel.py_func))
     if folder is None:  # there is no folder that numba may write to
         return False
     written = source.stat().st_mtime
-    kept = Path(folder).glob(f"{source.stem}.{kernel.py_func.__name__}-*.nbi")
-    return any(path.stat().st_mtime >= written for path in kept)
+    cached = Path(folder).glob(f"{source.stem}.{kernel.py_func.__name__}-*.nbi")
+    return any(path.stat().st_mtime >= written for path in cached)
 
 
 if __name__ == "__main__":

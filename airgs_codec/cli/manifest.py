@@ -8,13 +8,15 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.common import PACKAGE, BakingOptions, Bar, as_json, package
+from airgs_codec.cli.common import PACKAGE, BakingOptions, as_json, expect_folder, package
 from airgs_codec.cli.options import App, make_app, nested, run_program, takes
+from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.package.package import open_package
 
 ABOUT = "Look into a package, check it, compare it with the original, put it on a page."
@@ -32,12 +34,12 @@ class Inspect:
 @takes(Inspect)
 def inspect(options: Inspect) -> int:
     """Show groups, tiers, levels, rungs, bytes and what was left out."""
-    from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
     from airgs_codec.inspect.summary import summarise
-    from airgs_codec.inspect.text import format_summary
+    from airgs_codec.inspect.text import bytes_by_attribute, format_attributes, format_summary
 
     if options.plot:
         require_matplotlib("--plot")
+        expect_folder(options.plot.absolute().parent)
     package = open_package(options.package)
     summary = summarise(package.manifest, package.manifest_bytes)
     if options.plot:
@@ -46,12 +48,12 @@ def inspect(options: Inspect) -> int:
         plot_ladder(package.manifest, package.manifest_bytes, options.plot)
     if options.json:
         by_attribute = {name: round(size) for name, size in bytes_by_attribute(package).items()}
-        print(json.dumps(summary.to_json() | {"top_rung_bytes_by_attribute": by_attribute}))
+        say(json.dumps(summary.to_json() | {"top_rung_bytes_by_attribute": by_attribute}))
         return 0
-    print(format_summary(summary))
-    print(format_attributes(package))
+    say(format_summary(summary))
+    say(format_attributes(package))
     if options.plot:
-        print(f"picture: {options.plot}")
+        say(f"picture: {options.plot}")
     return 0
 
 
@@ -79,15 +81,15 @@ def validate(options: Validate) -> int:
         measured = list(measure_errors(open_package(options.package), against))
         findings = exceeded(measured)
     if options.json:
-        print(json.dumps([dataclasses.asdict(finding) for finding in findings]))
+        say(json.dumps([dataclasses.asdict(finding) for finding in findings]))
     elif findings:
-        print("\n".join(str(f) for f in findings))
+        say("\n".join(str(f) for f in findings))
     else:
         m = open_package(options.package).manifest
         files = 2 + sum(1 for _ in m.files())
-        print(f"valid: {m.frames} frames, {len(m.groups)} groups, {len(m.segments)} segments, {files} files")
+        say(f"valid: {m.frames} frames, {len(m.groups)} groups, {len(m.segments)} segments, {files} files")
         if measured:
-            print(format_errors(measured))
+            say(format_errors(measured))
     return 1 if findings else 0
 
 
@@ -106,14 +108,12 @@ def export_page(options: ExportPage) -> int:
     """Write a folder for any static host, with the player and packages."""
     from airgs_codec.serve.export import export_page as export
 
-    bar, output = Bar(), options.output
-    try:
+    output = options.output
+    with closing(Bar()) as bar:
         made = export(options.packages, output, title=options.title, address=options.address, progress=bar)
-    finally:
-        bar.close()
     for one in made:
-        print(f"{one.name}: {one.words}")
-    print(f"{output}: to look at it, python3 -m http.server --directory {output}")
+        say(f"{one.name}: {one.seen.words}")
+    say(f"{output}: to look at it, python3 -m http.server --directory {output}")
     return 0
 
 
@@ -121,7 +121,9 @@ def export_page(options: ExportPage) -> int:
 class Merge:
     """Options of merge."""
 
-    work: str = required("what was --work of the parts: a folder, or s3://, gs://, az:// and a prefix")
+    work: str = required(
+        "what was --work of the parts: a folder, or s3://, gs://, az:// and a prefix; nobody else may write there"
+    )
     output: str = required(PACKAGE, short="-o")
 
 
@@ -134,7 +136,7 @@ def merge(options: Merge) -> int:
     from airgs_codec.places.results import open_store
 
     manifest, size = publish(open_store(options.work), options.output)
-    print(f"{format_summary(summarise(manifest, size))}\n\n{options.output}: {manifest.frames} frames")
+    say(f"{format_summary(summarise(manifest, size))}\n\n{options.output}: {manifest.frames} frames")
     return 0
 
 
@@ -148,6 +150,8 @@ def make_manifest() -> App:
         ("rungs", "Measure PSNR, SSIM and CIEDE2000 of every rung against the original."),
     ):
         app.command(f"airgs_codec.cli.compare:{name}", name=name, help=words)
+    words = "Change where viewers begin, which way is up, and named views, without encoding again."
+    app.command("airgs_codec.cli.set_view:set_view", name="set-view", help=words)
     return app
 
 

@@ -10,38 +10,40 @@ from __future__ import annotations
 
 import difflib
 import inspect
+import re
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
 from types import NoneType
-from typing import Annotated, Any, Literal, TypedDict, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, TypeVar, get_args, get_origin, get_type_hints
 
-from cyclopts import App, Group, Parameter
-from cyclopts.exceptions import (
-    CoercionError,
-    CycloptsError,
-    MissingArgumentError,
-    RepeatArgumentError,
-    UnknownCommandError,
-    UnknownOptionError,
-    UnusedCliTokensError,
-)
+from cyclopts import App, Group, Parameter, exceptions
 
 from airgs_codec import __version__
 from airgs_codec._settings import applied, computed_setting, default_of
-from airgs_codec.cli.common import run_command
-from airgs_codec.cli.help import ARGUMENTS, COMMANDS, EVERYDAY, Columns
+from airgs_codec.cli.terminal import run_command
 from airgs_codec.errors import AirgsError, ConfigError
+
+if TYPE_CHECKING:
+    from cyclopts.help import HelpEntry, HelpPanel
+    from rich.console import Console
 
 Options = TypeVar("Options")
 Given = dict[str, Any]  # settings that were given, by name; those of settings within them are such a dictionary again
 
 ALL = "--help-all"
-ONE, SEVERAL = inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.VAR_POSITIONAL
-NAMED: Any = inspect.Parameter.KEYWORD_ONLY
+EMPTY: Any = inspect.Parameter.empty
+EVERYDAY = Group("Options", sort_key=1)
+ARGUMENTS = Group("Arguments", sort_key=0)
+COMMANDS = Group("Commands", sort_key=0)
+FLAGS = {"--help", "--version"}
+DETAIL = re.compile(r"; .*?( \(default: [^()]*\))?$")  # of a help text: what follows the first semicolon
+WIDTH, COLUMN = 100, 30  # of help: characters in a line at most, and before what options mean
 UNITS = {"_s": "S", "_db": "DB"}  # endings of names: their words in help
 KINDS: dict[Any, tuple[str, str]] = {  # words in help and in errors
     int: ("N", "a whole number"),
@@ -151,9 +153,9 @@ def _run(app: App, words: list[str]) -> int:
         words = [*(word for word in words[:1] if word in app), "--help"]
     try:
         if not words and app.default_command is None:
-            raise UnknownCommandError(app=app)
+            raise exceptions.UnknownCommandError(app=app)
         return app(words) or 0
-    except CycloptsError as error:
+    except exceptions.CycloptsError as error:
         raise ConfigError(refusal(error)) from error
 
 
@@ -176,21 +178,16 @@ def option_name(name: str) -> str:
     return name.removesuffix(unit).replace("_", "-")
 
 
-def _has_place(one: Field[Any]) -> bool:
-    """Whether a field is an argument by its place."""
-    return default_of(one) is MISSING and "short" not in one.metadata
-
-
 def _parameters(options: Iterable[type]) -> list[inspect.Parameter]:
     """The parameters of a function that takes the fields of dataclasses, those by place first."""
     hints = {name: hint for one in options for name, hint in get_type_hints(one).items()}
     found = []
     for one in (one for every in options for one in fields(every)):
-        hint, kind = hints[one.name], NAMED
-        default: Any = inspect.Parameter.empty
-        if _has_place(one):
+        hint, default = hints[one.name], EMPTY
+        kind: Any = inspect.Parameter.KEYWORD_ONLY
+        if default_of(one) is MISSING and "short" not in one.metadata:  # an argument by its place
             several = get_origin(hint) is tuple
-            kind = SEVERAL if several else ONE
+            kind = inspect.Parameter.VAR_POSITIONAL if several else inspect.Parameter.POSITIONAL_ONLY
             name = one.metadata.get("metavar", one.name.upper())
             words = Parameter(name=name, help=one.metadata["help"], group=ARGUMENTS, required=True)
             hint = Annotated[get_args(hint)[0] if several else hint, words]
@@ -199,7 +196,7 @@ def _parameters(options: Iterable[type]) -> list[inspect.Parameter]:
             words = Parameter(name="*") if nested.own else Parameter(name=option_name(one.name))
             hint = Annotated[_nested(nested, nested.settings()), words]
         else:
-            default = inspect.Parameter.empty if default_of(one) is MISSING else None
+            default = EMPTY if default_of(one) is MISSING else None
             about = one.metadata["help"] + default_words(one.metadata.get("default", default_of(one)))
             hint = _annotated(one, hint, about, one.metadata.get("topic"))
         found.append(inspect.Parameter(one.name, kind, default=default, annotation=hint))
@@ -230,6 +227,7 @@ def _annotated(one: Field[Any], hint: Any, about: str, topic: str | None) -> Any
     several = get_origin(kind) is tuple and "read" not in told
     unit = next((words for ending, words in UNITS.items() if one.name.endswith(ending)), "")
     choices = told.get("choices", ())
+    read = told.get("read") or (int if kind is int else None)  # the library would round
     kind_words = KINDS.get(get_args(kind)[0] if several else kind, ("TEXT", ""))[0]
     name = told.get("name") or option_name(one.name)
     words = Parameter(
@@ -237,22 +235,14 @@ def _annotated(one: Field[Any], hint: Any, about: str, topic: str | None) -> Any
         help=about,
         group=Group(topic, sort_key=5) if topic else EVERYDAY,
         metavar=told.get("metavar") or unit or "|".join(choices) or kind_words,
-        converter=_converter(told.get("read"), kind),
+        converter=partial(_read, read, kind) if read else None,
         negative=None if kind is bool and default_of(one) is True else (),
         consume_multiple=True if several else None,
         allow_leading_hyphen=told.get("signed", False),
     )
     if choices:
         return Annotated[Literal[tuple(choices)], words]
-    seen: Any = str if "read" in told else kind
-    return Annotated[seen, words]
-
-
-def _converter(read: Callable[[str], Any] | None, kind: Any) -> Callable[[Any, Any], Any] | None:
-    """How the library makes a value of text; None where it knows that by itself."""
-    if read is None and kind is int:
-        read = int  # the library rounds
-    return None if read is None else partial(_read, read, kind)
+    return Annotated[str if "read" in told else kind, words]
 
 
 def _read(read: Callable[[str], Any], kind: Any, _: Any, tokens: Sequence[Any]) -> Any:
@@ -283,29 +273,74 @@ def default_words(value: Any) -> str:
     return f" (default: {shown})"
 
 
-def refusal(error: CycloptsError) -> str:
+def refusal(error: exceptions.CycloptsError) -> str:
     """Returns what is wrong with arguments, in one line."""
-    if isinstance(error, CoercionError) and error.token is not None:
+    if isinstance(error, exceptions.CoercionError) and error.token is not None:
         words = error.msg or f"expected {_kind_words(error.target_type)}, got {error.token.value!r}"
         return f"argument {error.token.keyword or _name(error)}: {words}"
-    if isinstance(error, MissingArgumentError):
+    if isinstance(error, exceptions.MissingArgumentError):
         if error.keyword:
             return f"argument {error.keyword}: expected a value, got none"
         return f"expected {_name(error)}, got none"
-    if isinstance(error, RepeatArgumentError):
+    if isinstance(error, exceptions.RepeatArgumentError):
         return f"argument {error.token.keyword}: expected one value, got another one: {error.token.value!r}"
-    if isinstance(error, UnknownOptionError):
+    if isinstance(error, exceptions.UnknownOptionError):
         known = [name for argument in error.argument_collection for name in argument.names]
         word = error.token.keyword or error.token.value  # the one where it has a value, else the other
         close = difflib.get_close_matches(word, known, 1)
         return f"argument {word}: expected an option that there is{f' ({close[0]}?)' if close else ''}; see {ALL}"
-    if isinstance(error, UnknownCommandError):
+    if isinstance(error, exceptions.UnknownCommandError):
         known = [name for name in error.app or () if not name.startswith("-")]
         return f"expected one of {', '.join(known)}, got {(error.unused_tokens or ['none'])[0]!r}"
-    if isinstance(error, UnusedCliTokensError):
+    if isinstance(error, exceptions.UnusedCliTokensError):
         return f"expected no further arguments, got {' '.join(error.unused_tokens or ())}"
     return " ".join(str(error).split())
 
 
-def _name(error: CycloptsError) -> str:
+def _name(error: exceptions.CycloptsError) -> str:
     return error.argument.name if error.argument else "an argument"
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Prints help in two columns, as wide as the terminal, at most WIDTH; `everything`: not everyday options alone."""
+
+    everything: bool
+
+    def render_usage(self, console: Console, options: Any, usage: Any) -> None:
+        """Print how the command is called."""
+        self._print(console, textwrap.fill(f"usage: {str(usage).removeprefix('Usage:').strip()}", self._width()))
+
+    def render_description(self, console: Console, options: Any, description: Any) -> None:
+        """Print what the command does, paragraph for paragraph as it is written."""
+        if text := _text(description):
+            self._print(console, "\n".join(["", *(textwrap.fill(line, self._width()) for line in text.split("\n"))]))
+
+    def __call__(self, console: Console, options: Any, panel: HelpPanel) -> None:
+        """Print a group of options."""
+        shown = self.everything or panel.title in {one.name for one in (ARGUMENTS, COMMANDS, EVERYDAY)}
+        entries = [entry for entry in panel.entries if not FLAGS & set(entry.names)]
+        if shown and entries:
+            lines = [line for entry in entries for line in self._lines(entry)]
+            self._print(console, "\n".join([f"\n{str(panel.title).lower()}:", *lines]))
+
+    def _lines(self, entry: HelpEntry) -> list[str]:
+        names = [*entry.positive_shorts, *entry.positive_names, *entry.negative_names]
+        head = entry.positional_label or " ".join(filter(None, [", ".join(names), entry.metavar]))
+        words = _text(entry.description)
+        wrap = textwrap.TextWrapper(self._width(), " " * COLUMN, " " * COLUMN, break_on_hyphens=False)
+        lines = wrap.wrap(words if self.everything else DETAIL.sub(r"\1", words)) or [""]
+        if len(head) > COLUMN - 4:
+            return [f"  {head}", *lines]
+        return [f"  {head:<{COLUMN - 2}}{lines[0].strip()}", *lines[1:]]
+
+    def _width(self) -> int:
+        return min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
+
+    def _print(self, console: Console, text: str) -> None:
+        console.print(text, markup=False, highlight=False, emoji=False, soft_wrap=True)
+
+
+def _text(written: Any) -> str:
+    """Return what the library makes of a help text, as it was."""
+    return "" if written is None else str(getattr(written.primary_renderable, "plain", "")).strip()

@@ -5,23 +5,29 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
+import re
 import tempfile
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.common import (
     PACKAGE,
     BakingOptions,
-    Bar,
     as_json,
     device,
+    expect_folder,
+    expect_rate,
     expect_report,
+    fraction,
     report,
     views,
 )
 from airgs_codec.cli.options import nested, run_program, takes
+from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import write_png
 from airgs_codec.package.manifest import Manifest
@@ -34,8 +40,9 @@ from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report.film import film, still
+from airgs_codec.play.report.flight import film_along, open_path
 from airgs_codec.play.report.map import Viewer, path_of
-from airgs_codec.play.report.session import format_metrics, place_record, write_report
+from airgs_codec.play.report.session import format_metrics, place_record, some, write_report
 from airgs_codec.play.report.study import format_study, write_study
 from airgs_codec.play.session import SessionLog, measure_decoding, simulate
 from airgs_codec.play.session import play as play_over
@@ -49,7 +56,17 @@ from airgs_codec.scene.sequence import open_sequence
 
 PAPER = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
 COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
+SIDES = (16, 8192)  # pixels of a film
 TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
+
+
+def read_size(text: str) -> tuple[int, int]:
+    """Width and height in pixels."""
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    width, height = map(int, found.groups()) if found else (0, 0)
+    if not (SIDES[0] <= width <= SIDES[1] and SIDES[0] <= height <= SIDES[1] and width % 2 == height % 2 == 0):
+        raise ConfigError(f"--size: expected even sides of {SIDES[0]} to {SIDES[1]} pixels such as 512x512, got {text}")
+    return width, height
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +93,15 @@ class Play:
     seed: int = setting(1, "seed of the starts", topic="study")
     jobs: int = setting(1, "processes that share the sessions of --compare")
     views: Path | None = views("cameras that the viewer goes by", "the viewing region")
+    path: Path | None = setting(
+        None, "film the best rung along a camera path instead: keyframes as JSON", metavar="FILE"
+    )
+    size: tuple[int, int] | None = setting(
+        None, "of the pictures along --path", read=read_size, metavar="WxH", default="the package's", topic="output"
+    )
+    fps: Fraction | None = setting(
+        None, "pictures a second along --path", read=fraction, default="the package's", topic="output"
+    )
     original: str | None = setting(None, "shown beside the screen in --video", metavar="SEQUENCE")
     clip: BakingOptions = nested(BakingOptions, "clips", own=True)
     device: str = device("where pictures are drawn", topic="output")
@@ -93,14 +119,22 @@ def main(argv: Sequence[str] | None = None) -> int:
 def play(options: Play) -> int:
     """Simulate a viewer of a package over a bandwidth trace, compare policies over many, or play from a web server."""
     expect_report(options.report)
+    if options.video:
+        expect_folder(options.video.absolute().parent)
     if options.compare and (options.player.budget is not None or options.view_adaptive):
         option = "--view-adaptive" if options.player.budget is None else "--player.budget"
         raise ConfigError(f"{option}: expected a single session, got --compare")
+    expect_rate("--fps", options.fps)
+    for name in ("size", "fps"):
+        if getattr(options, name) and not options.path:
+            raise ConfigError(f"--{name}: expected --path")
     if options.package.startswith(("http://", "https://")):
         return _over_http(options)
     if options.http.as_fast:
         raise ConfigError(f"--http.as-fast: expected a URL, got {options.package}; a simulated session takes no time")
     package = open_package(options.package)
+    if options.path:
+        return _film(package, options.path, options)
     if options.compare:
         return _compare(package, options)
     if not options.trace:
@@ -109,10 +143,15 @@ def play(options: Play) -> int:
         raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {options.rtt:g}")
     trace = open_trace(options.trace).cut(options.offset, options.scale).ending(options.end)
     link = Link.over(trace, None if options.rtt is None else options.rtt / 1e3)
-    return _session(package, link, options)
+    settings, faults = _settings(package, options), find_faults(package)
+    log = simulate(package, link, options.policy, settings, faults, view=_view(package.manifest, options))
+    _present(package, log, options)
+    return 0
 
 
 def _over_http(options: Play) -> int:
+    if options.path:
+        raise ConfigError("--path: expected a folder with a package, got a URL")
     if options.trace or options.compare:
         raise ConfigError("a URL is played over the real connection: expected no --trace and no --compare")
     pictures = options.report or options.video
@@ -129,19 +168,27 @@ def _over_http(options: Play) -> int:
     return 0
 
 
+def _film(package: Package, along: Path, options: Play) -> int:
+    """Film a camera path."""
+    if not options.video or options.trace or options.compare or options.report or options.views:
+        raise ConfigError("--path: expected --video, and no session: no --trace, --compare, --report or --views")
+    path, region = open_path(along, package.manifest), package.manifest.region
+    size = options.size or (region.width - region.width % 2, region.height - region.height % 2)
+    begin = time.perf_counter()
+    with contextlib.closing(Bar(options.json)) as bar:
+        count = film_along(package, path, options.video, size, options.fps, (open_renderer(options.device), bar))
+    seconds = time.perf_counter() - begin
+    figures = {"film": str(options.video), "pictures": count, "size": list(size), "pictures_per_s": count / seconds}
+    say(to_json(figures) if options.json else f"{options.video}: {count} pictures, {count / seconds:.1f} a second")
+    return 0
+
+
 def _settings(package: Package | None, options: Play) -> SessionSettings:
     if not options.measure_decoding:
         return options.player
     if package is None:
         raise ConfigError("--measure-decoding: expected a folder, got a URL")
     return dataclasses.replace(options.player, decode_frame_s=measure_decoding(package))
-
-
-def _session(package: Package, link: Link, options: Play) -> int:
-    settings, faults = _settings(package, options), find_faults(package)
-    log = simulate(package, link, options.policy, settings, faults, view=_view(package.manifest, options))
-    _present(package, log, options)
-    return 0
 
 
 def _view(m: Manifest, options: Play) -> View | None:
@@ -160,26 +207,26 @@ def _present(package: Package, log: SessionLog, options: Play) -> None:
         write_png(options.report / "screen.png", still(package, log, viewer.cameras[0], viewer.renderer))
         write_report(log, options.report, viewer)
     if options.video and viewer:
-        bar = Bar(options.json)
-        film(package, log, viewer, options.video, original, bar)
-        bar.close()
+        with contextlib.closing(Bar(options.json)) as bar:
+            film(package, log, viewer, options.video, original, bar)
     said = {"policy": log.policy, "lost": log.lost, "retried": log.retried}
-    record = dataclasses.asdict(log.metrics) | said | place_record(log, viewer)
-    print(to_json(record) if options.json else _as_words(log, viewer, options))
+    record = log.metrics.as_dict() | said | place_record(log, viewer)
+    if options.json:
+        say(to_json(record))
+        return
+    say(format_metrics(log, viewer))
+    if options.report:
+        say(f"{'report':<22}{options.report / 'index.html'}")
+    if options.video:
+        say(f"{'film':<22}{options.video}")
 
 
 def _viewer(log: SessionLog, options: Play) -> Viewer:
     cameras = read_cameras(options.views) if options.views else []
     if all(shown.rung is None for shown in log.shown):
-        raise ConfigError(f"{options.package}: nothing can be shown: {'; '.join(log.lost)}")
+        raise ConfigError(f"{options.package}: nothing can be shown: {some(log.lost)}")
     walked = before_background(log.offers.manifest.region, cameras)
     return Viewer.of(log, walked, open_renderer(options.device))
-
-
-def _as_words(log: SessionLog, viewer: Viewer | None, options: Play) -> str:
-    report = f"\n{'report':<22}{options.report / 'index.html'}" if options.report else ""
-    film_line = f"\n{'film':<22}{options.video}" if options.video else ""
-    return format_metrics(log, viewer) + report + film_line
 
 
 def _compare(package: Package, options: Play) -> int:
@@ -196,23 +243,14 @@ def _compare(package: Package, options: Play) -> int:
     policies = tuple(name for name in options.policies.split(",") if name)
     for name in policies:
         make_policy(name, c, Link(open_trace("const:1")))
-    settings = StudySettings(
-        policies,
-        tuple(traces),
-        options.offsets,
-        options.scale,
-        options.end,
-        None if options.rtt is None else options.rtt / 1e3,
-        options.seed,
-        _settings(package, options),
-        options.jobs,
-    )
-    bar = Bar(options.json)
-    study = run_study(options.package, settings, bar)
-    bar.close()
+    rtt_s = None if options.rtt is None else options.rtt / 1e3
+    link, rules = (options.offsets, options.scale, options.end, rtt_s), _settings(package, options)
+    settings = StudySettings(policies, tuple(traces), *link, options.seed, rules, options.jobs)
+    with contextlib.closing(Bar(options.json)) as bar:
+        study = run_study(options.package, settings, bar)
     if options.report:
         write_study(study, options.report)
-    print(format_study(study, options.json))
+    say(format_study(study, options.json))
     if options.report and not options.json:
-        print(f"report: {options.report / 'index.html'}")
+        say(f"report: {options.report / 'index.html'}")
     return 0

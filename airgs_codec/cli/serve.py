@@ -14,6 +14,7 @@ from urllib.parse import quote
 
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import run_program, takes
+from airgs_codec.cli.terminal import say
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.trace import Link, Trace, open_trace
 from airgs_codec.serve.app import make_app
@@ -41,7 +42,7 @@ class Serve:
         None, "certificate with its chain, for https with HTTP/2; needs --key", metavar="PEM"
     )
     key: Path | None = setting(None, "key of the certificate", metavar="PEM")
-    verbose: bool = setting(False, "a line on stderr for every request")
+    access_log: bool = setting(False, "a line on stderr for every request, in Apache's combined log format")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -54,12 +55,12 @@ def serve(options: Serve) -> int:
     """Serve packages over HTTP, each below its name, at full speed or over a shaped link."""
     files = PackageFiles(list(options.packages))
     shape, certificate = _shape(options), _certificate(options)
-    settings = ServerSettings(shape, certificate, access_log=_access_log() if options.verbose else None)
+    settings = ServerSettings(shape, certificate, access_log=_access_log() if options.access_log else None)
     listening = listen(options.host, options.port, settings.patience_s)
     _allow_connections()
-    print(_greeting(files, listening, "https" if certificate else "http"), flush=True)
+    say(_greeting(files, listening, "https" if certificate else "http"))
     asyncio.run(_serve_until_signal(files, listening, settings))
-    print("stopped")
+    say("stopped")
     return 0
 
 
@@ -118,6 +119,8 @@ def _greeting(files: PackageFiles, listening: socket.socket, scheme: str) -> str
     names = sorted(files.packages)
     address = _address(scheme, host, port)
     local = _address(scheme, "localhost" if host in ANY_HOST else host, port)
+    if not names:
+        return f"serving {address}/\nno package yet: each is served as it appears; open {local}/"
     opened = [f"open {local}{player_address(name)}" for name in names] if is_built() else [NOT_BUILT]
     return "\n".join([f"serving {address}/", *(f"{address}/{quote(name)}/" for name in names), *opened])
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -11,7 +13,6 @@ from typing import TYPE_CHECKING
 
 from airgs_codec._settings import applied, required, setting
 from airgs_codec.cli.common import (
-    Bar,
     WorkOptions,
     as_json,
     device,
@@ -23,27 +24,22 @@ from airgs_codec.cli.common import (
 )
 from airgs_codec.cli.common import frames as frames_option
 from airgs_codec.cli.options import Given, given, nested, run_program, takes
-from airgs_codec.cli.training import (
-    default_model,
-    default_settings,
-    follow_training,
-    pose_rig,
-    require_torch,
-    run_training,
-)
+from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.report import NAME as JOBS_NAME
 from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
-from airgs_codec.train.data.readers import open_scene
+from airgs_codec.train.data.readers import is_unposed, open_scene
+from airgs_codec.train.data.rig import find_poses
 from airgs_codec.train.settings import FIRST, FIRST_A_VIEW, PRESETS, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.train.pipeline import Run
-    from airgs_codec.train.record import Model
+    from airgs_codec.train.record import FrameRecord, Model
 
+CUDA_VIEWS = 4  # an iteration sees on a GPU, which a single picture does not fill
 DEFAULTS = TrainSettings()
 EVERYDAY = ("max_size", "background", "match_exposure", "budget", "min_psnr_db", "group_frames")
 
@@ -118,21 +114,19 @@ def train(options: Train) -> int:
     scene = _scene(options)
     if settings.background is None and scene.background != BLACK and not options.json:
         colour = ",".join(f"{c:g}" for c in scene.background)
-        print(f"{options.scene}: its pictures are before a background of {colour}")
+        say(f"{options.scene}: its pictures are before a background of {colour}")
     if options.work.part:
         return _train_part(options, scene, settings, device)
     run = open_run(
         scene, options.output or default_model(options.scene), settings, resume=options.resume, device=device
     )
-    jobs: Sequence[Record] = ()
-    if shared:
-        jobs = _train_in_jobs(options, run)
-    else:
+    jobs = _train_in_jobs(options, run) if shared else []
+    if not shared:
         run_training(run, quiet=options.json)
     model = run.model
     if options.report:
         write_report(model, run.capture.pictures.with_exposure(model.record.exposure), options.report, renderer, jobs)
-    print(json.dumps(summary(model)) if options.json else as_words(model, options.report))
+    say(json.dumps(summary(model)) if options.json else as_words(model, options.report))
     return 0
 
 
@@ -140,30 +134,22 @@ def _train_in_jobs(options: Train, run: Run) -> list[Record]:
     """Train by jobs; gives who did which."""
     from airgs_codec.train.pipeline import train_in_jobs
 
-    bar = Bar(options.json)
-    try:
-        with options.work.opened(bar) as work:
-            follow_training(run, train_in_jobs(run, work), bar, quiet=options.json)
-            return work.records()
-    finally:
-        bar.close()
+    with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
+        follow_training(run, train_in_jobs(run, work), bar, quiet=options.json)
+        return work.records()
 
 
 def _train_part(options: Train, scene: MultiviewScene, settings: TrainSettings, device: str) -> int:
     """Do the jobs, and write no model."""
     from airgs_codec.train.pipeline import train_part
 
-    bar = Bar(options.json)
-    try:
-        with options.work.opened(bar) as work:
-            train_part(scene, settings, device, work)
-            records = work.records()
-    finally:
-        bar.close()
+    with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
+        train_part(scene, settings, device, work)
+        records = work.records()
     if options.report:
         options.report.mkdir(parents=True, exist_ok=True)
         write_jobs(options.report / JOBS_NAME, records)
-    print(f"{options.work.work}: all jobs are done; the same command without --part writes the model")
+    say(f"{options.work.work}: all jobs are done; the same command without --part writes the model")
     return 0
 
 
@@ -185,17 +171,14 @@ def _settings(options: Train, device: str) -> TrainSettings:
     told = dict(options.settings)
     if "budget" in told:
         told.setdefault("capacity", told["budget"] * 3 // 2)
-    counts = {} if options.iterations is None else _iterations(options.iterations)
+    counts = {}
+    if options.iterations is not None:
+        names = ("first_iterations", "key_iterations", "frame_iterations")
+        try:
+            counts = dict(zip(names, map(int, options.iterations.split(",")), strict=True))
+        except ValueError as error:
+            raise ConfigError(f"--iterations: expected FIRST,KEY,FRAME, got {options.iterations!r}") from error
     return applied(preset(options.preset, default_settings(device)), counts | told)
-
-
-def _iterations(text: str) -> dict[str, int]:
-    """Settings of FIRST,KEY,FRAME. Raises ConfigError."""
-    names = ("first_iterations", "key_iterations", "frame_iterations")
-    try:
-        return dict(zip(names, [int(part) for part in text.split(",")], strict=True))
-    except ValueError as error:
-        raise ConfigError(f"--iterations: expected FIRST,KEY,FRAME, got {text!r}") from error
 
 
 def summary(model: Model) -> dict[str, object]:
@@ -218,7 +201,7 @@ def summary(model: Model) -> dict[str, object]:
 
 
 def as_words(model: Model, report: Path | None) -> str:
-    """What the run comes to, in a line, and where the report is."""
+    """Return what the run comes to, in a line, and where the report is."""
     s = summary(model)
     held_out = (
         "" if s["held_out_psnr"] is None else f", held-out {s['held_out_psnr']:.2f} (worst {s['held_out_worst']:.2f})"
@@ -227,3 +210,86 @@ def as_words(model: Model, report: Path | None) -> str:
     count, groups = len(model.record.frames), len(model.record.keyframes())
     quality = f"{s['psnr']:.2f} dB (mean over views and frames){held_out}"
     return f"{model.folder}: {count} frames, {groups} groups, {quality}, {s['seconds']:.0f} s{page}"
+
+
+def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: bool) -> Path:
+    """The model folder of a multi-view scene, trained as far as it is not yet, with default settings.
+
+    `fps`: frames a second, instead of what the scene says. `device`: auto, cpu or cuda. `quiet`: say nothing.
+    """
+    require_torch()
+    from airgs_codec.render.backend import open_renderer
+    from airgs_codec.train.pipeline import open_run
+
+    pose_rig(scene, quiet=quiet)
+    views = with_held_out(open_scene(scene, fps=fps), None)
+    device = open_renderer(device).device
+    run = open_run(views, default_model(scene), default_settings(device), resume=True, device=device)
+    return run_training(run, quiet=quiet).folder
+
+
+def pose_rig(scene: Path, *, frame: int = 0, shared_lens: bool = False, quiet: bool) -> None:
+    """Find the poses of a rig that has none (`find_poses`), and say what came of it; other scenes are left alone."""
+    if not is_unposed(scene):
+        return
+    if not quiet:
+        say(f"{scene}: videos without poses; COLMAP finds them from frame {frame}, which takes minutes")
+    with closing(Bar(quiet)) as bar:
+        report = find_poses(scene, frame=frame, shared_lens=shared_lens, progress=bar)
+    if not quiet:
+        say("\n".join([*report.lines(), f"{scene / 'sparse'}: {report.summary()}"]))
+    if report.failed:
+        names = ", ".join(camera.name for camera in report.failed)
+        warn(f"warning: trained without cameras that have no pose: {names}")
+
+
+def run_training(run: Run, *, quiet: bool) -> Model:
+    """Train frame after frame with a progress bar; `follow_training` says what is done."""
+    from airgs_codec.train.pipeline import train_frames
+
+    bar = Bar(quiet)
+    return follow_training(run, train_frames(run, bar), bar, quiet=quiet)
+
+
+def follow_training(run: Run, records: Iterable[FrameRecord], bar: Bar, *, quiet: bool) -> Model:
+    """A line for each frame as it is stored, and the warnings of the run once each."""
+    said = set[str]()
+    with closing(bar):
+        for record in records:
+            bar.close()
+            if not quiet:
+                say(frame_line(record))
+            for warning in set(run.model.record.warnings()) - said:
+                warn(f"warning: {warning}")
+                said.add(warning)
+    return run.model
+
+
+def frame_line(r: FrameRecord) -> str:
+    """One finished frame in words; PSNR is the mean over training views."""
+    held_out = "" if r.held_out_psnr is None else f", held-out {r.held_out_psnr:.2f}"
+    kind = {"first": "  first frame", "frame": "", "key": f"  keyframe, {r.added:+,} Gaussians"}[r.kind]
+    if r.rejected_psnr is not None:
+        other = "as a keyframe" if r.kind == "frame" else "in the old group"
+        kind += f"  ({other} {r.rejected_psnr:.2f} dB)"
+    static = f", static {100 * sum(r.static.values()) / len(r.static):.0f} %" if r.static else ""
+    return f"frame {r.frame:4d}  {r.psnr:.2f} dB{held_out}  {r.gaussians:,} Gaussians{static}  {r.seconds:.1f} s{kind}"
+
+
+def require_torch() -> None:
+    """Raises ConfigError where torch is not installed."""
+    if importlib.util.find_spec("torch") is None:
+        raise ConfigError("training needs torch: pip install 'airgs-codec[train]'")
+
+
+def default_model(scene: Path) -> Path:
+    """The model folder of a scene unless another one is named."""
+    resolved = scene.resolve()  # "." has no name of its own
+    return resolved.with_name(resolved.name + ".gaussians")
+
+
+def default_settings(device: str) -> TrainSettings:
+    """The settings of a run on cpu or cuda unless others are named."""
+    if device == "cpu":
+        return TrainSettings()
+    return TrainSettings(deltas="mlp+residual", iteration_views=CUDA_VIEWS)

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.package.tables import MAX_BITS, Grid
-from airgs_codec.scene.morton import morton_decode, morton_encode
+from airgs_codec.scene.gaussians import morton_decode, morton_encode
 
 
 def cell_bits(classes: NDArray[np.int16], grid: Grid, coarser: int = 0) -> NDArray[np.int64]:

@@ -106,7 +106,7 @@ def _read_positions(reader: ColumnReader, rows: int, grid: Grid, coarsest: int) 
 
 
 def detail_columns(sidecar: KeySidecar, grid: Grid, coarser: int, coarsest: int) -> list[Column]:
-    """What a key quality adds to the codes that `pack_key_sidecar` writes; the coarsest adds nothing."""
+    """Return what a key quality adds to the codes that `pack_key_sidecar` writes; the coarsest adds nothing."""
     if coarser == coarsest:
         return []
     low = (3 * cell_bits(sidecar.classes, grid, coarser)).astype(np.uint64)

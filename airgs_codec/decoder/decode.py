@@ -10,11 +10,14 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from numbers import Integral
+from pathlib import Path
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._arguments import argument
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import read_codes
 from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_parts, join_canonical, no_rows
@@ -22,9 +25,9 @@ from airgs_codec.coding.quantize import from_codes
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.media.h264 import decode_pictures, open_segment
+from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.layout import COLOUR, KEY, STATE
-from airgs_codec.package.package import Package
+from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.package.tables import STATIC, Atlas, Group, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
@@ -49,17 +52,20 @@ WHOLE = Part()
 DECODED_ROWS = 1 << 18  # rows of canonical spaces that stay decoded, and one more space
 
 
-def decode(package: Package, frame: int, *, level: str | int = "L0", key_quality: str | int = "Q0") -> Gaussians:
-    """One frame as a viewer of that level and key quality sees it, each given by its id or its index.
+def decode(
+    package: Package | str | Path, frame: int, *, level: str | int = "L0", key_quality: str | int = "Q0"
+) -> Gaussians:
+    """One frame, from 0, of an open package or the one at a path, at a level and key quality given by id or index.
 
     Decodes nothing but the key units of the frame's group, those of the group whose rows it keeps, and its segment up
     to the frame. While the package is open, key units of some groups stay decoded, and the escapes of one segment. The
     result has as many rows as the key units that viewers of the level fetch. Raises ConfigError for a frame, level or
     key quality that the package does not have, FormatError for a broken package.
     """
+    package = argument("package", package, Package, OPENED, open_package)
     m = package.manifest
-    if not 0 <= frame < m.frames:
-        raise ConfigError(f"frame: expected 0..{m.frames - 1}, got {frame}")
+    if not (isinstance(frame, Integral) and 0 <= frame < m.frames):
+        raise ConfigError(f"frame: expected 0..{m.frames - 1}, got {frame!r}")
     j, q, index = m.level_index(level), m.quality_index(key_quality), m.segment_at(frame)
     base = _canonical_again(package, m.group_of(index), q, m.levels[j].tiers)
     shown = next(decode_segment(package, index, base, j, [frame - m.segments[index].start]))
@@ -87,7 +93,7 @@ def _canonical_again(package: Package, group: int, quality: int, tiers: int) -> 
 
 
 def decode_frames(
-    package: Package,
+    package: Package | str | Path,
     start: int,
     stop: int,
     *,
@@ -95,15 +101,15 @@ def decode_frames(
     key_quality: str | int = "Q0",
     part: Part = WHOLE,
 ) -> Iterator[Frame]:
-    """Frames [start, stop) one after another; `decode` says how level and key quality are given and what is raised.
+    """Frames [start, stop) one after another, each with its number; the other arguments are those of `decode`.
 
-    `part`: what the viewer has. Each key unit and each segment is decoded once.
+    `part`: what the viewer has. Each key unit and each segment is decoded once. Raises what `decode` raises.
     """
-    m, tiers = package.manifest, part.tiers
-    there = _tiles(package, part.tiles)
+    package = argument("package", package, Package, OPENED, open_package)
+    m, tiers, there = package.manifest, part.tiers, _tiles(package, part.tiles)
     j, q = m.level_index(level), m.quality_index(key_quality)
-    if not 0 <= start <= stop <= m.frames:
-        raise ConfigError(f"frames: expected a range inside 0:{m.frames}, got {start}:{stop}")
+    if not (isinstance(start, Integral) and isinstance(stop, Integral) and 0 <= start <= stop <= m.frames):
+        raise ConfigError(f"frames: expected a range inside 0:{m.frames}, got {start!r}:{stop!r}")
     base: Canonical | None = None
     group = -1
     for index in range(m.segment_at(start), m.segment_at(stop - 1) + 1) if start < stop else ():
@@ -134,8 +140,7 @@ def decode_canonical(
     It is that of the first `tiers` key tiers of some `tiles` (default: all of all), which may have no rows. Raises
     ConfigError for tiers that the package does not have, FormatError for a broken package.
     """
-    m = package.manifest
-    g = m.groups[group]
+    m, g = package.manifest, package.manifest.groups[group]
     if tiers is not None and not 1 <= tiers <= m.tiers:
         raise ConfigError(f"tiers: expected 1..{m.tiers}, got {tiers}")
     units = [tile * m.tiers + t for tile in _tiles(package, tiles) for t in range(m.tiers)[:tiers]]
@@ -146,8 +151,7 @@ def decode_canonical(
 
 def _decode_unit(package: Package, group: int, unit: int, quality: int) -> Iterator[Canonical]:
     """The rows of a key unit, which has some: those that it keeps, then the others."""
-    m = package.manifest
-    g = m.groups[group]
+    m, g = package.manifest, package.manifest.groups[group]
     read, sidecar = _read_key(package, group, unit, quality)
     base, kept = m.base_of(group), sidecar.kept
     if base is not None and len(kept.rows):
@@ -175,34 +179,32 @@ def decode_key(package: Package, group: int, unit: int, quality: int) -> tuple[N
 def _read_key(
     package: Package, group: int, unit: int, quality: int
 ) -> tuple[Callable[[slice], NDArray[np.int32]], KeySidecar]:
-    """What gives the codes of some rows of a key unit, and its sidecar, as in `decode_key`.
+    """Return what gives the codes of some rows of a key unit, and its sidecar, as in `decode_key`.
 
     The picture is decoded on another thread while columns are read.
     """
-    m = package.manifest
-    g = m.groups[group]
+    m, g = package.manifest, package.manifest.groups[group]
     entry, base = g.units[unit], m.base_of(group)
-    sidecar_path, *pictures = m.key_files(group, unit, quality)
+    sidecar_path, *media_paths = m.key_files(group, unit, quality)
     grid, coarser, coarsest = g.grid, m.qualities[quality].coarser, m.qualities[-1].coarser
     kept = entry.kept, 0 if base is None else m.groups[base].units[unit].count
     count, data = entry.count - entry.kept, package.read(sidecar_path)
-    if not pictures:
+    if not media_paths:
         none = np.empty((KEY.width(m.colour_channels), 0), np.int32)
         return lambda rows: none, unpack_key_sidecar(data, count, grid, coarsest, sidecar_path, kept)
-    (media,) = pictures
-    segment = open_segment(package.read(media), media)
-    atlas = entry.qualities[quality]
+    (media,), atlas = media_paths, entry.qualities[quality]
+    columns, pictures = open_segment(package.read(media), media, atlas.pages)
     with ThreadPoolExecutor(1) as pool:
-        coming = pool.submit(next, decode_pictures(segment.samples, media, atlas.pages), None)
+        coming = pool.submit(next, iter(pictures), None)
         shared = unpack_key_sidecar(data, count, grid, coarsest, sidecar_path, kept)
-        reader = ColumnReader(segment.columns, media)
+        reader = ColumnReader(columns, media)
         sidecar = read_detail(reader, shared, grid, coarser, coarsest)
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
         reader.close()
         picture = coming.result()
     if picture is None:
         raise FormatError("bad_picture", media, "expected one picture, got none")
-    _expect_size(picture, atlas, media)
+    expect_size(picture, atlas, media)
     return functools.partial(read_codes, picture, atlas, next(jumps.running())), sidecar
 
 
@@ -223,19 +225,17 @@ _Shown = tuple[NDArray[np.uint8], NDArray[np.int32] | None]  # (pages * H, W) lu
 
 def _decode_pictures(package: Package, index: int, level: int, frames: range, tile: int) -> Iterator[_Shown]:
     """The picture of each frame, as in `decode_state`."""
-    m = package.manifest
-    segment, first, last = m.segments[index], frames.start, frames.stop
+    m, first, last = package.manifest, frames.start, frames.stop
     (media,) = m.state_files(index, level, [tile])
     atlas = m.groups[m.group_of(index)].tiles[tile].levels[level]
-    shape = (segment.stop - segment.start, len(atlas.planes), atlas.rows)
-    file = open_segment(package.read(media), media)
-    bases = _escapes_again(package, (index, level, tile), lambda: escapes.unpack(file.columns, shape, media)).running()
+    shape = (m.segments[index].stop - m.segments[index].start, len(atlas.planes), atlas.rows)
+    columns, pictures = open_segment(package.read(media), media, atlas.pages)
+    bases = _escapes_again(package, (index, level, tile), lambda: escapes.unpack(columns, shape, media)).running()
     shown = 0
-    pictures = itertools.islice(decode_pictures(file.samples, media, atlas.pages), last)
-    for shown, picture in enumerate(_ahead(pictures), 1):
+    for shown, picture in enumerate(_ahead(itertools.islice(pictures, last)), 1):
         now = next(bases)
         if shown > first:
-            _expect_size(picture, atlas, media)
+            expect_size(picture, atlas, media)
             yield picture, now
     if shown < last:
         raise FormatError("bad_picture", media, f"expected {shape[0]} pictures, got {shown}")
@@ -275,8 +275,7 @@ def decode_segment(
     `base` is that of some `tiles`, by default all, and of the first key tiers of them, as many as viewers of the level
     fetch or others: its rows tell. H.264 is decoded up to the last frame. Raises FormatError.
     """
-    m = package.manifest
-    there = _tiles(package, tiles)
+    m, there = package.manifest, _tiles(package, tiles)
     if not (places and len(base.means) and m.state_files(index, level, there)):
         frame = base.to_gaussians()
         yield from (frame for _ in places)
@@ -344,7 +343,8 @@ def _varies(atlas: Atlas, channels: slice) -> bool:
     return any(p in places for p in atlas.planes) or any(atlas.centres[channels])
 
 
-def _expect_size(picture: NDArray[np.uint8], atlas: Atlas, where: str) -> None:
+def expect_size(picture: NDArray[np.uint8], atlas: Atlas, where: str) -> None:
+    """Raise FormatError(bad_picture) unless a (pages * H, W) picture has the size that its atlas says."""
     if picture.shape != (atlas.pages * atlas.height, atlas.width):
         got = f"{picture.shape[1]}x{picture.shape[0] // atlas.pages}"
         raise FormatError("bad_picture", where, f"expected {atlas.width}x{atlas.height}, got {got}")

@@ -1,8 +1,8 @@
 """Sequence -> package, as functions from frozen values to frozen values.
 
-`survey` asks the training views what matters; `calibration` finds steps and a ladder for the scene; `plan` lays out
-every group (with `levels` and `rank`); `keys` and `states` quantise them, without what `leave_out` can do without;
-`representation` makes and checks streams, `tables` the files and tables, with what `error_bounds` promises;
-`quality` measures the rungs. `encoder` is these steps in order, `search` repeats it until a target is met, and
-`publish.encode` puts the finished package in its place.
+`prepare` names frames, orders rows and splits groups; `pipeline` declares the steps by which a group is encoded, which
+`batch` drives as jobs and `live` at once. `survey` asks views what matters; `calibrate` finds steps and a ladder on a
+`sample`; `plan` lays out every group; `keys` and `states` quantise them, without what `omit` can do without;
+`representation` makes and checks streams, `tables` the files and tables; `measure` measures the rungs and `verify`
+believes it. `search` repeats it all until a target is met, and `publish.encode` puts the finished package in its place.
 """

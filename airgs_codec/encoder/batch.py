@@ -7,17 +7,18 @@ it that reuses none, or becomes the one that later groups may reuse rows of.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from airgs_codec._settings import available_cores
 from airgs_codec.encoder.calibrate import Calibration
 from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
-from airgs_codec.encoder.omit import omit_bands
 from airgs_codec.encoder.pipeline import (
+    BANDS,
     CALIBRATION,
     KEY,
     NOTHING,
+    POSTER,
     QUALITY,
     REUSE,
     STATES,
@@ -35,9 +36,10 @@ from airgs_codec.encoder.tables import Provenance, build_manifest
 from airgs_codec.jobs.job import Job
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.mp4 import init_segment
+from airgs_codec.package.layout import INIT_NAME, POSTER_NAME
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package, root_of
-from airgs_codec.package.paths import INIT_NAME
+from airgs_codec.package.region import first_views
 from airgs_codec.package.tables import Group, file_entry
 from airgs_codec.places.place import Memory
 from airgs_codec.places.results import user_cache
@@ -61,16 +63,15 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
     work.progress("calibration", 0, 1)
     subject = _longest(prepared)
     once = replace(settings, quality=1.0, tiles=1, threads=available_cores())  # what is found holds for all of them
-    found, cached = work.cached(prepared.job(CALIBRATION, subject, once), user_cache("calibration"))
+    calibrating = prepared.job(CALIBRATION, subject, once)
+    choosing = prepared.job(BANDS, subject, settings, {"calibration": made_by(calibrating)})
+    found, cached = work.cached(calibrating, user_cache("calibration"))
     calibration: Calibration = found
-    survey = work.result(prepared.job(SURVEY, subject))
+    bands, note = work.result(choosing)
     expected = calibration.expected * settings.quality**2 if settings.calibrate == "ladder" else None
-    settings = calibration.apply(settings)
-    step = settings.steps.key.sh_rest * settings.quality
-    bands, note = omit_bands(prepared.sequence, survey, step, settings.scaled_price)
-    if note is None:
-        return Calibrated(prepared, settings, expected, (), cached)
-    return Calibrated(prepared.without_bands(bands), settings, expected, (note,), cached)
+    settings, notes = calibration.apply(settings), () if note is None else (note,)
+    needed = replace(prepared, sequence=replace(prepared.sequence, max_sh_degree=bands)) if notes else prepared
+    return Calibrated(needed, settings, expected, notes, cached)
 
 
 def _longest(prepared: PreparedSequence) -> int:
@@ -85,7 +86,7 @@ class Encoded:
     """A package of which all jobs are done, but which is not written."""
 
     manifest: Manifest  # without measured quality
-    init: bytes
+    shared: Mapping[str, bytes]  # files that are no group's
     files: Sequence[Job]  # for each group: its `GroupFiles`
     base: Job  # the key whose rows a next group may reuse
     work: Work
@@ -106,7 +107,7 @@ class Encoded:
         """Give all of it in memory, to look at."""
         parts = [self.group(number).files for number in range(len(self.files))]
         files = {path: data for part in parts for path, data in part.items()}
-        return Package(Memory("encoded package", {INIT_NAME: self.init, **files}), self.manifest, 0)
+        return Package(Memory("encoded package", {**self.shared, **files}), self.manifest, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,6 +130,7 @@ def encode_sequence(
     bases: list[int | None] = []
     files: list[Job] = []
     tables: list[Group] = []
+    poster = _draw_poster(prepared, work)
     for window in prepared.windows:
         work.run([prepared.job(SURVEY, g) for g in window])
         work.run([prepared.job(KEY, g, settings) for g in window])
@@ -139,20 +141,28 @@ def encode_sequence(
         work.run(files[window.start :])
         tables += [work.result(one).table for one in files[window.start :]]
         base = max(g for g, of in enumerate(bases) if of is None)
-        manifest, init = _package_of(prepared, settings, tables)
-        encoded = Encoded(manifest, init, tuple(files), prepared.job(KEY, base, settings), work)
+        manifest, shared = _package_of(prepared, settings, tables, poster)
+        encoded = Encoded(manifest, shared, tuple(files), prepared.job(KEY, base, settings), work)
         if measuring and measuring.rounds.count and len(prepared.windows) > 1:
             work.run(_quality_jobs(encoded, measuring.original, Round(0, measuring.rounds.count), window, firsts[-1]))
     return encoded
 
 
 def _package_of(
-    prepared: PreparedSequence, settings: EncodeSettings, tables: Sequence[Group]
-) -> tuple[Manifest, bytes]:
-    """The tables of a package that has these groups, and its initialisation segment."""
+    prepared: PreparedSequence, settings: EncodeSettings, tables: Sequence[Group], poster: bytes
+) -> tuple[Manifest, dict[str, bytes]]:
+    """The tables of a package that has these groups, and the files that are no group's."""
     clock = Clock.of(prepared.sequence.fps)
-    init = init_segment(clock.timescale, *largest_picture(tables))
-    return build_manifest(_about(prepared, settings, tables), clock, file_entry(init), Groups.of(tables)), init
+    shared = {INIT_NAME: init_segment(clock.timescale, *largest_picture(tables)), POSTER_NAME: poster}
+    entries = {name: file_entry(data) for name, data in shared.items()}
+    return build_manifest(_about(prepared, settings, tables), clock, entries, Groups.of(tables)), shared
+
+
+def _draw_poster(prepared: PreparedSequence, work: Work) -> bytes:
+    """The first frame from where viewers begin."""
+    camera = first_views(prepared.views.region, prepared.views.world)[0]
+    job = prepared.job(POSTER, 0, None, {"frame": Read(0, 0), "camera": Read(camera, camera)})
+    return bytes(work.result(job))
 
 
 def _coded(prepared: PreparedSequence, group: int, base: int | None, settings: EncodeSettings) -> dict[str, Read]:

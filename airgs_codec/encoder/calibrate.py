@@ -179,10 +179,10 @@ def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slo
 def _row_slope(sample: CalibrationSample, subject: Subject) -> Slope:
     """The slope of the error that leaving out rows may make, from what TRIAL times as much would save."""
     steps = subject.settings.steps
-    kept = subject.pruning.within(steps.rows * TRIAL)
-    fewer = sample.take(np.isin(subject.layout.rows[sample.index], kept.rows)).cost(steps)
+    remaining = subject.pruning.within(steps.rows * TRIAL)
+    fewer = sample.take(np.isin(subject.layout.rows[sample.index], remaining.rows)).cost(steps)
     saved = sample.cost(steps).bytes - fewer.bytes
-    return saved / np.log(TRIAL), (kept.error - subject.layout.removal_error) / (TRIAL**2 - 1)
+    return saved / np.log(TRIAL), (remaining.error - subject.layout.removal_error) / (TRIAL**2 - 1)
 
 
 def choose_tiers(sample: CalibrationSample, subject: Subject, steps: StepSettings, price: float) -> tuple[float, ...]:
@@ -241,10 +241,10 @@ class Withholding:
 
         return Withholding(score, (0.0, *(error(share) for share in range(1, len(SHARES)))))
 
-    def kept(self, sample: CalibrationSample, share: float) -> NDArray[np.bool_]:
+    def sent(self, sample: CalibrationSample, share: float) -> NDArray[np.bool_]:
         """(n,) moving rows of a sample whose updates are not among the `share` withheld."""
-        kept: NDArray[np.bool_] = sample.moving & (assign_depths(self.score[sample.index], sample.moving, [share]) == 0)
-        return kept
+        sent: NDArray[np.bool_] = sample.moving & (assign_depths(self.score[sample.index], sample.moving, [share]) == 0)
+        return sent
 
 
 def choose_shares(
@@ -265,19 +265,19 @@ def choose_shares(
     if not sample.moving.any():
         return (), float(still.sum())
     tried = sorted({1.0, *factors})
-    kept = [withholding.kept(sample, share) for share in SHARES]
+    sent = [withholding.sent(sample, share) for share in SHARES]
     with ThreadPoolExecutor(jobs) as pool:
         coded = dict(zip(tried, pool.map(lambda factor: sample.code_states(states, factor), tried), strict=True))
         whole, error = coded[1.0]
         if whole == 0:  # no channel has a plane
             return (), float(sample.error(error, steps).sum())
-        fewer = pool.map(lambda rows: replace(sample, moving=rows).code_states(states, 1.0)[0], kept)
+        fewer = pool.map(lambda rows: replace(sample, moving=rows).code_states(states, 1.0)[0], sent)
         parts = [size / whole for size in fewer]
     shares: dict[float, float] = {}
     expected, least = 0.0, 0.0
     for factor in sorted(coded):
         size, error = coded[factor]
-        shown = [float(np.where(rows, sample.error(error, steps), still * factor**2).sum()) for rows in kept]
+        shown = [float(np.where(rows, sample.error(error, steps), still * factor**2).sum()) for rows in sent]
         errors = [held + e for held, e in zip(withholding.errors, shown, strict=True)]
         costs = [e + factor**2 * price * part * size for e, part in zip(errors, parts, strict=True)]
         best = int(np.argmin(costs))
@@ -334,7 +334,7 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
     if settings.calibrate == "ladder":
         guess = guess_price(sample, subject)
         shares, _ = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.threads)
-        top = replace(sample, moving=withholding.kept(sample, shares[0][1])) if shares else sample
+        top = replace(sample, moving=withholding.sent(sample, shares[0][1])) if shares else sample
     steps, price = solve_steps(top, subject)
     shares, expected = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
     if subject.layout.removal_error > 0:

@@ -33,7 +33,7 @@ from airgs_codec.encoder.representation import (
     encode_parallel,
 )
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.media.h264 import KEY_QP, ClosedGop, decode_pictures, key_codec, open_segment, qp_step
+from airgs_codec.media.h264 import KEY_QP, ClosedGop, key_codec, qp_step
 from airgs_codec.package.layout import KEY
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
 
@@ -229,7 +229,7 @@ def key_bytes(
         if rows.stop > rows.start:
             sidecar = key_sidecar(layout, unit, _static(layout), base)
             total += len(pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1]))
-        total += sum(len(gop.media) for part in of_unit for gop in part.gops)
+        total += sum(len(gop.fragment) for part in of_unit for gop in part.gops)
         total += sum(len(coded.detail) for coded in keys.units[unit])
     return total
 
@@ -275,7 +275,7 @@ def decode_base(
         if not gops:
             continue
         where = f"key unit {unit} of frames {layout.span.start}-{layout.span.stop - 1}"
-        picture = next(decode_pictures(open_segment(gops[0].media, where).samples, where, gops[0].pages))
+        picture = next(iter(gops[0].pictures(where)))
         reader = ColumnReader(coded.detail or None, where)
         sidecar = _read_positions(reader, layout, unit, keys.coarser[quality], keys.coarser[-1])
         jumps = escapes.read_columns(reader, (1, len(coded.atlas.planes), coded.atlas.rows))

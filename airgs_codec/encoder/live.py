@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from airgs_codec.analysis.rows import DEFAULT_GROUP_FRAMES, Restored, closed_groups, restore_rows
+from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
+from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.encoder.batch import calibrate_sequence
 from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
 from airgs_codec.encoder.pipeline import KEY, QUALITY, REUSE, STATES, SURVEY, CodedKey, GroupFiles, PreparedSequence
-from airgs_codec.encoder.prepare import holding_frames, look_at_frames, number_groups
+from airgs_codec.encoder.prepare import hold_frames, look_at_frames
 from airgs_codec.encoder.publish import finish
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, KEPT, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views
@@ -112,7 +114,7 @@ def follow(
     group_frames = settings.group_frames or DEFAULT_GROUP_FRAMES
     try:
         for whole, first, last in _whole_groups(folder, group_frames, more):
-            with holding_frames(whole) as held:
+            with closing(hold_frames(whole)) as held:
                 rows = restore_rows(held, settings.rows, progress, range(first, last))
                 notes = rows.notes
                 for start, stop in _parts(rows, first, last):
@@ -147,7 +149,7 @@ def _whole_groups(
 
 def _parts(rows: Restored, first: int, last: int) -> list[tuple[int, int]]:
     """Groups [start, stop) of frames [first, last), which were to be one, where some rows could not be matched."""
-    starts = [first, *rows.unmatched]
+    starts = [first, *(frame for frame in rows.sequence.breaks if first < frame < last)]
     return list(zip(starts, [*starts[1:], last], strict=True))
 
 
@@ -168,7 +170,7 @@ def _begin(
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
     with temporary_work(progress) as work, staged_package(place) as stage:
         names = look_at_frames(part, work)[0]
-        original = PreparedSequence(part, names, number_groups([(0, stop)]), views, (), credit)
+        original = PreparedSequence(part, names, [(0, stop)], views, (), credit)
         found = calibrate_sequence(original, settings, work)
         attempt = Attempt(found.prepared, original, found.settings, work, found.expected, rounds, given)
         verified = encode_verified(attempt)

@@ -19,6 +19,7 @@ from airgs_codec.analysis.importance import CostSums, estimate_cost, pooled_erro
 from airgs_codec.coding.channels import Canonical, StateApplier, frame_channels, hold_undrawn
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.encoder.plan import CODED_HERE, GroupLayout
+from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import Pictures, Survey
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.layout import KEY, STATE
@@ -118,12 +119,13 @@ def note_omission(what: str, count: int, error: float, size: float) -> LeftOut |
     return LeftOut(what, count, float(f"{error:.3g}"), float(f"{size:.3g}")) if count else None
 
 
-def omit_bands(sequence: GaussianSequence, survey: Survey, step: float, price: float) -> tuple[int, str | None]:
+def omit_bands(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> tuple[int, str | None]:
     """Number of SH bands past DC that pictures of the canonical frame of a group need, and a line on the others.
 
-    The highest band goes as long as its bytes, at quantiser step `step` and coded once in the group, are worth less
-    than the error of rendering without it; `price` is the squared error a byte a frame must be worth.
+    The highest band goes as long as its bytes, coded once in the group, are worth less than the error of rendering
+    without it.
     """
+    step, price = settings.steps.key.sh_rest * settings.quality, settings.scaled_price
     if not sequence.sh_degree or price == 0:
         return sequence.sh_degree, None
     g = sequence.load([survey.span.middle]).frames[0]

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.encoder.calibrate import calibrate
+from airgs_codec.encoder.calibrate import Calibration, calibrate
 from airgs_codec.encoder.keys import (
     BaseGroup,
     CodedKeys,
@@ -31,7 +31,9 @@ from airgs_codec.encoder.keys import (
     lay_out_reused,
 )
 from airgs_codec.encoder.measure import RoundErrors, measure_round
+from airgs_codec.encoder.omit import omit_bands
 from airgs_codec.encoder.plan import GroupLayout, find_box, keep_rows, lay_out
+from airgs_codec.encoder.poster import draw_poster
 from airgs_codec.encoder.representation import Clock, Representation
 from airgs_codec.encoder.sample import compare_lengths
 from airgs_codec.encoder.settings import EncodeSettings
@@ -73,6 +75,13 @@ class GroupFiles:
     files: Mapping[str, bytes]  # by path
     rows: NDArray[np.intp]  # (N,) input rows that are written, in file order
     depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
+
+
+def choose_bands(
+    sequence: GaussianSequence, survey: Survey, calibration: Calibration, settings: EncodeSettings
+) -> tuple[int, str | None]:
+    """Give the SH bands past DC that a scene needs at calibrated settings, and a line on the others."""
+    return omit_bands(sequence, survey, calibration.apply(settings))
 
 
 def code_key(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> CodedKey:
@@ -194,13 +203,15 @@ class Step:
 LENGTHS = Step("lengths of groups", compare_lengths, ("sequence", "views", "settings"), "lengths")
 SURVEY = Step("survey", survey_group, ("sequence", "span", "views"), "survey")
 CALIBRATION = Step("calibration", calibrate, ("sequence", "survey", "settings"), "calibration")
+BANDS = Step("SH bands", choose_bands, ("sequence", "survey", "calibration", "settings"), "bands")
 KEY = Step("keys", code_key, ("sequence", "survey", "settings"), "key")
 REUSE = Step("reused rows", reuse_rows, ("key", "base", "settings", "fps"), "reused")
 STATES = Step("states", code_group, ("sequence", "coded", "base", "settings", "first_segment"), "files")
 QUALITY = Step(
     "quality", measure_files, ("sequence", "renderer", "tables", "pictures", "files", "base_files"), "errors"
 )
-STEPS = {step.makes: step for step in (LENGTHS, SURVEY, CALIBRATION, KEY, REUSE, STATES, QUALITY)}
+POSTER = Step("poster", draw_poster, ("sequence", "frame", "camera", "renderer"), "poster")
+STEPS = {step.makes: step for step in (LENGTHS, SURVEY, CALIBRATION, BANDS, KEY, REUSE, STATES, QUALITY, POSTER)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +220,7 @@ class PreparedSequence:
 
     sequence: GaussianSequence
     names: tuple[str, ...]  # SHA-256 of all frames of the sequence as they are in their files
-    spans: tuple[GroupSpan, ...]  # of its groups
+    groups: Sequence[tuple[int, int]]  # frames [start, stop) of each
     views: ViewPlan
     notes: tuple[str, ...] = ()  # on rows and groups, for people
     attribution: str = ""
@@ -217,7 +228,12 @@ class PreparedSequence:
 
     def __len__(self) -> int:
         """Count groups."""
-        return len(self.spans)
+        return len(self.groups)
+
+    @cached_property
+    def spans(self) -> tuple[GroupSpan, ...]:
+        """Its groups with their numbers."""
+        return tuple(GroupSpan(index, *group) for index, group in enumerate(self.groups))
 
     @cached_property
     def windows(self) -> tuple[range, ...]:
@@ -231,10 +247,6 @@ class PreparedSequence:
                 size = 0
             size += own
         return tuple(itertools.starmap(range, itertools.pairwise([*starts, len(self.spans)])))
-
-    def without_bands(self, sh_degree: int) -> PreparedSequence:
-        """Take no SH bands above `sh_degree`."""
-        return replace(self, sequence=replace(self.sequence, max_sh_degree=sh_degree))
 
     def job(
         self, step: Step, group: int, settings: EncodeSettings | None = None, given: Mapping[str, Read] = NONE_GIVEN

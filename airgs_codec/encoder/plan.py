@@ -25,8 +25,8 @@ from airgs_codec.encoder.survey import GroupSpan, Pictures, ShownPictures, Surve
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, STATIC, Grid, KeySteps, StateSteps, unpack_matrix
 from airgs_codec.render.backend import Renderer
+from airgs_codec.scene.frames import Repaired
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
-from airgs_codec.scene.repair import Repaired
 
 INSIDE = 1.0  # per cent of the rows, at either end of an axis, that may lie outside of a box: a few are far off
 CODED_HERE = -1  # in place of a row of an earlier group
@@ -296,7 +296,8 @@ def keep_rows(frames: Sequence[Gaussians], survey: Survey, settings: EncodeSetti
     """Rows of a group that are written: all, or those that pictures cannot do without."""
     if settings.keep_all or not survey.trusted:
         return WrittenRows.all(len(frames[0]))
-    return prune_rows(frames, survey).within(settings.steps.rows * settings.quality)
+    pruning, allowed = prune_rows(frames, survey), settings.steps.rows * settings.quality
+    return pruning.with_details(pruning.within(allowed), allowed)
 
 
 def split_segments(span: GroupSpan, segment_s: float, fps: Fraction) -> tuple[tuple[int, int], ...]:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from airgs_codec._settings import available_cores
-from airgs_codec.analysis.rows import IN_ORDER, Grouping, Restored, compare_order, count_runs, plan_groups, restore_rows
+from airgs_codec.analysis.grouping import Grouping, count_runs, plan_groups
+from airgs_codec.analysis.rows import IN_ORDER, Restored, compare_order, restore_rows
 from airgs_codec.encoder.pipeline import LENGTHS, PreparedSequence, Read, chosen, seen
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views
+from airgs_codec.encoder.survey import ViewPlan, plan_views
 from airgs_codec.jobs.engines import InProcess
 from airgs_codec.jobs.job import digest
 from airgs_codec.jobs.work import Work
@@ -30,19 +30,12 @@ class Ordered:
     rows: Restored
 
 
-@contextmanager
-def holding_frames(sequence: GaussianSequence) -> Iterator[GaussianSequence]:
-    """Hold frames once they are read, and let go of all at last.
+def hold_frames(sequence: GaussianSequence) -> GaussianSequence:
+    """The sequence with memory for frames that are read, until it is closed; processes read on their own.
 
-    Each is read once where memory holds all of them, else twice: to name it, and while its group is encoded.
-
-    Processes of an engine read on their own.
+    Each is read once where it has room for all of them, else twice: to name it, and while its group is encoded.
     """
-    held = HeldFrames(held_bytes())
-    try:
-        yield replace(sequence, held=held)
-    finally:
-        held.clear()
+    return replace(sequence, held=HeldFrames(held_bytes()))
 
 
 def held_bytes() -> int:
@@ -58,24 +51,20 @@ def order_rows(sequence: GaussianSequence, settings: EncodeSettings, work: Work)
     return Ordered(names, restore_rows(sequence, settings.rows, work.progress, in_order=in_order))
 
 
-def prepare(ordered: Ordered, settings: EncodeSettings, work: Work, attribution: str | None) -> PreparedSequence:
+def prepare(
+    ordered: Ordered, settings: EncodeSettings, work: Work, attribution: str | None, views: ViewPlan | None = None
+) -> PreparedSequence:
     """Choose the views of a sequence and split it into groups of the length that is asked for, or that costs least.
 
-    `attribution`: who made the scene, by default what the sequence says.
+    `attribution`: who made the scene, by default what the sequence says. `views`: those that are chosen already.
     """
     sequence = ordered.rows.sequence
-    views = plan_views(sequence, settings)
+    views = views or plan_views(sequence, settings)
     grouping = _plan_groups(sequence, ordered.names, views, settings, work)
     notes = (*ordered.rows.notes, *grouping.notes)
     credit = sequence.attribution if attribution is None else attribution
     together = held_bytes() if isinstance(work.engine, InProcess) else None  # processes read on their own
-    spans = number_groups(grouping.spans)
-    return PreparedSequence(sequence, ordered.names, spans, views, notes, credit, together)
-
-
-def number_groups(spans: Sequence[tuple[int, int]]) -> tuple[GroupSpan, ...]:
-    """Number groups of frames [start, stop)."""
-    return tuple(GroupSpan(index, *span) for index, span in enumerate(spans))
+    return PreparedSequence(sequence, ordered.names, grouping.spans, views, notes, credit, together)
 
 
 def look_at_frames(sequence: GaussianSequence, work: Work) -> tuple[tuple[str, ...], bool]:

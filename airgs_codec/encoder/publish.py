@@ -2,34 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.encoder.batch import calibrate_sequence
 from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.pipeline import SURVEY, GroupFiles
-from airgs_codec.encoder.prepare import holding_frames, order_rows, prepare
+from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
 from airgs_codec.encoder.search import Goal, search_quality
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
+from airgs_codec.encoder.tables import add_sound
+from airgs_codec.encoder.track import Tracked, expect_trackable, tracked
 from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
 from airgs_codec.errors import WorkError
 from airgs_codec.jobs.job import Record, Stored, code_digest, read_result
 from airgs_codec.jobs.work import Work, temporary_work
+from airgs_codec.media.sound import SoundTrack
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import manifest_of, root_of, write_file
-from airgs_codec.package.paths import INIT_NAME
 from airgs_codec.package.publish import staged_package, write_tables
 from airgs_codec.package.tables import Group, Root
 from airgs_codec.places.place import Folder, Place, place_at
 from airgs_codec.places.results import Store, pack, unpack
 from airgs_codec.progress import Stopwatch
-from airgs_codec.scene.sequence import GaussianSequence
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 PACKAGE_ENTRY = "package"  # of a store: what the last encode that was whole came to
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """What goes into a package beside frames."""
+
+    attribution: str | None = None  # who made the scene; None: what ATTRIBUTION.txt in its folder says
+    sound: SoundTrack | None = None  # as long as the sequence
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +66,7 @@ class Finished:
 
     root: Root
     groups: Sequence[Group]
-    init: bytes
+    shared: Mapping[str, bytes]  # files that are no group's
     entries: Sequence[str]  # of a store: the `GroupFiles` of each group
 
     def write(self, store: Store, place: Place, clock: LiveClock | None = None) -> int:
@@ -63,37 +74,43 @@ class Finished:
 
         `clock`: of a package that grows. Raises WorkError where results are gone from the store.
         """
-        write_file(place, INIT_NAME, self.init)
+        for path, data in self.shared.items():
+            write_file(place, path, data)
         for entry in self.entries:
             group = read_result(store, Stored(entry))
-            assert isinstance(group, GroupFiles)
+            if not isinstance(group, GroupFiles):
+                raise WorkError(f"{store.name}: expected the files of a group, got another result")
             for path, data in group.files.items():
                 write_file(place, path, data)
         return write_tables(place, manifest_of(self.root, self.groups), clock)
 
 
 def encode(
-    sequence: GaussianSequence,
+    sequence: GaussianSequence | str | Path,
     path: str | Path,
     settings: EncodeSettings = DEFAULT_SETTINGS,
     *,
     goal: Goal | None = None,
-    attribution: str | None = None,
+    beside: Beside | None = None,
     work: Work | None = None,
 ) -> EncodeReport:
-    """Encode a sequence and publish it as the package at `path`, a folder or an address, whole or not at all.
+    """Encode a sequence, open or at a path, and publish it as the package at `path`, whole or not at all.
 
-    `goal`: a quality factor is searched for that brings the top rung to this PSNR or size; `settings.quality` is where
-    the search starts. `attribution`: who made the scene, by default what ATTRIBUTION.txt in its folder says. A package
-    that is at `path` already is replaced. `work`: who does the jobs, and where their results stay, by default this
-    process and a folder that is removed. The bytes are the same whoever does them.
+    `path` is a folder or an address; a package that is there already is replaced. `goal`: a quality factor is searched
+    for that brings the top rung to this PSNR or size; `settings.quality` is where the search starts. `work`: who does
+    the jobs, and where their results stay, by default this process and a folder that is removed. The bytes are the
+    same whoever does them.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails, and ConfigError for a
     margin below 0, a goal out of reach or a `path` with other files in it; then `path` is as it was. TransportError for
     an object store that does not answer, WorkError for workers that die.
     """
+    sequence = argument("sequence", sequence, GaussianSequence, "an open sequence or the path of one", open_sequence)
+    settings = argument("settings", settings, EncodeSettings, "EncodeSettings")
+    if goal is not None:
+        argument("goal", goal, Goal, "a Goal")
     with staged_package(place_at(path)) as stage, _at(work) as at:
-        report, finished = _encode(sequence, settings, goal, attribution, at)
+        report, finished = _encode(sequence, settings, goal, beside or Beside(), at)
         at.store.write(PACKAGE_ENTRY, pack((code_digest(encode), finished)))
         return replace(report, manifest_bytes=finished.write(at.store, Folder(stage)))
 
@@ -104,7 +121,7 @@ def encode_part(
     work: Work,
     *,
     goal: Goal | None = None,
-    attribution: str | None = None,
+    beside: Beside | None = None,
 ) -> EncodeReport:
     """Do the jobs of `encode` without publishing anything; `merge` does that from the store of `work`.
 
@@ -112,7 +129,7 @@ def encode_part(
     done, and does those that nobody else has done. Raises what `encode` raises.
     """
     work.store.write(PACKAGE_ENTRY, pack((code_digest(encode), None)))  # what was there is not this package
-    report, finished = _encode(sequence, settings, goal, attribution, work)
+    report, finished = _encode(sequence, settings, goal, beside or Beside(), work)
     work.store.write(PACKAGE_ENTRY, pack((code_digest(encode), finished)))
     return report
 
@@ -136,9 +153,8 @@ def _last_package(store: Store) -> Finished:
         code, finished = "", None
     if code != code_digest(encode):
         raise WorkError(f"{store.name}: expected a work folder of this version of airgs-codec, got one of another")
-    if finished is None:
+    if not isinstance(finished, Finished):
         raise WorkError(f"{store.name}: expected a work folder with all parts of a package, which no part has finished")
-    assert isinstance(finished, Finished)
     return finished
 
 
@@ -155,13 +171,25 @@ def _encode(
     sequence: GaussianSequence,
     settings: EncodeSettings,
     goal: Goal | None,
-    attribution: str | None,
+    beside: Beside,
     work: Work,
 ) -> tuple[EncodeReport, Finished]:
-    watch = Stopwatch()
-    with holding_frames(sequence) as held:
+    expect_trackable(settings, work)
+    credit = sequence.attribution if beside.attribution is None else beside.attribution
+    if not settings.track or len(sequence) == 1:
+        return _encode_rows(Tracked(sequence), settings, goal, replace(beside, attribution=credit), work)
+    with tracked(sequence, settings, work) as found:
+        return _encode_rows(found, settings, goal, replace(beside, attribution=credit), work)
+
+
+def _encode_rows(
+    tracked: Tracked, settings: EncodeSettings, goal: Goal | None, beside: Beside, work: Work
+) -> tuple[EncodeReport, Finished]:
+    watch, sequence = Stopwatch(), tracked.sequence
+    held = hold_frames(sequence)
+    with closing(held):
         ordered, rows_s = order_rows(held, settings, work), watch.lap()
-        original = prepare(ordered, settings, work, attribution)
+        original = prepare(ordered, settings, work, beside.attribution, tracked.views)
         work.run([original.job(SURVEY, group) for group in original.windows[0]])
         survey_s = watch.lap()
         found, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
@@ -171,15 +199,20 @@ def _encode(
             attempt = search_quality(attempt, goal)
         search_s = watch.lap()
         verified = encode_verified(attempt)
-    decisions = [*verified.manifest.decisions, *found.decisions, *verified.stories]
+    decisions = [*tracked.notes, *verified.manifest.decisions, *found.decisions, *verified.stories]
     manifest = replace(verified.manifest, decisions=decisions)
     seconds = (rows_s, survey_s, calibrate_s, search_s, verified.encode_s, verified.measure_s)
     rows = replace(ordered.rows, sequence=sequence)
-    return EncodeReport(manifest, 0, rows, *seconds, found.cached, work.records()), finish(verified, manifest)
+    finished = finish(verified, manifest)
+    if beside.sound:
+        manifest, files = add_sound(manifest, beside.sound)
+        groups, shared = list(manifest.groups), {**finished.shared, **files}
+        finished = replace(finished, root=root_of(manifest), groups=groups, shared=shared)
+    return EncodeReport(manifest, 0, rows, *seconds, found.cached, work.records()), finished
 
 
 def finish(verified: Verified, manifest: Manifest) -> Finished:
     """A verified package with tables that say so."""
     encoded = verified.encoded
     entries = [one.entry for one in encoded.files]
-    return Finished(root_of(manifest), list(manifest.groups), encoded.init, entries)
+    return Finished(root_of(manifest), list(manifest.groups), encoded.shared, entries)

@@ -102,7 +102,7 @@ def _encode_checked(
         coded = encode_gop(gop, size, clock.fps, codec)
         decoded = check_gop(coded, gop, codec)
         if decoded.in_range:
-            return coded, decoded.difference
+            return replace(coded, checksums=decoded.checksums), decoded.difference
     raise CodecError(f"decoded luma leaves {DARKEST}-{BRIGHTEST} at every QP")
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
+from airgs_codec.analysis.grouping import count_runs
 from airgs_codec.analysis.importance import mean_square_alpha
-from airgs_codec.analysis.rows import count_runs
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import assemble, centre_codes, fit_atlas, picture_size, read_codes
@@ -33,10 +33,8 @@ from airgs_codec.encoder.survey import GroupSpan, ShownPictures, ViewPlan
 from airgs_codec.media.h264 import (
     ClosedGop,
     CodecSettings,
-    decode_pictures,
     encode_gop,
     key_codec,
-    open_segment,
     qp_step,
     state_codec,
 )
@@ -163,9 +161,9 @@ class CalibrationSample:
 
         `states` are those of `self.states`.
         """
-        kept = assign_depths(scores, moving, [share]) == 0
-        size, coded = replace(self, moving=kept).code_states(states, 1.0)
-        return size, float(self.error(np.where(kept, coded, states[1:]), steps).sum())
+        sent = assign_depths(scores, moving, [share]) == 0
+        size, coded = replace(self, moving=sent).code_states(states, 1.0)
+        return size, float(self.error(np.where(sent, coded, states[1:]), steps).sum())
 
     def code_states(
         self, states: NDArray[np.float64], factor: float, part: slice = slice(None)
@@ -335,6 +333,6 @@ def encode_and_decode(
     coded = encode_gop(ClosedGop(assemble(luma, atlas, *size), 0, 1), size, Fraction(30), codec)
     sizes = list(coded.picture_bytes)
     sizes[0] += len(encode_columns(escapes.Escapes.of(bases).columns()))
-    pictures = decode_pictures(open_segment(coded.media, "a trial").samples, "a trial", coded.pages)
+    pictures = coded.pictures("a trial")
     decoded = [from_codes(read_codes(p, atlas, b), steps, gain) for p, b in zip(pictures, bases, strict=True)]
     return sizes, np.stack(decoded).astype(np.float64)

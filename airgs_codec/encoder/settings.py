@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec._settings import available_cores, computed_setting, documented, setting
-from airgs_codec.analysis.rows import AUTO, DEFAULT_GROUP_FRAMES, ROWS
+from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
+from airgs_codec.analysis.rows import AUTO, ROWS
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
 from airgs_codec.package.parse import read_region
+from airgs_codec.package.references import fault_of
 from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, MAX_TILES, Region, World
-from airgs_codec.package.world import fault_of
-from airgs_codec.scene.usage import MEASURES
+from airgs_codec.scene.beside import MEASURES
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ class EncodeSettings:
     )
     calibrate: str = setting(
         "ladder",
-        "what trial encodes of the scene decide, kept for the next time: quantiser steps, levels and tiers (ladder, "
+        "what trial encodes of the scene decide, stored for the next time: quantiser steps, levels and tiers (ladder, "
         "which asks for the default levels and tiers), the steps alone (steps), or nothing (none)",
         choices=CALIBRATIONS,
     )
@@ -139,6 +140,11 @@ class EncodeSettings:
         "else coded frame by frame (auto); taken as they are (keep); or matched whether they look lost or not (match)",
         choices=ROWS,
     )
+    track: bool = setting(
+        False,
+        "frames that know nothing of each other become Gaussians that move, fitted to pictures of the frames: a few "
+        "seconds each, and then far fewer bytes",
+    )
     keys: str = setting(
         KEPT,
         "what viewers know of an earlier group: rows that are still as they were are not coded again (kept), or every "
@@ -159,7 +165,7 @@ class EncodeSettings:
     )
     world: World | None = setting(
         None,
-        "which way is up and how long a unit is (`package.world.world_from`), for players; by default what the format "
+        "which way is up and how long a unit is (`package.region.world_from`), for players; by default what the format "
         "of the frames specifies",
         option=False,
     )

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import fit_centre, make_atlas
-from airgs_codec.coding.channels import Canonical, state_channels
+from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, hold_undrawn, state_channels
 from airgs_codec.coding.escapes import Escapes
 from airgs_codec.coding.quantize import to_codes
 from airgs_codec.encoder.omit import StateOmissions, StateValues, note_static
@@ -36,6 +36,9 @@ from airgs_codec.media.h264 import STATE_QP, ClosedGop, qp_step, state_codec
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import STATIC, Atlas, LeftOut
 from airgs_codec.scene.gaussians import Gaussians
+
+OPACITY = STATE.slice("opacity").start
+LEAST_HIDDEN = 16  # codes of alpha, above which the two escapes of a row that goes and comes are cheaper than samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +117,8 @@ def code_states(
             part = layout.tile_rows(tile)
             rows = part.start + np.flatnonzero((depths[part] != STATIC) & (depths[part] >= number))
             fetched = _fetched_frames(layout, ranked.largest[:, rows], level.factor / 2, still)
-            coder = _LevelCoder(values, rows, steps, fetched, scratch / f"{number} {tile}")
+            alpha = bases[quality].opacity[rows].astype(np.float64)
+            coder = _LevelCoder(values, rows, alpha, steps, fetched, scratch / f"{number} {tile}")
             tiles.append(coder.code(omitted))
         levels.append(tuple(tiles))
     return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes, no_segments) if n))
@@ -174,6 +178,7 @@ class _LevelCoder:
 
     values: StateValues
     rows: NDArray[np.intp]  # (n,) among the N
+    alpha: NDArray[np.float64]  # (n,) canonical, as decoded
     steps: NDArray[np.float64]  # (10 + C,)
     fetched: Sequence[slice | None]  # frames of each segment; None: nothing is to be fetched
     file: Path  # for samples
@@ -190,14 +195,16 @@ class _LevelCoder:
         jumps: list[list[Escapes]] = []  # of each plane in each segment that is fetched
         with self.file.open("wb") as file:
             for channel in range(count):
-                values = self.values.channel(channel, self.rows)
+                values, hidden = self.values.channel(channel, self.rows), None
+                if channel == OPACITY:
+                    values, hidden = hide_undrawn(values, self.alpha, self.steps[channel] / gain)
                 low[channel], high[channel] = values.min(), values.max()
                 codes = to_codes(values[:, None], self.steps[channel : channel + 1], gain, channel)
                 centre, varies = fit_centre(codes, gain / 2)
                 centres.append(centre)
-                if varies and not omitted[channel]:
+                if (varies or (hidden is not None and hidden.any())) and not omitted[channel]:
                     planes.append(channel)
-                    jumps.append(self._write(file, codes - np.int32(centre)))
+                    jumps.append(self._write(file, codes - np.int32(centre), hidden))
         atlas = make_atlas(len(self.rows), centres, planes)
         error = ErrorModel.of(low, high, atlas, self.steps / gain)
         if not planes or self.fetched == list(nothing):
@@ -208,16 +215,38 @@ class _LevelCoder:
         coded = tuple(None if part is None else next(packed) for part in self.fetched)
         return CodedLevel(atlas, error, samples, coded)
 
-    def _write(self, file: BinaryIO, codes: NDArray[np.int32]) -> list[Escapes]:
-        """Write the samples of a plane from (T, 1, n) centred codes; gives the jumps in segments that are fetched."""
+    def _write(self, file: BinaryIO, codes: NDArray[np.int32], hidden: NDArray[np.int32] | None) -> list[Escapes]:
+        """Write the samples of a plane from (T, 1, n) centred codes; gives the jumps in segments that are fetched.
+
+        `hidden` (T, n): bases that are taken off besides, of rows that are not drawn.
+        """
         samples = np.zeros(codes.shape, np.uint8)
         jumps = []
         for part in self.fetched:
             if part is not None:
                 samples[part], bases = escapes.split(codes[part])
+                if hidden is not None:
+                    bases[:, 0] -= hidden[part]
                 jumps.append(Escapes.of(bases))
         file.write(samples.data)
         return jumps
+
+
+def hide_undrawn(
+    changes: NDArray[np.float64], base: NDArray[np.floating], unit: float
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Changes of alpha to be coded, and the bases (`escapes`) to take off them so that undrawn rows stay undrawn.
+
+    `changes` (T, n) are alpha less the canonical one, `base` (n,); `unit` is the alpha of a code. A row goes on as it
+    was when it was drawn last, so that its samples do not change; bases take its alpha below 0, by more than coding
+    errs. Where its alpha is nearly that of before, it is coded as it is.
+    """
+    drawn = changes + base >= LEAST_DRAWN
+    held = changes.copy()
+    hold_undrawn(held[:, None], drawn)
+    hidden = ~drawn & (np.abs(held - changes) > LEAST_HIDDEN * unit)
+    bases = np.ceil((base + held) / (escapes.UNIT * unit) + 1 - escapes.LIMIT / escapes.UNIT)
+    return np.where(hidden, held, changes), np.where(hidden, bases, 0).astype(np.int32)
 
 
 def encode_states(

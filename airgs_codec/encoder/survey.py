@@ -19,16 +19,15 @@ from airgs_codec.analysis.region import region_around
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.package.region import DECIDING, MEASURING, draw_views, with_background
+from airgs_codec.package.region import DECIDING, MEASURING, draw_views, up_of, with_background, world_from, world_words
 from airgs_codec.package.tables import Region, Views, World
-from airgs_codec.package.world import up_of, world_from, world_words
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.render.compare import View
+from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.camera import resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
-from airgs_codec.scene.usage import Usage
 
 CHECKED = 8  # further ones, which show what leaving out would do
 DECISION_PIXELS = 200_000  # of a picture that decides: larger ones are made smaller
@@ -134,9 +133,9 @@ def _plan(
         around = region_around(training_views(sequence.cameras), middle, margin=margin)
         return _draw(with_background(around, behind), pictures, held_out)
     found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), LOOKED_AT)], up)
-    source = "found" if found.confident else "orbit"
+    source, notes = "found" if found.confident else "orbit", tuple(filter(None, (found.story, found.guess)))
     around = region_around(found.cameras, middle, margin=margin, source=source)
-    return replace(_draw(with_background(around, behind), pictures), trusted=found.confident, notes=(found.story,))
+    return replace(_draw(with_background(around, behind), pictures), trusted=found.confident, notes=notes)
 
 
 def _draw(region: Region, pictures: int, held_out: Sequence[Camera] = ()) -> ViewPlan:

@@ -1,4 +1,4 @@
-"""Coded groups -> files of the package and their tables. K key units (tiers of tiles), L levels, P tiles."""
+"""Coded groups, and sound -> files of the package and their tables. K key units (tiers of tiles), L levels, P tiles."""
 
 from __future__ import annotations
 
@@ -14,9 +14,22 @@ from airgs_codec.encoder.representation import Clock, ErrorModel, Representation
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import CodedStates
 from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
-from airgs_codec.media.mp4 import with_columns
-from airgs_codec.package import paths, tables
-from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.media.mp4 import sound_segment
+from airgs_codec.media.sound import SoundTrack
+from airgs_codec.package import tables
+from airgs_codec.package.layout import (
+    INIT_NAME,
+    KEY,
+    POSTER_NAME,
+    SOUND_INIT_NAME,
+    STATE,
+    Layout,
+    key_media_path,
+    key_sidecar_path,
+    sound_path,
+    state_media_path,
+    tile_folder,
+)
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.tables import (
     NO_FILE,
@@ -61,7 +74,7 @@ class CodedGroup:
 
     def folder(self, tile: int) -> str:
         """The folder of a tile."""
-        return paths.tile_folder(tile, self.layout.tiles)
+        return tile_folder(tile, self.layout.tiles)
 
 
 Files = Mapping[str, FileEntry]  # by path
@@ -81,12 +94,11 @@ def _key_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
         if rows.start == rows.stop:
             continue
         sidecar = key_sidecar(layout, unit, group.states.depths, group.reuses)
-        yield paths.key_sidecar_path(*place, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
+        yield key_sidecar_path(*place, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
         for q, (atlas, representation) in enumerate(zip(keys.units[unit], pictures, strict=True)):
             if not atlas.atlas.rows:
                 continue
-            media = with_columns(representation.gops[0].media, atlas.detail)
-            yield paths.key_media_path(*place, q, group.number), media
+            yield key_media_path(*place, q, group.number), representation.gops[0].media(atlas.detail)
 
 
 def _state_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
@@ -96,8 +108,8 @@ def _state_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
             gops = iter(representation.gops)
             for place, escapes in enumerate(level.escapes, group.first_segment):
                 if escapes is not None:
-                    path = paths.state_media_path(group.folder(p), j, place + 1)
-                    yield path, with_columns(next(gops).media, escapes)
+                    path = state_media_path(group.folder(p), j, place + 1)
+                    yield path, next(gops).media(escapes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,8 +126,8 @@ class Provenance:
     sh_degree: int
 
 
-def build_manifest(about: Provenance, clock: Clock, init: FileEntry, groups: Groups) -> Manifest:
-    """The tables of a package, whose files are written."""
+def build_manifest(about: Provenance, clock: Clock, shared: Files, groups: Groups) -> Manifest:
+    """The tables of a package; `shared` are the files that are no group's."""
     settings = about.settings
     return Manifest(
         version=tables.VERSION,
@@ -131,6 +143,7 @@ def build_manifest(about: Provenance, clock: Clock, init: FileEntry, groups: Gro
         state_gain=qp_step(STATE_QP),
         region=about.region,
         world=about.world,
+        poster=shared[POSTER_NAME],
         views=about.views,
         qualities=[
             tables.KeyQuality(f"Q{q}", factor, coarser)
@@ -142,9 +155,24 @@ def build_manifest(about: Provenance, clock: Clock, init: FileEntry, groups: Gro
         ],
         tiers=len(settings.tiers),
         tiles=settings.tiles,
-        init=init,
+        sound=None,
+        init=shared[INIT_NAME],
         groups=groups,
     )
+
+
+def add_sound(m: Manifest, track: SoundTrack) -> tuple[Manifest, dict[str, bytes]]:
+    """The tables of a package with sound, and its files by their paths."""
+    files = {SOUND_INIT_NAME: track.init}
+    groups: list[Group] = []
+    for number, group in enumerate(m.groups, 1):
+        span = m.packets(group.start, group.stop)
+        if span:
+            files[sound_path(number)] = sound_segment(track.packets[span.start : span.stop], span.start)
+        entry = file_entry(files[sound_path(number)]) if span else NO_FILE
+        groups.append(replace(group, sound=entry))
+    sound = tables.Sound(track.channels, track.pre_skip, file_entry(track.init))
+    return replace(m, sound=sound, groups=Groups.of(groups)), files
 
 
 def _group_table(group: CodedGroup, files: Files) -> Group:
@@ -185,8 +213,8 @@ def _unit_table(group: CodedGroup, files: Files, unit: int) -> GroupTier:
     if reused and group.base:
         errors = (reused_errors(layout, group.base, unit, quality) for quality in range(len(atlases)))
         atlases = [widen(atlas, error, KEY) for atlas, error in zip(atlases, errors, strict=True)]
-    media = [files.get(paths.key_media_path(*place, q, group.number), NO_FILE) for q in range(len(parts))]
-    sidecar = files.get(paths.key_sidecar_path(*place, group.number), NO_FILE)
+    media = [files.get(key_media_path(*place, q, group.number), NO_FILE) for q in range(len(parts))]
+    sidecar = files.get(key_sidecar_path(*place, group.number), NO_FILE)
     return GroupTier(rows, reused, sidecar, atlases, media)
 
 
@@ -203,8 +231,7 @@ def _segment_tables(group: CodedGroup, files: Files) -> list[Segment]:
 
     def level(j: int, number: int) -> SegmentLevel:
         found = [
-            files.get(paths.state_media_path(group.folder(tile), j, number), NO_FILE)
-            for tile in range(group.layout.tiles)
+            files.get(state_media_path(group.folder(tile), j, number), NO_FILE) for tile in range(group.layout.tiles)
         ]
         sizes = [next(gops[j][tile]).picture_bytes if file.bytes else [] for tile, file in enumerate(found)]
         return SegmentLevel(found, sizes, [], [], [], [])

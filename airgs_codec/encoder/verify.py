@@ -190,6 +190,6 @@ def _errors_of_group(
 
 def _held(g: Gaussians, canonical: Gaussians, rows: NDArray[np.intp]) -> Gaussians:
     """A frame whose rows `rows` show the canonical frame."""
-    kept = np.ones(len(g), bool)
-    kept[rows] = False
-    return mix_rows(g, canonical, kept)
+    stays = np.ones(len(g), bool)
+    stays[rows] = False
+    return mix_rows(g, canonical, stays)

@@ -1,7 +1,8 @@
 """Gaussians beside those that they should be, as pictures: PSNR, SSIM and CIEDE2000 over views and frames.
 
 Either many streams of frames, such as the rungs of a package, against the original; or two scenes or packages, A and B,
-of which A is the reference, with the worst picture and a typical one. H x W pixels, 8-bit RGB.
+of which A is the reference, with the worst picture and a typical one; or what cameras see of one scene, as a sheet.
+H x W pixels, 8-bit RGB.
 """
 
 from __future__ import annotations
@@ -11,30 +12,38 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._arguments import argument
 from airgs_codec._report import table
-from airgs_codec.inspect.sides import Side, splits_of
-from airgs_codec.media.image import contact_sheet, to_bytes
+from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.sides import Side, before_both, expect_same_rate, is_package, shared_views, side_of, splits_of
+from airgs_codec.media.image import contact_sheet, to_bytes, write_png
 from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr
 from airgs_codec.package.manifest import Manifest, pooled_quality
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render import Camera
-from airgs_codec.render.compare import View, compare, draw_ahead, draw_frames, draw_still, in_order
+from airgs_codec.render import Camera, Render, render_views
+from airgs_codec.render.compare import View, draw_ahead, draw_frames, draw_still, in_order
+from airgs_codec.render.compare import compare as compare_views
+from airgs_codec.scene.camera import resized
+from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence import GaussianSequence
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 LABEL = 36  # pixels above each picture, for two lines
 LEAST_WIDTH = 320  # pixels; smaller pictures are shown with larger pixels, so that labels have room
 MOST_LETTERS = 44  # of a line
 MOST_GAIN = 64
 SHOWN = 0.999  # of the differences are not cut off
-
+SIDE = 240  # pixels, of the square that each picture of a contact sheet fits into; larger ones are made smaller
 
 Measure = TypeVar("Measure")
+Scene = Package | GaussianSequence
 
 
 def compare_streams(
@@ -44,7 +53,7 @@ def compare_streams(
     measure: Callable[[Picture, Picture], Measure],
     progress: Progress = silent,
 ) -> dict[str, list[Measure]]:
-    """What `render.compare.compare` says of every stream against the original after repairs, view by view.
+    """Return what `render.compare.compare` says of every stream against the original after repairs, view by view.
 
     Views of one frame follow each other; `streams` give their frames in that order and no others. Raises SceneError for
     a frame that cannot be read, FormatError for a package that cannot be decoded.
@@ -55,7 +64,7 @@ def compare_streams(
         progress("rendering", done, len(frames))
         reference = draw_ahead(draw_still(original.load([number]).frames[0]), seen)
         for name, stream in streams.items():
-            found[name] += compare(reference, draw_still(next(stream)), seen, measure)
+            found[name] += compare_views(reference, draw_still(next(stream)), seen, measure)
     return found
 
 
@@ -69,7 +78,7 @@ def pool_splits(found: Mapping[str, Sequence[Difference]], views: Sequence[View]
 
 
 def claimed_quality(m: Manifest, names: Iterable[str]) -> dict[str, Quality | None]:
-    """What a package says of rungs named as in `rung_streams`; None where it was not measured."""
+    """Return what a package says of rungs named as in `rung_streams`; None where it was not measured."""
     pairs = {f"{q.id}+{v.id}": (j, i) for i, q in enumerate(m.qualities) for j, v in enumerate(m.levels)}
     return {name: pooled_quality(m, *pairs[name]) for name in names}
 
@@ -114,6 +123,40 @@ class Comparison:
     typical: Seen  # the picture whose error is the median
 
 
+def compare(
+    reference: Scene | str | Path,
+    compared: Scene | str | Path,
+    *,
+    rung: str | None = None,
+    frames: range | None = None,
+    cameras: Sequence[Camera] | None = None,
+) -> Comparison:
+    """How near a scene or package is to another, each open or at a path: what `airgs-manifest compare` tells.
+
+    `rung`: key quality and level of a package, such as Q1+L2 (default: Q0+L0); of the compared one where both are.
+    `frames` are by default all that both have; `cameras` those that `shared_views` finds. Raises ConfigError for a rung
+    or frames that are not there and for frame rates that differ, and what reading either raises.
+    """
+    first, second = _opened("reference", reference), _opened("compared", compared)
+    rungs = (None, rung) if isinstance(second, Package) else (rung, None)
+    a, b = side_of(first, "reference", rungs[0]), side_of(second, "compared", rungs[1])
+    expect_same_rate(a, b)
+    both = range(min(a.frames, b.frames))
+    numbers = both if frames is None else argument("frames", frames, range, "a range")
+    if not numbers or numbers[0] not in both or numbers[-1] not in both:
+        raise ConfigError(f"frames: expected some of {both}, got {numbers}")
+    views = shared_views(a, b)[1] if cameras is None else list(cameras)
+    return compare_two(a, b, numbers, before_both(a, b, views))
+
+
+def _opened(name: str, scene: Scene | str | Path) -> Scene:
+    if isinstance(scene, Package):
+        return scene
+    if isinstance(scene, str | Path) and is_package(str(scene)):
+        return open_package(scene)
+    return argument(name, scene, GaussianSequence, "an open sequence or package, or the path of one", open_sequence)
+
+
 def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], progress: Progress = silent) -> Comparison:
     """B against A in the same frames and views, at least one of each.
 
@@ -127,7 +170,7 @@ def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], prog
         for side, count in zip((a, b), rows, strict=True)
     )
     differences: list[Difference] = []
-    for difference in compare(first, second, views, Difference.of):
+    for difference in compare_views(first, second, views, Difference.of):
         differences.append(difference)
         progress("comparing", len(differences), len(views))
     ranked = np.argsort([difference.mse for difference in differences], kind="stable")
@@ -166,7 +209,6 @@ def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
 
 
 def _side(side: Side, gaussians: tuple[int, int]) -> dict[str, Any]:
-    claimed = dataclasses.asdict(side.claimed) if side.claimed else None
     return {
         "name": side.name,
         "rung": side.rung,
@@ -175,20 +217,21 @@ def _side(side: Side, gaussians: tuple[int, int]) -> dict[str, Any]:
         "sh_degree": side.sh_degree,
         "gaussians": list(gaussians),
         "bytes_per_frame": side.bytes_per_frame,
-        "claimed": claimed,
+        "claimed": side.claimed and dataclasses.asdict(side.claimed),
     }
 
 
 def format_two(a: Side, b: Side, result: Comparison, views: str, notes: Iterable[str] = ()) -> str:
     """The same for people; `views` says what the cameras are, `notes` what was left out."""
     q, frames = result.quality, result.frames
+    claim = f" (B's tables claim {b.claimed.psnr:.2f} dB)" if b.claimed else ""
     return "\n".join(
         [
             f"A, the reference: {_words(a, result.gaussians[0])}",
             f"B: {_words(b, result.gaussians[1])}, {b.bytes_per_frame / a.bytes_per_frame:.3g} times those of A",
             f"{len(frames)} frame{'s' * (len(frames) > 1)} ({frames[0]} to {frames[-1]}) in {views}",
             *(f"left out: {note}" for note in notes),
-            f"PSNR    {_decibels(q)} pooled over pictures{_claim(b)}",
+            f"PSNR    {q.psnr:.2f} dB pooled over pictures{claim}",
             f"SSIM    {q.ssim:.4f}",
             f"ΔE2000  {q.delta_e:.2f}",
             f"worst   {result.worst}",
@@ -203,14 +246,6 @@ def _words(side: Side, gaussians: tuple[int, int]) -> str:
     name = f"{side.name} {side.rung}" if side.rung else side.name
     count = f"{side.frames} frame{'s' * (side.frames > 1)}{rate}"
     return f"{name}: {count}, {rows} Gaussians of SH degree {side.sh_degree}, {side.bytes_per_frame:,.0f} bytes a frame"
-
-
-def _decibels(q: Quality) -> str:
-    return f"{q.psnr:.2f} dB"
-
-
-def _claim(b: Side) -> str:
-    return f" (B's tables claim {_decibels(b.claimed)})" if b.claimed else ""
 
 
 def side_by_side(a: Side, b: Side, seen: Seen) -> NDArray[np.uint8]:
@@ -242,3 +277,32 @@ def _with_room(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _shortened(text: str) -> str:
     return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 12]}..{text[-10:]}"
+
+
+def write_contact_sheet(path: Path, frame: Gaussians, cameras: Sequence[Camera], notes: Sequence[str] = ()) -> None:
+    """Write a PNG of `frame` as each camera sees it under its name, its position and its note, if any.
+
+    Raises SceneError when the frame has no finite row; ConfigError without a camera, or when the file cannot be
+    written.
+    """
+    if not cameras:
+        raise ConfigError(f"{path}: expected at least one camera for a contact sheet, got none")
+    usable = repair([frame], path.name).frames[0]
+    more = [f"\n{note}" for note in notes] + [""] * (len(cameras) - len(notes))
+    places = [", ".join(f"{coordinate:.3g}" for coordinate in camera.position) for camera in cameras]
+    captions = [f"{c.name}  ({place}){note}" for c, place, note in zip(cameras, places, more, strict=True)]
+    pictures = render_views(usable, [resized(c, SIDE / max(c.width, c.height)) for c in cameras])
+    sheet = contact_sheet([_tile(picture) for picture in pictures], captions)
+    try:
+        write_png(path, sheet)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot write the contact sheet: {error}") from error
+
+
+def _tile(picture: Render) -> NDArray[np.uint8]:
+    """(SIDE, SIDE, 3) a picture in the middle of black."""
+    height, width = picture.transmittance.shape
+    tile = np.zeros((SIDE, SIDE, 3), np.uint8)
+    top, left = (SIDE - height) // 2, (SIDE - width) // 2
+    tile[top : top + height, left : left + width] = to_bytes(picture.rgb)
+    return tile

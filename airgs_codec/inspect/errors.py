@@ -7,22 +7,21 @@ log-scales, opacity and SH DC in three frames of the group. N rows of a group.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from airgs_codec.analysis.rows import AUTO, restore_rows
-from airgs_codec.coding.channels import Canonical, key_channels, recolour, state_channels
+from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, key_channels, recolour, state_channels
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.layout import KEY, STATE, Layout, tile_folder
 from airgs_codec.package.package import Package
-from airgs_codec.package.paths import tile_folder
 from airgs_codec.package.tables import STATIC, Group, unpack_matrix
-from airgs_codec.scene.gaussians import Gaussians, mean_frame
+from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows
 from airgs_codec.scene.sequence import GaussianSequence
 
 
@@ -45,17 +44,29 @@ def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Mea
     """
     m = package.manifest
     if len(sequence) != m.frames or sequence.sh_degree < m.sh_degree:
-        expected = f"{m.frames} frames of SH degree {m.sh_degree} or more"
-        place = sequence.files.name_of(sequence.folder)
-        raise ConfigError(f"{place}: expected {expected}, got {len(sequence)} of {sequence.sh_degree}")
+        expected = f"{sequence.files.name_of(sequence.folder)}: expected {m.frames} frames of SH degree {m.sh_degree}"
+        raise ConfigError(f"{expected} or more, got {len(sequence)} of {sequence.sh_degree}")
     sequence = restore_rows(sequence, m.generator.settings.get("rows", AUTO)).sequence
     for index, group in enumerate(m.groups):
         frames = [g.with_degree(m.sh_degree) for g in sequence.load(range(group.start, group.stop)).frames]
         base = decode_canonical(package, index, 0)
-        rows, sure = _match(package, index, group, base, frames)
+        rows, sure = _match(package, index, group, base, _held(frames))
         originals = [g.take(rows) for g in frames]
         yield from _keys(package, index, group, base, mean_frame(originals), sure)
         yield from _states(package, index, base, originals, sure)
+
+
+def _held(frames: list[Gaussians]) -> list[Gaussians]:
+    """Frames whose rows, where they are not drawn, are those that were drawn last, or will be first, but for alpha."""
+    drawn = [g.opacities() >= LEAST_DRAWN for g in frames]
+    held = frames[-1]
+    for g, rows in zip(reversed(frames), reversed(drawn), strict=True):
+        held = mix_rows(g, held, rows)
+    out = []
+    for g, rows in zip(frames, drawn, strict=True):
+        held = mix_rows(g, held, rows)
+        out.append(replace(held, opacity_logits=g.opacity_logits))
+    return out
 
 
 def _match(
@@ -64,12 +75,10 @@ def _match(
     """(N,) nearest original of every row; (N,) False where more rows have it than there are such originals."""
     m = package.manifest
     picks = sorted({0, len(frames) // 2, len(frames) - 1})
-    decoded = []
-    for pick in picks:
-        number = group.start + pick
+    decoded: list[Gaussians] = []
+    for number in (group.start + pick for pick in picks):
         segment = m.segment_at(number)
-        at = number - m.segments[segment].start
-        decoded += list(decode_segment(package, segment, base, 0, [at]))
+        decoded += decode_segment(package, segment, base, 0, [number - m.segments[segment].start])
     scale = float(np.median(base.motion_units)) * group.state_steps.means
     features = np.hstack([_features(frames[pick], group, scale) for pick in picks])
     _, rows = cKDTree(features).query(np.hstack([_features(g, group, scale) for g in decoded]), workers=-1)
@@ -81,14 +90,9 @@ def _match(
 
 def _features(g: Gaussians, group: Group, scale: float) -> NDArray[np.float64]:
     """(N, 10) in steps."""
-    steps = group.state_steps
-    columns = [
-        g.means.astype(np.float64) / scale,
-        g.log_scales / steps.log_scales,
-        g.opacities()[:, None] / steps.opacity,
-        g.sh_dc / steps.sh_dc,
-    ]
-    return np.hstack(columns)
+    steps, means = group.state_steps, g.means.astype(np.float64) / scale
+    opacity = g.opacities()[:, None] / steps.opacity
+    return np.hstack([means, g.log_scales / steps.log_scales, opacity, g.sh_dc / steps.sh_dc])
 
 
 def _keys(
@@ -105,7 +109,7 @@ def _keys(
             if unit.count:
                 errors = np.abs(values[:, part] - _decode_unit(package, index, k, q))
                 where = f"group {index} key {tile_folder(tile, m.tiles)}T{tier} {quality.id}"
-                yield from _measured(where, KEY, unit.qualities[q].max_error, errors[None], sure[part])
+                yield from _measured(where, KEY, unit.qualities[q].max_error, errors, sure[part])
 
 
 def _decode_unit(package: Package, index: int, unit: int, quality: int) -> NDArray[np.floating]:
@@ -132,32 +136,39 @@ def _states(
     for j, level in enumerate(m.levels):
         if level.quality != quality:  # states are differences to the key quality of their level
             quality = level.quality
-            corrected = decode_canonical(package, index, quality)
-            values = state_channels(originals, corrected, group.state_steps)
+            base = decode_canonical(package, index, quality)
+            values = state_channels(originals, base, group.state_steps)
         rows = np.flatnonzero((base.depths >= j) & (base.depths != STATIC))
         first = 0
         for number, tile in enumerate(group.tiles):
             own = rows[first : first + tile.levels[j].rows]
             first += len(own)
-            worst = np.zeros((1, len(steps), len(own)))
+            worst = np.zeros((len(steps), len(own)))
             sent = [s for s in m.segments_of(index) if m.state_files(s, j, [number])]
             for s in sent:
                 segment = m.segments[s]
                 for t, codes in enumerate(decode_state(package, s, j, 0, segment.stop - segment.start, number)):
-                    wanted = values[segment.start - group.start + t][:, own]
                     decoded = from_codes(codes, steps * level.factor, m.state_gain)
-                    worst[0] = np.maximum(worst[0], np.abs(wanted - decoded))
+                    shown = [_shown(v, base, own) for v in (values[segment.start - group.start + t][:, own], decoded)]
+                    worst = np.maximum(worst, np.abs(shown[0] - shown[1]))
             if sent:
                 where = f"group {index} state {tile_folder(number, m.tiles)}{level.id}"
                 yield from _measured(where, STATE, tile.levels[j].max_error, worst, sure[own])
 
 
+def _shown(channels: NDArray[np.floating], base: Canonical, rows: NDArray[np.intp]) -> NDArray[np.floating]:
+    """(10 + C, n) state channels of some rows with the change of alpha that is shown, which leaves nothing below 0."""
+    out = channels.copy()
+    out[STATE.slice("opacity")] = np.maximum(out[STATE.slice("opacity")], -base.opacity[rows])
+    return out
+
+
 def _measured(
     where: str, layout: Layout, bounds: list[float], errors: NDArray[np.float64], sure: NDArray[np.bool_]
 ) -> Iterator[Measured]:
-    places = layout.attribute_index(errors.shape[1])
+    places = layout.attribute_index(len(errors))
     for k, (name, bound) in enumerate(zip(layout.attributes, bounds, strict=True)):
-        error = float(errors[:, places == k][:, :, sure].max(initial=0.0))
+        error = float(errors[places == k][:, sure].max(initial=0.0))
         yield Measured(where, name, bound, error, int(sure.sum()), int((~sure).sum()))
 
 

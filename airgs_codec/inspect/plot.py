@@ -24,7 +24,7 @@ def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
     rungs, time, place = figure.subplots(1, 3, width_ratios=(3, 3, 2))
     _plot_rungs(rungs, m, manifest_bytes)
     _plot_bytes(time, m)
-    draw_region(place, levelled(m))
+    draw_region(place, levelled(m.region, m.world))
     save_figure(figure, path, dpi=110)
 
 

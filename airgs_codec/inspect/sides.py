@@ -13,18 +13,18 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.summary import rung_bytes
 from airgs_codec.media.metrics import Quality
+from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.region import CHECKING, background_of, draw_views
 from airgs_codec.package.tables import Region
 from airgs_codec.places.place import is_address, place_at
 from airgs_codec.render import Camera
+from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME
 from airgs_codec.scene.camera import BLACK, UP, Background, orbit_views
 from airgs_codec.scene.formats.form import Axes
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from airgs_codec.scene.sequence_json import DEFAULT_FPS, SETTINGS_NAME
 
 DRAWS = 8  # views of a region
 REGION = "region"  # the split of views that are drawn from the package's region
@@ -71,11 +71,17 @@ def open_side(
     Raises ConfigError for a rung that it does not have, SceneError, FormatError and TransportError for what cannot be
     opened.
     """
-    if is_package(place):
-        return _of_package(place, open_package(place), rung or "Q0+L0")
+    scene = open_package(place) if is_package(place) else open_sequence(place, bake_fps=bake_fps, duration=duration)
+    return side_of(scene, place, rung)
+
+
+def side_of(scene: Package | GaussianSequence, name: str, rung: str | None = None) -> Side:
+    """An open scene or package by a name for people. Raises ConfigError for a rung that it does not have."""
+    if isinstance(scene, Package):
+        return _of_package(name, scene, rung or "Q0+L0")
     if rung is not None:
-        raise ConfigError(f"{place}: expected a package for the rung {rung}, got a scene")
-    return _of_scene(place, open_sequence(place, bake_fps=bake_fps, duration=duration))
+        raise ConfigError(f"{name}: expected a package for the rung {rung}, got a scene")
+    return _of_scene(name, scene)
 
 
 def _of_package(name: str, package: Package, rung: str) -> Side:
@@ -99,6 +105,7 @@ def _of_package(name: str, package: Package, rung: str) -> Side:
 
 
 def _of_scene(name: str, sequence: GaussianSequence) -> Side:
+    held = [header.bytes for header in sequence.headers]  # of frames that are in no file
     stated = sequence.clip or sequence.files.beside(sequence.folder / SETTINGS_NAME) or sequence.fps != DEFAULT_FPS
     return Side(
         name=name,
@@ -106,7 +113,7 @@ def _of_scene(name: str, sequence: GaussianSequence) -> Side:
         frames=len(sequence),
         fps=sequence.fps if stated else None,
         sh_degree=sequence.sh_degree,
-        bytes_per_frame=sum(_size(path) for path in set(sequence.paths)) / len(sequence),
+        bytes_per_frame=sum(map(_size, set(sequence.paths)) if sequence.paths[0].exists() else held) / len(sequence),
         cameras=sequence.cameras,
         region=None,
         background=sequence.background,
@@ -148,7 +155,7 @@ def expect_same_rate(a: Side, b: Side) -> None:
 
 
 def left_out(a: Side, b: Side) -> list[str]:
-    """What one side has that the other lacks, for people."""
+    """Return what one side has that the other lacks, for people."""
     short, long = sorted((a, b), key=lambda side: side.frames)
     if short.frames == long.frames:
         return []

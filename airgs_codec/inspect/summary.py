@@ -7,17 +7,23 @@ plain values, `text` and `plot` show them to people.
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.inspect.left_out import describe_left_out
-from airgs_codec.package.layout import STATE
+from airgs_codec.media.metrics import psnr
+from airgs_codec.media.sound import LAYOUTS
+from airgs_codec.package.layout import KEY, STATE, Layout, tile_folder
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.region import RegionSummary
-from airgs_codec.package.tables import Views, World
+from airgs_codec.package.tables import Atlas, LeftOut, Views, World
+
+NAMES = {"gaussians": "Gaussians", "updates": "rows are never updated"}  # of what an encoder leaves out
+FEW = 4  # groups of which each has a line of its own, where something was left out
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +93,14 @@ class RungSummary:
 
 
 @dataclass(frozen=True, slots=True)
+class SoundSummary:
+    """The sound."""
+
+    form: str  # mono, stereo
+    mean_bps: float
+
+
+@dataclass(frozen=True, slots=True)
 class Summary:
     """The figures of a package."""
 
@@ -104,6 +118,7 @@ class Summary:
     keys: tuple[KeySummary, ...]
     levels: tuple[LevelSummary, ...]
     rungs: tuple[RungSummary, ...]  # key quality by key quality
+    sound: SoundSummary | None
     top_rung_bytes: dict[str, int]  # see `bytes_by_kind`
     left_out: tuple[str, ...]
     repairs: tuple[str, ...]
@@ -133,12 +148,18 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
         keys=tuple(_key(m, t, q) for t in range(m.tiers) for q in qualities),
         levels=tuple(_level(m, j) for j in levels),
         rungs=ladder([_rung(m, q, j, manifest_bytes) for q in qualities for j in levels]),
+        sound=_sound(m),
         top_rung_bytes=bytes_by_kind(m, 0, 0, manifest_bytes),
         left_out=tuple(describe_left_out(m)),
         repairs=tuple(line for group in m.groups for line in group.repairs),
         decisions=tuple(m.decisions),
         attribution=m.attribution,
     )
+
+
+def _sound(m: Manifest) -> SoundSummary | None:
+    size = sum(group.sound.bytes for group in m.groups if group.sound)
+    return SoundSummary(LAYOUTS[m.sound.channels], 8 * size * float(m.fps) / m.frames) if m.sound else None
 
 
 def _group(m: Manifest, index: int) -> GroupSummary:
@@ -232,7 +253,7 @@ def _slope(a: tuple[float, float], b: tuple[float, float]) -> float:
 
 
 def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) -> dict[str, int]:
-    """Bytes that a viewer of one rung fetches: pictures, sidecars, escapes of states with MP4 boxes, and all tables.
+    """Bytes that a viewer of one rung fetches: pictures, sidecars, escapes of states with MP4 boxes, sound, and tables.
 
     State pictures are H.264 alone; key pictures count with the detail of positions, their escapes and boxes.
     """
@@ -244,5 +265,69 @@ def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) ->
         "key sidecars": sum(tier.sidecar.bytes for tier in tiers),
         "state pictures": pictures,
         "escapes and boxes": sum(state.bytes for state in states) - pictures,
+        **({"sound": sum(group.sound.bytes for group in m.groups if group.sound)} if m.sound else {}),
         "manifests": manifest_bytes,
     }
+
+
+def describe_left_out(m: Manifest) -> list[str]:
+    """One line each; what concerns more than FEW groups alike is one line."""
+    lines = [*_decisions(m), *_constant(m)]
+    quiet = sum(not s.levels[0].bytes for s in m.segments)
+    if quiet:
+        lines.append(f"{quiet} state segments: nothing moves in them by more than half a step")
+    if m.sh_degree == 0:
+        lines.append("SH rest: the scene has none")
+    return lines
+
+
+def _decisions(m: Manifest) -> Iterator[str]:
+    """The entries of `left_out`, by what they are."""
+    entries: dict[str, list[tuple[int, LeftOut]]] = {}
+    for number, group in enumerate(m.groups):
+        for entry in group.left_out:
+            entries.setdefault(entry.what, []).append((number, entry))
+    for what, same in entries.items():
+        groups = [same] if len(same) > FEW else [[one] for one in same]
+        yield from (_sentence(what, [number for number, _ in some], [entry for _, entry in some]) for some in groups)
+
+
+def _sentence(what: str, groups: list[int], entries: list[LeftOut]) -> str:
+    """A line about one group, or about many: ranges, and the largest error."""
+    error = max(entry.error for entry in entries)
+    alone = f"{psnr(error):.1f} dB by itself" if error > 0 else "no error"
+    saved = f"{np.mean([entry.bytes for entry in entries]) / 1e3:.2f} kB/frame saved"
+    count = span(min(entry.count for entry in entries), max(entry.count for entry in entries))
+    where = f"group {groups[0]}" if len(groups) == 1 else f"{len(groups)} groups"
+    worst = "at worst " if len(groups) > 1 and error > 0 else ""
+    return f"{where}: {count} {NAMES.get(what, what)}: {worst}{alone}, {saved}"
+
+
+def _constant(m: Manifest) -> Iterator[str]:
+    """Tiers without rows, and channels without a plane in the top rung."""
+    groups: dict[str, list[int]] = {}
+    for i, group in enumerate(m.groups):
+        tiles = [(tile_folder(number, m.tiles), tile) for number, tile in enumerate(group.tiles)]
+        tiers = [(f"{folder}T{t}", tier) for folder, tile in tiles for t, tier in enumerate(tile.tiers)]
+        for name, tier in tiers:
+            if not tier.count:
+                groups.setdefault(f"key tier {name}: it has no rows", []).append(i)
+        keys = [(f"key {name} Q0", tier.qualities[0], KEY) for name, tier in tiers]
+        states = [(f"state {folder}L0", tile.levels[0], STATE) for folder, tile in tiles]
+        for name, atlas, layout in (*keys, *states):
+            if text := _without_plane(atlas, layout):
+                groups.setdefault(f"planes of {name}: {text} (constant within half a step)", []).append(i)
+    for text, where in groups.items():
+        yield from [f"{len(where)} groups: {text}"] if len(where) > FEW else [f"group {i}: {text}" for i in where]
+
+
+def _without_plane(atlas: Atlas, layout: Layout) -> str:
+    """How many channels of which attribute have no plane; empty when all have one."""
+    missing = set(range(len(atlas.centres) if atlas.rows else 0)) - set(atlas.planes)
+    counts = Counter(layout.attribute_of(channel) for channel in sorted(missing))
+    return ", ".join(f"{count} {attribute}" for attribute, count in counts.items())
+
+
+def span(low: int, high: int) -> str:
+    """A range of whole numbers."""
+    return str(low) if low == high else f"{low}-{high}"

@@ -1,12 +1,24 @@
-"""The figures of a package as tables of text."""
+"""The figures of a package as tables of text, and which attributes its bytes go to: an estimate by entropy.
+
+P planes of an atlas, N rows.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
 from airgs_codec._report import table
-from airgs_codec.inspect.left_out import span
-from airgs_codec.inspect.summary import LevelSummary, RungSummary, Summary
-from airgs_codec.package.layout import STATE
-from airgs_codec.package.world import world_words
+from airgs_codec.coding.atlas import extract
+from airgs_codec.decoder.decode import expect_size
+from airgs_codec.inspect.summary import LevelSummary, RungSummary, Summary, span
+from airgs_codec.media.h264 import open_segment
+from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.package import Package
+from airgs_codec.package.region import world_words
+from airgs_codec.package.tables import Atlas
 
 MOST_GROUPS = 12  # in the table of groups
 ERROR_HEADS = {
@@ -37,7 +49,7 @@ def format_summary(s: Summary) -> str:
         *_errors(s),
         "",
         "everything a viewer fetches (*: the ladder; the others are beaten by a mixture of two on it):",
-        *_rungs(s),
+        *_rungs(s.rungs),
         "",
         f"top rung, kB/frame: {', '.join(kinds)}",
         *(f"left out: {line}" for line in s.left_out),
@@ -45,6 +57,19 @@ def format_summary(s: Summary) -> str:
         *(f"decided: {line}" for line in s.decisions),
     ]
     return "\n".join(lines + ([f"attribution: {s.attribution}"] if s.attribution else []))
+
+
+def format_ladder(s: Summary) -> str:
+    """The rungs that players choose among, and what was repaired and decided, as fits a screen."""
+    best = [rung for rung in s.rungs if rung.best]  # none where quality was not measured
+    quality = "quality on pictures that no decision saw" if best else "quality was not measured"
+    lines = [
+        f"rungs that players choose among: everything a viewer fetches; {quality}",
+        *_rungs(best or s.rungs, marked=False),
+        *(f"repaired: {line}" for line in s.repairs),
+        *(f"decided: {line}" for line in s.decisions),
+    ]
+    return "\n".join(lines)
 
 
 def _head(s: Summary) -> list[str]:
@@ -57,6 +82,7 @@ def _head(s: Summary) -> list[str]:
         f"viewing region {s.region.words}",
         f"views of {s.region.views}",
         world_words(s.world),
+        *([f"sound: Opus, {s.sound.form}, {s.sound.mean_bps / 1e3:.0f} kbit/s"] if s.sound else []),
         *([f"background: {', '.join(f'{value:g}' for value in s.background)}"] if s.background else []),
         f"decided on {v.decided} pictures of each group; "
         + (measured if v.reference != "none" else "quality was not measured"),
@@ -91,8 +117,7 @@ def _levels(s: Summary) -> list[str]:
             f"{100 * v.pruned:g} %",
             f"x{v.factor:g}",
             _kilobytes(v.bytes_per_frame),
-            _megabits(v.mean_bps),
-            _megabits(v.peak_bps),
+            *(f"{rate / 1e6:.2f}" for rate in (v.mean_bps, v.peak_bps)),
             *_quality(v),
         ]
         for v in s.levels
@@ -106,18 +131,13 @@ def _errors(s: Summary) -> list[str]:
     return table(["level", *(ERROR_HEADS[name] for name in STATE.attributes)], rows)
 
 
-def _rungs(s: Summary) -> list[str]:
+def _rungs(rungs: Sequence[RungSummary], marked: bool = True) -> list[str]:
     rows = [
-        [
-            f"{r.key} + {r.state}",
-            _kilobytes(r.bytes_per_frame),
-            _megabits(r.mean_bps),
-            *_quality(r),
-            "*" if r.best else "",
-        ]
-        for r in s.rungs
+        [f"{r.key} + {r.state}", _kilobytes(r.bytes_per_frame), f"{r.mean_bps / 1e6:.2f}", *_quality(r)]
+        + ["*" * r.best] * marked
+        for r in rungs
     ]
-    return table(["rung", "kB/frame", "Mbit/s", *QUALITY_HEADS, ""], rows)
+    return table(["rung", "kB/frame", "Mbit/s", *QUALITY_HEADS, *[""] * marked], rows)
 
 
 def _quality(entry: LevelSummary | RungSummary) -> list[str]:
@@ -129,5 +149,67 @@ def _kilobytes(size: float) -> str:
     return f"{size / 1e3:.2f}"
 
 
-def _megabits(rate: float) -> str:
-    return f"{rate / 1e6:.2f}"
+def bytes_by_attribute(package: Package) -> dict[str, float]:
+    """Bytes of the top rung (all key tiers in Q0, and L0) by attribute, the largest first.
+
+    H.264 codes an atlas as a whole, so its bytes are shared out by zero-order entropy: of the samples in key pictures,
+    of their change from picture to picture in state segments. Key sidecars are canonical means, and so are the 3 bits a
+    row that Q0 adds for every power of 2 by which its cells are finer than the coarsest. Raises FormatError.
+    """
+    out = dict.fromkeys(STATE.attributes, 0.0)
+    for attribute, size in (*_of_keys(package), *_of_states(package)):
+        out[attribute] += size
+    return dict(sorted(out.items(), key=lambda item: -item[1]))
+
+
+def format_attributes(package: Package) -> str:
+    """`bytes_by_attribute` as one line."""
+    frames = package.manifest.frames
+    parts = [f"{name} {size / frames / 1e3:.2f}" for name, size in bytes_by_attribute(package).items()]
+    return f"top rung by attribute, kB/frame, shared out by entropy: {', '.join(parts)}"
+
+
+def _of_keys(package: Package) -> Iterator[tuple[str, float]]:
+    m = package.manifest
+    for g, group in enumerate(m.groups):
+        for k, unit in enumerate(group.units):
+            yield "means", unit.sidecar.bytes
+            for media in m.key_files(g, k, 0)[1:]:
+                fine = min(3 * m.qualities[-1].coarser * (unit.count - unit.kept) / 8, unit.pictures[0].bytes)
+                yield "means", fine
+                samples = _samples(package, media, unit.qualities[0])
+                yield from _shares(unit.pictures[0].bytes - fine, unit.qualities[0], samples, KEY)
+
+
+def _of_states(package: Package) -> Iterator[tuple[str, float]]:
+    m = package.manifest
+    for s, segment in enumerate(m.segments):
+        for number, tile in enumerate(m.groups[m.group_of(s)].tiles):
+            for media in m.state_files(s, 0, [number]):
+                samples = _samples(package, media, tile.levels[0])
+                yield from _shares(sum(segment.levels[0].frame_bytes[number]), tile.levels[0], samples, STATE)
+
+
+def _samples(package: Package, media: str, atlas: Atlas) -> Iterator[NDArray[np.int16]]:
+    """(P, N) of each picture."""
+    _, pictures = open_segment(package.read(media), media, atlas.pages)
+    for picture in pictures:
+        expect_size(picture, atlas, media)
+        yield extract(picture, atlas).astype(np.int16)
+
+
+def _shares(
+    size: float, atlas: Atlas, samples: Iterator[NDArray[np.int16]], layout: Layout
+) -> Iterator[tuple[str, float]]:
+    """`size` bytes shared out among the planes of an atlas, by the entropy of their changes."""
+    entropy = np.zeros(len(atlas.planes))
+    previous = np.zeros((len(atlas.planes), atlas.rows), np.int16)
+    for picture in samples:
+        for p, change in enumerate(picture - previous):
+            counts = np.bincount(change + 255)  # changes of 8-bit samples
+            shares = counts[counts > 0] / atlas.rows
+            entropy[p] -= float((shares * np.log2(shares)).sum())
+        previous = picture
+    total = entropy.sum()
+    for plane, part in zip(atlas.planes, entropy, strict=True):
+        yield layout.attribute_of(plane), size * float(part / total if total > 0 else 1 / len(entropy))

@@ -11,13 +11,14 @@ import numpy as np
 
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
+from airgs_codec.decoder.sound import decode_group
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.inspect.errors import Measured
-from airgs_codec.media.h264 import BRIGHTEST, DARKEST, decode_pictures, in_range, open_segment
+from airgs_codec.media.h264 import BRIGHTEST, DARKEST, in_range, open_segment
+from airgs_codec.package.layout import JSON_NAME, MPD_NAME, group_path
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import Package, find_file, open_files
-from airgs_codec.package.parse import MAX_ROOT_BYTES
-from airgs_codec.package.paths import JSON_NAME, MPD_NAME, group_path
+from airgs_codec.package.parse import MAX_TABLE_BYTES
 from airgs_codec.package.tables import Atlas
 from airgs_codec.places.place import Place, place_at
 from airgs_codec.scene.gaussians import Gaussians
@@ -90,19 +91,19 @@ def _attempt(where: str, work: Callable[[], object]) -> list[Finding]:
 
 def _check_mpd(package: Package) -> None:
     size, read = find_file(package.files, MPD_NAME)
-    if size > MAX_ROOT_BYTES:
-        raise FormatError("too_large", MPD_NAME, f"expected at most {MAX_ROOT_BYTES} bytes")
+    if size > MAX_TABLE_BYTES:
+        raise FormatError("too_large", MPD_NAME, f"expected at most {MAX_TABLE_BYTES} bytes")
     check_mpd(read(), package.manifest)
 
 
 def _check_tables(package: Package) -> Iterator[Finding]:
     """Every page and the table of every group can be read, and the group whose rows it keeps has them."""
     m = package.manifest
-    found: dict[str, Finding] = {}  # groups of one page share its finding
-    for number in range(len(m.groups)):
-        for finding in _attempt(group_path(number + 1), partial(m.base_of, number)):
-            found.setdefault(str(finding), finding)
-    yield from found.values()
+    for number in m.groups.places.sweep():
+        if isinstance(number, FormatError):
+            yield _finding(number)
+        else:
+            yield from _attempt(group_path(number + 1), partial(m.base_of, number))
 
 
 def _check_files(package: Package) -> Iterator[Finding]:
@@ -140,6 +141,7 @@ def _check_measures(package: Package) -> Iterator[Finding]:
 def _check_decoding(package: Package) -> Iterator[Finding]:
     m = package.manifest
     for g in range(len(m.groups)):
+        yield from _attempt(f"group {g}", partial(decode_group, package, g))
         for q in range(len(m.qualities)):
             yield from _attempt(f"group {g}", partial(_decode_key, package, g, q))
         try:
@@ -176,8 +178,8 @@ def _decode_state(package: Package, index: int, level: int, base: Canonical) -> 
 
 
 def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int) -> None:
-    samples = open_segment(package.read(media), media).samples
-    inside = [in_range(picture) for picture in decode_pictures(samples, media, atlas.pages)]
+    _, pictures = open_segment(package.read(media), media, atlas.pages)
+    inside = [in_range(picture) for picture in pictures]
     if len(inside) != count:
         raise FormatError("bad_picture", media, f"expected {count} pictures, got {len(inside)}")
     if not all(inside):

@@ -51,7 +51,7 @@ class DaskEngine:
         return DaskEngine(Client(cluster), cluster, max(1, available_cores() // count))
 
     def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
-        """What `function` gives for each tuple of arguments, as they are finished.
+        """Give what `function` gives for each tuple of arguments, as they are finished.
 
         `needs`: what workers of a cluster that others run must have been started with. Raises what a call raises first,
         WorkError where workers die of a call, none has what is needed, or the scheduler is gone.

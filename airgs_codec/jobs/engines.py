@@ -29,7 +29,7 @@ class Engine(Protocol):
     """Calls functions somewhere."""
 
     def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
-        """What `function` gives for each tuple of arguments, as they are finished.
+        """Return what `function` gives for each tuple of arguments, as they are finished.
 
         `needs`: resources that the worker of each call must have, where workers are told apart. Raises what a call
         raises first; others are given up then. WorkError where its workers die, or none has what is needed.
@@ -44,7 +44,7 @@ class InProcess:
     """One call after the other, here."""
 
     def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
-        """What `function` gives for each tuple of arguments, in their order. Raises what a call raises."""
+        """Give what `function` gives for each tuple of arguments, in their order. Raises what a call raises."""
         for call in calls:
             yield function(*call)
 
@@ -62,7 +62,7 @@ class Processes:
         self._pool: ProcessPoolExecutor | None = None
 
     def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
-        """What `function` gives for each tuple of arguments, as they are finished.
+        """Give what `function` gives for each tuple of arguments, as they are finished.
 
         Raises what a call raises first, WorkError where DEATHS processes have died one after another.
         """

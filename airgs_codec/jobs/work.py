@@ -115,7 +115,7 @@ class Work:
         return Stored(entry)
 
     def map(self, stage: str, function: Callable[..., Any], calls: Sequence[tuple[Any, ...]]) -> list[Any]:
-        """What a function gives for each tuple of arguments, in their order; nothing is stored."""
+        """Return what a function gives for each tuple of arguments, in their order; nothing is stored."""
         results: dict[int, Any] = {}
         for place, value in self.engine.map(_numbered, [(function, place, *call) for place, call in enumerate(calls)]):
             results[place] = value

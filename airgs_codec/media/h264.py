@@ -10,7 +10,8 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import repeat
+from itertools import chain, repeat
+from zlib import crc32
 
 import av
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._settings import available_cores
 from airgs_codec.errors import CodecError, FormatError
-from airgs_codec.media.mp4 import CodedPicture, Segment, media_segment, read_segment, start_codes
+from airgs_codec.media.mp4 import CodedPicture, media_segment, read_samples, read_segment, start_codes, with_own_box
 
 DEFAULT_PRESET = "veryslow"
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
@@ -61,11 +62,20 @@ class ClosedGop:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedGop:
-    """A closed GOP as a media segment, which decodes by itself."""
+    """A closed GOP, which decodes by itself."""
 
-    media: bytes
+    fragment: bytes  # a moof and its mdat
     pages: int
     picture_bytes: list[int]  # of the slices of each picture, all pages together, in display order
+    checksums: tuple[int, ...] = ()  # see `Pictures`; none before it was decoded
+
+    def pictures(self, where: str) -> Pictures:
+        """Return what it decodes to; `where` names it in errors."""
+        return Pictures(read_samples(self.fragment), where, self.pages, self.checksums or None)
+
+    def media(self, columns: bytes) -> bytes:
+        """The media segment, with a column file."""
+        return with_own_box(self.fragment, self.checksums, columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +177,7 @@ class _Encoder:
         return self._coded(self._context.encode(frame))
 
     def finish(self) -> list[CodedPicture]:
-        """What x264 still holds back."""
+        """Return what x264 still holds back."""
         return self._coded(self._context.encode(None))
 
     def _coded(self, packets: Iterable[av.Packet]) -> list[CodedPicture]:
@@ -198,31 +208,48 @@ def _frame(picture: NDArray[np.uint8]) -> av.VideoFrame:
     return frame
 
 
-def decode_pictures(samples: Sequence[bytes], where: str, pages: int = 1) -> Iterator[NDArray[np.uint8]]:
-    """(pages * H, W) luma of each picture of a media segment, in display order; stop iterating to stop decoding.
+@dataclass(frozen=True, slots=True, eq=False)
+class Pictures:
+    """The pictures of a media segment."""
 
-    `samples` are those of its first page, then those of the next; a picture is its pages one below another. `where`
-    names the segment in errors. Pages are decoded side by side. Raises FormatError(bad_picture) when the bytes do not
-    decode, or pages differ.
-    """
-    if pages == 1:
-        yield from _decode_page(samples, where)
-        return
-    length = -(-len(samples) // pages)
-    decoders = [_decode_page(samples[page * length :][:length], where) for page in range(pages)]
-    with ThreadPoolExecutor(min(pages, available_cores())) as pool:
-        while True:
-            parts = list(pool.map(next, decoders, repeat(None)))
-            shapes = {None if part is None else part.shape for part in parts}
-            if shapes == {None}:
-                return
-            if len(shapes) > 1:
-                raise FormatError("bad_picture", where, f"expected {pages} pages of equal pictures, got {shapes}")
-            yield np.concatenate(parts)
+    samples: Sequence[bytes]  # those of its first page, then those of the next
+    where: str  # names the segment in errors
+    pages: int = 1
+    checksums: Sequence[int] | None = None  # CRC-32 of the luma of as many pictures, each page in display order
+
+    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
+        """(pages * H, W) luma of each picture in display order: its pages one below another; stop to stop decoding.
+
+        Pages are decoded side by side. Raises FormatError(bad_picture) when the bytes do not decode, luma differs from
+        its checksum, or pages differ.
+        """
+        if self.pages == 1:
+            yield from self._decode_page(0, len(self.samples))
+            return
+        length = -(-len(self.samples) // self.pages)
+        decoders = [self._decode_page(page * length, length) for page in range(self.pages)]
+        with ThreadPoolExecutor(min(self.pages, available_cores())) as pool:
+            while True:
+                parts = list(pool.map(next, decoders, repeat(None)))
+                shapes = {None if part is None else part.shape for part in parts}
+                if shapes == {None}:
+                    return
+                if len(shapes) > 1:
+                    detail = f"expected {self.pages} pages of equal pictures, got {shapes}"
+                    raise FormatError("bad_picture", self.where, detail)
+                yield np.concatenate(parts)
+
+    def _decode_page(self, first: int, length: int) -> Iterator[NDArray[np.uint8]]:
+        """(H, W) luma of each picture of the page with these samples."""
+        checksums = None if self.checksums is None else self.checksums[first:][:length]
+        for number, luma in enumerate(_decode(self.samples[first:][:length], self.where)):
+            if checksums is not None and (number >= len(checksums) or crc32(luma.data) != checksums[number]):
+                raise FormatError("bad_picture", self.where, f"picture {number} differs from its checksum")
+            yield luma
 
 
-def _decode_page(samples: Sequence[bytes], where: str) -> Iterator[NDArray[np.uint8]]:
-    """(H, W) luma of each picture of one page. Raises FormatError(bad_picture)."""
+def _decode(samples: Sequence[bytes], where: str) -> Iterator[NDArray[np.uint8]]:
+    """(H, W) luma of each picture, without gaps between lines. Raises FormatError(bad_picture)."""
     try:
         context = av.CodecContext.create("h264", "r")
         context.thread_count = 1
@@ -234,19 +261,24 @@ def _decode_page(samples: Sequence[bytes], where: str) -> Iterator[NDArray[np.ui
         raise FormatError("bad_picture", where, f"expected H.264: {error}") from error
 
 
-def open_segment(media: bytes, where: str) -> Segment:
-    """The parts of a media segment. Raises FormatError(bad_picture) when it is no such segment."""
+def open_segment(media: bytes, where: str, pages: int = 1) -> tuple[bytes | None, Pictures]:
+    """The column file of a media segment, if it has one, and its pictures.
+
+    Raises FormatError(bad_picture) when it is no segment.
+    """
     try:
-        return read_segment(media)
+        segment = read_segment(media)
     except CodecError as error:
         raise FormatError("bad_picture", where, f"expected H.264 in fragmented MP4: {error}") from error
+    return segment.columns, Pictures(segment.samples, where, pages, segment.checksums)
 
 
 def _luma(frame: av.VideoFrame, where: str) -> NDArray[np.uint8]:
     if frame.format.name not in ("yuv420p", "yuvj420p"):
         raise FormatError("bad_picture", where, f"expected 8-bit 4:2:0, got {frame.format.name}")
     plane = frame.planes[0]
-    return np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)[: frame.height, : frame.width]
+    lines = np.frombuffer(memoryview(plane), np.uint8).reshape(-1, plane.line_size)
+    return np.ascontiguousarray(lines[: frame.height, : frame.width])
 
 
 def in_range(picture: NDArray[np.uint8]) -> bool:
@@ -260,6 +292,7 @@ class DecodedGop:
 
     difference: NDArray[np.uint8]  # (pages * H, W) largest of any picture, luma levels
     in_range: bool  # see `in_range`; all samples count, also those that carry nothing
+    checksums: tuple[int, ...]  # see `Pictures`
 
 
 def check_gop(coded: CodedGop, gop: ClosedGop, settings: CodecSettings) -> DecodedGop:
@@ -271,9 +304,10 @@ def check_gop(coded: CodedGop, gop: ClosedGop, settings: CodecSettings) -> Decod
     where = f"the segment at {gop.start} ticks"
     squared, count = 0.0, 0
     largest, inside = np.zeros((1, 1), np.uint8), True
+    checksums: list[list[int]] = []  # of the pages of each picture
     try:
-        pictures = decode_pictures(read_segment(coded.media).samples, where, coded.pages)
-        for picture, shown in zip(gop.pictures, pictures, strict=True):
+        for picture, shown in zip(gop.pictures, coded.pictures(where), strict=True):
+            checksums.append([crc32(page.data) for page in np.split(shown, coded.pages)])
             difference = np.maximum(picture, shown) - np.minimum(picture, shown)
             squared += float(np.mean(np.square(difference, dtype=np.float32)))
             largest = np.maximum(largest, difference)
@@ -283,7 +317,7 @@ def check_gop(coded: CodedGop, gop: ClosedGop, settings: CodecSettings) -> Decod
         raise CodecError(f"{where} does not decode to the pictures it was made of: {error}") from error
     if (squared / count) ** 0.5 > qp_step(settings.qp):
         raise CodecError(f"{where} decodes {(squared / count) ** 0.5:.1f} levels off the pictures encoded")
-    return DecodedGop(largest, inside)
+    return DecodedGop(largest, inside, tuple(chain.from_iterable(zip(*checksums, strict=True))))
 
 
 def library_versions() -> dict[str, str]:

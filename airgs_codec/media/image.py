@@ -9,11 +9,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
-from airgs_codec.errors import SceneError
+from airgs_codec._arguments import path_argument
+from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.places.whole import atomic_path
 
 # OpenCV counts pixel centres from 0, we have the first at 0.5: added to a matrix of theirs, it gives ours.
 TO_CENTRES = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+_FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM", "GIF", "JPEG2000", "AVIF")  # of pictures that are read
 
 
 def to_bytes(rgb: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -32,31 +36,52 @@ def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
     path.write_bytes(data.tobytes())
 
 
-def write_jpeg(path: Path, rgb: NDArray[np.uint8], quality: int = 90) -> None:
-    """Write (H, W, 3) RGB as JPEG of a `quality` up to 100."""
-    _, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
-    path.write_bytes(data.tobytes())
+def save_png(path: str | Path, rgb: NDArray[np.floating]) -> None:
+    """Write (H, W, 3) RGB of [0, 1] as PNG, whole or not at all. Raises ConfigError for another ending, or OSErrors."""
+    target = Path(path_argument("path", path))
+    if target.suffix.lower() != ".png":
+        raise ConfigError(f"{target}: expected a name that ends in .png")
+    try:
+        with atomic_path(target) as temporary:
+            write_png(temporary, to_bytes(rgb))
+    except OSError as error:
+        raise ConfigError(f"{target}: cannot write the picture: {error.strerror or error}") from error
 
 
-def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Read (H, W, 3) RGB of 8 bits, or (H, W, 4) where the file has alpha; of 16 bits the upper 8 are kept.
+def encode_jpeg(rgb: NDArray[np.uint8], quality: int) -> bytes:
+    """Return (H, W, 3) RGB as JPEG of a `quality` up to 100, which comes in rough first."""
+    options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
+    return bytes(cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)[1])
 
-    Raises SceneError when the file is not a picture of 8 or 16 bits.
+
+def read_picture(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+    """Read (H, W, 3) RGB of 8 bits, or (H, W, 4) where the file has alpha; of 16 bits the upper 8 are used.
+
+    Raises SceneError when the file is not a picture of 8 or 16 bits and of `size` = (width, height), None for any. The
+    header tells the size: pixels of another one, or more of them than Pillow takes for a picture, are not decoded.
     """
-    picture = _decode(path, cv2.IMREAD_UNCHANGED)
-    if picture.dtype == np.uint16:
-        picture = (picture >> 8).astype(np.uint8)
-    if picture.dtype != np.uint8:
-        raise SceneError(f"{path}: expected a picture of 8 or 16 bits, got {picture.dtype}")
-    if picture.ndim == 2:
-        return np.repeat(picture[..., None], 3, axis=2)
-    order = cv2.COLOR_BGR2RGB if picture.shape[2] == 3 else cv2.COLOR_BGRA2RGBA
-    return np.asarray(cv2.cvtColor(picture, order), np.uint8)
+    try:
+        if not path.is_file():  # opening a pipe would wait
+            raise ValueError("No such file")
+        with Image.open(path, formats=_FORMATS) as picture:
+            found = picture.size
+            samples = _samples(picture) if size in (None, found) else None
+    except Exception as error:  # whatever a decoder comes upon in a broken file
+        reason = " ".join(str(getattr(error, "strerror", None) or error).split())[:200]
+        raise SceneError(f"{path}: expected a picture: {reason}") from error
+    if samples is None:
+        expected, got = (f"{width}x{height}" for width, height in (size or found, found))
+        raise SceneError(f"{path}: expected a picture of {expected}, got {got}")
+    return samples
 
 
-def read_png(path: Path) -> NDArray[np.float32]:
-    """Read (H, W, 3) RGB of [0, 1] without alpha. Raises SceneError when the file is not a picture."""
-    return np.float32(1 / 255) * cv2.cvtColor(_decode(path, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+def _samples(picture: Image.Image) -> NDArray[np.uint8]:
+    """(H, W, 3) or (H, W, 4). Raises ValueError where they are not of 8 or 16 bits."""
+    if picture.mode.startswith("I;16"):
+        return np.repeat((np.asarray(picture) >> 8).astype(np.uint8)[..., None], 3, axis=2)
+    if picture.mode in ("I", "F"):
+        raise ValueError("of 8 or 16 bits, got samples of 32")
+    return np.asarray(picture.convert("RGBA" if picture.has_transparency_data else "RGB"))
 
 
 def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.float32]:
@@ -64,18 +89,7 @@ def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.float32]:
 
     Raises SceneError when the file is not a picture of `size` = (width, height).
     """
-    mask = _decode(path, cv2.IMREAD_GRAYSCALE)
-    if mask.shape[::-1] != size:
-        raise SceneError(f"{path}: expected a mask of {size[0]}x{size[1]}, got {mask.shape[1]}x{mask.shape[0]}")
-    return (mask > 0).astype(np.float32)
-
-
-def _decode(path: Path, flags: int) -> NDArray:
-    data = np.fromfile(path, np.uint8) if path.is_file() else np.empty(0, np.uint8)
-    picture = cv2.imdecode(data, flags) if data.size else None
-    if picture is None:
-        raise SceneError(f"{path}: expected a picture, got {'something else' if data.size else 'nothing'}")
-    return picture
+    return np.any(read_picture(path, size)[..., :3], axis=2).astype(np.float32)
 
 
 def label(rgb: NDArray[np.uint8], text: str, line: int = 0) -> NDArray[np.uint8]:

@@ -21,7 +21,8 @@ Floats = NDArray[np.float32]
 
 PSNR_CAP = 100.0  # dB; equal pictures have no finite PSNR, and JSON no infinity
 MOST_COLOURS = 8192  # pixels whose colours are compared; all of 320x320 take twenty times the time of PSNR and SSIM
-_RADIUS, _SIGMA = 5, 1.5  # Wang et al. 2004: 11x11 Gaussian window
+_WINDOW = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))  # Wang et al. 2004: 11x11, Gaussian
+_WINDOW = (_WINDOW / _WINDOW.sum()).astype(np.float32)
 _LOADING = threading.Lock()  # filters of warnings and print options are those of all threads
 _C1, _C2 = 0.01**2, 0.03**2  # same paper, K1 and K2 for a range of 1
 
@@ -141,15 +142,6 @@ def mse(a: Floats, b: Floats) -> float:
 def psnr(mean_squared_error: float) -> float:
     """PSNR in dB of samples in 0..1, at most PSNR_CAP. For many pictures take the mean of their errors first."""
     return PSNR_CAP if mean_squared_error <= 10 ** (-PSNR_CAP / 10) else -10 * math.log10(mean_squared_error)
-
-
-def _gaussian_window() -> Floats:
-    x = np.arange(-_RADIUS, _RADIUS + 1)
-    kernel = np.exp(-(x**2) / (2 * _SIGMA**2))
-    return (kernel / kernel.sum()).astype(np.float32)
-
-
-_WINDOW = _gaussian_window()
 
 
 def _blur(picture: Floats) -> Floats:

@@ -1,16 +1,16 @@
-"""Fragmented MP4 as far as one H.264 track needs it, read and written: the box tree and coded samples.
+"""Fragmented MP4 as far as a track of H.264 or Opus needs it, read and written: the box tree and coded samples.
 
 Boxes are those of ISO/IEC 14496-12 (the ISO base media file format) with 32-bit sizes: one init segment for all tracks
 of a package, and a media segment a closed GOP. The sample entry avc3 of ISO/IEC 14496-15 says that parameter sets
 travel with the pictures, so that no segment needs the init segment to be decoded, and pictures may change their size.
-A media segment is a moof and an mdat, and before them at most one uuid box with our own bytes (FORMAT.md, section 4).
+A media segment is a uuid box with our own bytes, a moof and an mdat (FORMAT.md, section 2).
 """
 
 from __future__ import annotations
 
 import struct
 import uuid
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from airgs_codec.errors import CodecError
@@ -18,13 +18,17 @@ from airgs_codec.errors import CodecError
 Box = tuple[bytes, bytes]  # type, and the whole box with its header
 
 HEADER = 8  # bytes of size and type
-COLUMNS = uuid.uuid5(uuid.NAMESPACE_URL, "urn:airgs:columns").bytes  # 3ecfa94e-…: the uuid box holds a column file
+OWN = uuid.uuid5(uuid.NAMESPACE_URL, "urn:airgs:media").bytes  # of the uuid box with checksums and a column file
 # Flags of a trun box, 8.8.8: which fields it has; those from 0x100 on are repeated for every sample.
 DATA_OFFSET, FIRST_SAMPLE_FLAGS, DURATION, SIZE, COMPOSITION_OFFSET = 0x1, 0x4, 0x100, 0x200, 0x800
 # Flags of a tfhd box, 8.8.7.
 BASE_DATA_OFFSET, DESCRIPTION_INDEX, DEFAULT_DURATION, DEFAULT_SIZE = 0x1, 0x2, 0x8, 0x10
 PROFILE, CONSTRAINTS, LEVEL = 100, 0, 51  # High at 5.1: the most that a picture of a package may ask for
 CODECS = f"avc3.{PROFILE:02X}{CONSTRAINTS:02X}{LEVEL:02X}"  # RFC 6381
+OPUS = "opus"  # RFC 6381
+SOUND_RATE = 48_000  # samples, and ticks, a second
+PACKET_TICKS = 960  # 20 ms
+WARM_UP = 4  # packets that a decoder of Opus needs before the first one that is right
 _DEFAULT_BASE_IS_MOOF = 0x020000  # flags of tfhd
 _DURATION_AND_FLAGS = 0x8 | 0x20  # of tfhd: defaults of all samples
 _SYNC, _OTHER = 0x02000000, 0x01010000  # sample flags: depends on nothing; depends on others and is no sync sample
@@ -35,7 +39,8 @@ _UNITY = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)  # t
 class Segment:
     """What a media segment holds."""
 
-    columns: bytes | None  # of its uuid box; None: it has none
+    checksums: tuple[int, ...]  # of the luma of as many pictures as there are samples, each page in display order
+    columns: bytes | None  # a column file; None: there is none, every number in it is 0
     samples: tuple[bytes, ...]  # coded pictures in decoding order: NAL units, each after its length in 4 bytes
 
 
@@ -67,15 +72,25 @@ def read_segment(media: bytes) -> Segment:
     Raises CodecError when the segment is built otherwise or a sample leaves the mdat.
     """
     boxes = read_boxes(media)
-    columns = None
-    if boxes and boxes[0][0] == b"uuid":
-        own = boxes.pop(0)[1][HEADER:]
-        columns = own[len(COLUMNS) :]
-        if not own.startswith(COLUMNS):
-            raise CodecError(f"expected the uuid {uuid.UUID(bytes=COLUMNS)}, got {own[: len(COLUMNS)].hex()}")
-    if [kind for kind, _ in boxes] != [b"moof", b"mdat"]:
-        raise CodecError(f"expected one moof and one mdat, got {[kind for kind, _ in boxes]}")
-    return Segment(columns, tuple(_samples(boxes[0][1], boxes[1][1][HEADER:])))
+    if not boxes or not (own := boxes[0][1][HEADER:]).startswith(OWN):
+        raise CodecError(f"expected a box of the uuid {uuid.UUID(bytes=OWN)} at the start")
+    samples = read_samples(media[len(boxes[0][1]) :])
+    columns = len(OWN) + 4 * len(samples)
+    return Segment(_unpack(f">{len(samples)}I", own, len(OWN)), own[columns:] or None, samples)
+
+
+def read_samples(fragment: bytes) -> tuple[bytes, ...]:
+    """The samples of a moof and its mdat, in decoding order. Raises CodecError as `read_segment` does."""
+    boxes = read_boxes(fragment)
+    if (kinds := [kind for kind, _ in boxes]) != [b"moof", b"mdat"]:
+        raise CodecError(f"expected one moof and one mdat, got {kinds[:8]}")
+    return tuple(_samples(boxes[0][1], boxes[1][1][HEADER:]))
+
+
+def read_start(fragment: bytes) -> int:
+    """When the first sample of a moof is decoded, ticks. Raises CodecError as `read_segment` does."""
+    moof = read_boxes(fragment)[0][1]
+    return int(_unpack(">Q", _child(_child(moof[HEADER:], b"traf")[HEADER:], b"tfdt"), 12)[0])
 
 
 def start_codes(sample: bytes) -> bytes:
@@ -142,48 +157,51 @@ def _unpack(form: str, data: bytes, at: int) -> tuple:
 
 def init_segment(timescale: int, width: int, height: int) -> bytes:
     """ftyp and moov of a track without samples; `timescale` ticks a second, pictures of about this size."""
-    return box(b"ftyp", b"iso6", struct.pack(">I", 0), b"iso6", b"cmfc", b"dash") + box(
-        b"moov",
-        full_box(b"mvhd", 0, struct.pack(">4I", 0, 0, timescale, 0), _PLAYBACK, _UNITY, bytes(24), _word(2)),
-        _track(timescale, width, height),
-        box(b"mvex", full_box(b"trex", 0, struct.pack(">5I", 1, 1, 0, 0, 0))),
-    )
+    size = struct.pack(">2I", width << 16, height << 16)
+    media = _handler(b"vide"), full_box(b"vmhd", 1, bytes(8)), _sample_entry(width, height), b""
+    return _init(timescale, bytes(16) + _UNITY + size, b"", media)
+
+
+def sound_init(channels: int, pre_skip: int) -> bytes:
+    """ftyp and moov of a track of Opus, without samples, in which `pre_skip` ticks are not heard (Opus in ISO BMFF)."""
+    header = bytes(12) + struct.pack(">2H", 0x100, 0) + _UNITY + bytes(8)
+    edit = box(b"edts", full_box(b"elst", 0, struct.pack(">2Ii2h", 1, 0, pre_skip, 1, 0)))
+    description = box(b"dOps", struct.pack(">2BHIhB", 0, channels, pre_skip, SOUND_RATE, 0, 0))
+    entry = bytes(6) + struct.pack(">H", 1) + bytes(8) + struct.pack(">4HI", channels, 16, 0, 0, SOUND_RATE << 16)
+    warm_up = full_box(b"sgpd", 1 << 24, b"roll", struct.pack(">2Ih", 2, 1, -WARM_UP))
+    media = _handler(b"soun"), full_box(b"smhd", 0, bytes(4)), box(b"Opus", entry, description), warm_up
+    return _init(SOUND_RATE, header, edit, media)
 
 
 _PLAYBACK = struct.pack(">IH", 0x10000, 0x100) + bytes(10)  # rate 1, volume 1
 
 
-def _track(timescale: int, width: int, height: int) -> bytes:
-    header = struct.pack(">5I", 0, 0, 1, 0, 0) + bytes(16) + _UNITY + struct.pack(">2I", width << 16, height << 16)
-    return box(
-        b"trak",
-        full_box(b"tkhd", 3, header),
-        box(
-            b"mdia",
-            full_box(b"mdhd", 0, struct.pack(">4I2H", 0, 0, timescale, 0, 0x55C4, 0)),
-            full_box(b"hdlr", 0, bytes(4), b"vide", bytes(12), b"\0"),
-            box(
-                b"minf",
-                full_box(b"vmhd", 1, bytes(8)),
-                box(b"dinf", full_box(b"dref", 0, _word(1), full_box(b"url ", 1))),
-                _sample_table(width, height),
-            ),
-        ),
+def _init(timescale: int, header: bytes, edit: bytes, media: tuple[bytes, bytes, bytes, bytes]) -> bytes:
+    """ftyp and moov of a track; `header`: the end of its tkhd; `media`: hdlr, media header, sample entry, groups."""
+    handler, kind, entry, groups = media
+    empty = [full_box(name, 0, _word(0)) for name in (b"stts", b"stsc", b"stco")]
+    table = box(b"stbl", full_box(b"stsd", 0, _word(1), entry), *empty, full_box(b"stsz", 0, bytes(8)), groups)
+    data = box(b"dinf", full_box(b"dref", 0, _word(1), full_box(b"url ", 1)))
+    clock = full_box(b"mdhd", 0, struct.pack(">4I2H", 0, 0, timescale, 0, 0x55C4, 0))
+    track = box(b"mdia", clock, handler, box(b"minf", kind, data, table))
+    return box(b"ftyp", b"iso6", struct.pack(">I", 0), b"iso6", b"cmfc", b"dash") + box(
+        b"moov",
+        full_box(b"mvhd", 0, struct.pack(">4I", 0, 0, timescale, 0), _PLAYBACK, _UNITY, bytes(24), _word(2)),
+        box(b"trak", full_box(b"tkhd", 3, struct.pack(">5I", 0, 0, 1, 0, 0), header), edit, track),
+        box(b"mvex", full_box(b"trex", 0, struct.pack(">5I", 1, 1, 0, 0, 0))),
     )
 
 
-def _sample_table(width: int, height: int) -> bytes:
+def _handler(kind: bytes) -> bytes:
+    return full_box(b"hdlr", 0, bytes(4), kind, bytes(12), b"\0")
+
+
+def _sample_entry(width: int, height: int) -> bytes:
     record = bytes([1, PROFILE, CONSTRAINTS, LEVEL, 0xFF, 0xE0, 0, 0xFD, 0xF8, 0xF8, 0])  # no sets; 4:2:0 of 8 bits
     colour = box(b"colr", b"nclx", struct.pack(">3HB", 2, 2, 2, 0x80))  # unspecified but for the full range
     entry = bytes(6) + struct.pack(">H", 1) + bytes(16) + struct.pack(">2H", width, height)
     entry += struct.pack(">3IH", 0x480000, 0x480000, 0, 1) + bytes(32) + struct.pack(">Hh", 24, -1)
-    empty = [full_box(kind, 0, _word(0)) for kind in (b"stts", b"stsc", b"stco")]
-    return box(
-        b"stbl",
-        full_box(b"stsd", 0, _word(1), box(b"avc3", entry, box(b"avcC", record), colour)),
-        *empty,
-        full_box(b"stsz", 0, bytes(8)),
-    )
+    return box(b"avc3", entry, box(b"avcC", record), colour)
 
 
 def media_segment(pictures: Sequence[CodedPicture], start: int, ticks: int) -> bytes:
@@ -201,21 +219,41 @@ def media_segment(pictures: Sequence[CodedPicture], start: int, ticks: int) -> b
         SIZE: [len(picture.data) for picture in pictures],
         COMPOSITION_OFFSET: (offsets if any(offsets) else []),
     }
+    return _fragment(start, (ticks, _OTHER), columns, [picture.data for picture in pictures])
+
+
+def sound_segment(packets: Sequence[bytes], first: int) -> bytes:
+    """moof and mdat of packets of sound, which follow each other; the first has the number `first` in the track."""
+    warm_up = full_box(b"sbgp", 0, b"roll", struct.pack(">3I", 1, len(packets), 1))
+    sizes = {SIZE: [len(packet) for packet in packets]}
+    return _fragment(first * PACKET_TICKS, (PACKET_TICKS, _SYNC), sizes, packets, warm_up)
+
+
+def _fragment(
+    start: int,
+    defaults: tuple[int, int],
+    columns: Mapping[int, Sequence[int]],
+    samples: Sequence[bytes],
+    groups: bytes = b"",
+) -> bytes:
+    """moof and mdat of samples from `start` on, the first a sync sample.
+
+    `defaults`: of the others, ticks and flags; `columns`: by the flag of a field of trun, its values or none.
+    """
     flags = DATA_OFFSET | FIRST_SAMPLE_FLAGS | sum(flag for flag, column in columns.items() if column)
     rows = [struct.pack(f">{len(row)}i", *row) for row in zip(*filter(None, columns.values()), strict=True)]
-    traf = _DEFAULT_BASE_IS_MOOF | _DURATION_AND_FLAGS
-    head = full_box(b"tfhd", traf, struct.pack(">3I", 1, ticks, _OTHER))
+    head = full_box(b"tfhd", _DEFAULT_BASE_IS_MOOF | _DURATION_AND_FLAGS, struct.pack(">3I", 1, *defaults))
     head += full_box(b"tfdt", 1 << 24, struct.pack(">Q", start))
-    moof_bytes = HEADER + 16 + HEADER + len(head) + 24 + sum(map(len, rows))
+    moof_bytes = HEADER + 16 + HEADER + len(head) + 24 + sum(map(len, rows)) + len(groups)
     run = struct.pack(">IiI", len(rows), moof_bytes + HEADER, _SYNC)
-    traf_box = box(b"traf", head, full_box(b"trun", 1 << 24 | flags, run, *rows))
+    traf_box = box(b"traf", head, full_box(b"trun", 1 << 24 | flags, run, *rows), groups)
     moof = box(b"moof", full_box(b"mfhd", 0, _word(1)), traf_box)
-    return moof + box(b"mdat", *(picture.data for picture in pictures))
+    return moof + box(b"mdat", *samples)
 
 
-def with_columns(media: bytes, columns: bytes) -> bytes:
-    """A media segment behind a column file in a uuid box; empty columns make none."""
-    return (box(b"uuid", COLUMNS, columns) if columns else b"") + media
+def with_own_box(fragment: bytes, checksums: Sequence[int], columns: bytes) -> bytes:
+    """A media segment: a moof and its mdat behind a uuid box with a checksum a sample and a column file."""
+    return box(b"uuid", OWN, struct.pack(f">{len(checksums)}I", *checksums), columns) + fragment
 
 
 def box(kind: bytes, *content: bytes) -> bytes:

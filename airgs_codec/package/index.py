@@ -6,11 +6,11 @@ from bisect import bisect_right
 from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import accumulate, chain
 from typing import Literal
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.paths import page_path
+from airgs_codec.package.layout import page_path
 from airgs_codec.package.tables import PAGE, FileEntry, Spans
 
 
@@ -60,7 +60,7 @@ class _Block:
         return page_path(self.level, self.groups[place] // PAGE**self.level + 1)
 
     def entry(self, place: int) -> Entry:
-        """What is said of the part at a place."""
+        """Return what is said of the part at a place."""
         start, spans = self.frames[place], self.spans
         return Entry(start, start + spans.frames[place], self.segments[place], spans.segments[place], spans.file(place))
 
@@ -88,24 +88,38 @@ class GroupIndex:
             self.segments += sum(spans.segments)
 
     def entry(self, group: int) -> Entry:
-        """What is said of a group. Raises IndexError."""
-        block, place = self._leaf("groups", group)
+        """Return what is said of a group. Raises IndexError."""
+        *_, (block, place) = self._descend("groups", group)
         return block.entry(place)
 
     def at_frame(self, frame: int) -> int:
         """The group that shows a frame. Raises IndexError outside the sequence."""
-        block, place = self._leaf("frames", frame)
-        return block.groups[place]
+        return self._group("frames", frame)
 
     def at_segment(self, segment: int) -> int:
         """The group that a segment belongs to. Raises IndexError outside the sequence."""
-        block, place = self._leaf("segments", segment)
-        return block.groups[place]
+        return self._group("segments", segment)
 
     def pages(self) -> Iterator[str]:
         """The paths of all pages, those that lead to others first."""
         for level in reversed(range(1, len(self._top) + 1)):
             yield from (page_path(level, number) for number in range(1, self.groups // PAGE**level + 1))
+
+    def sweep(self) -> Iterator[int | FormatError]:
+        """Every group, in order; in place of those that a page would lead to that cannot be read, why not."""
+        return chain.from_iterable(map(self._sweep, reversed(self._top)))
+
+    def _sweep(self, block: _Block) -> Iterator[int | FormatError]:
+        for place, group in enumerate(block.groups):
+            if not block.level:
+                yield group
+                continue
+            try:
+                page = self._page(block, place)
+            except FormatError as error:
+                yield error
+            else:
+                yield from self._sweep(page)
 
     def page_file(self, level: int, number: int) -> FileEntry:
         """The file of a page, counted from 0 in its level. Raises IndexError."""
@@ -118,13 +132,9 @@ class GroupIndex:
         """Read a page, counted from 0 in its level."""
         next(block for block, _ in self._descend("groups", number * PAGE**level) if block.level < level)
 
-    def pages_to_segment(self, segment: int) -> Iterator[str]:
-        """The pages that lead to a segment, from the root on; each is read when the next is asked for."""
-        return (block.path(place) for block, place in self._descend("segments", segment) if block.level)
-
-    def pages_to_group(self, group: int) -> Iterator[str]:
-        """The pages that lead to a group; see `pages_to_segment`."""
-        return (block.path(place) for block, place in self._descend("groups", group) if block.level)
+    def pages_to(self, count: Count, number: int) -> Iterator[str]:
+        """The pages that lead to a group, frame or segment, from the root on; each is read when the next is wanted."""
+        return (block.path(place) for block, place in self._descend(count, number) if block.level)
 
     def missing_pages(self, segment: int, there: Container[str]) -> list[str]:
         """Pages with a segment or later ones that are not there, as far as pages that are there lead to them."""
@@ -150,10 +160,9 @@ class GroupIndex:
         before, frames = segment - entry.first_segment, entry.stop - entry.start
         return entry.start + frames * before // entry.segments, entry.start + frames * (before + 1) // entry.segments
 
-    def _leaf(self, count: Count, number: int) -> tuple[_Block, int]:
-        """The block of groups with a group, frame or segment, and the place of its group."""
-        *_, found = self._descend(count, number)
-        return found
+    def _group(self, count: Count, number: int) -> int:
+        *_, (block, place) = self._descend(count, number)
+        return block.groups[place]
 
     def _descend(self, count: Count, number: int) -> Iterator[tuple[_Block, int]]:
         """The blocks that lead to a group, frame or segment, and the places in them; the first is of the root."""
@@ -169,7 +178,7 @@ class GroupIndex:
             block = self._page(block, place)
 
     def _page(self, block: _Block, place: int) -> _Block:
-        """What stands on the page at a place of a block."""
+        """Return what stands on the page at a place of a block."""
         path = block.path(place)
         if path not in self._pages:
             entry = block.entry(place)

@@ -13,16 +13,19 @@ from typing import TYPE_CHECKING, overload
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry, GroupIndex, ReadPage
-from airgs_codec.package.parse import build_index, pack_group
-from airgs_codec.package.paths import (
+from airgs_codec.package.layout import (
     INIT_NAME,
+    POSTER_NAME,
+    SOUND_INIT_NAME,
     group_path,
     key_media_path,
     key_sidecar_path,
     locate,
+    sound_path,
     state_media_path,
     tile_folder,
 )
+from airgs_codec.package.parse import build_index, pack_group
 from airgs_codec.package.references import check_kept
 from airgs_codec.package.tables import MAX_PSNR, FileEntry, Group, Header, Segment, Spans
 
@@ -33,13 +36,16 @@ KEPT = 1024  # tables of groups
 
 
 class Groups(Sequence[Group]):
-    """The groups of a package in order. The tables last used are kept, the others are read again."""
+    """The groups of a package in order. The tables last used stay in memory, the others are read again; one that is
+    refused is not, as it is what its digest says.
+    """
 
     def __init__(self, index: list[Spans], read_page: ReadPage, read: Callable[[int, Entry], Group]) -> None:
         self.columns = index
         self.places = GroupIndex(index, read_page)
         self._read = read
         self._kept: OrderedDict[int, Group] = OrderedDict()
+        self._refused: dict[int, FormatError] = {}
 
     @staticmethod
     def of(groups: Sequence[Group]) -> Groups:
@@ -60,8 +66,15 @@ class Groups(Sequence[Group]):
         if isinstance(place, slice):
             return [self[i] for i in range(len(self))[place]]
         number = range(len(self))[place]
+        if number in self._refused:
+            raise self._refused[number].with_traceback(None)
         if number not in self._kept:
-            self.keep(number, self._read(number, self.places.entry(number)))
+            try:
+                self.keep(number, self._read(number, self.places.entry(number)))
+            except FormatError as error:
+                if error.reason != "missing_file":  # which may come
+                    self._refused[number] = error
+                raise
         self._kept.move_to_end(number)
         return self._kept[number]
 
@@ -81,15 +94,7 @@ class Segments(Sequence[Segment]):
     def __len__(self) -> int:
         return self._groups.places.segments
 
-    @overload
-    def __getitem__(self, place: int) -> Segment: ...
-
-    @overload
-    def __getitem__(self, place: slice) -> list[Segment]: ...
-
-    def __getitem__(self, place: int | slice) -> Segment | list[Segment]:
-        if isinstance(place, slice):
-            return [self[i] for i in range(len(self))[place]]
+    def __getitem__(self, place: int) -> Segment:  # type: ignore[override]  # nobody asks for slices
         number = range(len(self))[place]
         group = self._groups.places.at_segment(number)
         return self._groups[group].segments[number - self._groups.places.entry(group).first_segment]
@@ -155,20 +160,30 @@ class Manifest(Header):
             if files[tile].bytes
         ]
 
+    def sound_files(self, group: int) -> list[str]:
+        """The sound of a group; none where there is nothing to fetch."""
+        entry = self.groups[group].sound
+        return [sound_path(group + 1)] if entry and entry.bytes else []
+
     def group_files(self, group: int) -> list[str]:
         """Every file that the table of a group lists."""
         units, qualities, levels = range(self.units), range(len(self.qualities)), range(len(self.levels))
         keys = [path for k in units for q in qualities for path in self.key_files(group, k, q)]
         states = [path for s in self.segments_of(group) for j in levels for path in self.state_files(s, j)]
-        return sorted({*keys, *states})
+        return sorted({*self.sound_files(group), *keys, *states})
 
-    def table_files(self) -> list[str]:
+    def shared_files(self) -> list[str]:
+        """Files of the whole sequence that are no tables."""
+        return [INIT_NAME] + [POSTER_NAME] * (self.poster is not None) + [SOUND_INIT_NAME] * (self.sound is not None)
+
+    def table_files(self) -> Iterator[str]:
         """Pages of the index and tables of the groups."""
-        return [*self.groups.places.pages(), *(group_path(number + 1) for number in range(len(self.groups)))]
+        yield from self.groups.places.pages()
+        yield from (group_path(number + 1) for number in range(len(self.groups)))
 
     def files(self) -> Iterator[str]:
         """Every file of the package but airgs.json and manifest.mpd; reads the table of every group."""
-        yield INIT_NAME
+        yield from self.shared_files()
         yield from self.table_files()
         for group in range(len(self.groups)):
             yield from self.group_files(group)
@@ -186,7 +201,7 @@ class Manifest(Header):
     def _entry(self, path: str) -> FileEntry | None:
         what, numbers = locate(path)
         if what in ("sidecar", "key", "state"):
-            tile, *numbers = numbers
+            tile, numbers = numbers[0], numbers[1:]
             if (tile > 0) != (self.tiles > 1):
                 return None
             tile = max(0, tile - 1)
@@ -197,25 +212,31 @@ class Manifest(Header):
                 return self.groups[number - 1].tiles[tile].tiers[tier].pictures[quality]
             case "state", [level, number]:
                 return self.segments[number - 1].levels[level].files[tile]
+            case "sound", [number]:
+                return self.groups[number - 1].sound
             case "group", [number]:
                 return self.groups.places.entry(number - 1).file
             case "page", [level, number]:
                 return self.groups.places.page_file(level, number - 1)
-        return self.init if path == INIT_NAME else None
+        sound = self.sound.init if self.sound else None
+        return {INIT_NAME: self.init, POSTER_NAME: self.poster, SOUND_INIT_NAME: sound}.get(path)
 
-    def bytes_of(self, paths: Sequence[str]) -> int:
+    def bytes_of(self, paths: Iterable[str]) -> int:
         """Total length of files."""
         return sum(self.entry(path).bytes for path in paths)
 
     def media_bytes(self) -> int:
         """Length of all files but the tables and manifest.mpd."""
-        return self.init.bytes + sum(self.bytes_of(self.group_files(group)) for group in range(len(self.groups)))
+        return self.bytes_of(self.shared_files()) + sum(
+            self.bytes_of(self.group_files(group)) for group in range(len(self.groups))
+        )
 
     def rung_files(self, quality: int, level: int) -> list[str]:
         """Every file a viewer of one rung fetches from start to end, without tables."""
-        units = self.units_of(level)
-        keys = [path for g in range(len(self.groups)) for k in units for path in self.key_files(g, k, quality)]
-        return keys + [path for s in range(len(self.segments)) for path in self.state_files(s, level)]
+        units, groups = self.units_of(level), range(len(self.groups))
+        sound = [path for g in groups for path in self.sound_files(g)]
+        keys = [path for g in groups for k in units for path in self.key_files(g, k, quality)]
+        return sound + keys + [path for s in range(len(self.segments)) for path in self.state_files(s, level)]
 
 
 def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:

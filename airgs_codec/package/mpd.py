@@ -1,7 +1,7 @@
 """manifest.mpd: a valid DASH MPD over the package's files, one Period. Advisory; airgs.json is normative.
 
-One AdaptationSet for the state of each tile (its Representations are the levels) and one for each of its key tiers
-(the key qualities).
+One AdaptationSet for the state of each tile (its Representations are the levels), one for each of its key tiers
+(the key qualities) and one for the sound, whose timeline is that of the groups: packets meet it to 20 ms.
 The shape was chosen by what ffmpeg and dash.js read: SegmentTemplate with $Number$ and an explicit SegmentTimeline,
 SupplementalProperty only, relative addresses, one init segment for all. The SegmentTemplate stands in the
 AdaptationSet where the timelines of its Representations are equal; otherwise each has its own, and the set has none
@@ -17,14 +17,23 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.mp4 import CODECS
+from airgs_codec.media.mp4 import CODECS, OPUS
+from airgs_codec.package.layout import (
+    INIT_NAME,
+    JSON_NAME,
+    SOUND_INIT_NAME,
+    key_media_path,
+    sound_path,
+    state_media_path,
+    tile_folder,
+)
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.paths import INIT_NAME, JSON_NAME, key_media_path, state_media_path, tile_folder
 from airgs_codec.package.tables import Group, Header, Segment
 
 DASH = "urn:mpeg:dash:schema:mpd:2011"
 MIN_BUFFER_S = 1.0
 NUMBER = "$Number$"  # stands for the number of a file in a SegmentTemplate
+SOUND = "sound"
 ID = "$RepresentationID$"  # stands there for the id, which is the folder of the files below that of all of its kind
 CONTENT = {  # the elements that this format uses, and their children in the order of ISO/IEC 23009-1's schema
     "MPD": ("Period",),
@@ -69,6 +78,7 @@ class Representation:
     id: str
     media: str  # template with $Number$
     timeline: tuple[Run, ...]  # no two of which could be one
+    init: str = INIT_NAME
     bandwidth: int = field(default=0, compare=False)  # bit/s
 
 
@@ -76,7 +86,7 @@ class Representation:
 class AdaptationSet:
     """Representations of which a viewer plays one at a time, the best first."""
 
-    role: str  # "state", or the key tier
+    role: str  # "state", the key tier, or "sound"
     priority: int  # a DASH player that knows nothing of this format shows the state
     representations: tuple[Representation, ...]
 
@@ -89,17 +99,13 @@ class LiveClock:
     published: datetime  # of this MPD
 
 
-def adaptation_sets(m: Manifest) -> list[AdaptationSet]:
-    """What the tables call for: the state, then each key tier; streams without files and empty sets are left out."""
-    return Streams.of(m).sets()
-
-
 @dataclass(slots=True)
 class _Stream:
     """A Representation as its files are found."""
 
     id: str
     media: str
+    init: str = INIT_NAME
     timeline: list[Run] = field(default_factory=list)
     rate: float = 0.0  # bit/s
 
@@ -114,27 +120,8 @@ class _Stream:
             self.rate = max(self.rate, 8 * size / min(MIN_BUFFER_S, float(frames / m.fps)))
 
     def listed(self) -> Representation:
-        """What the MPD says of it."""
-        return Representation(self.id, self.media, tuple(self.timeline), int(self.rate) + 1)
-
-
-@dataclass(frozen=True, slots=True)
-class _Tile:
-    """The streams of a tile."""
-
-    states: list[_Stream]  # of each level
-    keys: list[list[_Stream]]  # tier x quality
-
-    @staticmethod
-    def of(m: Header, tile: int) -> _Tile:
-        """Those of a tile, which have no files yet."""
-        folder = tile_folder(tile, m.tiles)
-        states = [_Stream(f"{folder}L{j}", state_media_path(folder, j, NUMBER)) for j in range(len(m.levels))]
-        keys = [
-            [_Stream(f"{folder}T{t}/Q{q}", key_media_path(folder, t, q, NUMBER)) for q in range(len(m.qualities))]
-            for t in range(m.tiers)
-        ]
-        return _Tile(states, keys)
+        """Return what the MPD says of it."""
+        return Representation(self.id, self.media, tuple(self.timeline), self.init, int(self.rate) + 1)
 
 
 class Streams:
@@ -143,7 +130,16 @@ class Streams:
     def __init__(self, m: Header) -> None:
         """`m`: the package, whose groups are added one by one."""
         self._header = m
-        self._tiles = [_Tile.of(m, tile) for tile in range(m.tiles)]
+        self._states: list[list[_Stream]] = []  # tile x level
+        self._keys: list[list[_Stream]] = []  # unit x quality
+        for folder in (tile_folder(tile, m.tiles) for tile in range(m.tiles)):
+            self._states.append(
+                [_Stream(f"{folder}L{j}", state_media_path(folder, j, NUMBER)) for j in range(len(m.levels))]
+            )
+            for t in range(m.tiers):
+                names = [(f"{folder}T{t}/Q{q}", key_media_path(folder, t, q, NUMBER)) for q in range(len(m.qualities))]
+                self._keys.append([_Stream(*name) for name in names])
+        self._sound = _Stream(SOUND, sound_path(NUMBER), SOUND_INIT_NAME)
         self._groups = self._segments = 0  # so far
         self.longest = 0  # frames of a group
 
@@ -159,24 +155,27 @@ class Streams:
         """The next group."""
         m = self._header
         self._groups += 1
-        for streams, tile in zip(self._tiles, group.tiles, strict=True):
-            for row, tier in zip(streams.keys, tile.tiers, strict=True):
-                for stream, picture in zip(row, tier.pictures, strict=True):
-                    stream.add(m, self._groups, group, picture.bytes)
+        for row, tier in zip(self._keys, group.units, strict=True):
+            for stream, picture in zip(row, tier.pictures, strict=True):
+                stream.add(m, self._groups, group, picture.bytes)
+        self._sound.add(m, self._groups, group, group.sound.bytes if group.sound else 0)
         for segment in group.segments:
             self._segments += 1
-            for p, streams in enumerate(self._tiles):
-                for stream, level in zip(streams.states, segment.levels, strict=True):
+            for p, row in enumerate(self._states):
+                for stream, level in zip(row, segment.levels, strict=True):
                     stream.add(m, self._segments, segment, level.files[p].bytes)
         self.longest = max(self.longest, group.stop - group.start)
 
     def sets(self) -> list[AdaptationSet]:
-        """Of each tile the state, then each key tier; streams without files and empty sets are left out."""
+        """Of each tile the state, then each key tier, then the sound, as far as they have files."""
         sets: list[tuple[str, int, list[_Stream]]] = []
-        for tile, streams in enumerate(self._tiles, 1):
-            where = f";tile={tile}" if len(self._tiles) > 1 else ""
-            sets.append((f"state{where}", 10, streams.states))
-            sets += [(f"key;tier={t}{where}", 1, row) for t, row in enumerate(streams.keys)]
+        tiers = self._header.tiers
+        for tile, states in enumerate(self._states):
+            where = f";tile={tile + 1}" if len(self._states) > 1 else ""
+            sets.append((f"state{where}", 10, states))
+            keys = self._keys[tile * tiers : (tile + 1) * tiers]
+            sets += [(f"key;tier={t}{where}", 1, row) for t, row in enumerate(keys)]
+        sets.append((SOUND, 1, [self._sound]))
         listed = [(role, priority, tuple(r.listed() for r in row if r.timeline)) for role, priority, row in sets]
         return [AdaptationSet(role, priority, row) for role, priority, row in listed if row]
 
@@ -216,14 +215,15 @@ def _presentation(m: Manifest, duration: str, clock: LiveClock | None, longest: 
 
 def _write_set(period: ET.Element, m: Manifest, number: int, adaptation_set: AdaptationSet) -> None:
     listed = adaptation_set.representations
+    kind, codecs = ("audio", OPUS) if adaptation_set.role == SOUND else ("video", CODECS)
     element = _element(
         period,
         "AdaptationSet",
         id=str(number),
         selectionPriority=str(adaptation_set.priority),
-        contentType="video",
-        mimeType="video/mp4",
-        codecs=CODECS,
+        contentType=kind,
+        mimeType=f"{kind}/mp4",
+        codecs=codecs,
         segmentAlignment="true",
         startWithSAP="1",
     )
@@ -242,7 +242,7 @@ def _write_template(parent: ET.Element, m: Manifest, r: Representation) -> None:
         parent,
         "SegmentTemplate",
         timescale=str(m.timescale),
-        initialization=INIT_NAME,
+        initialization=r.init,
         media=r.media.replace(r.id, ID),
         startNumber=str(r.timeline[0].number),
     )

@@ -6,9 +6,9 @@ import re
 import xml.etree.ElementTree as ET
 
 from airgs_codec.errors import FormatError
+from airgs_codec.package.layout import MPD_NAME
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import CONTENT, DASH, ID, Representation, Run, adaptation_sets, append
-from airgs_codec.package.paths import INIT_NAME, MPD_NAME
+from airgs_codec.package.mpd import CONTENT, DASH, ID, Representation, Run, Streams, append
 
 _XLINK = "{http://www.w3.org/1999/xlink}"
 _LEAD_AWAY = ("BaseURL", "Location", "PatchLocation")  # elements that change where a player fetches
@@ -28,12 +28,14 @@ def check_mpd(data: bytes, m: Manifest) -> None:
     _check_shape(root)
     _check_duration(root, m)
     found = [(row, row.findall(f"{{{DASH}}}Representation")) for row in root.iter(f"{{{DASH}}}AdaptationSet")]
-    expected = [s.representations for s in adaptation_sets(m)]
-    _check_ids([[_id(r) for r in rows] for _, rows in found], [[r.id for r in rows] for rows in expected])
+    expected = [s.representations for s in Streams.of(m).sets()]
+    _check_ids([[r.get("id", "") for r in rows] for _, rows in found], [[r.id for r in rows] for rows in expected])
     wanted = {r.id: r for rows in expected for r in rows}
     for row, rows in found:
         for element in rows:
-            _compare(_read(row, element, m, wanted[_id(element)]), wanted[_id(element)])
+            expects = wanted[element.get("id", "")]
+            if (got := _read(row, element, m, expects)) != expects:
+                raise FormatError("mpd_mismatch", f"{MPD_NAME} {expects.id}", f"expected {expects}, got {got}")
 
 
 def _check_ids(found: list[list[str]], expected: list[list[str]]) -> None:
@@ -45,13 +47,10 @@ def _check_ids(found: list[list[str]], expected: list[list[str]]) -> None:
         raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", "is not in both the MPD and the tables")
     if {frozenset(row) for row in found if row} != {frozenset(row) for row in expected}:
         raise FormatError(
-            "mpd_mismatch", MPD_NAME, "expected an AdaptationSet for the state of each tile and one for each key tier"
+            "mpd_mismatch",
+            MPD_NAME,
+            "expected an AdaptationSet for the state of each tile, for each key tier and for the sound",
         )
-
-
-def _compare(got: Representation, wanted: Representation) -> None:
-    if got != wanted:
-        raise FormatError("mpd_mismatch", f"{MPD_NAME} {wanted.id}", f"expected {wanted}, got {got}")
 
 
 def _parse(data: bytes) -> ET.Element:
@@ -77,13 +76,10 @@ def _check_shape(root: ET.Element) -> None:
     """Refuse elements and attributes that this format does not use: a player might follow them, a check would not."""
     if root.tag != f"{{{DASH}}}MPD" or len(root.findall(f"{{{DASH}}}Period")) != 1:
         raise FormatError("bad_mpd", MPD_NAME, "expected an MPD with one Period")
-    waiting = [root]
-    while waiting:
-        parent = waiting.pop()
+    for parent in root.iter():
         _check_attributes(parent)
         for child in parent:
             _check_child(_local(parent), child)
-            waiting.append(child)
 
 
 def _check_attributes(element: ET.Element) -> None:
@@ -93,13 +89,8 @@ def _check_attributes(element: ET.Element) -> None:
             raise FormatError("foreign_url", f"{MPD_NAME} {name}", "expected no xlink")
         if attribute not in _ATTRIBUTES.get(name, {attribute}):
             raise FormatError("bad_mpd", f"{MPD_NAME} {name}", f"unknown attribute {attribute!r}")
-        if name == "SegmentTemplate":
-            _check_address(value)
-
-
-def _check_address(text: str) -> None:
-    if ":" in text or text.startswith("/") or ".." in text.split("/"):
-        raise FormatError("foreign_url", MPD_NAME, f"expected a relative address inside the package, got {text!r}")
+        if name == "SegmentTemplate" and (":" in value or value.startswith("/") or ".." in value.split("/")):
+            raise FormatError("foreign_url", MPD_NAME, f"expected a relative address inside the package, got {value!r}")
 
 
 def _check_child(parent: str, child: ET.Element) -> None:
@@ -112,8 +103,8 @@ def _check_child(parent: str, child: ET.Element) -> None:
 
 def _local(element: ET.Element) -> str:
     """Name of a DASH element without its namespace; empty for any other element."""
-    prefix = f"{{{DASH}}}"
-    return element.tag.removeprefix(prefix) if element.tag.startswith(prefix) else ""
+    namespace, _, name = element.tag.rpartition("}")
+    return name if namespace == f"{{{DASH}" else ""
 
 
 def _check_duration(root: ET.Element, m: Manifest) -> None:
@@ -131,18 +122,14 @@ def _check_duration(root: ET.Element, m: Manifest) -> None:
         raise FormatError("mpd_mismatch", MPD_NAME, f"expected a presentation of {seconds:.6f} s, got {text}")
 
 
-def _id(representation: ET.Element) -> str:
-    return representation.get("id", "")
-
-
 def _read(row: ET.Element, element: ET.Element, m: Manifest, wanted: Representation) -> Representation:
     """A Representation with what it has from its AdaptationSet `row`."""
     where = f"{MPD_NAME} {wanted.id}"
     template = _template(row, element, where)
     init, media = (template.get(name, "").replace(ID, wanted.id) for name in ("initialization", "media"))
-    if init != INIT_NAME or _whole(template.get("timescale"), where) != m.timescale:
-        raise FormatError("mpd_mismatch", where, f"expected {INIT_NAME} and timescale {m.timescale}")
-    return Representation(wanted.id, media, _timeline(template, where))
+    if _whole(template.get("timescale"), where) != m.timescale:
+        raise FormatError("mpd_mismatch", where, f"expected timescale {m.timescale}")
+    return Representation(wanted.id, media, _timeline(template, where), init)
 
 
 def _template(row: ET.Element, element: ET.Element, where: str) -> ET.Element:

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
+from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry
+from airgs_codec.package.layout import JSON_NAME, MEDIA_TYPES, MPD_NAME, POSTER_NAME, ROOTS, group_path, locate
 from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.package.parse import MAX_ROOT_BYTES, parse_group, parse_page, parse_root
-from airgs_codec.package.paths import JSON_NAME, MEDIA_TYPES, MPD_NAME, ROOTS, group_path, locate
+from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_group, parse_page, parse_root
 from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest, file_entry
 from airgs_codec.places.place import BUCKETS, WEB, Place, place_at
 
+if TYPE_CHECKING:  # decoding needs no cameras
+    from airgs_codec.scene.camera import Camera
+
+OPENED = "an open package or the path of one"  # what functions expect that take either
 Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -> its bytes
 
 
@@ -30,6 +38,24 @@ class Package:
     def manifest_bytes(self) -> int:
         """All tables and manifest.mpd together."""
         return self.root_bytes + self.mpd_bytes + self.manifest.bytes_of(self.manifest.table_files())
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """What viewers see from each place of the viewing region; they begin at the first."""
+        from airgs_codec.package.region import first_views
+
+        return first_views(self.manifest.region, self.manifest.world)
+
+    def _repr_html_(self) -> str:
+        """The poster, where there is one, and a line for notebooks."""
+        m, picture = self.manifest, ""
+        if m.poster:
+            with suppress(FormatError):
+                data = base64.b64encode(self.read(POSTER_NAME)).decode()
+                picture = f'<img src="data:{MEDIA_TYPES[".jpg"]};base64,{data}" alt=""><br>'
+        rungs = f"{len(m.qualities)} key qualities of {len(m.levels)} levels"
+        words = f"{self.files.name}: {m.frames} frames at {float(m.fps):g} a second, {rungs}; {m.attribution}"
+        return f"<figure>{picture}<figcaption>{escape(words.removesuffix('; '))}</figcaption></figure>"
 
     def read(self, relative: str) -> bytes:
         """A file that the tables list, whole and unaltered.
@@ -57,7 +83,7 @@ def write_file(files: Place, relative: str, data: bytes) -> FileEntry:
 
 
 def _headers(relative: str) -> dict[str, str]:
-    """What a bucket says of a file to those who fetch it over HTTP; docs/serving.md gives the reasons."""
+    """Return what a bucket says of a file to those who fetch it over HTTP; docs/serving.md gives the reasons."""
     name = relative.rpartition("/")[2]
     headers = {"Content-Type": MEDIA_TYPES[name[name.index(".") :]]}
     return headers | {"Cache-Control": "no-cache"} if name in ROOTS else headers
@@ -71,27 +97,34 @@ def check_digest(relative: str, data: bytes | bytearray, entry: FileEntry) -> No
 
 def open_manifest(root: Root, read: Read) -> Manifest:
     """The tables of a package whose airgs.json is read; `read` gets pages and tables of groups when they are needed."""
-    shared = {field.name: getattr(root, field.name) for field in fields(Header)}
+
+    def table(path: str, file: FileEntry) -> bytes:
+        if file.bytes > MAX_TABLE_BYTES:
+            raise FormatError("too_large", path, f"expected at most {MAX_TABLE_BYTES} bytes, got {file.bytes}")
+        return read(path, file)
 
     def page(path: str, entry: Entry) -> Spans:
-        return parse_page(read(path, entry.file), entry, path)
+        return parse_page(table(path, entry.file), entry, path)
 
     def group(number: int, entry: Entry) -> Group:
-        return parse_group(read(group_path(number + 1), entry.file), root, entry, number)
+        return parse_group(table(group_path(number + 1), entry.file), root, entry, number)
 
-    return Manifest(**shared, init=root.init, groups=Groups(root.index, page, group))
+    return Manifest(**_shared(root), groups=Groups(root.index, page, group))
 
 
 def root_of(m: Manifest) -> Root:
     """The airgs.json of a package."""
-    shared = {field.name: getattr(m, field.name) for field in fields(Header)}
-    return Root(**shared, init=m.init, index=m.groups.columns)
+    return Root(**_shared(m), index=m.groups.columns)
 
 
 def manifest_of(root: Root, groups: Sequence[Group]) -> Manifest:
     """The tables of a package whose groups' tables are in memory; the index in `root` is made anew."""
-    shared = {field.name: getattr(root, field.name) for field in fields(Header)}
-    return Manifest(**shared, init=root.init, groups=Groups.of(groups))
+    return Manifest(**_shared(root), groups=Groups.of(groups))
+
+
+def _shared(one: Root | Manifest) -> dict[str, Any]:
+    """The fields that both have."""
+    return {field.name: getattr(one, field.name) for field in fields(Header)} | {"init": one.init}
 
 
 def open_package(path: str | Path) -> Package:
@@ -107,8 +140,8 @@ def open_files(files: Place) -> Package:
     """Open the package of these files, wherever they are; raises as `open_package` does."""
     mpd_bytes, _ = _open_root(files, MPD_NAME)
     size, read = _open_root(files, JSON_NAME)
-    if size > MAX_ROOT_BYTES:
-        raise FormatError("too_large", f"{files.name}/{JSON_NAME}", f"expected at most {MAX_ROOT_BYTES} bytes")
+    if size > MAX_TABLE_BYTES:
+        raise FormatError("too_large", f"{files.name}/{JSON_NAME}", f"expected at most {MAX_TABLE_BYTES} bytes")
     data = read()
     manifest = open_manifest(parse_root(data), lambda name, entry: read_file(files, name, entry))
     return Package(files, manifest, len(data), mpd_bytes)
@@ -133,14 +166,15 @@ def find_faults(package: Package) -> dict[str, FormatError]:
     """Files that cannot be used, each with the reason why `Package.read` refuses it; DASH's own are not read."""
     faults: dict[str, FormatError] = {}
     m = package.manifest
-    for number in range(len(m.groups)):
-        table = group_path(number + 1)
+    for number in m.groups.places.sweep():
+        if isinstance(number, FormatError):
+            faults[number.where] = number
+            continue
         try:
-            m.groups.places.entry(number)
             m.base_of(number)
             paths = m.group_files(number)
         except FormatError as error:
-            faults[error.where if locate(error.where)[0] == "page" else table] = error
+            faults[error.where if locate(error.where)[0] == "page" else group_path(number + 1)] = error
             continue
         for path in paths:
             try:

@@ -10,6 +10,7 @@ import dataclasses
 import gzip
 import json
 import math
+import types
 import typing
 import zlib
 from collections.abc import Sequence
@@ -18,14 +19,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from airgs_codec.errors import FormatError, SceneError
-from airgs_codec.package.constraints import Constraint, as_required
 from airgs_codec.package.index import Entry
-from airgs_codec.package.paths import JSON_NAME, group_path, page_path
+from airgs_codec.package.layout import JSON_NAME, group_path, page_path
 from airgs_codec.package.references import check_group, check_keeps, check_page, check_region, check_root
 from airgs_codec.package.tables import PAGE, VERSION, Group, Header, Region, Root, Spans, file_entry
 
 
-def parse_root(text: str | bytes) -> Root:
+def parse_root(text: bytes) -> Root:
     """The value of an airgs.json. Raises FormatError whose `where` names the place.
 
     Reasons: not_json, unknown_version, unknown_field, missing_field, wrong_type, bad_value, missing_entry.
@@ -62,11 +62,14 @@ def parse_group(data: bytes, header: Header, entry: Entry, number: int) -> Group
     return group
 
 
-def _load(text: str | bytes, where: str) -> Any:
+def _load(data: bytes, where: str) -> Any:
+    if len(data) > MAX_TABLE_BYTES or sum(map(data.count, (b",", b"[", b"{"))) > MAX_VALUES:
+        detail = f"expected at most {MAX_TABLE_BYTES} bytes of JSON with {MAX_VALUES} commas and opening brackets"
+        raise FormatError("too_large", where, detail)
     try:
-        return json.loads(text, parse_constant=_refuse_constant)
+        return json.loads(data.decode(), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        raise FormatError("not_json", where, f"expected JSON: {error}") from error
+        raise FormatError("not_json", where, f"expected JSON in UTF-8: {error}") from error
 
 
 def read_region(path: Path) -> Region:
@@ -91,7 +94,11 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
     """`data` as a value of the annotated type `kind`."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
-        return _constrained(_parse(arguments[0], data, where), arguments[1:], where)
+        value = _parse(arguments[0], data, where)
+        for constraint in arguments[1:]:
+            if refusal := constraint.refusal(value):
+                raise FormatError("bad_value", where, refusal)
+        return value
     if origin is list:
         return [_parse(arguments[0], d, f"{where}[{i}]") for i, d in enumerate(_expect(data, list, where))]
     if origin is dict:
@@ -102,6 +109,10 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
         return _parse_dataclass(kind, _expect(data, dict, where), where)
     if kind is float:
         return _parse_float(data, where)
+    if kind is int and isinstance(data, float) and data.is_integer():
+        return int(data)  # 4.0, which is 4 in JSON Schema and in browsers
+    if kind is str and not str.isascii(_expect(data, str, where)):
+        return _parse_text(data, where)
     if kind is bool and isinstance(data, bool):
         return data
     return _expect(data, kind, where)
@@ -110,7 +121,7 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
 def _parse_dataclass(kind: Any, data: dict[str, Any], where: str) -> Any:
     hints, optional = _fields(kind)
     if unknown := sorted(data.keys() - hints.keys()):
-        raise FormatError("unknown_field", where, f"unknown fields {unknown}")
+        raise FormatError("unknown_field", where, f"unknown fields {unknown[:8]}")
     if missing := sorted(hints.keys() - optional - data.keys(), key=list(hints).index):
         raise FormatError("missing_field", where, f"missing fields {missing}")
     given = {name: _parse(hints[name], data[name], f"{where}.{name}") for name in hints if name in data}
@@ -125,18 +136,30 @@ def _fields(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
     return required, frozenset(name for name in hints if required[name] is not hints[name])
 
 
+def as_required(hint: Any) -> Any:
+    """T for the type T | None of a field that may be missing; any other type as it is."""
+    if typing.get_origin(hint) not in (types.UnionType, typing.Union):
+        return hint
+    (kind,) = (argument for argument in typing.get_args(hint) if argument is not type(None))
+    return kind
+
+
 def _parse_float(data: Any, where: str) -> float:
-    number = float(_expect(data, (int, float), where))
+    try:
+        number = float(_expect(data, (int, float), where))
+    except OverflowError:  # an integer of hundreds of digits
+        number = math.inf
     if not math.isfinite(number):
-        raise FormatError("bad_value", where, f"expected a finite number, got {data}")
+        raise FormatError("bad_value", where, "expected a finite number")
     return number
 
 
-def _constrained(value: Any, constraints: tuple[Constraint, ...], where: str) -> Any:
-    for constraint in constraints:
-        if refusal := constraint.refusal(value):
-            raise FormatError(constraint.reason, where, refusal)
-    return value
+def _parse_text(text: str, where: str) -> str:
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:  # half a pair that JSON gave as \ud800
+        raise FormatError("bad_value", where, f"expected text, got {text[error.start]!r} alone") from error
+    return text
 
 
 def _expect(data: Any, kind: type | tuple[type, ...], where: str) -> Any:
@@ -146,8 +169,8 @@ def _expect(data: Any, kind: type | tuple[type, ...], where: str) -> Any:
     return data
 
 
-MAX_ROOT_BYTES = 1 << 24
-MAX_TABLE_BYTES = 1 << 28  # of a group's table, inflated
+MAX_TABLE_BYTES = 1 << 24  # of JSON: what it may cost is known before it is read
+MAX_VALUES = 1 << 21  # commas and opening brackets: a value follows each
 _GZIP = 31  # zlib's window bits: the largest window, in a gzip wrapper
 
 

@@ -21,24 +21,17 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from airgs_codec.errors import ConfigError, TransportError
+from airgs_codec.errors import ConfigError, FormatError, TransportError
+from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MPD_NAME, belongs, group_path
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock, Streams, write_mpd
 from airgs_codec.package.package import open_manifest, read_file, root_of, write_file
-from airgs_codec.package.parse import build_index, extend_index, pack_group, pack_json
-from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MPD_NAME, belongs, group_path
+from airgs_codec.package.parse import build_index, extend_index, pack_group, pack_json, parse_root
 from airgs_codec.package.tables import FileEntry, Group
 from airgs_codec.places.place import PARALLEL, Bucket, Folder, Place
-from airgs_codec.places.whole import staged_folder
+from airgs_codec.places.whole import finished_path, staged_folder
 
 NEW = ".new/"  # a package below it takes the place of the one that is there
-
-
-def write_group(files: Place, number: int, group: Group) -> bytes:
-    """Write the table of a group, counted from 1, whose files are there already; gives its bytes."""
-    data = pack_group(group)
-    write_file(files, group_path(number), data)
-    return data
 
 
 def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> int:
@@ -46,10 +39,12 @@ def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> i
 
     Raises ConfigError for a growing package without a clock.
     """
-    tables = [write_group(files, number, group) for number, group in enumerate(m.groups, 1)]
+    tables = [pack_group(group) for group in m.groups]
     _, pages = build_index(m.groups, tables)
-    entries = [write_file(files, path, pack_json(page)) for path, page in pages.items()]
-    return write_root(files, m, clock) + sum(map(len, tables)) + sum(entry.bytes for entry in entries)
+    texts = {group_path(number): table for number, table in enumerate(tables, 1)}
+    texts |= {path: pack_json(page) for path, page in pages.items()}
+    size = sum(write_file(files, path, text).bytes for path, text in texts.items())
+    return size + write_root(files, m, clock)
 
 
 def write_root(files: Place, m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> int:
@@ -119,7 +114,17 @@ def staged_package(place: Place) -> AbstractContextManager[Path]:
     if isinstance(place, Bucket):
         return _staged_in_bucket(place)
     assert isinstance(place, Folder)
-    return staged_folder(place.path, lambda folder: (folder / MPD_NAME).is_file(), "package")
+    return staged_folder(place.path, _is_package, "package")
+
+
+def _is_package(folder: Path) -> bool:
+    """Return whether a package, and nothing else, lies in a folder; files of it may be unfinished."""
+    files = Folder(folder)
+    try:
+        parse_root(files.read(JSON_NAME) or b"")
+    except FormatError:
+        return False
+    return all(belongs(finished_path(path)) for path in files.sizes())
 
 
 @contextmanager

@@ -5,14 +5,13 @@ Each check relies on those before it. P tiles, T tiers of each, Q key qualities,
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry
-from airgs_codec.package.layout import KEY, STATE, Layout
-from airgs_codec.package.paths import JSON_NAME
+from airgs_codec.package.layout import JSON_NAME, KEY, STATE, Layout
 from airgs_codec.package.tables import (
     BLOCK,
     DIGEST,
@@ -20,6 +19,7 @@ from airgs_codec.package.tables import (
     MAX_MACROBLOCKS,
     MAX_PAGES,
     MAX_PICTURE_SIDE,
+    MAX_POSTER_BYTES,
     MIN_PICTURE_SIDE,
     PAGE,
     Atlas,
@@ -33,8 +33,10 @@ from airgs_codec.package.tables import (
     Segment,
     Spans,
 )
-from airgs_codec.package.world import fault_of
 
+LEAST_SCALE, MOST_SCALE = 1e-6, 1e6  # of a transform to the world
+MOST_NUMBER = 1e30  # of such a transform, as of all coordinates in tables
+TOLERANCE = 1e-5  # of the products of its axes at length 1, and of the scale, beside its bounds
 Bound = tuple[str, float, float, float]  # where, what came, the least and the most that may stand there
 
 
@@ -51,6 +53,11 @@ def check_root(m: Root) -> None:
     if m.timescale * m.frame_rate[1] % m.frame_rate[0]:
         raise _bad(f"{JSON_NAME}.timescale", "a frame is not a whole number of ticks")
     _check_file(f"{JSON_NAME}.init", m.init, True)
+    if m.poster:
+        _check_file(f"{JSON_NAME}.poster", m.poster, True)
+        _check_bounds(JSON_NAME, iter([("poster.bytes", m.poster.bytes, 1, MAX_POSTER_BYTES)]))
+    if m.sound:
+        _check_file(f"{JSON_NAME}.sound.init", m.sound.init, True)
     _check_index(f"{JSON_NAME}.index", m)
 
 
@@ -70,6 +77,7 @@ def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
         raise _bad(where, f"expected the start, stop and number of segments {expected}, got {got}")
     _check_shapes(m, group, where)
     _check_bounds(where, _group_bounds(m, group))
+    _check_sound(m, group, f"{where}.sound")
     for name, tier in _units(group):
         _check_tier(f"{where}.{name}", tier)
     stop = group.start
@@ -80,6 +88,14 @@ def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
         _check_segment(m, group, segment, f"{where}.segments[{s}]")
     if stop != group.stop:
         raise _bad(f"{where}.segments", f"end at {stop}, the group at {group.stop}")
+
+
+def _check_sound(m: Header, group: Group, where: str) -> None:
+    """A group has an entry where the package has sound, and a file where a packet starts in its time."""
+    if (group.sound is None) != (m.sound is None):
+        raise _bad(where, "expected an entry where, and only where, airgs.json has sound")
+    if group.sound:
+        _check_file(where, group.sound, len(m.packets(group.start, group.stop)) > 0)
 
 
 def check_keeps(group: Group, number: int, where: str) -> None:
@@ -113,6 +129,24 @@ def check_region(region: Region, where: str) -> None:
                 raise FormatError("bad_value", f"{where}.places[{p}].{name}", f"expected other than {other}, got {got}")
 
 
+def fault_of(transform: Sequence[float]) -> str | None:
+    """Return what is wrong with a transform of 12 numbers, in words; None where it is a similarity without mirror."""
+    large = [value for value in transform if not abs(value) <= MOST_NUMBER]
+    if len(transform) != 12 or large:
+        return f"expected 12 finite numbers of at most {MOST_NUMBER:g}, got {large[0] if large else len(transform)}"
+    axes = np.reshape(transform, (3, 4))[:, :3]
+    sizes = np.linalg.norm(axes, axis=1)
+    scale = float(sizes.mean())
+    if not LEAST_SCALE * (1 - TOLERANCE) <= scale <= MOST_SCALE * (1 + TOLERANCE):
+        return f"expected a scale of {LEAST_SCALE:g} to {MOST_SCALE:g}, got {scale:g}"
+    products = axes @ axes.T / scale**2
+    if np.abs(products - np.eye(3)).max() > TOLERANCE:
+        return f"expected a rotation with one scale for all axes, got rows {axes.tolist()}"
+    if np.linalg.det(axes / scale) < 0:
+        return "expected a right-handed turn, got one that mirrors"
+    return None
+
+
 def _bad(where: str, detail: str) -> FormatError:
     return FormatError("bad_value", where, detail)
 
@@ -131,7 +165,7 @@ def _check_columns(where: str, spans: Spans) -> None:
 
 
 def _check_index(where: str, m: Root) -> None:
-    """What fills no page, level by level, with no empty level at the end; the groups have all frames."""
+    """Return what fills no page, level by level, with no empty level at the end; the groups have all frames."""
     for level, spans in enumerate(m.index):
         here, fewest = f"{where}[{level}]", PAGE**level
         _check_columns(here, spans)
@@ -204,7 +238,7 @@ def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
 
 def _tile_bounds(m: Header, tile: GroupTile, where: str) -> Iterator[Bound]:
     for axis, (low, high) in enumerate(zip(tile.low, tile.high, strict=True)):
-        yield f"{where}.high[{axis}]", high, low, 1e30
+        yield f"{where}.high[{axis}]", high, low, MOST_NUMBER
     rows = sum(tier.count for tier in tile.tiers)
     for j, atlas in enumerate(tile.levels):
         yield f"{where}.levels[{j}].rows", atlas.rows, 0, rows

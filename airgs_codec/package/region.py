@@ -1,41 +1,54 @@
-"""Where a package may be looked at from: views drawn from its region, whether a viewer is still inside, and in words.
+"""Where a package may be looked at from, which way is up there, and how long a unit is.
 
 A region is a union of balls, one about each of P places, with a direction to look in at each of them (`tables.Region`).
-Cameras are as OpenCV has them; positions are in world units.
+Cameras are as OpenCV has them; positions are in the scene's own coordinates, and so are its Gaussians. Its `World`
+tells players where it stands in a right-handed world with y up, as that of glTF: p in the scene is at A p + b there,
+with A a rotation times a scale and (A | b) the three rows of the transform. That alone says which way is up (the second
+row) and how long a unit is (the scale).
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.tables import Header, Place, Region
-from airgs_codec.package.world import up_of
+from airgs_codec.errors import ConfigError
+from airgs_codec.package.references import LEAST_SCALE, MOST_SCALE, fault_of
+from airgs_codec.package.tables import Place, Region, World
 from airgs_codec.scene.camera import BLACK, Background, Camera, look_at
+from airgs_codec.scene.formats.form import Axes
 
-SLIGHTLY_DOWN, GIVE_OR_TAKE = 15.0, 10.0  # degrees; a scene is seen best by most people who look down so much
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
 FORGIVEN_DEGREES = 1e-4  # beyond the turn
 FORGIVEN_SHARE = 1e-9  # of 1 + the largest coordinate: a camera's position comes from its matrix, which rounds
 LEVELLING = 100  # steps to what is upright: with more, rounding would speak where places say nothing
 DECIDING, MEASURING, CHECKING = 0, 1, 2  # seeds of draws: for an encoder, for its tables, for whoever checks them
+AXES = {sign + name: tuple(int(f"{sign}1") * (name == axis) for axis in "xyz") for name in "xyz" for sign in ("", "-")}
 Vector = NDArray[np.float64]
 
 
 def place_view(region: Region, place: Place, name: str = "place") -> Camera:
-    """What a viewer sees who stands at a place and looks where it says."""
+    """Return what a viewer sees who stands at a place and looks where it says."""
     return view_from(region, np.array(place.position), np.array(place.focus), np.array(place.up), name)
 
 
-def levelled(m: Header) -> Region:
+def first_views(region: Region, world: World | None) -> tuple[Camera, ...]:
+    """Return what viewers see from each place of the region of a package; they begin at the first."""
+    upright = levelled(region, world)
+    return tuple(place_view(upright, place, f"place{i}") for i, place in enumerate(upright.places))
+
+
+def levelled(region: Region, world: World | None) -> Region:
     """The region of a package as players take it: where the package tells which way is up, so it is at every place."""
-    if m.world is None:
-        return m.region
-    up = up_of(m.world).tolist()
-    return replace(m.region, places=[replace(place, up=up) for place in m.region.places])
+    if world is None:
+        return region
+    up = up_of(world).tolist()
+    return replace(region, places=[replace(place, up=up) for place in region.places])
 
 
 def upright(region: Region) -> Vector:
@@ -54,16 +67,6 @@ def upright(region: Region) -> Vector:
         up = up - sides.T @ (sides @ up) / len(sides)
         up /= np.linalg.norm(up)
     return up
-
-
-def first_place(region: Region) -> Place:
-    """Where a viewer begins: the first place, or, where nobody chose them, the first that looks down slightly."""
-    if region.source in ("cameras", "file"):
-        return region.places[0]
-    up = upright(region)
-    down = [float(np.degrees(np.arcsin(np.clip(-_ahead(place) @ up, -1, 1)))) for place in region.places]
-    off = [max(GIVE_OR_TAKE, abs(degrees - SLIGHTLY_DOWN)) for degrees in down]
-    return region.places[off.index(min(off))]
 
 
 def _ahead(place: Place) -> Vector:
@@ -143,8 +146,17 @@ def departure(region: Region, camera: Camera) -> Departure:
 
 def departures(region: Region, cameras: Sequence[Camera]) -> list[Departure]:
     """The same for each of C cameras."""
-    positions = np.array([camera.position for camera in cameras]).reshape(-1, 1, 3)
-    forward = np.array([camera.world_to_camera[2, :3] for camera in cameras]).reshape(-1, 1, 3)
+    positions = np.array([camera.position for camera in cameras]).reshape(-1, 3)
+    forward = np.array([camera.world_to_camera[2, :3] for camera in cameras]).reshape(-1, 3)
+    return [Departure(float(d), float(a)) for d, a, _ in zip(*leaving(region, positions, forward), strict=True)]
+
+
+def leaving(region: Region, positions: Vector, forward: Vector) -> tuple[Vector, Vector, NDArray[np.intp]]:
+    """The departures of C viewers at `positions` (C, 3) who look along `forward` (C, 3), of length 1.
+
+    They are (C,) world units, (C,) degrees, and (C,) the place for which they are least.
+    """
+    positions, forward = positions[:, None], forward[:, None]
     centres, foci = (np.array([getattr(place, name) for place in region.places]) for name in ("position", "focus"))
     slack = FORGIVEN_SHARE * (1 + np.abs(positions).max(axis=2))
     away = np.linalg.norm(positions - centres, axis=2) - [place.reach for place in region.places]
@@ -157,7 +169,30 @@ def departures(region: Region, cameras: Sequence[Camera]) -> list[Departure]:
     least = distance.min(axis=1)
     degrees[degrees <= FORGIVEN_DEGREES] = 0.0
     degrees[distance > least[:, None]] = np.inf
-    return [Departure(float(d), float(a)) for d, a in zip(least, degrees.min(axis=1), strict=True)]
+    return least, degrees.min(axis=1), degrees.argmin(axis=1)
+
+
+def keep_inside(region: Region, positions: Vector, foci: Vector) -> tuple[Vector, Vector]:
+    """Viewers at `positions` (C, 3) who look at `foci` (C, 3), each moved to the nearest place that a region allows,
+    and there turned to the nearest direction: what players do (web/src/format/region.ts).
+    """
+    positions, foci, turn = positions.copy(), foci.copy(), np.radians(region.turn)
+    ahead = foci - positions
+    far = np.linalg.norm(ahead, axis=1, keepdims=True)
+    distance, degrees, nearest = leaving(region, positions, ahead / far)
+    for i in np.flatnonzero((distance > 0) | (degrees > 0)):
+        place, forward = region.places[nearest[i]], ahead[i] / far[i]
+        if distance[i] > 0:
+            away = positions[i] - place.position
+            positions[i] = place.position + away * (place.reach / np.linalg.norm(away))
+        axis = np.array(place.focus) - positions[i]
+        axis /= np.linalg.norm(axis)
+        side = forward - (forward @ axis) * axis
+        off = float(np.linalg.norm(side))
+        if np.arctan2(off, forward @ axis) > turn:
+            forward = np.cos(turn) * axis + np.sin(turn) * side / max(off, np.finfo(float).tiny)
+        foci[i] = positions[i] + far[i] * forward
+    return positions, foci
 
 
 def distances(places: Sequence[Place]) -> Vector:
@@ -195,17 +230,9 @@ class RegionSummary:
         """The figures of a region."""
         reach = [place.reach for place in region.places]
         away = [float(np.linalg.norm(np.subtract(place.position, place.focus))) for place in region.places]
-        return RegionSummary(
-            source=region.source,
-            places=len(region.places),
-            reach=(min(reach), max(reach)),
-            distance=(min(away), max(away)),
-            turn=region.turn,
-            near=region.near,
-            width=region.width,
-            height=region.height,
-            fov_y=region.fov_y,
-        )
+        spans = (min(reach), max(reach)), (min(away), max(away))
+        size = region.width, region.height
+        return RegionSummary(region.source, len(reach), *spans, region.turn, region.near, *size, region.fov_y)
 
     @property
     def words(self) -> str:
@@ -231,3 +258,84 @@ def departure_words(d: Departure) -> str:
 def _span(values: tuple[float, float]) -> str:
     low, high = (f"{value:.3g}" for value in values)
     return low if low == high else f"{low} to {high}"
+
+
+def world_from(up: Sequence[float], metres: float | None = None) -> World:
+    """The world of a scene of which `up` (3,) points up and a unit is so many metres; None: nobody knows how many.
+
+    The turn is the shortest one, after half a turn about x where up is in the lower half space: so y down, z up and
+    y up become (x, -y, -z), (x, z, -y) and (x, y, z). Raises ConfigError.
+    """
+    direction, length = np.array(up, np.float64), float(np.linalg.norm(up))
+    if not (0 < length < np.inf):
+        raise ConfigError(f"up: expected a direction, got {list(up)}")
+    direction /= length
+    first = np.diag([1.0, -1.0, -1.0]) if direction[1] < 0 else np.eye(3)
+    x, y, z = first @ direction
+    cross = np.array([[0, -x, 0], [x, 0, z], [0, -z, 0]])  # Rodrigues: the product of (x, y, z) and the y axis
+    turn = (np.eye(3) + cross + cross @ cross / (1 + y)) @ first
+    scale = 1.0 if metres is None else metres
+    if not LEAST_SCALE <= scale <= MOST_SCALE:
+        raise ConfigError(f"scale: expected {LEAST_SCALE:g} to {MOST_SCALE:g} metres a unit, got {scale:g}")
+    rows = np.hstack([scale * turn, np.zeros((3, 1))]) + 0.0  # no -0
+    return World(rows.ravel().tolist(), metres is not None)
+
+
+def up_of(world: World) -> Vector:
+    """(3,) which way is up in the coordinates of the scene, of length 1."""
+    row = np.array(world.transform[4:7])
+    return np.asarray(row / np.linalg.norm(row))
+
+
+def unit_of(world: World) -> float | None:
+    """Metres that a unit of the scene is long; None where nobody knows."""
+    return float(np.linalg.norm(world.transform[4:7])) if world.metric else None
+
+
+def parse_up(text: str) -> tuple[float, ...]:
+    """A direction from text: an axis such as y or -y, or X,Y,Z. Raises ConfigError."""
+    if text in AXES:
+        return AXES[text]
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"expected {', '.join(AXES)} or X,Y,Z that points up, got {text!r}") from error
+    return x, y, z
+
+
+def read_world(path: Path) -> World:
+    """A transform to a world with y up in metres from a file: 3x4 or 4x4 numbers row by row, as text or as JSON.
+
+    Raises ConfigError for anything else.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        values = np.array(json.loads(text) if text.lstrip()[:1] == "[" else text.split(), np.float64).ravel()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot read a transform: {error.strerror}") from error
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        raise ConfigError(f"{path}: expected 12 or 16 numbers, row by row: {str(error)[:120]}") from error
+    if len(values) == 16 and not np.array_equal(values[12:], [0, 0, 0, 1]):
+        raise ConfigError(f"{path}: expected a last row of 0 0 0 1, got {values[12:].tolist()}")
+    if len(values) not in (12, 16):
+        raise ConfigError(f"{path}: expected 12 or 16 numbers, row by row, got {len(values)} numbers")
+    if fault := fault_of(values[:12].tolist()):
+        raise ConfigError(f"{path}: {fault}")
+    return World(values[:12].tolist(), metric=True)
+
+
+def world_words(world: World | None) -> str:
+    """Which way is up and how long a unit is, for people."""
+    if world is None:
+        return "up: not told, players take that of the views of the region; units: not told"
+    up = ", ".join(f"{number:.6g}" for number in up_of(world).round(6) + 0.0)
+    unit = unit_of(world)
+    return f"up: ({up}); units: " + ("not told" if unit is None else f"one is {unit:.6g} m")
+
+
+def misread(world: World | None, form: str, axes: Axes | None) -> list[str]:
+    """A line where the specification of a format says otherwise of up and units than a package: coordinates stay."""
+    if axes is None:
+        return []
+    meant, told = world_words(world_from(axes.up, axes.metres)), world_words(world)
+    return [] if meant == told else [f"coordinates stay: readers of {form} take {meant}; here it is {told}"]

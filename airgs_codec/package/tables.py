@@ -1,8 +1,8 @@
 """The tables of a package as frozen values: airgs.json (the root), the pages of its index, and a table a group.
 
 P tiles, T key tiers of each, Q key qualities, L levels, C colour channels. FORMAT.md says what each field means. What
-a field may hold beside its type stands in its annotation (`constraints`); `schema` makes the JSON Schema of it, `parse`
-reads the JSON back and refuses everything else. `manifest` is a package's tables as one value.
+a field may hold beside its type is a constraint in its annotation; `parse` reads the JSON back and refuses everything
+else. `manifest` is a package's tables as one value.
 """
 
 from __future__ import annotations
@@ -10,6 +10,8 @@ from __future__ import annotations
 import base64
 import dataclasses
 import hashlib
+import re
+from collections.abc import Sized
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated
@@ -18,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.package.constraints import Length, OneOf, Pattern, Range
 from airgs_codec.scene.gaussians import SH_REST
 
-VERSION = 2
+VERSION = 3
 
 MAX_COUNT = 1 << 24  # Gaussians a group
 MAX_FRAMES = 100_000_000  # 38 days at 30 frames a second
@@ -31,6 +32,7 @@ MIN_PICTURE_SIDE = 64  # smaller pictures trip encoders
 MAX_MACROBLOCKS = 36_864  # of 16x16 samples, in a picture: H.264 level 5.1
 MAX_PAGES = 128
 MAX_FILE_BYTES = 1 << 31
+MAX_POSTER_BYTES = 20_000
 MAX_CHOICES = 64  # tiers, qualities, levels
 MAX_TILES = 64
 MAX_PLACES = 64
@@ -42,11 +44,61 @@ BLOCK = 16  # samples, either side of the blocks that a plane is made of
 PAGE = 64  # groups, or pages of the level below, on a page of the index
 MAX_LEVELS = 5  # of the index, groups among them: PAGE ** MAX_LEVELS groups have more than MAX_FRAMES frames
 DIGEST = 32  # characters of a digest
+PACKETS = 50  # of sound, a second
 STATE_ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity", "sh_dc", "sh_rest")
 KEY_ATTRIBUTES = STATE_ATTRIBUTES[1:]  # canonical means travel in the sidecar
 STATIC = 255  # depth of a row that no level carries; no depth is larger
 LEAST_CLASS, MOST_CLASS = -128, 127  # of motion: a row of class c has the motion unit 2^c world units
 TRANSFORM_UNITS = 32767  # entries of a colour transform are whole numbers of 1 over so much
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """A number from `low` to `high`, both included."""
+
+    low: float
+    high: float
+
+    def refusal(self, value: float) -> str | None:
+        """Return what was expected and what came; None for a value that may stand. So do the other constraints."""
+        return None if self.low <= value <= self.high else f"expected {self.low} to {self.high}, got {value}"
+
+
+@dataclass(frozen=True, slots=True)
+class Length:
+    """A list of at least `low` and at most `high` values."""
+
+    low: int
+    high: int
+
+    def refusal(self, value: Sized) -> str | None:
+        """See `Range.refusal`."""
+        fits = self.low <= len(value) <= self.high
+        return None if fits else f"expected {self.low} to {self.high} values, got {len(value)}"
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """One of some words."""
+
+    words: tuple[str, ...]
+
+    def refusal(self, value: str) -> str | None:
+        """See `Range.refusal`."""
+        return None if value in self.words else f"expected one of {', '.join(self.words)}, got {value!r}"
+
+
+@dataclass(frozen=True, slots=True)
+class Pattern:
+    """A text that a regular expression matches from its start to its end."""
+
+    expression: str
+    what: str  # such texts are, for people
+
+    def refusal(self, value: str) -> str | None:
+        """See `Range.refusal`."""
+        return None if re.fullmatch(self.expression, value) else f"expected {self.what}, got {value!r}"
+
 
 Digest = Annotated[str, Pattern("([A-Za-z0-9_-]{32})?", "a digest of 32 characters of base64url")]  # "": no file
 Digests = Annotated[str, Pattern("([A-Za-z0-9_-]{32})*", "digests of 32 characters of base64url each")]
@@ -65,6 +117,7 @@ Decibels = Annotated[float, Range(-MAX_PSNR, MAX_PSNR)]
 Point = Annotated[list[Annotated[float, Range(-1e30, 1e30)]], Length(3, 3)]
 Similarity = Annotated[list[Annotated[float, Range(-1e30, 1e30)]], Length(12, 12)]
 Colour = Annotated[list[Annotated[float, Range(0, 1)]], Length(3, 3)]
+PlaceName = Annotated[str, Pattern(r"[^\x00-\x1f]{1,64}", "1 to 64 characters, none of control")]
 Choices = Length(1, MAX_CHOICES)
 
 
@@ -77,6 +130,15 @@ class FileEntry:
 
 
 NO_FILE = FileEntry(0, "")
+
+
+@dataclass(frozen=True, slots=True)
+class Sound:
+    """The Opus track of a package."""
+
+    channels: Annotated[int, Range(1, 2)]
+    pre_skip: Annotated[int, Range(0, (1 << 16) - 1)]  # samples at 48 kHz before the first one that is heard
+    init: FileEntry  # sound/init.m4a, for DASH players alone
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +158,7 @@ class Place:
     focus: Point  # the point that a viewer looks at, world units
     up: Point  # a direction that points up in the picture
     reach: Annotated[float, Range(0, 1e30)]  # radius, world units
+    name: PlaceName | None = None  # by which viewers find it; None, and no such field: it has none
 
 
 @dataclass(frozen=True, slots=True)
@@ -297,6 +360,7 @@ class Group:
     left_out: list[LeftOut]
     repairs: list[str]  # what was repaired in the input before coding
     keeps: Annotated[int, Range(1, MAX_FRAMES)] | None = None  # an earlier group, from 1, whose rows this one keeps
+    sound: FileEntry | None = None  # of its frames; None in a package without sound
 
     @property
     def units(self) -> list[GroupTier]:
@@ -338,11 +402,13 @@ class Header:
     state_gain: Gain  # luma levels a step in state atlases
     region: Region
     world: World | None  # None, and no such field in airgs.json: nobody told which way is up
+    poster: FileEntry | None  # None, and no such field in airgs.json: there is none
     views: Views
     qualities: Annotated[list[KeyQuality], Choices]
     levels: Annotated[list[Level], Choices]
     tiers: Annotated[int, Range(1, MAX_CHOICES)]  # key tiers of a tile
     tiles: Annotated[int, Range(1, MAX_TILES)]  # parts of space
+    sound: Sound | None  # None, and no such field in airgs.json: there is none
 
     @property
     def fps(self) -> Fraction:
@@ -353,6 +419,11 @@ class Header:
     def frame_ticks(self) -> int:
         """Duration of a frame in ticks of `timescale`."""
         return self.timescale * self.frame_rate[1] // self.frame_rate[0]
+
+    def packets(self, start: int, stop: int) -> range:
+        """The packets of sound, counted from the beginning, that start in the time of frames [start, stop)."""
+        first, last = (-(-frame * PACKETS * self.frame_rate[1] // self.frame_rate[0]) for frame in (start, stop))
+        return range(first, last)
 
     @property
     def colour_channels(self) -> int:
@@ -395,7 +466,12 @@ def _index_of(what: str, choice: str | int, ids: list[str]) -> int:
 
 def digest(data: bytes | bytearray) -> str:
     """The first 24 bytes of the SHA-256 of a file as 32 characters of base64url (RFC 4648, section 5)."""
-    return base64.urlsafe_b64encode(hashlib.sha256(data).digest()[:24]).decode("ascii")
+    return shorten(hashlib.sha256(data).digest())
+
+
+def shorten(sha256: bytes) -> str:
+    """The digest of a file with this SHA-256, as `digest` gives it."""
+    return base64.urlsafe_b64encode(sha256[:24]).decode("ascii")
 
 
 def file_entry(data: bytes) -> FileEntry:

@@ -2,8 +2,9 @@
 
 The walk leads from stop to stop: places of the region, or cameras. Two stops are neighbours where the straight way
 between them, with the focus going over straight as well, keeps half of its distance from the focus: there is no way
-through the content to the other side. Steps cost their squared length, and far more where they lead out of the region:
-many short ones beat a long one, the walk follows a rig, and where that has ends, it comes back the way it went.
+through the content to the other side. Between places, it has to be inside of the region as well, and so is all of the
+walk, if it is to be kept there; else steps out of the region cost far more. Steps cost their squared length: many
+short ones beat a long one, the walk follows a rig, and where that has ends, it comes back the way it went.
 S stops; units are those of the world.
 """
 
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.sparse.csgraph import connected_components, shortest_path
 
-from airgs_codec.package.region import Departure, Vector, departure, departures, place_view, view_from
+from airgs_codec.package.region import Vector, departure, keep_inside, leaving, place_view, view_from
 from airgs_codec.package.tables import Place, Region
 from airgs_codec.scene.camera import Camera
 
@@ -39,26 +40,15 @@ LENS = ("width", "height", "fx", "fy", "cx", "cy", "near")  # what cameras have 
 
 
 @dataclass(frozen=True, slots=True)
-class Walk:
-    """A camera for every picture of a film."""
-
-    cameras: list[Camera]
-    unreached: int = 0  # stops that it does not come by: the way there leads through the content
-
-    def departures(self, region: Region) -> list[Departure]:
-        """How far the viewer is outside of the region, picture by picture."""
-        return departures(region, self.cameras)
-
-
-@dataclass(frozen=True, slots=True)
 class Path:
-    """The same at any time: a loop that goes on as often as need be. `at` is what a viewer sees (`play.sight.View`)."""
+    """A walk that goes on as often as need be. `at` is what a viewer sees (`play.sight.View`)."""
 
     region: Region
     tour: list[Place]
     line: _Line | None  # None: there is one place to stand at
     lens: dict[str, Any]  # of the cameras, where it is not the region's
-    unreached: int = 0  # as of a Walk
+    unreached: int  # stops that it does not come by: the way there leads through the content, or out of the region
+    kept: bool = False  # inside of the region, all the time
 
     def at(self, seconds: float) -> Camera:
         """The view after so many seconds."""
@@ -69,39 +59,30 @@ class Path:
         if self.line is None:
             cameras = [place_view(self.region, self.tour[0], f"path{i:04d}") for i in range(len(times))]
         else:
-            cameras = self.line.cameras(self.region, times)
+            positions, foci, ups = self.line.at(times)
+            if self.kept:
+                positions, foci = keep_inside(self.region, positions, foci)
+            rows = zip(positions, foci, ups, strict=True)
+            cameras = [view_from(self.region, *row, f"path{i:04d}") for i, row in enumerate(rows)]
         return [replace(camera, **self.lens) for camera in cameras] if self.lens else cameras
 
-    def walk(self, count: int, fps: float) -> Walk:
-        """`count` cameras from the beginning, `fps` of them a second."""
-        return Walk(self.cameras(np.arange(count) / fps), self.unreached)
 
-
-def walk_region(region: Region, count: int, fps: float) -> Walk:
-    """`count` cameras along `path_of_region`, `fps` of them a second."""
-    return path_of_region(region).walk(count, fps)
-
-
-def path_of_region(region: Region) -> Path:
+def path_of_region(region: Region, kept: bool = True) -> Path:
     """A path through the places of a region, with its picture size and field of view.
 
     The walk is a loop that goes on as often as need be, by way of SIGHTS places and those between them. Places that
     look alike, such as those of a rig that is small beside the reach, are one stop; where there is only one, the walk
-    is a circle about it. The viewer is inside the region wherever the straight way from a stop to the next is.
+    is a circle about it. Of a region in parts the walk keeps to the one with most sights, or else the first; without
+    `kept`, it crosses over, and is outside on the way.
     """
     stops = _thinned(region)
-    return _path(region, stops, _sights(stops))
-
-
-def walk_cameras(region: Region, cameras: Sequence[Camera], count: int, fps: float) -> Walk:
-    """`count` cameras along `path_by_cameras`, `fps` of them a second."""
-    return path_by_cameras(region, cameras).walk(count, fps)
+    return replace(_path(region, stops, _sights(stops), kept), kept=kept)
 
 
 def path_by_cameras(region: Region, cameras: Sequence[Camera]) -> Path:
     """The same by way of `cameras`, with the lens of the first; it may pass by places of the region in between."""
     stops = [_stop(region, camera) for camera in cameras]
-    path = _path(region, stops + _thinned(region), range(len(stops)))
+    path = _path(region, stops + _thinned(region), range(len(stops)), False)
     return replace(path, lens={name: getattr(cameras[0], name) for name in LENS})
 
 
@@ -122,12 +103,12 @@ def _thinned(region: Region) -> list[Place]:
     """The places in their order, without those whose view another one allows anyway."""
     positions = np.array([place.position for place in region.places])
     middle = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
-    kept: list[int] = []
+    chosen: list[int] = []
     for i in np.argsort(middle, kind="stable").tolist():
         view = place_view(region, region.places[i])
-        if not kept or not departure(replace(region, places=[region.places[k] for k in kept]), view).inside:
-            kept.append(i)
-    return [region.places[i] for i in sorted(kept)]
+        if not chosen or not departure(replace(region, places=[region.places[k] for k in chosen]), view).inside:
+            chosen.append(i)
+    return [region.places[i] for i in sorted(chosen)]
 
 
 def _sights(stops: Sequence[Place]) -> list[int]:
@@ -145,9 +126,9 @@ def _points(stops: Sequence[Place]) -> NDArray[np.float64]:
     return np.array([[stop.position, stop.focus] for stop in stops])
 
 
-def _path(region: Region, stops: Sequence[Place], visited: Sequence[int]) -> Path:
-    """A path by the stops `visited`, which may use the others on its way."""
-    costs, before = _ways(stops)
+def _path(region: Region, stops: Sequence[Place], visited: Sequence[int], kept: bool) -> Path:
+    """A path by the stops `visited`, which may use the others on its way; `kept`: by ways inside of the region."""
+    costs, before = _ways(stops, region if kept else None)
     reached = _together(costs, visited)
     tour = [stops[i] for i in _expanded(_tour(costs, reached), before)]
     if len(tour) == 1:
@@ -156,9 +137,9 @@ def _path(region: Region, stops: Sequence[Place], visited: Sequence[int]) -> Pat
     return Path(region, tour, line, {}, len(visited) - len(reached))
 
 
-def _ways(stops: Sequence[Place]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def _ways(stops: Sequence[Place], region: Region | None) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """(S, S) the cost of the best way from a stop to another, infinite where there is none; (S, S) the last stop
-    before its end.
+    before its end. `region`: that ways stay in.
     """
     reaches = np.array([stop.reach for stop in stops])
     points = _points(stops)
@@ -166,7 +147,7 @@ def _ways(stops: Sequence[Place]) -> tuple[NDArray[np.float64], NDArray[np.intp]
     gaps = np.maximum(lengths[..., 0] - reaches[:, None] - reaches[None], 0)
     steps = np.maximum(np.square(lengths).sum(axis=2) + GAP_COST * gaps**2, TINY)
     for (i, a), (j, b) in itertools.product(enumerate(stops), repeat=2):
-        if i == j or not _keeps_off(a, b):
+        if i == j or not _keeps_off(a, b) or (region and not _are_inside(region, *_between(points[i], points[j]))):
             steps[i, j] = 0.0  # no step
     costs, before = shortest_path(steps, return_predecessors=True)
     return costs, before
@@ -180,6 +161,19 @@ def _keeps_off(a: Place, b: Place) -> bool:
     share = float(np.clip(-(start @ step) / squared, 0, 1)) if squared > 0 else 0.0
     least = float(np.linalg.norm(start + share * step))
     return least >= KEPT_DISTANCE * min(float(np.linalg.norm(start)), float(np.linalg.norm(end)))
+
+
+def _between(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(2, SAMPLES, 3) positions and foci on the straight way from a stop to another, each (2, 3)."""
+    share = np.linspace(0, 1, SAMPLES)[:, None]
+    return np.asarray((1 - share) * start[:, None] + share * end[:, None])
+
+
+def _are_inside(region: Region, positions: Vector, foci: Vector) -> bool:
+    """Whether viewers at `positions` (C, 3) who look at `foci` (C, 3) are all inside of a region."""
+    ahead = foci - positions
+    distance, degrees, _ = leaving(region, positions, ahead / np.linalg.norm(ahead, axis=1, keepdims=True))
+    return not (distance.any() or degrees.any())
 
 
 def _together(costs: NDArray[np.float64], visited: Sequence[int]) -> list[int]:
@@ -264,14 +258,14 @@ class _Line:
 
     def _is_inside(self, region: Region, way: int) -> bool:
         """Whether all of the way from a stop to the next is inside of a region."""
-        at = np.linspace(self.times[way], self.times[way + 1], SAMPLES)
-        return all(d.inside for d in departures(region, self.cameras(region, at)))
+        positions, foci, _ = self.at(np.linspace(self.times[way], self.times[way + 1], SAMPLES))
+        return _are_inside(region, positions, foci)
 
-    def cameras(self, region: Region, times: NDArray[np.float64]) -> list[Camera]:
-        """The view at each of some seconds from the first stop on."""
+    def at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """(3, T, 3) position, focus and up at each of some seconds from the first stop on."""
         values, speeds = (np.vstack([rows, rows[:1]]) for rows in (self.values, self.speeds))
-        rows = CubicHermiteSpline(self.times, values, speeds)(times % self.times[-1]).reshape(-1, 3, 3)
-        return [view_from(region, position, focus, up, f"path{i:04d}") for i, (position, focus, up) in enumerate(rows)]
+        rows = CubicHermiteSpline(self.times, values, speeds)(times % self.times[-1])
+        return np.asarray(rows.reshape(-1, 3, 3).swapaxes(0, 1))
 
 
 def _seconds(a: Place, b: Place) -> float:

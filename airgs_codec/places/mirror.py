@@ -42,7 +42,7 @@ class Files:
         yield list(paths)
 
     def read_headers(self, paths: Sequence[Path], read: Callable[[Path], Read]) -> list[Read]:
-        """What `read` gives of each frame, which looks no further than its header. Raises what `hold` does."""
+        """Return what `read` gives of each frame, which looks no further than its header. Raises what `hold` does."""
         return [read(path) for path in paths]
 
     def beside(self, path: Path) -> Path | None:
@@ -67,7 +67,7 @@ class Habits:
     """What a mirror must know of the files that are read from it."""
 
     is_small: Callable[[str], bool]  # whether a name is of a small file, which is fetched at once
-    headers: tuple[tuple[str, bytes, int], ...]  # endings of names, how headers of such files end, their longest
+    header: tuple[str, bytes, int]  # the ending of names of files with a header, how that ends, its longest length
     beside: str  # a folder whose files belong to a frame that lies beside it
     find_parts: Callable[[Path], list[str]]  # names of the files, beside a fetched one, that it cannot be read without
 
@@ -105,15 +105,13 @@ class Mirror(Files):
 
         Raises SceneError where nothing is there, ConfigError, TransportError.
         """
-        mirror = place = None
-        if (prefix := Mirror(address, habits))._sizes:
-            mirror, place = prefix, prefix.folder
-        else:
+        mirror = Mirror(address, habits)
+        place = mirror.folder
+        if not mirror._sizes:
             holder, _, name = address.rstrip("/").rpartition("/")
-            if not holder.endswith("/") and name in (around := Mirror(holder, habits, deep=False))._sizes:
-                mirror, place = around, around.folder / name
-        if mirror is None or place is None:
-            raise SceneError(f"{address}: expected a prefix with frames below it, or a file, got nothing")
+            if holder.endswith("/") or name not in (mirror := Mirror(holder, habits, deep=False))._sizes:
+                raise SceneError(f"{address}: expected a prefix with frames below it, or a file, got nothing")
+            place = mirror.folder / name
         with ThreadPoolExecutor(PARALLEL) as pool:
             list(pool.map(mirror.beside, [mirror.folder / name for name in mirror._sizes if habits.is_small(name)]))
         return mirror, place
@@ -140,13 +138,11 @@ class Mirror(Files):
         """See `Files.read_headers`: of files whose header has an end, only the first bytes are fetched."""
         names = [self._name(path) for path in paths]
         with ThreadPoolExecutor(PARALLEL) as pool:
-            list(pool.map(self._fetch_header, filter(self._header_end, names)))
+            list(pool.map(self._fetch_header, filter(self._has_header, names)))
         headers = []
         for start in range(0, len(paths), PARALLEL):
-            some = [paths[i] for i in range(start, min(start + PARALLEL, len(paths)))]
-            whole = [
-                path for path in some if not (self._header_end(path.name) or (self._here / self._name(path)).is_dir())
-            ]
+            some = paths[start : start + PARALLEL]
+            whole = [p for p in some if not (self._has_header(p.name) or (self._here / self._name(p)).is_dir())]
             with self.hold(whole):
                 headers += [read(self._here / self._name(path)) for path in some]
         return headers
@@ -215,15 +211,12 @@ class Mirror(Files):
             raise SceneError(f"{self._bucket.name}/{name}: expected the object that was listed, got nothing")
         return size
 
-    def _header_end(self, name: str) -> tuple[bytes, int] | None:
-        """Return how the header of a file ends, and its longest length; None where it has no end that is known."""
-        return next((found[1:] for found in self._habits.headers if name.lower().endswith(found[0])), None)
+    def _has_header(self, name: str) -> bool:
+        return name.lower().endswith(self._habits.header[0])
 
     def _fetch_header(self, name: str) -> None:
         """Write the first bytes of a file into its hole, as far as its header goes."""
-        ending = self._header_end(name)
-        assert ending is not None
-        end, longest = ending
+        _, end, longest = self._habits.header
         size, length = self._sizes[name], _HEAD
         head = self._bucket.read_start(name, length) if size else b""
         while end not in head and length < min(size, longest):

@@ -18,6 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from airgs_codec._arguments import path_argument
 from airgs_codec.errors import ConfigError, FormatError, TransportError
 from airgs_codec.places.whole import atomic_path, write_bytes
 
@@ -69,10 +70,6 @@ class Place(ABC):
         found = self.open(path)
         return None if found is None else found[1]()
 
-    def read_start(self, path: str, length: int) -> bytes:
-        """Return the first bytes of a file that is there, all of it where it is shorter."""
-        return (self.read(path) or b"")[:length]
-
     def exists(self, path: str) -> bool:
         """Return whether there is such a file."""
         return self.open(path) is not None
@@ -104,11 +101,6 @@ class Folder(Place):
         if stat.S_ISLNK(found.st_mode):
             raise FormatError("unsafe_path", path, _LINK)
         return (found.st_size, file.read_bytes) if stat.S_ISREG(found.st_mode) else None
-
-    def read_start(self, path: str, length: int) -> bytes:
-        """See `Place.read_start`."""
-        with self._file(path).open("rb") as file:
-            return file.read(length)
 
     def sizes(self) -> dict[str, int]:
         """See `Place.sizes`; links count as files."""
@@ -187,7 +179,7 @@ class Bucket(Place):
         return found.meta["size"], read
 
     def read_start(self, path: str, length: int) -> bytes:
-        """See `Place.read_start`; the object must not be empty."""
+        """Return the first bytes of an object that is there and not empty, all of it where it is shorter."""
         with self._told(path):
             return bytes(self._objects.get_range(path, start=0, length=length))
 
@@ -255,7 +247,8 @@ def is_address(place: str | Path) -> bool:
 
 
 def place_at(place: str | Path, schemes: tuple[str, ...] = BUCKETS) -> Place:
-    """Return the place at a folder or an address. Raises ConfigError as `bucket_at` does."""
+    """Return the place at a folder or an address. Raises ConfigError as `bucket_at` does, and for what is no path."""
+    place = path_argument("path", place)
     return bucket_at(str(place), schemes) if is_address(place) else Folder(Path(place))
 
 

@@ -14,10 +14,14 @@ import importlib
 import io
 import json
 import os
+import types
+import typing
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import accumulate, pairwise
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -28,6 +32,10 @@ from airgs_codec.places.place import Folder, Place, is_address, place_at
 DIGEST_BYTES = 32
 OWN = ("airgs_codec",)  # packages whose dataclasses are read
 _LENGTH_BYTES = 8  # of the JSON text, before it
+_BROKEN = (
+    *(ValueError, TypeError, LookupError, AttributeError, ArithmeticError, ImportError, EOFError, RecursionError),
+    *(SyntaxError, TokenError, MemoryError),  # of the header of an array
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +127,7 @@ def unpack(data: bytes, trusted: tuple[str, ...] = OWN) -> Any:
         bounds = list(accumulate(found["sizes"], initial=start))
         parts = [data[begin:end] for begin, end in pairwise(bounds)]
         return _value(found["value"], parts, trusted)
-    except (ValueError, TypeError, LookupError, AttributeError, ImportError, EOFError, RecursionError) as error:
+    except _BROKEN as error:
         raise ValueError(f"expected a stored value, got {type(error).__name__}: {error}") from error
 
 
@@ -190,7 +198,29 @@ def _value(plain: Any, parts: list[bytes], trusted: tuple[str, ...]) -> Any:
     if kind != "is":
         raise ValueError(f"unknown kind {kind}")
     fields = {name: _value(part, parts, trusted) for name, part in dict(rest)["of"].items()}
-    return _dataclass(found, trusted)(**fields)
+    made = _dataclass(found, trusted)
+    for name, hint in typing.get_type_hints(made).items():
+        if name in fields and not _fits(fields[name], hint):
+            raise ValueError(f"{found}.{name}: expected {hint}, got {type(fields[name]).__name__}")
+    return made(**fields)
+
+
+def _fits(value: Any, hint: Any) -> bool:
+    """Whether a value is of an annotated type, as far as those of stored values go."""
+    kind, arguments = typing.get_origin(hint) or hint, typing.get_args(hint)
+    if kind in (typing.Union, types.UnionType):
+        return any(_fits(value, one) for one in arguments)
+    if kind in (float, int):
+        return isinstance(value, (kind, int, np.integer, np.floating))
+    if kind is Any or not isinstance(kind, type) or getattr(kind, "_is_protocol", False):
+        return True
+    if not isinstance(value, kind):
+        return False
+    if isinstance(value, Mapping):
+        return all(_fits(name, arguments[0]) and _fits(part, arguments[1]) for name, part in value.items())
+    if isinstance(value, Sequence) and arguments and kind is not tuple:
+        return all(_fits(part, arguments[0]) for part in value)
+    return True
 
 
 def _dataclass(name: str, trusted: tuple[str, ...]) -> type:

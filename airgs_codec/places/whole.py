@@ -7,10 +7,10 @@ followed: neither one that somebody put at the name of the temporary file nor on
 from __future__ import annotations
 
 import fcntl
-import glob
 import json
 import math
 import os
+import re
 import secrets
 import shutil
 import tempfile
@@ -22,6 +22,9 @@ from typing import Any
 from airgs_codec.errors import ConfigError
 
 PART_SUFFIX = ".part"  # of what is being written; its name starts with a dot
+_PART = re.compile(r"(.*/)?\.([^/]+)\.[0-9a-f]{16}\.part")  # what `atomic_path` writes, below any folder
+_MARK_NAME, _MARK = "airgs-unfinished", b"airgs-codec makes a folder here; nothing else may be put beside it\n"
+_NEW, _OLD = "new", "old"  # folders beside the mark
 
 IsOurs = Callable[[Path], bool]  # whether a folder with files in it is of the kind that may be replaced
 
@@ -42,6 +45,12 @@ def atomic_path(path: Path, lasting: bool = True) -> Iterator[Path]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def finished_path(path: str) -> str:
+    """Return the path that an unfinished file of `atomic_path` was to take, and any other path as it is."""
+    match = _PART.fullmatch(path)
+    return f"{match[1] or ''}{match[2]}" if match else path
 
 
 @contextmanager
@@ -67,30 +76,35 @@ def staged_files(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def staged_folder(target: Path, is_ours: IsOurs, kind: str) -> Iterator[Path]:
-    """Give a folder beside `target` that takes its place when the block ends without an error.
+    """Give an empty folder that takes the place of `target` when the block ends without an error.
 
-    An existing folder of ours is moved aside before and deleted after; any other one with files in it is refused, so
-    that nothing foreign is ever lost. What runs that were killed left beside it is put right first: a folder of ours
-    that was moved aside comes back, unfinished folders are removed.
+    It lies in a work folder beside `target`, which bears a mark. An existing folder of ours is moved into that before
+    and deleted after; any other one with files in it is refused, so that nothing foreign is ever lost. Work folders of
+    runs that were killed are put right first: a folder of ours that was moved comes back, all else in them is removed.
 
     Raises ConfigError, which calls what should be there a `kind`, when there is a file, a link, or a folder with other
     files.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     with _locked(target.parent):
-        _clean_up(target, is_ours)
+        _clean_up(target)
         _expect_ours(target, is_ours, kind)
-        stage = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".stage", dir=target.parent))
-        stage.chmod(0o755)
-        lock = os.open(stage, os.O_RDONLY)
+        work = target.with_name(f".{target.name}.airgs-{secrets.token_hex(8)}")
+        work.mkdir(0o700)
+        (work / _MARK_NAME).write_bytes(_MARK)
+        (work / _NEW).mkdir()
+        lock = os.open(work, os.O_RDONLY)
         fcntl.flock(lock, fcntl.LOCK_EX)
     try:
-        yield stage
+        yield work / _NEW
         with _locked(target.parent):
-            _swap(stage, target)
+            _expect_ours(target, is_ours, kind)  # somebody may have written there since
+            if target.exists():
+                target.rename(work / _OLD)
+            (work / _NEW).rename(target)
     finally:
         os.close(lock)
-        shutil.rmtree(stage, ignore_errors=True)
+        _remove(work, target)
 
 
 def write_bytes(path: Path, data: bytes, lasting: bool = True) -> None:
@@ -150,36 +164,29 @@ def _locked(folder: Path) -> Iterator[None]:
         os.close(lock)
 
 
-def _clean_up(target: Path, is_ours: IsOurs) -> None:
-    def left(suffix: str) -> list[Path]:
-        found = target.parent.glob(f".{glob.escape(target.name)}.*.{suffix}")
-        return [path for path in found if path.is_dir() and not path.is_symlink()]
-
-    for old in left("old"):
-        if is_ours(old) and not target.exists():
-            old.rename(target)
-        else:
-            shutil.rmtree(old, ignore_errors=True)
-    for stage in left("stage"):
-        lock = os.open(stage, os.O_RDONLY)
+def _clean_up(target: Path) -> None:
+    """Remove work folders that nobody works in."""
+    own = re.compile(rf"\.{re.escape(target.name)}\.airgs-[0-9a-f]{{16}}")
+    for work in [path for path in target.parent.iterdir() if own.fullmatch(path.name) and _is_marked(path)]:
+        lock = os.open(work, os.O_RDONLY)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            shutil.rmtree(stage, ignore_errors=True)
+            _remove(work, target)
         except BlockingIOError:  # somebody is at work there
             pass
         finally:
             os.close(lock)
 
 
-def _swap(stage: Path, target: Path) -> None:
-    if not target.exists():
-        stage.rename(target)
-        return
-    old = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".old", dir=target.parent))
-    os.replace(target, old)
-    try:
-        stage.rename(target)
-    except OSError:
-        os.replace(old, target)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
+def _is_marked(path: Path) -> bool:
+    """Return whether this is a work folder of `staged_folder`."""
+    mark = path / _MARK_NAME
+    plain = not path.is_symlink() and not mark.is_symlink() and mark.is_file()
+    return plain and mark.read_bytes() == _MARK
+
+
+def _remove(work: Path, target: Path) -> None:
+    """Delete a work folder; what was to be replaced comes back where nothing has taken its place."""
+    if (work / _OLD).is_dir() and not target.exists():
+        (work / _OLD).rename(target)
+    shutil.rmtree(work, ignore_errors=True)

@@ -101,7 +101,7 @@ class Buffered:
                     yield gain * slot.seconds / max(1, size), slot, option
 
     def _replacing(self, slot: Slot, rung: int) -> Batch:
-        """What it takes to show another rung of a buffered segment: with the same level, only its keys."""
+        """Return what it takes to show another rung of a buffered segment: with the same level, only its keys."""
         offer, batch = self.fetcher.offer(slot.position), self.fetcher.missing(slot.position, rung)
         return Batch(batch.keys) if offer.rungs[rung].level == offer.rungs[slot.rung].level else batch
 

@@ -70,7 +70,7 @@ class Arrival:
         return len(self.whole) == len(self.request.batch.files)
 
     @property
-    def kept(self) -> tuple[str, ...]:
+    def usable(self) -> tuple[str, ...]:
         """The files that are of use: a state segment whose batch is not complete is dropped."""
         return self.whole if self.complete else tuple(p for p in self.whole if p not in self.request.batch.state)
 

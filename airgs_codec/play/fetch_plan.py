@@ -76,7 +76,7 @@ class FetchPlan:
             yield expected(here, velocity, min(at_s - now_s, FURTHEST_S))
 
     def _seen(self, playout: Playout, at_s: float) -> Camera:
-        """What the viewer saw at a moment; before the first picture he stands still."""
+        """Return what the viewer saw at a moment; before the first picture he stands still."""
         assert self.view is not None
         timeline = playout.timeline
         return self.view.at(max(0.0, at_s - timeline[0].start_s) if timeline else 0.0)

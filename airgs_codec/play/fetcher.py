@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from airgs_codec.package.paths import FileKind, file_kind, group_path
+from airgs_codec.package.layout import POSTER_NAME, FileKind, file_kind, group_path
+from airgs_codec.package.manifest import Manifest
 from airgs_codec.play.downloader import (
     Arrival,
     Arrived,
@@ -25,6 +26,7 @@ from airgs_codec.play.policies.state import Download, Policy, estimate_throughpu
 from airgs_codec.play.settings import SessionSettings
 
 REMEMBERED = 24  # downloads that policies know
+NOTHING = Download(0, 1.0)
 SHORTEST_S = 1e-9  # a download that rounds to no time still has a rate
 
 
@@ -34,18 +36,22 @@ class TableStore:
 
     offers: Offers
     _paths: set[str] = field(default_factory=set)
+    _complete: dict[int, Manifest] = field(default_factory=dict)  # segments of which nothing is missing, and as of when
 
     def add(self, arrival: Arrival) -> None:
         """Keep what arrived."""
-        self._paths.update(path for path in arrival.kept if file_kind(path) is FileKind.MANIFESTS)
+        self._paths.update(path for path in arrival.usable if file_kind(path) in (FileKind.MANIFESTS, FileKind.POSTER))
 
     def has(self, position: int) -> bool:
         """Whether the table of the segment at a position is there."""
-        return not self.missing(range(position, position + 1))
+        return self._next(self.offers.place(position)[1]) is None
 
     def missing(self, positions: range) -> tuple[str, ...]:
-        """What these positions still need and can be asked for: pages, and tables that a page or the root leads to."""
-        wanted = dict.fromkeys(self._next(self.offers.place(position)[1]) for position in positions)
+        """What these positions still need and can be asked for: pages, and tables that a page or the root leads to; and
+        the poster, in case nobody has seen it.
+        """
+        poster = POSTER_NAME if self.offers.manifest.poster and POSTER_NAME not in self._paths else None
+        wanted = dict.fromkeys([poster, *(self._next(self.offers.place(position)[1]) for position in positions)])
         return tuple(path for path in wanted if path is not None)
 
     def missing_pages(self) -> tuple[str, ...]:
@@ -54,17 +60,23 @@ class TableStore:
 
     def _next(self, segment: int) -> str | None:
         """The first missing of what leads to a segment, and then to the group whose rows its group keeps."""
-        return next((path for path in self._way(segment) if path not in self._paths), None)
+        manifest = self.offers.manifest
+        if self._complete.get(segment) is manifest:
+            return None
+        path = next((path for path in self._way(segment) if path not in self._paths), None)
+        if path is None:
+            self._complete[segment] = manifest
+        return path
 
     def _way(self, segment: int) -> Iterator[str]:
         """Pages and tables; each is read when the next is asked for."""
         groups = self.offers.manifest.groups
-        yield from groups.places.pages_to_segment(segment)
+        yield from groups.places.pages_to("segments", segment)
         group = groups.places.at_segment(segment)
         yield group_path(group + 1)
         keeps = groups[group].keeps
         if keeps is not None:
-            yield from groups.places.pages_to_group(keeps - 1)
+            yield from groups.places.pages_to("groups", keeps - 1)
             yield group_path(keeps)
 
 
@@ -95,8 +107,12 @@ class UnitStore:
         return known[offer]
 
     def add(self, loop: int, offer: SegmentOffer, arrival: Arrival) -> None:
-        """Decode what arrived for a rung of a segment, of all tiles: a unit counts once its files are there."""
-        arrived, units = set(arrival.kept), self._units.setdefault(loop, set())
+        """Decode what arrived for a rung of a segment, of all tiles: a unit counts once its files are there.
+
+        Sound that cannot be had is silence: it counts as there.
+        """
+        silent = {path for path in arrival.refused if file_kind(path) is FileKind.SOUND}
+        arrived, units = silent.union(arrival.usable), self._units.setdefault(loop, set())
         new = {unit.unit for unit in offer.rungs[arrival.request.rung].units if arrived.issuperset(unit.files)}
         if not new <= units:
             units |= new
@@ -115,6 +131,7 @@ class Fetcher:
     units: UnitStore = field(default_factory=UnitStore)
     now_s: float = 0.0  # when the last batch was over, or when there was room for the next
     downloads: list[tuple[float, Download]] = field(default_factory=list)  # with their arrivals
+    first: Download = NOTHING  # the fastest of tables and poster, the wait for its first byte included
     unusable: set[str] = field(default_factory=set)  # files found missing or corrupt
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for there again
 
@@ -151,9 +168,12 @@ class Fetcher:
         assert arrival is not None, "a player that waits for a batch was sent none"
         self.now_s = arrival.at_s
         took_s = max(arrival.at_s - arrival.first_byte_s, SHORTEST_S)
-        self.unusable.update(arrival.refused)
+        self.unusable.update(path for path in arrival.refused if file_kind(path) is not FileKind.SOUND)
         self.tables.add(arrival)
-        if request.kind is not BatchKind.TABLES:  # too small to tell the rate: they come in one burst
+        if request.kind is BatchKind.TABLES:  # in one burst, too short to tell the rate, but not that it is no less
+            took_s = max(arrival.at_s - request.sent_s, SHORTEST_S)
+            self.first = max(self.first, Download(arrival.bytes, took_s), key=lambda d: d.bytes / d.seconds)
+        else:
             self.downloads.append((arrival.at_s, Download(arrival.bytes, took_s)))
             self.units.add(self.loop(request.position), self.offer(request.position), arrival)
         return arrival
@@ -164,7 +184,7 @@ class Fetcher:
         return self.settings.pipelined and self.connection.pipelines
 
     def latency_s(self, earliest_s: float) -> float:
-        """What is left of the round trip when the link is free: pipelined, the request was sent before."""
+        """Return what is left of the round trip when the link is free: pipelined, the request was sent before."""
         rtt_s = self.connection.rtt_s
         return max(0.0, rtt_s - (self.now_s - earliest_s)) if self.pipelines and earliest_s < self.now_s else rtt_s
 
@@ -173,8 +193,8 @@ class Fetcher:
         return self.now_s - (self.connection.rtt_s - latency_s)
 
     def history(self, sent_s: float) -> tuple[Download, ...]:
-        """The last downloads that are over when a request is sent, oldest first."""
-        return tuple(d for at_s, d in self.downloads[-REMEMBERED:] if at_s <= sent_s + SHORTEST_S)
+        """The last downloads that are over when a request is sent, oldest first; before there is one, the tables."""
+        return tuple(d for at_s, d in self.downloads[-REMEMBERED:] if at_s <= sent_s + SHORTEST_S) or (self.first,)
 
     def throughput_bps(self, sent_s: float) -> float:
         """The estimate when a request is sent."""

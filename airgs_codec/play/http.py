@@ -1,6 +1,6 @@
 """Batches over a real HTTP connection, by the real clock: the other Downloader.
 
-The files of a batch are requested at once, each over a connection of its own (HTTP/1.1, kept open), so that they share
+The files of a batch are requested at once, each over a connection of its own (HTTP/1.1, left open), so that they share
 a round trip and then the link, as on the simulated one. What arrives is checked against the tables before it counts.
 """
 
@@ -17,17 +17,15 @@ from types import TracebackType
 from typing import Self
 from urllib.parse import urlsplit
 
-import aiohttp
-
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.index import count_groups
+from airgs_codec.package.layout import JSON_NAME, group_path, locate
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import check_digest, open_manifest
-from airgs_codec.package.parse import MAX_ROOT_BYTES, parse_root
-from airgs_codec.package.paths import JSON_NAME, group_path, locate
+from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_root
 from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
 from airgs_codec.play.downloader import CHECK_S, Arrival, BatchKind, GiveUp, Partial, Request
-from airgs_codec.play.http_files import FileClient, HttpSettings, Transfer
+from airgs_codec.play.http_files import FileClient, HttpSettings, Transfer, connect
 from airgs_codec.play.offers import NONE, Batch, Offers
 from airgs_codec.play.session import SessionLog
 
@@ -88,7 +86,7 @@ class HttpDownloader:
         if not c.live:
             return
         places = c.manifest.groups.places
-        for path in places.pages_to_segment(places.segments - 1):
+        for path in places.pages_to("segments", places.segments - 1):
             self._fetch_first(path)
         c.first = places.entry(places.groups - 1).first_segment
 
@@ -116,16 +114,7 @@ class HttpDownloader:
         return self._tables.offers
 
     async def _connect(self) -> FileClient:
-        """Bodies as they are, not inflated: the tables list the digests of what is on the server."""
-        patience = aiohttp.ClientTimeout(
-            total=None, sock_connect=self._settings.timeout_s, sock_read=self._settings.timeout_s
-        )
-        session = aiohttp.ClientSession(
-            connector=aiohttp.TCPConnector(limit=CONNECTIONS),
-            timeout=patience,
-            auto_decompress=False,
-            headers={"Accept-Encoding": "identity"},
-        )
+        session = connect(self._settings, CONNECTIONS)
         return FileClient(session, self._url, self._settings, self._accept)
 
     def _accept(self, path: str, data: bytes) -> None:
@@ -246,7 +235,7 @@ class RemoteTables:
     def limit(self, path: str) -> int:
         """The most bytes that a file may have. Raises FormatError for one that no table lists."""
         if path == JSON_NAME or self.offers is None:
-            return MAX_ROOT_BYTES
+            return MAX_TABLE_BYTES
         return self.offers.manifest.entry(path).bytes
 
     def accept(self, path: str, data: bytes) -> None:
@@ -313,9 +302,9 @@ def _check_growth(before: Root, after: Root) -> None:
         if field.name not in GROWS
     )
     was, now = count_groups(before.index), count_groups(after.index)
-    kept = now >= was
+    extends = now >= was
     for level, (old, new) in enumerate(zip(before.index, after.index, strict=False)):
         if was // PAGE ** (level + 1) == now // PAGE ** (level + 1):  # no page of the level above was filled since
-            kept = kept and new.sha256.startswith(old.sha256)
-    if not (same and kept and after.frames >= before.frames and before.live >= after.live):
+            extends = extends and new.sha256.startswith(old.sha256)
+    if not (same and extends and after.frames >= before.frames and before.live >= after.live):
         raise FormatError("bad_value", JSON_NAME, "expected the package of before with more groups, got another")

@@ -1,7 +1,8 @@
 """Single files over HTTP: asked for again, later and later, until what comes is right or it is no use.
 
 A server that cannot be reached, or says that it is busy (429, 502, 503, 504), is waited for as long as `outage_s`. Any
-other fault is the file's: after `attempts` of them the file cannot be had, as one with status 404 at once.
+other fault is the file's: after `attempts` of them the file cannot be had, as one with status 404 at once. A redirect
+is followed on the server itself, never to another scheme, host or port.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ import random
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import aiohttp
+from yarl import URL
 
 from airgs_codec._settings import documented, setting
 from airgs_codec.errors import ConfigError, FormatError, TransportError
@@ -24,6 +27,7 @@ from airgs_codec.play.repr_digest import REPR_DIGEST, check_repr_digest
 BUSY = (429, 502, 503, 504)
 GARBLED = ("size_mismatch", "hash_mismatch", "not_json")  # reasons to ask again
 LONGEST_PAUSE_S = 4.0
+LEAST_BYTES = 4096  # that come within the time-out: 16 connections over a modem of 18 kbit/s are faster
 STATUS_LINE_BYTES = len("HTTP/1.1 200 OK\r\n\r\n")
 FRESH = {"Cache-Control": "no-cache"}  # asks caches on the way, which may hold wrong bytes, to ask the server
 
@@ -33,7 +37,7 @@ FRESH = {"Cache-Control": "no-cache"}  # asks caches on the way, which may hold 
 class HttpSettings:
     """Patience with a server. Raises ConfigError for settings that cannot work."""
 
-    timeout_s: float = setting(30.0, "seconds without a byte after which an answer is asked for again")
+    timeout_s: float = setting(30.0, "seconds for the next 4 KiB of an answer, after which it is asked for again")
     attempts: int = setting(4, "faulty answers after which a file cannot be had")
     backoff_s: float = setting(0.25, "seconds before an answer is asked for again, doubled each time")
     outage_s: float = setting(60.0, "seconds that a server may be away")
@@ -71,6 +75,42 @@ class _PassingError(FormatError):
     def __init__(self, path: str, words: str, away: bool = False) -> None:
         super().__init__("missing_file", path, words)
         self.away = away  # the server, not the file
+
+
+def connect(settings: HttpSettings, connections: int) -> aiohttp.ClientSession:
+    """Connections of a `FileClient`. Bodies come as they are: the tables list digests of what is on the server."""
+
+    async def begin(session: object, context: SimpleNamespace, sent: object) -> None:
+        context.trace_request_ctx.restart()
+
+    trace = aiohttp.TraceConfig()
+    trace.on_request_headers_sent.append(begin)
+    return aiohttp.ClientSession(
+        connector=aiohttp.TCPConnector(limit=connections),
+        timeout=aiohttp.ClientTimeout(total=None, sock_connect=settings.timeout_s),
+        auto_decompress=False,
+        headers={"Accept-Encoding": "identity"},
+        trace_configs=[trace],
+    )
+
+
+class _Window:
+    """The time for the next LEAST_BYTES of an answer; it begins when the request is sent."""
+
+    def __init__(self, timeout_s: float) -> None:
+        self._timeout_s, self._came = timeout_s, 0
+        self.limit = asyncio.timeout(None)
+
+    def restart(self) -> None:
+        """Give all of the time again."""
+        self._came = 0
+        self.limit.reschedule(asyncio.get_running_loop().time() + self._timeout_s)
+
+    def count(self, size: int) -> None:
+        """So many bytes came."""
+        self._came += size
+        if self._came >= LEAST_BYTES:
+            self.restart()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,25 +174,42 @@ class _Answer:
             raise TransportError(f"{self.client.url}: {error}") from error
         except (aiohttp.ClientConnectorError, aiohttp.ConnectionTimeoutError) as error:
             return _PassingError(self.path, f"the server cannot be reached: {_reason(error)}", away=True)
-        except (aiohttp.ClientError, OSError) as error:  # TimeoutError is one
+        except TimeoutError:
+            words = f"broken off: fewer than {LEAST_BYTES} bytes in {self.client.settings.timeout_s:g} s"
+            return _PassingError(self.path, words)
+        except (aiohttp.ClientError, OSError) as error:
             return _PassingError(self.path, f"broken off: {_reason(error)}")
         return None
 
     async def _receive(self, headers: dict[str, str]) -> bytes:
-        asked_at = time.monotonic()
-        async with self.client.session.get(f"{self.client.url}/{self.path}", headers=headers) as response:
+        asked_at, window = time.monotonic(), _Window(self.client.settings.timeout_s)
+        asking = self.client.session.get(
+            f"{self.client.url}/{self.path}",
+            headers=headers,
+            middlewares=(self._stay,),
+            trace_request_ctx=window,
+        )
+        async with window.limit, asking as response:
             self._count(STATUS_LINE_BYTES + sum(len(name) + len(value) + 4 for name, value in response.raw_headers))
             self.transfer.begin(asked_at)
             if response.status != 200:
                 raise _refusal(self.path, response.status)
-            data = await self._body(response.content)
+            data = await self._body(response.content, window)
         check_repr_digest(self.path, data, response.headers.get(REPR_DIGEST, ""))
         return data
 
-    async def _body(self, stream: aiohttp.StreamReader) -> bytes:
+    async def _stay(self, request: aiohttp.ClientRequest, pass_on: aiohttp.ClientHandlerType) -> aiohttp.ClientResponse:
+        """Pass on a request to the server itself. Raises FormatError for one to another, after a redirect."""
+        origin, asked = URL(self.client.url).origin(), request.url.origin()
+        if asked != origin:
+            raise FormatError("missing_file", self.path, f"expected a file of {origin}, got a redirect to {asked}")
+        return await pass_on(request)
+
+    async def _body(self, stream: aiohttp.StreamReader, window: _Window) -> bytes:
         body = bytearray()
         async for data in stream.iter_any():
             self._count(len(data))
+            window.count(len(data))
             body += data
             if len(body) > self.limit:
                 raise FormatError("size_mismatch", self.path, f"expected at most {self.limit} bytes, got more")

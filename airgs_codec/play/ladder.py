@@ -69,8 +69,8 @@ class Ladder:
         if not beta > 1:
             raise ConfigError(f"cliff multiplier: expected more than 1, got {beta}")
         front = _pareto([_checked(p) for p in options])
-        kept = front[:1]
-        steps = 0.0  # of 10 %, from the best level to the last one kept
+        rungs = front[:1]
+        steps = 0.0  # of 10 %, from the best level to the last one chosen
         for previous, option in itertools.pairwise(front):
             tenths = max(1.0, 10 * (option.saved - previous.saved))
             drop = (previous.quality - option.quality) / tenths
@@ -78,9 +78,9 @@ class Ladder:
             past = drop > cliff_db if reference is None else drop / reference > beta
             if past or (min_quality is not None and option.quality < min_quality):
                 break
-            kept.append(option)
+            rungs.append(option)
             steps += tenths
-        return Ladder(tuple(kept))
+        return Ladder(tuple(rungs))
 
 
 def _checked(option: Option) -> Option:
@@ -116,55 +116,6 @@ def select(ladder: Ladder, budget_bytes: float) -> Decision:
 
 
 def saved_shares(sizes: Sequence[float]) -> list[float]:
-    """What each level saves of the bytes of the first, the best; 0 where that has none or is no larger."""
+    """Return what each level saves of the bytes of the first, the best; 0 where that has none or is no larger."""
     best = sizes[0]
     return [max(0.0, 1 - size / best) if best > 0 else 0.0 for size in sizes]
-
-
-def select_literal(options: Sequence[Option], budget_bytes: float, beta: float = DEFAULT_BETA) -> int | None:
-    """Algorithm 1 as it is printed, over options in the order of their levels; None where it leaves p undefined.
-
-    A step is q[i] - q[i-1], negative where quality falls. Divisions are IEEE: 0 / 0 is no number and never above beta,
-    and a fall after a step of 0 is -infinity, so that the cliff is missed there. When nothing fits, the answer is the
-    cliff's level, whatever its size; see the module for what `select` does. Raises ConfigError without options.
-    """
-    if not options:
-        raise ConfigError("Algorithm 1: expected at least one level, got none")
-    kept, answer = [0], None
-    previous = _minus(options[1].quality, options[0].quality) if len(options) > 1 else 0.0
-    for i in range(1, len(options)):
-        drop = _minus(options[i].quality, options[i - 1].quality)
-        if _ratio(drop, previous) > beta:
-            answer = i
-            break
-        kept.append(i)
-        previous = drop
-    low, high = 0, len(kept) - 1
-    while low <= high:
-        middle = (low + high) // 2
-        if options[kept[middle]].size_bytes <= budget_bytes:
-            answer, high = kept[middle], middle - 1
-        else:
-            low = middle + 1
-    return answer
-
-
-def _minus(a: float, b: float) -> float:
-    return a - b if math.isfinite(a) or math.isfinite(b) else math.nan
-
-
-def _ratio(a: float, b: float) -> float:
-    if b:
-        return a / b
-    return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, a)
-
-
-def frame_budget(bandwidth_bps: float, fps: float, overhead_bytes: float = 0.0, share: float = 1.0) -> float:
-    """Bytes a frame may have: the paper's C = B / R with its units, `share` of it spent, less what a request costs.
-
-    A bandwidth that is negative or no number counts as 0 (12). Raises ConfigError unless fps > 0.
-    """
-    if not fps > 0:
-        raise ConfigError(f"frame rate: expected more than 0, got {fps}")
-    usable = bandwidth_bps if bandwidth_bps > 0 else 0.0
-    return max(0.0, share * usable / (8 * fps) - overhead_bytes)

@@ -12,12 +12,13 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.paths import FileKind
+from airgs_codec.package.layout import FileKind
 from airgs_codec.play.downloader import BatchKind, Shown
 from airgs_codec.play.fetcher import SHORTEST_S
 from airgs_codec.play.offers import Offers
@@ -91,6 +92,10 @@ class SessionMetrics:
     trace_ended: bool | None  # whether the session was longer than the trace
     rtt_s: float | None
     tiles: TileFigures | None = None  # None where all of the scene was fetched
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures by name, as plain values."""
+        return asdict(self)
 
 
 def frame_times(fetches: Sequence[Fetch], shown: Sequence[Shown]) -> NDArray[np.float64]:
@@ -188,7 +193,6 @@ def session_metrics(
 
 
 TICK_PSNR = "mean over display ticks of the dB of what was on the screen; frozen pictures count"
-KINDS = (FileKind.KEY, FileKind.STATE, FileKind.SIDECARS, FileKind.INIT, FileKind.MANIFESTS)  # of bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +229,7 @@ FIGURES = (
     Figure("frame_ms_p50", "median ms", "median over frames of the same time", 1, 0),
     Figure("frame_ms_p95", "95 % ms", "95th percentile over frames of the same time", 1, 0),
     Figure("frame_ms_max", "worst ms", "the longest of these times", 1, 0),
-    *(Figure(f"{kind}_kb_frame", f"{kind} kB", f"kB a frame of {kind} files, without headers") for kind in KINDS),
+    *(Figure(f"{kind}_kb_frame", f"{kind} kB", f"kB a frame of {kind} files, without headers") for kind in FileKind),
 )
 
 

@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
-from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.package.tables import GroupTile, SegmentLevel
 from airgs_codec.play.ladder import Option, saved_shares
 from airgs_codec.play.sight import Boxes
@@ -51,7 +51,7 @@ class Batch:
 
 @dataclass(frozen=True, slots=True)
 class UnitOffer:
-    """A key unit."""
+    """A key unit, or the sound of a group, whose number is that behind all key units and whose quality is 0."""
 
     unit: Unit
     files: tuple[str, ...]  # none where it has no rows
@@ -69,7 +69,9 @@ class RungOffer:
     gaussians: int  # that a picture shows
     allowed: bool  # whether the budget has as many
     saved: float  # share of the first level's state that its level saves
-    units: tuple[UnitOffer, ...]  # of every key tier that of the group, then that of the base where rows of it are kept
+    units: tuple[
+        UnitOffer, ...
+    ]  # sound, then of every key tier that of the group and that of the base where rows are kept
     state: tuple[str, ...]  # files
     state_bytes: int  # on the wire
 
@@ -226,9 +228,12 @@ class Offers:
     def _make_units(
         self, group: int, base: int | None, tiles: Tiles | None, rung: tuple[int, int]
     ) -> tuple[UnitOffer, ...]:
-        """The key units of a rung in a group, in the order of fetching."""
+        """The sound of a group and the key units of a rung in it, in the order of fetching."""
         m, (quality, level) = self.manifest, rung
         units: list[UnitOffer] = []
+        if m.sound:
+            sound = m.sound_files(group)
+            units.append(UnitOffer((group, 0, m.units), tuple(sound), self._wire(sound)))
         table = m.groups[group].units
         for number in m.units_of(level, None if tiles is None else sorted(tiles)):
             of = [group] if base is None or not table[number].kept else [group, base]

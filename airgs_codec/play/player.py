@@ -23,7 +23,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package.paths import JSON_NAME
+from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.play.buffered import Buffered
 from airgs_codec.play.downloader import (
     Arrived,
@@ -51,6 +51,7 @@ from airgs_codec.play.sight import View
 
 POLL_S = 0.2  # airgs.json of a growing package is fetched no more often
 SILENCE_S = 60.0  # without a new group: whoever added groups has gone
+MOST_LOST = 1000  # segments in a row
 
 
 def run(
@@ -99,6 +100,7 @@ class Player:
     playout: Playout
     end: int = 0  # positions, so far where the package grows
     root_s: float = 0.0  # when airgs.json was asked for
+    lost: int = 0  # positions in a row
     buffered: Buffered = field(init=False)
 
     def __post_init__(self) -> None:
@@ -123,6 +125,10 @@ class Player:
             yield from self._fetch_next(position, earliest_s, latency_s)
             yield from self._shown(self.playout.started(f.now_s))
             position += 1
+            if self.lost == MOST_LOST:  # an index may promise more than anybody can wait for
+                yield Cut(f.now_s, f"{MOST_LOST} segments in a row were lost")
+                self.playout.finish(f.now_s)
+                break
         yield from self.buffered.wait(math.inf)
         yield from self._shown(self.playout.started())
 
@@ -167,8 +173,9 @@ class Player:
                 rung = min(came.values(), key=lambda r: (offer.rungs[r].psnr, -r))
             elif not parts:  # no tile has rows: an empty scene is shown, for which nothing is fetched
                 state = self._state(position, frozenset(), latency_s)
-                rung = f.policy.choose(state).index if state.options else None
+                rung = f.policy.decide(state).index if state.options else None
         ready_s = f.now_s + f.settings.decode_frame_s
+        self.lost = self.lost + 1 if rung is None else 0
         if rung is None:
             yield Lost(position, f.now_s)
             slot = Slot(position, f.offers.seconds_at(position), f.now_s)
@@ -202,7 +209,7 @@ class Player:
                 wanted = [part for part in wanted if part not in left]
                 continue
             if decision is None or decision.index not in {option.index for option in state.options}:
-                decision = f.policy.choose(state)
+                decision = f.policy.decide(state)
             if (yield from self._fetch_part(state, decision, left, latency_s)):
                 came[left[0]] = decision.index
             else:
@@ -232,7 +239,7 @@ class Player:
         return arrival.complete
 
     def _state(self, position: int, part: Part, latency_s: float) -> PlayerState:
-        """What is known before a part of a segment is requested."""
+        """Return what is known before a part of a segment is requested."""
         f, last = self.fetcher, self.playout.last
         offer, loop = f.offer(position, part), f.loop(position)
         return PlayerState(

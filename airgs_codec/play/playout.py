@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.paths import locate
+from airgs_codec.package.layout import locate
 from airgs_codec.play.downloader import Shown, TileReady
 from airgs_codec.play.offers import Offers, SegmentOffer
 from airgs_codec.play.settings import SessionSettings
@@ -211,7 +211,7 @@ class TilesShown:
         return found
 
     def came(self, position: int) -> list[TileReady]:
-        """What came of the segment at a position."""
+        """Return what came of the segment at a position."""
         return self._by_position.get(position, [])
 
     def there(self, position: int, at_s: float) -> There:

@@ -14,7 +14,12 @@ _SHA256 = re.compile(r"\bsha-256=:([A-Za-z0-9+/]+=*):", re.ASCII)
 
 def repr_digest(data: bytes) -> str:
     """The value of the header for an answer with these bytes."""
-    return f"sha-256=:{base64.b64encode(hashlib.sha256(data).digest()).decode()}:"
+    return repr_value(hashlib.sha256(data).digest())
+
+
+def repr_value(sha256: bytes) -> str:
+    """The value of the header for an answer with this SHA-256."""
+    return f"sha-256=:{base64.b64encode(sha256).decode()}:"
 
 
 def check_repr_digest(where: str, data: bytes, header: str) -> None:

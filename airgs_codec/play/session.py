@@ -5,16 +5,19 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._arguments import argument
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import FormatError
-from airgs_codec.package.package import Package
-from airgs_codec.package.paths import FileKind, file_kind
+from airgs_codec.package.layout import FileKind, file_kind
+from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 from airgs_codec.play.downloader import (
     Arrival,
@@ -40,11 +43,11 @@ from airgs_codec.play.metrics import (
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.playout import TilesShown, screen_ticks, tile_of
-from airgs_codec.play.policies.named import DEFAULT_POLICY, make_policy
+from airgs_codec.play.policies.named import DEFAULT_POLICY, Choose, make_policy
 from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View
-from airgs_codec.play.trace import Link, Trace
+from airgs_codec.play.trace import Link, Trace, open_trace
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +99,13 @@ class SessionLog:
         return figures if self.tiles is None else replace(figures, tiles=self.tiles.figures)
 
     @property
+    def events(self) -> list[dict[str, Any]]:
+        """Batches ("fetch") and segments that were on the screen ("show") as plain values, in the order of `at_s`."""
+        fetched = [{"event": "fetch", "at_s": fetch.arrival_s, **asdict(fetch)} for fetch in self.fetches]
+        shown = [{"event": "show", "at_s": shown.start_s, **asdict(shown)} for shown in self.shown]
+        return sorted([*fetched, *shown], key=lambda event: event["at_s"])
+
+    @property
     def screen_ticks(self) -> list[tuple[int, int]]:
         """(entry of `shown`, frame of it) for every display tick; see `playout.screen_ticks`."""
         return screen_ticks(self.shown, self.offers.fps)
@@ -114,42 +124,53 @@ class SessionLog:
 def play(
     offers: Offers,
     downloader: Downloader,
-    policy: Policy | str = DEFAULT_POLICY,
+    policy: Policy | Choose | str = DEFAULT_POLICY,
     settings: SessionSettings | None = None,
     link: Link | None = None,
     view: View | None = None,
 ) -> SessionLog:
     """Play a package from wherever the downloader fetches it; `link` is what a simulated one is of.
 
-    With a `view`, tiles are fetched by it, where the package has more than one. `policy` is a value or one of the names
-    that `make_policy` takes. Raises ConfigError for an unknown policy and for
-    one that needs what is not known, TransportError when the link fails.
+    With a `view`, tiles are fetched by it, where the package has more than one. `policy` is what `make_policy` takes.
+    Raises ConfigError for an unknown policy, one that needs what is not known and one that decides for what there is
+    not, TransportError when the link fails.
     """
-    rule = make_policy(policy, offers, link) if isinstance(policy, str) else policy
+    rule = make_policy(policy, offers, link)
     seen = view if offers.manifest.tiles > 1 else None
-    rules = settings or SessionSettings()
+    rules = _rules(settings)
     rules = rules if seen is None else rules.by_view()
     return SessionLog.of(run(offers, downloader, rule, rules, seen), offers, rule.name, rules, link, seen)
 
 
 def simulate(
-    package: Package | Offers,
-    trace: Trace | Link,
-    policy: Policy | str = DEFAULT_POLICY,
+    package: Package | Offers | str | Path,
+    trace: Trace | Link | str | Path,
+    policy: Policy | Choose | str = DEFAULT_POLICY,
     settings: SessionSettings | None = None,
     faults: Mapping[str, FormatError] | None = None,
     view: View | None = None,
 ) -> SessionLog:
     """Play a package over a trace, with the trace's own round trip, or over a link; with a `view`, by tiles.
 
-    `policy` is a value or one of the names that `make_policy` takes; `faults` are files that cannot be used, as
-    `find_faults` gives them. Raises ConfigError for an unknown policy, for one that needs quality that was not measured
-    and for a budget that all rungs of a segment are over, TransportError for a trace that ends too soon.
+    A package may be given by its path, a trace as `open_trace` takes it. `policy`: one of the names that `make_policy`
+    takes, a function from PlayerState to Decision, or a Policy; `faults`: files that cannot be used, as `find_faults`
+    gives them. Raises ConfigError for an unknown policy, one that needs quality that was not measured and one that
+    decides for what there is not, and for a budget that all rungs of a segment are over; TransportError for a trace
+    that ends too soon; and what `open_package` raises.
     """
-    offers = Offers.of(package) if isinstance(package, Package) else package
-    link = Link.over(trace) if isinstance(trace, Trace) else trace
-    offers.check_budget(range(offers.segments), settings.budget if settings else None)
-    return play(offers, SimulatedDownloader(link, offers, faults or {}), policy, settings, link, view)
+    if not isinstance(package, Offers):
+        package = Offers.of(argument("package", package, Package, OPENED, open_package))
+    offers = package
+    if not isinstance(trace, Link):
+        trace = Link.over(argument("trace", trace, Trace, "a trace, or its path or name", open_trace))
+    link = trace
+    rules = _rules(settings)
+    offers.check_budget(range(offers.segments), rules.budget)
+    return play(offers, SimulatedDownloader(link, offers, faults or {}), policy, rules, link, view)
+
+
+def _rules(settings: SessionSettings | None) -> SessionSettings:
+    return argument("settings", SessionSettings() if settings is None else settings, SessionSettings, "SessionSettings")
 
 
 def session_bound(log: SessionLog, integer: bool = False) -> float | None:
@@ -214,7 +235,7 @@ class _Fold:
     def _arrived(self, event: Arrived) -> None:
         arrival, number = event.arrival, len(self.arrived)
         self.arrived.append(event)
-        for path in arrival.kept:
+        for path in arrival.usable:
             self.bytes_by_kind[file_kind(path)] += self.offers.file_bytes(path)
             if (tile := tile_of(path)) is not None:
                 self.bytes_by_tile[tile] += self.offers.file_bytes(path)
@@ -260,15 +281,15 @@ class _Fold:
         )
 
     def _useless_bytes(self, number: int, arrival: Arrival) -> int:
-        """Bytes of a batch that served nothing: all of a replacement that was not put in place, and what was not kept
+        """Bytes of a batch that served nothing: all of a replacement that was not put in place, and what was not usable
         of another.
         """
         if arrival.request.kind is BatchKind.REPLACEMENT:
             return 0 if number in self.on_timeline else arrival.bytes
         if arrival.complete:
             return sum(retry.bytes for retry in arrival.retries)
-        kept = self.offers.wire_bytes([self.offers.file_bytes(path) for path in arrival.kept])
-        return max(0, arrival.bytes - kept)
+        used = self.offers.wire_bytes([self.offers.file_bytes(path) for path in arrival.usable])
+        return max(0, arrival.bytes - used)
 
 
 def measure_decoding(package: Package) -> float:

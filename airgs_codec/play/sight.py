@@ -50,7 +50,7 @@ class Velocity:
 
 
 def expected(view: Camera, velocity: Velocity, ahead_s: float) -> Camera:
-    """What a viewer is expected to see some seconds later who sees and moves like this."""
+    """Return what a viewer is expected to see some seconds later who sees and moves like this."""
     passed_s = DECAY_S * (1 - np.exp(-max(0.0, ahead_s) / DECAY_S))
     rotation = to_matrices(from_rotation_vector(passed_s * velocity.turn)) @ view.world_to_camera[:3, :3]
     position = view.position + passed_s * velocity.shift

@@ -9,7 +9,7 @@ import math
 import multiprocessing
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError, TransportError
+from airgs_codec.package.layout import FileKind
 from airgs_codec.package.package import open_package
 from airgs_codec.play.fetcher import TableStore
-from airgs_codec.play.metrics import FIGURES, KINDS
+from airgs_codec.play.metrics import FIGURES
 from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.session import SessionLog, session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
@@ -28,7 +29,7 @@ from airgs_codec.progress import Progress, silent
 
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
 RESAMPLES = 2000
-PERCENTILES = tuple(range(101))  # of the frame times that are kept of a session
+PERCENTILES = tuple(range(101))  # of the frame times that are recorded of a session
 Row = dict[str, Any]  # what is known of one session or run, by name
 
 
@@ -139,9 +140,9 @@ def _session_row(log: SessionLog) -> Row:
     bound = session_bound(log)
     shown = sum(s.frames for s in log.shown)
     return (
-        asdict(log.metrics)
+        log.metrics.as_dict()
         | {"bound": bound, "regret": None if bound is None else bound - log.mean_quality}
-        | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / shown / 1e3 for kind in KINDS}
+        | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / shown / 1e3 for kind in FileKind}
         | {"frame_ms_percentiles": (1e3 * np.percentile(log.frame_times, PERCENTILES)).round(3).tolist()}
     )
 

@@ -13,8 +13,9 @@ from itertools import accumulate, pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from airgs_codec._arguments import path_argument
 from airgs_codec.errors import ConfigError, TransportError
 
 MAHIMAHI_PACKET_BYTES = 1500  # one delivery opportunity
@@ -31,9 +32,9 @@ ENDS = ("loop", "hold", "error")  # what follows the last second: the first one,
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """rates_bps[i] holds from starts_s[i] to the next start, the last to duration_s; then what `end` says.
+    """Bandwidth over time: rates_bps[i] holds from starts_s[i] to the next start, the last to duration_s.
 
-    Raises TransportError for times, rates or an end that cannot be.
+    Then comes what `end` says. Raises TransportError for times, rates or an end that cannot be.
     """
 
     name: str
@@ -61,6 +62,22 @@ class Trace:
             raise TransportError(f"{self.name}: expected an end of {', '.join(ENDS)}, got {self.end}")
         object.__setattr__(self, "_starts", self.starts_s.tolist())
         object.__setattr__(self, "_totals", list(accumulate((self.rates_bps * steps).tolist(), initial=0.0)))
+
+    @staticmethod
+    def from_arrays(seconds: ArrayLike, mbit_s: ArrayLike, name: str = "arrays") -> Trace:
+        """A trace of K ascending times (K,), of which the first counts as 0, and of the rates from each on (K,).
+
+        The last one holds as long as the one before it; a single one for a second. Raises TransportError for arrays of
+        other shapes and for what cannot be.
+        """
+        try:
+            times, rates = np.asarray(seconds, np.float64), np.asarray(mbit_s, np.float64)
+        except (TypeError, ValueError) as error:
+            raise TransportError(f"{name}: expected seconds and Mbit/s: {error}") from error
+        if times.ndim != 1 or times.shape != rates.shape or not len(times):
+            raise TransportError(f"{name}: expected as many seconds as Mbit/s, got {times.shape} and {rates.shape}")
+        last = times[-1] - times[-2] if len(times) > 1 else 1.0
+        return _trace(name, times - times[0], 1e6 * rates, float(last))
 
     @property
     def mean_bps(self) -> float:
@@ -123,9 +140,11 @@ class Trace:
         later, earlier = self.starts_s[first:] - offset_s, self.starts_s[: first + 1] + self.duration_s - offset_s
         starts = np.concatenate([np.maximum(later, 0), earlier])
         rates = np.concatenate([self.rates_bps[first:], self.rates_bps[: first + 1]]) * scale
-        kept = starts < self.duration_s
+        inside = starts < self.duration_s
         begins = (self.offset_s + offset_s) % self.duration_s
-        return replace(self, starts_s=starts[kept], rates_bps=rates[kept], scale=self.scale * scale, offset_s=begins)
+        return replace(
+            self, starts_s=starts[inside], rates_bps=rates[inside], scale=self.scale * scale, offset_s=begins
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +193,7 @@ def open_trace(source: str | Path) -> Trace:
     A path: a file that `read_trace` reads. `const:MBPS`: a constant rate. `markov:SEED` or `markov:SEED:MEAN_MBPS`: the
     synthetic trace of `markov_trace`. Raises TransportError for a file that cannot be read and for anything else.
     """
-    kind, _, rest = str(source).partition(":")
+    kind, _, rest = str(path_argument("trace", source)).partition(":")
     numbers = rest.split(":")
     if kind not in ("const", "markov"):
         return read_trace(Path(source))
@@ -228,7 +247,7 @@ def read_trace(path: Path) -> Trace:
         if all(line.strip().isdigit() for line in lines):
             return _read_mahimahi(path.name, [int(line) for line in lines])
         return _read_plain(path.name, lines)
-    except (ValueError, KeyError, IndexError, TypeError) as error:
+    except (ValueError, LookupError, TypeError, ArithmeticError, RecursionError, csv.Error) as error:
         expected = "expected Raca CSV, sabre JSON, rows of seconds and Mbit/s, or mahimahi"
         raise TransportError(f"{path}: {expected}: {error}") from error
 
@@ -258,9 +277,7 @@ def _read_plain(name: str, lines: Sequence[str]) -> Trace:
         raise ValueError("no rows after the header")
     if short := next((line for line, row in zip(lines[-len(rows) :], rows, strict=True) if len(row) < 2), None):
         raise ValueError(f"no rate in {short[:40]!r}")
-    times = [float(row[0]) for row in rows]
-    last = times[-1] - times[-2] if len(times) > 1 else 1.0
-    return _trace(name, [t - times[0] for t in times], [1e6 * float(row[1]) for row in rows], last)
+    return Trace.from_arrays([float(row[0]) for row in rows], [float(row[1]) for row in rows], name)
 
 
 def _read_sabre(name: str, periods: list[dict[str, float]]) -> Trace:

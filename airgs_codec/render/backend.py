@@ -13,10 +13,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._arguments import argument
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import cpu
-from airgs_codec.render.cpu import Contribution, Floats, Render, Weights
-from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.render.cpu import Contribution, Floats, RasterInputs, Render, Weights
 from airgs_codec.scene.camera import Background, Camera
 from airgs_codec.scene.gaussians import Gaussians
 
@@ -59,9 +59,9 @@ class Renderer:
         active = cpu.activate(gaussians)
         if self.device == "cpu":
             return _OnCpu(active)
-        from airgs_codec.render import cuda_loaded  # torch is loaded only where it draws
+        from airgs_codec.render import cuda  # torch is loaded only where it draws
 
-        return cuda_loaded.OnCuda.of(active)
+        return cuda.OnCuda.of(active)
 
     def render(self, gaussians: Gaussians, camera: Camera, background: Background | None = None) -> Render:
         """The picture that `camera` sees of the Gaussians before a background; None: the camera's."""
@@ -85,6 +85,16 @@ def open_renderer(device: str) -> Renderer:
     if device == "cuda" and reason:
         raise ConfigError(f"--device cuda: {reason}")
     return CPU if reason else Renderer("cuda")
+
+
+def draw(gaussians: Gaussians, camera: Camera, device: str = "cpu") -> Render:
+    """The picture that a camera sees of Gaussians before its background, drawn on cpu or, with gsplat, on cuda.
+
+    `device` may be auto, too. Raises ConfigError where it cannot be used.
+    """
+    renderer = open_renderer(device)
+    seen = argument("camera", camera, Camera, "a Camera")
+    return renderer.render(argument("gaussians", gaussians, Gaussians, "Gaussians"), seen)
 
 
 def _missing() -> str | None:
@@ -117,4 +127,4 @@ class _OnCpu:
 
     def without(self, camera: Camera) -> Without:
         tiles = cpu.project(self.inputs, camera).tiles
-        return lambda kept: cpu.draw(tiles if kept is None else tiles.keep(kept), camera.background).rgb
+        return lambda drawn: cpu.draw(tiles if drawn is None else tiles.keep(drawn), camera.background).rgb

@@ -25,7 +25,7 @@ AHEAD = 4  # views that are measured while the next one is drawn
 def compare(
     reference: Source, shown: Source, views: Sequence[View], measure: Callable[[Picture, Picture], Measure]
 ) -> Iterator[Measure]:
-    """What `measure` says of every view in turn, given the picture of the reference and the one that is shown.
+    """Return what `measure` says of every view in turn, given the picture of the reference and the one that is shown.
 
     `measure` is `Picture.mse`, which is the cheapest, or `Difference.of` for every figure; `media.metrics.pool` makes
     one figure of many views. Each source is asked for a picture of a view when its turn comes; threads measure the
@@ -67,7 +67,7 @@ def draw_frames(read: Callable[[int], Gaussians], renderer: Renderer = CPU) -> S
 
 
 def in_order(numbers: Sequence[int], frames: Iterator[Gaussians]) -> Callable[[int], Gaussians]:
-    """What reads frames of these ascending numbers from a stream of them; they are asked for in that order."""
+    """Return what reads frames of these ascending numbers from a stream of them; they are asked for in that order."""
     pairs = zip(numbers, frames, strict=True)
     return lambda number: next(frame for there, frame in pairs if there == number)
 

@@ -1,20 +1,24 @@
-"""Rendering on the CPU without torch. N Gaussians, V visible, M (Gaussian, tile) pairs, H x W pixels."""
+"""Rendering on the CPU without torch, and what every renderer takes.
+
+N Gaussians, V visible, K = (degree + 1)^2 - 1 SH coefficients past DC, M (Gaussian, tile) pairs, H x W pixels.
+"""
 
 from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.media.image import save_png
 from airgs_codec.render import cpu_kernels as kernels
-from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.gaussians import Gaussians
 
@@ -30,12 +34,42 @@ _LOCK = threading.Lock()  # numba's thread layers abort when two threads run par
 _announced = False
 
 
+class Shaped(Protocol):
+    """A numpy array or a torch tensor."""
+
+    @property
+    def shape(self) -> Sequence[int]:
+        """The length of each axis."""
+
+
+Array = TypeVar("Array", bound=Shaped)
+
+
+class RasterInputs(NamedTuple, Generic[Array]):
+    """Activated Gaussians, of one precision and device; or the derivatives of a loss by them."""
+
+    means: Array  # (N, 3) world units
+    quaternions: Array  # (N, 4) w, x, y, z of any length
+    scales: Array  # (N, 3) world units
+    opacities: Array  # (N,) 0..1
+    sh: Array  # (N, K + 1, 3)
+
+    @property
+    def sh_degree(self) -> int:
+        """The degree of the spherical harmonics, 0 to 3."""
+        return round(self.sh.shape[1] ** 0.5) - 1
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Render:
-    """A picture. Colours are not clipped."""
+    """A picture: `rgb` (H, W, 3), 0 to 1 but not clipped, `transmittance` (H, W), 1 where nothing was drawn."""
 
-    rgb: Floats  # (H, W, 3)
-    transmittance: Floats  # (H, W), 1 where nothing was drawn
+    rgb: Floats
+    transmittance: Floats
+
+    def save(self, path: str | Path) -> None:
+        """Write it as an 8-bit PNG, whole or not at all. Raises ConfigError where that cannot be."""
+        save_png(path, self.rgb)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,12 +115,12 @@ class Tiles:
 
     def keep(self, rows: NDArray[np.bool_]) -> Tiles:
         """The same without Gaussians that are False in a mask (N,); cheaper than projecting those that are left."""
-        kept = rows[self.ids]
-        before = np.concatenate([[0], np.cumsum(kept)])
-        return replace(self, start=before[self.start], ids=self.ids[kept])
+        drawn = rows[self.ids]
+        before = np.concatenate([[0], np.cumsum(drawn)])
+        return replace(self, start=before[self.start], ids=self.ids[drawn])
 
-    def arguments(self) -> tuple[Floats, Longs, Ints, Ints, int, int]:
-        """The first arguments of every kernel that walks through the tiles."""
+    def argument(self) -> tuple[Floats, Longs, Ints, Ints, int, int]:
+        """The first argument of every kernel that walks through the tiles."""
         return self.flat, self.start, self.ids, _balanced(np.diff(self.start), self.drawn), *self.shape
 
 
@@ -158,7 +192,7 @@ def contribution(inputs: RasterInputs[Floats], camera: Camera) -> Contribution:
     p = project(inputs, camera)
     pairs = np.empty((len(p.slots), 3), np.float32)
     with _LOCK:
-        kernels.blend_statistics(*p.tiles.arguments(), *p.tiles.size, pairs)
+        kernels.blend_statistics(p.tiles.argument(), *p.tiles.size, pairs)
     return _contribution(p, pairs, 0)
 
 
@@ -185,11 +219,10 @@ def project(inputs: RasterInputs[Floats], camera: Camera, tiles: NDArray[np.bool
     key = np.empty(n, np.uint64)
     touched = np.empty(n, np.int32)
     size = (camera.width, camera.height)
-    geometry = (*inputs, inputs.sh_degree, *view_arguments(camera))
     shape = (-(-camera.width // kernels.TILE), -(-camera.height // kernels.TILE))
     drawn = np.ones(shape[0] * shape[1], np.bool_) if tiles is None else np.ascontiguousarray(tiles).reshape(-1)
     with _LOCK:
-        kernels.project(*geometry, *size, camera.near, FAR, DILATION, drawn, flat, key, touched)
+        kernels.project((*inputs, inputs.sh_degree), _seen_by(camera), drawn, flat, key, touched)
         visible = np.sort(key[touched > 0])  # depth, then row: the same order every time
         order = (visible & np.uint64(0xFFFFFFFF)).astype(np.int32)
         first_pair = np.concatenate([[0], np.cumsum(touched[order], dtype=np.int64)])
@@ -213,7 +246,7 @@ def _draw(tiles: Tiles, background: Background, rest: Render | None = None) -> t
     visited = np.empty(len(tiles.start) - 1, np.int32)
     colour = np.asarray(background, np.float32)
     with _LOCK:
-        kernels.blend(*tiles.arguments(), colour, picture.rgb, picture.transmittance, visited)
+        kernels.blend(tiles.argument(), colour, picture.rgb, picture.transmittance, visited)
     return picture, visited
 
 
@@ -241,7 +274,7 @@ def gradients(
 def contribution_and_gradients(
     inputs: RasterInputs[Floats], camera: Camera, grad_rgb: Floats
 ) -> tuple[Contribution, RasterInputs[Floats]]:
-    """What `measure_contribution` and `gradients` give for one picture, at once, from dL / d rgb (H, W, 3)."""
+    """Return what `measure_contribution` and `gradients` give for one picture, at once, from dL / d rgb (H, W, 3)."""
     blended = blend(inputs, camera, camera.background)
     pairs = _pair_gradients(blended, grad_rgb, np.zeros(grad_rgb.shape[:2], np.float32), True)
     out, _ = _sum_gradients(inputs, camera, blended, pairs)
@@ -254,7 +287,7 @@ def _pair_gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floa
     pairs = np.empty((len(p.slots), 12), np.float32)
     given = (picture.rgb, picture.transmittance, blended.visited, grad_rgb, grad_transmittance)
     with _LOCK:
-        kernels.blend_gradient(*p.tiles.arguments(), *given, statistics, pairs)
+        kernels.blend_gradient(p.tiles.argument(), *given, statistics, pairs)
     return pairs
 
 
@@ -265,10 +298,10 @@ def _sum_gradients(
     p, wanted = blended.projected, blended.wanted
     sums = np.zeros((len(inputs.means), 12), np.float32)
     out = RasterInputs(*(np.zeros_like(column) for column in inputs))
-    geometry = (*inputs, inputs.sh_degree, *view_arguments(camera), camera.width, camera.height)
+    scene = (*inputs, inputs.sh_degree)
     with _LOCK:
         kernels.sum_pairs(*p.arguments(), wanted, pairs, sums)
-        kernels.project_gradient(*geometry, DILATION, p.tiles.flat, p.order, wanted, sums, *out)
+        kernels.project_gradient(scene, _seen_by(camera), p.tiles.flat, p.order, wanted, sums, tuple(out))
     return out, sums
 
 
@@ -291,10 +324,11 @@ def one_thread() -> Iterator[None]:
         numba.set_num_threads(threads)
 
 
-def view_arguments(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """World-to-camera matrix and fx, fy, cx, cy as the kernels take them."""
+def _seen_by(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64], int, int, float, float, float]:
+    """A camera as the kernels take it: world-to-camera matrix, fx, fy, cx, cy, size, near, far, dilation."""
     view = np.ascontiguousarray(camera.world_to_camera, np.float64)
-    return view, np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    return view, intrinsics, camera.width, camera.height, camera.near, FAR, DILATION
 
 
 def _balanced(costs: Longs, drawn: NDArray[np.bool_]) -> Ints:

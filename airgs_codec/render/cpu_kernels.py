@@ -4,7 +4,7 @@ One file on purpose, though it is long: numba's cache does not notice edits in i
 
 N Gaussians, V visible ones front to back, M (Gaussian, tile) pairs, H x W pixels, tiles of 16 x 16.
 
-A projected Gaussian is kept in a form that needs no float32 determinant: with d = dx + shear * dy,
+A projected Gaussian has a form that needs no float32 determinant: with d = dx + shear * dy,
 power = -(peak * d^2 + fall * dy^2) / 2, where peak = Syy / det, shear = -Sxy / Syy, fall = 1 / Syy (the Cholesky form
 of the inverse covariance). With reach = ln(255 opacity), alpha = exp(reach + power) / 255, so alpha >= 1/255 where
 reach + power >= 0. Pixel semantics are gsplat's: centres at +0.5, alpha at most 0.999, blending stops before
@@ -174,6 +174,19 @@ def _lens(view, intrinsics, W, H):
     return lens
 
 
+@njit(inline="always")
+def _three(values, i):
+    """The first three numbers of a row, in float64."""
+    return float(values[i, 0]), float(values[i, 1]), float(values[i, 2])
+
+
+@njit
+def _put(table, i, values):
+    """Write numbers into row i of a table."""
+    for c in range(len(values)):
+        table[i, c] = values[c]
+
+
 @njit(fastmath=FAST)
 def _see(view, row, px, py, pz):
     """One coordinate of a point in camera space."""
@@ -197,7 +210,7 @@ def _unit(quaternions, i):
         w, x, y, z = w / largest, x / largest, y / largest, z / largest
         inv = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
         return w * inv, x * inv, y * inv, z * inv, inv / largest
-    if not (square > 1e-24):  # no direction to read, as in `scene.repair`: q / |q| would be 0 / 0
+    if not (square > 1e-24):  # no direction to read, as in `scene.frames`: q / |q| would be 0 / 0
         return 1.0, 0.0, 0.0, 0.0, 0.0
     inv = 1.0 / math.sqrt(square)
     return w * inv, x * inv, y * inv, z * inv, inv
@@ -225,9 +238,7 @@ def _colour(deg, lens, px, py, pz, sh, i, b):
     dx, dy, dz = px - lens[6], py - lens[7], pz - lens[8]
     dn = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz + 1e-30)  # a mean on the camera centre: 0, not NaN
     sh_basis(deg, dx * dn, dy * dn, dz * dn, b)
-    c0 = 0.5
-    c1 = 0.5
-    c2 = 0.5
+    c0 = c1 = c2 = 0.5
     for k in range((deg + 1) * (deg + 1)):
         c0 += b[k] * sh[i, k, 0]
         c1 += b[k] * sh[i, k, 1]
@@ -250,9 +261,7 @@ def _colour_gradient(deg, lens, px, py, pz, sh, i, g0, g1, g2, basis, grad_sh):
     if deg == 0:
         return 0.0, 0.0, 0.0
     sh_basis_grad(deg, ux, uy, uz, basis[1], basis[2], basis[3])
-    hx = 0.0
-    hy = 0.0
-    hz = 0.0
+    hx = hy = hz = 0.0
     for k in range(1, nk):
         c = g0 * sh[i, k, 0] + g1 * sh[i, k, 1] + g2 * sh[i, k, 2]
         hx += c * basis[1, k]
@@ -263,31 +272,15 @@ def _colour_gradient(deg, lens, px, py, pz, sh, i, g0, g1, g2, basis, grad_sh):
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")
-def project(
-    means,
-    quaternions,
-    scales,
-    opacities,
-    sh,
-    deg,
-    view,
-    intrinsics,
-    W,
-    H,
-    near,
-    far,
-    eps2d,
-    drawn,
-    flat,
-    key,
-    tiles,
-):
+def project(scene, camera, drawn, flat, key, tiles):
     """Project every Gaussian; what is culled keeps tiles = 0 and the largest key.
 
-    means (N, 3), quaternions (N, 4), scales (N, 3), opacities (N,), sh (N, K + 1, 3) -> flat, key (depth bits, row),
-    tiles (those of the `drawn` (tiles,) that a Gaussian touches). In float64: only N of them. Comparisons are written
-    so that NaN and Inf are culled.
+    scene: means (N, 3), quaternions (N, 4), scales (N, 3), opacities (N,), sh (N, K + 1, 3), its degree -> flat, key
+    (depth bits, row), tiles (those of the `drawn` (tiles,) that a Gaussian touches). In float64: only N of them.
+    Comparisons are written so that NaN and Inf are culled.
     """
+    means, quaternions, scales, opacities, sh, deg = scene
+    view, intrinsics, W, H, near, far, eps2d = camera
     N = means.shape[0]
     lens = _lens(view, intrinsics, W, H)
     tiles_x = (W + TILE - 1) // TILE
@@ -298,9 +291,7 @@ def project(
         for i in range(ch * N // NCH, (ch + 1) * N // NCH):
             tiles[i] = 0
             key[i] = np.uint64(0xFFFFFFFFFFFFFFFF)
-            px = float(means[i, 0])
-            py = float(means[i, 1])
-            pz = float(means[i, 2])
+            px, py, pz = _three(means, i)
             z = _see(view, 2, px, py, pz)
             if not (z > near and z < far):
                 continue
@@ -314,9 +305,7 @@ def project(
             iz = 1.0 / z
             u, v = _see(view, 0, px, py, pz) * iz, _see(view, 1, px, py, pz) * iz
             _, _, t00, t01, t02, t10, t11, t12 = _jacobian(lens, view, u, v, iz)
-            s0 = float(scales[i, 0])
-            s1 = float(scales[i, 1])
-            s2 = float(scales[i, 2])
+            s0, s1, s2 = _three(scales, i)
             m00 = (t00 * r00 + t01 * r10 + t02 * r20) * s0
             m01 = (t00 * r01 + t01 * r11 + t02 * r21) * s1
             m02 = (t00 * r02 + t01 * r12 + t02 * r22) * s2
@@ -347,22 +336,17 @@ def project(
             c0, c1, c2 = _colour(deg, lens, px, py, pz, sh, i, b)
             if not (abs(c0) + abs(c1) + abs(c2) < 1e6):
                 continue
-            flat[i, 0] = mx
-            flat[i, 1] = my
-            flat[i, 2] = A
-            flat[i, 3] = beta
-            flat[i, 4] = kap
-            flat[i, 5] = t
-            flat[i, 6] = max(c0, 0.0)
-            flat[i, 7] = max(c1, 0.0)
-            flat[i, 8] = max(c2, 0.0)
-            flat[i, 9] = hx
-            flat[i, 10] = hy
-            flat[i, 11] = op
+            _put(flat, i, (mx, my, A, beta, kap, t, max(c0, 0.0), max(c1, 0.0), max(c2, 0.0), hx, hy, np.float64(op)))
             key[i] = (np.uint64(np.float32(z).view(np.uint32)) << np.uint64(32)) | np.uint64(i)
             tiles[i] = _ntiles(flat, i, drawn, tiles_x, tiles_y)
             if tiles[i] == 0:
                 key[i] = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+@njit(inline="always")
+def _ellipse(flat, i):
+    """Position x and y, peak, shear, fall and reach of a projected Gaussian."""
+    return flat[i, 0], flat[i, 1], flat[i, 2], flat[i, 3], flat[i, 4], flat[i, 5]
 
 
 @njit(inline="always")
@@ -378,14 +362,8 @@ def _rows(flat, i, tiles_y):
 @njit(inline="always")
 def _xrange(flat, i, ty, tiles_x):
     """Tiles [x0, x1) of tile row ty that the ellipse alpha >= 1/255 touches, exact for that band of rows."""
-    mx = flat[i, 0]
-    my = flat[i, 1]
-    A = flat[i, 2]
-    be = flat[i, 3]
-    ka = flat[i, 4]
-    t = flat[i, 5]
-    hx = flat[i, 9]
-    hy = flat[i, 10]
+    mx, my, A, be, ka, t = _ellipse(flat, i)
+    hx, hy = flat[i, 9], flat[i, 10]
     # ellipse x(y) = mx - beta*dy +- sqrt(2(t-.5 k dy^2)/A)
     lo = max(ty * TILE + 0.5 - my, -hy)
     hi = min(ty * TILE + TILE - 0.5 - my, hy)
@@ -500,6 +478,26 @@ def _tile_rows(flat, i, Y0):
 
 
 @njit(inline="always", fastmath=FAST)
+def _blend_pixel(row, q, mx, my, hA, be, hk, t):
+    """Blend a Gaussian into pixel q of some rows of a tile's scratch; a finished pixel stays so by a minus sign.
+
+    Returns dy, d, alpha before and after it is bounded, the transmittance before, and the weight or 0.
+    """
+    dy = row[2 * TILE_PIXELS + q] - my
+    d = row[TILE_PIXELS + q] - mx + be * dy
+    e = t - hk * dy * dy - hA * d * d
+    ar = _alpha(e)
+    al = min(ar, ALPHA_MAX)
+    T = row[q]
+    te = max(T, f4(0.0))
+    nT = te * (f4(1.0) - al)
+    inside = e >= f4(0.0)
+    ok = inside and nT > T_MIN
+    row[q] = nT if ok else (-abs(T) if inside else T)
+    return dy, d, ar, al, te, al * te if ok else f4(0.0)
+
+
+@njit(inline="always", fastmath=FAST)
 def _all_finished(buf):
     """Whether no pixel of a tile lets light through any more."""
     most = f4(0.0)
@@ -514,36 +512,19 @@ def _blend_tile(flat, ids, a, b, Y0, buf):
 
     Returns how many pairs were visited.
 
-    The pixels of all rows that a Gaussian touches are one loop without branches, which compiles to vectors. A finished
-    pixel keeps its transmittance with a minus sign, so that it stays finished.
+    The pixels of all rows that a Gaussian touches are one loop without branches, which compiles to vectors.
     """
     for k in range(3 * TILE_PIXELS, 6 * TILE_PIXELS):
         buf[k] = f4(0.0)
     for j in range(a, b):
         i = ids[j]
-        mx = flat[i, 0]
-        my = flat[i, 1]
-        hA = f4(0.5) * flat[i, 2]
-        be = flat[i, 3]
-        hk = f4(0.5) * flat[i, 4]
-        t = flat[i, 5]
-        r = flat[i, 6]
-        g = flat[i, 7]
-        bl = flat[i, 8]
+        mx, my, A, be, ka, t = _ellipse(flat, i)
+        hA, hk = f4(0.5) * A, f4(0.5) * ka
+        r, g, bl = flat[i, 6], flat[i, 7], flat[i, 8]
         ya, yb = _tile_rows(flat, i, Y0)
         row = buf[ya * TILE :]
         for q in range((yb - ya) * TILE):
-            dy = row[2 * TILE_PIXELS + q] - my
-            d = row[TILE_PIXELS + q] - mx + be * dy
-            e = t - hk * dy * dy - hA * d * d
-            al = min(_alpha(e), ALPHA_MAX)
-            T = row[q]
-            te = max(T, f4(0.0))
-            nT = te * (f4(1.0) - al)
-            inside = e >= f4(0.0)
-            ok = inside and nT > T_MIN
-            w = al * te if ok else f4(0.0)
-            row[q] = nT if ok else (-abs(T) if inside else T)
+            _, _, _, _, _, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
             row[3 * TILE_PIXELS + q] += w * r
             row[4 * TILE_PIXELS + q] += w * g
             row[5 * TILE_PIXELS + q] += w * bl
@@ -553,8 +534,9 @@ def _blend_tile(flat, ids, a, b, Y0, buf):
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
-def blend(flat, tile_start, ids, tile_order, tiles_x, tiles_y, background, rgb, transmittance, blended):
+def blend(tiles, background, rgb, transmittance, blended):
     """Blend the tiles of `tile_order`: rgb (H, W, 3), transmittance (H, W), blended (tiles,) pairs visited."""
+    flat, tile_start, ids, tile_order, tiles_x, _ = tiles
     H = rgb.shape[0]
     W = rgb.shape[1]
     for tt in prange(tile_order.shape[0]):
@@ -573,9 +555,8 @@ def blend(flat, tile_start, ids, tile_order, tiles_x, tiles_y, background, rgb, 
                 o = yy * TILE + xx
                 T = abs(buf[o])
                 transmittance[ty * TILE + yy, tx * TILE + xx] = T
-                rgb[ty * TILE + yy, tx * TILE + xx, 0] = buf[3 * TILE_PIXELS + o] + T * background[0]
-                rgb[ty * TILE + yy, tx * TILE + xx, 1] = buf[4 * TILE_PIXELS + o] + T * background[1]
-                rgb[ty * TILE + yy, tx * TILE + xx, 2] = buf[5 * TILE_PIXELS + o] + T * background[2]
+                for c in range(3):
+                    rgb[ty * TILE + yy, tx * TILE + xx, c] = buf[(3 + c) * TILE_PIXELS + o] + T * background[c]
 
 
 @njit
@@ -591,27 +572,14 @@ def _from_bits(x):
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
-def blend_gradient(
-    flat,
-    tile_start,
-    ids,
-    tile_order,
-    tiles_x,
-    tiles_y,
-    rgb,
-    transmittance,
-    blended,
-    grad_rgb,
-    grad_transmittance,
-    statistics,
-    pairs,
-):
+def blend_gradient(tiles, rgb, transmittance, blended, grad_rgb, grad_transmittance, statistics, pairs):
     """Gradients of every pair, front to back with the arithmetic of the forward pass.
 
     S, what lies behind a pixel, starts as the finished sum and loses each pair's part: no division chain by
     1 - alpha. grad_transmittance: dL / d(final transmittance), background excluded. With `statistics` True, not None,
     columns 9 to 11 of a pair are those of `blend_statistics`; it is compiled apart.
     """
+    flat, tile_start, ids, tile_order, tiles_x, _ = tiles
     H = rgb.shape[0]
     W = rgb.shape[1]
     for tt in prange(tile_order.shape[0]):
@@ -620,9 +588,7 @@ def blend_gradient(
         tx = tile - ty * tiles_x
         a = tile_start[tile]
         n = blended[tile]
-        for j in range(a + n, tile_start[tile + 1]):
-            for c in range(12):
-                pairs[j, c] = f4(0.0)
+        pairs[a + n : tile_start[tile + 1]] = f4(0.0)
         if n == 0:
             continue
         X0 = f4(tx * TILE)
@@ -650,54 +616,23 @@ def blend_gradient(
                 buf[6 * TILE_PIXELS + o] = g2
         for j in range(a, a + n):
             i = ids[j]
-            mx = flat[i, 0]
-            my = flat[i, 1]
-            A = flat[i, 2]
-            be = flat[i, 3]
-            ka = flat[i, 4]
-            t = flat[i, 5]
-            hA = f4(0.5) * A
-            hk = f4(0.5) * ka
-            r = flat[i, 6]
-            g = flat[i, 7]
-            bl = flat[i, 8]
-            sr = f4(0.0)
-            sg = f4(0.0)
-            sb = f4(0.0)
-            m0 = f4(0.0)
-            m1 = f4(0.0)
-            m2 = f4(0.0)
-            m0y = f4(0.0)
-            m0yy = f4(0.0)
-            m1y = f4(0.0)
-            c9 = f4(0.0)
-            c10 = f4(0.0)
-            c11 = f4(0.0)
+            mx, my, A, be, ka, t = _ellipse(flat, i)
+            hA, hk = f4(0.5) * A, f4(0.5) * ka
+            r, g, bl = flat[i, 6], flat[i, 7], flat[i, 8]
+            sr = sg = sb = m0 = m1 = m2 = m0y = m0yy = m1y = c9 = c10 = c11 = f4(0.0)
             peak = np.int32(0)
             ya, yb = _tile_rows(flat, i, Y0)
             row = buf[ya * TILE :]
             for q in range((yb - ya) * TILE):
-                dy = row[2 * TILE_PIXELS + q] - my
-                d = row[TILE_PIXELS + q] - mx + be * dy
-                e = t - hk * dy * dy - hA * d * d
-                ar = _alpha(e)
-                al = min(ar, ALPHA_MAX)
-                T = row[q]
-                te = max(T, f4(0.0))
-                om = f4(1.0) - al
-                nT = te * om
-                inside = e >= f4(0.0)
-                ok = inside and nT > T_MIN
-                w = al * te if ok else f4(0.0)
-                row[q] = nT if ok else (-abs(T) if inside else T)
+                dy, d, ar, al, te, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
                 gr = row[4 * TILE_PIXELS + q]
                 gg = row[5 * TILE_PIXELS + q]
                 gb = row[6 * TILE_PIXELS + q]
                 gc = gr * r + gg * g + gb * bl
                 S = row[3 * TILE_PIXELS + q] - w * gc
                 row[3 * TILE_PIXELS + q] = S
-                da = te * gc - S / om
-                v = al * da if (ok and ar <= ALPHA_MAX) else f4(0.0)
+                da = te * gc - S / (f4(1.0) - al)
+                v = al * da if (w > f4(0.0) and ar <= ALPHA_MAX) else f4(0.0)
                 vd = v * d
                 vy = v * dy
                 sr += w * gr
@@ -715,19 +650,12 @@ def blend_gradient(
                 else:
                     c9 += w
                     peak = max(peak, _bits(w))
-                    c11 += f4(1.0) if ok else f4(0.0)
-            pairs[j, 0] = sr
-            pairs[j, 1] = sg
-            pairs[j, 2] = sb
-            pairs[j, 3] = m0  # dL/dt = dL/d ln(op)
-            pairs[j, 4] = A * m1  # mx
-            pairs[j, 5] = A * be * m1 + ka * m0y  # my
-            pairs[j, 6] = f4(-0.5) * m2  # A
-            pairs[j, 7] = -A * m1y  # beta
-            pairs[j, 8] = f4(-0.5) * m0yy  # kappa
-            pairs[j, 9] = c9
-            pairs[j, 10] = c10 if statistics is None else _from_bits(peak)
-            pairs[j, 11] = c11
+                    c11 += f4(1.0) if w > f4(0.0) else f4(0.0)
+            if statistics is not None:
+                c10 = _from_bits(peak)
+            by_place = A * m1, A * be * m1 + ka * m0y
+            by_form = f4(-0.5) * m2, -A * m1y, f4(-0.5) * m0yy
+            _put(pairs, j, (sr, sg, sb, m0, *by_place, *by_form, c9, c10, c11))
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")
@@ -750,32 +678,14 @@ def sum_pairs(order, first_pair, slots, wanted, pairs, grads):
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")
-def project_gradient(
-    means,
-    quaternions,
-    scales,
-    opacities,
-    sh,
-    deg,
-    view,
-    intrinsics,
-    W,
-    H,
-    eps2d,
-    flat,
-    vis,
-    wanted,
-    grads,
-    grad_means,
-    grad_quaternions,
-    grad_scales,
-    grad_opacities,
-    grad_sh,
-):
+def project_gradient(scene, camera, flat, vis, wanted, grads, gradients):
     """Gradients of the attributes of wanted visible rows from those of the projection; buffers are zeroed before.
 
     A zero quaternion has zero gradient, as it was read as identity.
     """
+    means, quaternions, scales, opacities, sh, deg = scene
+    view, intrinsics, W, H, _, _, _ = camera
+    grad_means, grad_quaternions, grad_scales, grad_opacities, grad_sh = gradients
     M = vis.shape[0]
     lens = _lens(view, intrinsics, W, H)
     fx, fy = lens[0], lens[1]
@@ -786,9 +696,7 @@ def project_gradient(
             i = vis[kk]
             if not wanted[i]:
                 continue
-            px = float(means[i, 0])
-            py = float(means[i, 1])
-            pz = float(means[i, 2])
+            px, py, pz = _three(means, i)
             g0 = float(grads[i, 0]) if flat[i, 6] > 0 else 0.0
             g1 = float(grads[i, 1]) if flat[i, 7] > 0 else 0.0
             g2 = float(grads[i, 2]) if flat[i, 8] > 0 else 0.0
@@ -800,9 +708,7 @@ def project_gradient(
             iz = 1.0 / z
             u, v = x * iz, y * iz
             uc, vc, t00, t01, t02, t10, t11, t12 = _jacobian(lens, view, u, v, iz)
-            s0 = float(scales[i, 0])
-            s1 = float(scales[i, 1])
-            s2 = float(scales[i, 2])
+            s0, s1, s2 = _three(scales, i)
             l00 = r00 * s0
             l01 = r01 * s1
             l02 = r02 * s2
@@ -818,12 +724,9 @@ def project_gradient(
             m10 = t10 * l00 + t11 * l10 + t12 * l20
             m11 = t10 * l01 + t11 * l11 + t12 * l21
             m12 = t10 * l02 + t11 * l12 + t12 * l22
-            A = float(flat[i, 2])
-            be = float(flat[i, 3])
-            ka = float(flat[i, 4])
-            gA = float(grads[i, 6])
-            gB = float(grads[i, 7])
-            gK = float(grads[i, 8])
+            A, be, ka = float(flat[i, 2]), float(flat[i, 3]), float(flat[i, 4])
+            gmx, gmy = float(grads[i, 4]), float(grads[i, 5])
+            gA, gB, gK = float(grads[i, 6]), float(grads[i, 7]), float(grads[i, 8])
             gsxx = -gA * A * A
             gsxy = -2.0 * be * A * A * gA - ka * gB
             gsyy = -be * be * A * A * gA - be * ka * gB - ka * ka * gK
@@ -847,15 +750,9 @@ def project_gradient(
             grad_scales[i, 0] = d00 * r00 + d10 * r10 + d20 * r20
             grad_scales[i, 1] = d01 * r01 + d11 * r11 + d21 * r21
             grad_scales[i, 2] = d02 * r02 + d12 * r12 + d22 * r22
-            d00 *= s0
-            d10 *= s0
-            d20 *= s0
-            d01 *= s1
-            d11 *= s1
-            d21 *= s1
-            d02 *= s2
-            d12 *= s2
-            d22 *= s2
+            d00, d10, d20 = d00 * s0, d10 * s0, d20 * s0
+            d01, d11, d21 = d01 * s1, d11 * s1, d21 * s1
+            d02, d12, d22 = d02 * s2, d12 * s2, d22 * s2
             gw = 2 * (-qz * d01 + qy * d02 + qz * d10 - qx * d12 - qy * d20 + qx * d21)
             gqx = 2 * (qy * d01 + qz * d02 + qy * d10 - 2 * qx * d11 - w * d12 + qz * d20 + w * d21 - 2 * qx * d22)
             gqy = 2 * (-2 * qy * d00 + qx * d01 + w * d02 + qx * d10 + qz * d12 - w * d20 + qz * d21 - 2 * qy * d22)
@@ -876,8 +773,6 @@ def project_gradient(
             gj02 = e00 * view[2, 0] + e01 * view[2, 1] + e02 * view[2, 2]
             gj11 = e10 * view[1, 0] + e11 * view[1, 1] + e12 * view[1, 2]
             gj12 = e10 * view[2, 0] + e11 * view[2, 1] + e12 * view[2, 2]
-            gmx = float(grads[i, 4])
-            gmy = float(grads[i, 5])
             giz = gj00 * fx + gj11 * fy - gj02 * fx * uc - gj12 * fy * vc
             gu = gmx * fx
             gv = gmy * fy
@@ -895,8 +790,9 @@ def project_gradient(
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
-def blend_statistics(flat, tile_start, ids, tile_order, tiles_x, tiles_y, W, H, pairs):
+def blend_statistics(tiles, W, H, pairs):
     """Per pair: sum and maximum of the blending weight alpha T, and pixels blended, into pairs (M, 3)."""
+    flat, tile_start, ids, tile_order, tiles_x, _ = tiles
     for tt in prange(tile_order.shape[0]):
         tile = tile_order[tt]
         ty = tile // tiles_x
@@ -908,38 +804,21 @@ def blend_statistics(flat, tile_start, ids, tile_order, tiles_x, tiles_y, W, H, 
         a = tile_start[tile]
         finished = False
         for j in range(a, tile_start[tile + 1]):
-            total = f4(0.0)
-            hits = f4(0.0)
+            total = hits = f4(0.0)
             peak = np.int32(0)
             if not finished:
                 i = ids[j]
-                mx = flat[i, 0]
-                my = flat[i, 1]
-                hA = f4(0.5) * flat[i, 2]
-                be = flat[i, 3]
-                hk = f4(0.5) * flat[i, 4]
-                t = flat[i, 5]
+                mx, my, A, be, ka, t = _ellipse(flat, i)
+                hA, hk = f4(0.5) * A, f4(0.5) * ka
                 ya, yb = _tile_rows(flat, i, Y0)
                 row = buf[ya * TILE :]
                 for q in range((yb - ya) * TILE):
-                    dy = row[2 * TILE_PIXELS + q] - my
-                    d = row[TILE_PIXELS + q] - mx + be * dy
-                    e = t - hk * dy * dy - hA * d * d
-                    al = min(_alpha(e), ALPHA_MAX)
-                    T = row[q]
-                    te = max(T, f4(0.0))
-                    nT = te * (f4(1.0) - al)
-                    inside = e >= f4(0.0)
-                    ok = inside and nT > T_MIN
-                    w = al * te if ok else f4(0.0)
-                    row[q] = nT if ok else (-abs(T) if inside else T)
+                    _, _, _, _, _, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
                     total += w
                     peak = max(peak, _bits(w))
-                    hits += f4(1.0) if ok else f4(0.0)
+                    hits += f4(1.0) if w > f4(0.0) else f4(0.0)
                 finished = (j - a) % 8 == 7 and _all_finished(buf)
-            pairs[j, 0] = total
-            pairs[j, 1] = _from_bits(peak)
-            pairs[j, 2] = hits
+            _put(pairs, j, (total, _from_bits(peak), hits))
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")

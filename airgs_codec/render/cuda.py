@@ -1,4 +1,4 @@
-"""gsplat 1.5 behind the functions of the CPU renderer, for tensors on a CUDA device. Imported only where it is used.
+"""gsplat 1.5 behind the functions of the CPU renderer, for tensors on a CUDA device. Imports gsplat when it draws.
 
 gsplat imports without its kernels and fails later, so they are looked for: `missing` says what is not there. It waits
 for the device twice a call (an inverse of the cameras' matrices, the number of pairs), which several cameras share;
@@ -7,21 +7,51 @@ nothing here waits besides. C cameras, N Gaussians, M pixels that Gaussians are 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from airgs_codec.render.absgrad import AbsGrad
-from airgs_codec.render.cpu import DILATION, FAR
-from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.render.cpu import DILATION, FAR, TILE, Contribution, Floats, RasterInputs, Render, Weights
 from airgs_codec.scene.camera import Background, Camera
 
 BAND_PAIRS = 1 << 17  # (Gaussian, tile) pairs whose pixels are listed at once: at most 256 each, of 70 bytes
 ALL_BATCHES = 2**31 - 1  # of the pairs of a tile; the kernel takes a 32-bit number
 MOST_ALPHA = 0.999  # of a Gaussian in a pixel, as in the CPU renderer
+
+
+def _before_backward() -> tuple[torch.Tensor, torch.Tensor]:
+    raise RuntimeError("gradients by places are known after the backward pass of the picture")
+
+
+@dataclass(slots=True, eq=False)
+class AbsGrad:
+    """Absolute gradients of one picture or several by the places of their Gaussians (AbsGS, Ye et al. 2024).
+
+    The gradients of single pixels are summed by their absolute values, so that opposite ones do not cancel. A renderer
+    that is given one sets `read` and `signed`.
+    """
+
+    # () -> (N,) |dL / d(place in pixels)| summed over pictures, and (N,) in how many of them the Gaussian is; after the
+    # backward pass
+    read: Callable[[], tuple[torch.Tensor, torch.Tensor]] = _before_backward
+    # The same as 3DGS has it (Kerbl et al. 2023): with the signs of single pixels, by places that are -1..1 across the
+    # picture.
+    signed: Callable[[], tuple[torch.Tensor, torch.Tensor]] = _before_backward
+
+    def collect(self, parts: Sequence[AbsGrad]) -> None:
+        """Become the sum of those of several pictures, which may not be known yet."""
+
+        self.read = lambda: _summed([part.read() for part in parts])
+        self.signed = lambda: _summed([part.signed() for part in parts])
+
+
+def _summed(parts: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> tuple[torch.Tensor, torch.Tensor]:
+    gradients, seen = zip(*parts, strict=True)
+    return torch.stack(gradients).sum(dim=0), torch.stack(seen).sum(dim=0)
 
 
 def missing() -> str | None:
@@ -63,7 +93,7 @@ def rasterize(
     backgrounds: Sequence[Background],
     absgrad: AbsGrad | None = None,
 ) -> Drawn:
-    """What cameras that are `alike` see, each before a background of its own.
+    """Return what cameras that are `alike` see, each before a background of its own.
 
     Pixels may differ from the CPU renderer's by 5e-3 where alpha is next to 1/255, others by 1e-5.
     """
@@ -194,3 +224,81 @@ def _transmittance(alpha: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
     _, counts = torch.unique_consecutive(pixels, return_counts=True)
     first = counts.cumsum(0) - counts
     return torch.exp(before - before[first].repeat_interleave(counts))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnCuda:
+    """Gaussians for gsplat."""
+
+    inputs: RasterInputs[Floats]
+    tensors: RasterInputs[torch.Tensor]  # the same on the device
+
+    @staticmethod
+    def of(inputs: RasterInputs[Floats], device: str = "cuda") -> OnCuda:
+        """Activated Gaussians, copied to a device."""
+        return OnCuda(inputs, RasterInputs(*(upload(column, device) for column in inputs)))
+
+    def draw(self, camera: Camera, background: Background | None = None) -> Render:
+        """The picture that `camera` sees before a background; None: the camera's."""
+        return _draw(self.tensors, camera, camera.background if background is None else background)
+
+    def contribution(self, camera: Camera) -> Contribution:
+        """How much each Gaussian gives to what `camera` sees."""
+        if not len(self.inputs.means):
+            return _contribution(None)
+        with torch.no_grad():
+            return _contribution(rasterize(self.tensors, [camera], [camera.background]))
+
+    def contribution_and_gradients(self, camera: Camera, pull: Floats) -> tuple[Contribution, RasterInputs[Floats]]:
+        """The contribution, and the derivatives by the activated Gaussians of sum(picture * pull), pull (H, W, 3)."""
+        if not len(self.inputs.means):
+            return _contribution(None), RasterInputs(*(np.zeros_like(column) for column in self.inputs))
+        leaves = RasterInputs(*(t.detach().clone().requires_grad_(True) for t in self.tensors))
+        drawn = rasterize(leaves, [camera], [camera.background])
+        gradients = torch.autograd.grad((drawn.rgb[0] * upload(pull, drawn.rgb.device)).sum(), leaves)
+        return _contribution(drawn), RasterInputs(*(_array(g) for g in gradients))
+
+    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> Weights:
+        """The picture that `camera` sees, and what each Gaussian gives to tiles, in all and in a mask (H, W)."""
+        shape = (-(-camera.height // TILE), -(-camera.width // TILE))
+        if not len(self.inputs.means):
+            none = np.zeros(0, np.int32)
+            return Weights(self.draw(camera), shape, none, none, np.zeros(0, np.float32), np.zeros(0, np.float32))
+        with torch.no_grad():
+            drawn = rasterize(self.tensors, [camera], [camera.background])
+            ids, tiles, total, inside = measure_pairs(drawn, upload(mask, drawn.rgb.device))
+        picture = Render(_array(drawn.rgb[0]), _array(drawn.transmittance[0]))
+        pairs = (_array(ids.int()), _array(tiles.int()), _array(total.float()), _array(inside.float()))
+        return Weights(picture, shape, *pairs)
+
+    def without(self, camera: Camera) -> Callable[[NDArray[np.bool_] | None], Floats]:
+        """Draws what `camera` sees of the rows of a mask (N,), None for all, as often as it is asked."""
+
+        def draw(drawn: NDArray[np.bool_] | None) -> Floats:
+            if drawn is None:
+                return self.draw(camera).rgb
+            rows = torch.from_numpy(np.flatnonzero(drawn)).to(self.tensors.means.device)
+            return _draw(RasterInputs(*(t[rows] for t in self.tensors)), camera, camera.background).rgb
+
+        return draw
+
+
+def _draw(tensors: RasterInputs[torch.Tensor], camera: Camera, background: Background) -> Render:
+    if not len(tensors.means):  # gsplat takes no empty scene
+        rgb = np.tile(np.asarray(background, np.float32), (camera.height, camera.width, 1))
+        return Render(rgb, np.ones((camera.height, camera.width), np.float32))
+    with torch.no_grad():
+        drawn = rasterize(tensors, [camera], [background])
+    return Render(_array(drawn.rgb[0]), _array(drawn.transmittance[0]))
+
+
+def _contribution(drawn: Drawn | None) -> Contribution:
+    """Return what one camera saw; None: there was nothing."""
+    if drawn is None:
+        return Contribution(np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
+    total, peak, hits = (values.cpu().numpy() for values in measure_weights(drawn))
+    return Contribution(total, peak, hits.astype(np.int64))
+
+
+def _array(values: torch.Tensor) -> NDArray[Any]:
+    return values.detach().cpu().numpy()

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from airgs_codec.render import cpu
-from airgs_codec.render.absgrad import AbsGrad
-from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.render import cpu, cuda
+from airgs_codec.render.cpu import RasterInputs
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.camera import Background, Camera
 
 Picture = tuple[torch.Tensor, torch.Tensor]  # rgb (H, W, 3) and transmittance (H, W)
@@ -61,8 +61,6 @@ def rasterize(
     """
     background = camera.background if background is None else background
     if inputs.means.is_cuda:
-        from airgs_codec.render import cuda  # gsplat compiles its kernels when it is first imported
-
         drawn = cuda.rasterize(inputs, [camera], [background], absgrad)
         return drawn.rgb[0], drawn.transmittance[0]
     return _Rasterize.apply(*inputs, camera, background, absgrad, redraw)
@@ -78,12 +76,9 @@ def rasterize_views(
 
     On CUDA cameras of one size and near plane are drawn at once. `absgrad` is that of all pictures together.
     """
-    if inputs.means.is_cuda and len(cameras) > 1:
-        from airgs_codec.render import cuda
-
-        if cuda.alike(cameras):
-            drawn = cuda.rasterize(inputs, cameras, [camera.background for camera in cameras], absgrad)
-            return list(zip(drawn.rgb, drawn.transmittance, strict=True))
+    if inputs.means.is_cuda and len(cameras) > 1 and cuda.alike(cameras):
+        drawn = cuda.rasterize(inputs, cameras, [camera.background for camera in cameras], absgrad)
+        return list(zip(drawn.rgb, drawn.transmittance, strict=True))
     alone = absgrad is None or len(cameras) == 1
     parts = [absgrad if alone else AbsGrad() for _ in cameras]
     if absgrad is not None and not alone:

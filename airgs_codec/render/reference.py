@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import torch
 
-from airgs_codec.render.cpu import DILATION, FAR
+from airgs_codec.render.cpu import DILATION, FAR, RasterInputs
 from airgs_codec.render.cpu_kernels import MARGIN
-from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Background, Camera
 from airgs_codec.scene.gaussians import SH_C0
 

@@ -10,19 +10,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from airgs_codec._arguments import described
+from airgs_codec.errors import SceneError
 from airgs_codec.scene.gaussians import Gaussians
 
 Background = tuple[float, float, float]  # r, g, b, 0..1
 BLACK: Background = (0.0, 0.0, 0.0)
+MOST_PIXELS = 32_768  # along a side of a picture
+ROTATION_TOLERANCE = 1e-2  # for what files round; axes of another length or not at right angles are something else
 NEAR = 0.01  # world units, as gsplat has it
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # turns y and z of a camera around; its own inverse
 UP = np.array([0.0, -1.0, 0.0])  # where nobody tells it: structure from motion mostly leaves it so
 FIELD_OF_VIEW = np.radians(50)  # of both axes
 ELEVATIONS = np.radians([10.0, 35.0])  # above the horizon; neighbouring cameras take turns
-COVERED_OPACITY = 0.9  # of the scene lies within the ring's view
-MARGIN = 1.15  # around what the ring sees
+COVERED_OPACITY = 0.98  # of the scene lies within a view, at least
+MARGIN = 1.25  # around that
 LEAST_SHARE = 1e-6  # keeps a weighted median of nothing, and a ring of radius 0, out
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)  # radians; successive turns by it spread evenly over a sphere (Vogel 1979)
 
@@ -43,6 +47,67 @@ class Camera:
     near: float = NEAR  # world units along the view axis; Gaussians whose mean is nearer are not drawn
     background: Background = BLACK  # what is seen behind the scene
 
+    @staticmethod
+    def look_at(
+        position: ArrayLike,
+        target: ArrayLike,
+        up: ArrayLike = UP,
+        *,
+        size: tuple[int, int],
+        fov_y: float = 50.0,
+        name: str = "view",
+    ) -> Camera:
+        """A camera of `size` (width, height) pixels at `position` (3,) that looks at `target` (3,), world units.
+
+        `up` (3,) points up in the picture, by default (0, -1, 0), as structure from motion mostly leaves it; `fov_y` is
+        the vertical field of view in degrees. Raises SceneError for a camera that is none.
+        """
+        at, to, above = (_numbers(*given, (3,)) for given in (("position", position), ("target", target), ("up", up)))
+        if np.array_equal(at, to) or not above.any():
+            raise SceneError(f"camera {name}: expected a target elsewhere and a way up, got {at}, {to} and {above}")
+        matrix = look_at(at, to, above, size=1, fov_y=1, name=name).world_to_camera
+        return Camera.from_matrix(world_to_camera=matrix, size=size, fov_y=fov_y, name=name)
+
+    @staticmethod
+    def from_matrix(
+        *,
+        camera_to_world: ArrayLike | None = None,
+        world_to_camera: ArrayLike | None = None,
+        size: tuple[int, int],
+        fov_y: float | None = None,
+        intrinsics: ArrayLike | None = None,
+        name: str = "view",
+    ) -> Camera:
+        """A camera of `size` (width, height) pixels from one of two matrices, (4, 4) or (3, 4), and one of two lenses.
+
+        Its axes are OpenCV's: x to the right, y down, z forward. For a pose of OpenGL, Blender or NeRF, whose y is up
+        and z backward, give `pose @ np.diag([1, -1, -1, 1])`. `fov_y` is the vertical field of view in degrees, of
+        square pixels about the middle; `intrinsics` (3, 3) are fx, 0, cx; 0, fy, cy; 0, 0, 1 in pixels. Raises
+        SceneError for a camera that is none.
+        """
+        if (camera_to_world is None) == (world_to_camera is None) or (fov_y is None) == (intrinsics is None):
+            choice = "expected camera_to_world or world_to_camera, and fov_y or intrinsics"
+            raise SceneError(f"camera {name}: {choice}, got both or none")
+        width, height = _numbers("size", size, (2,)).astype(int).tolist()
+        if intrinsics is None:
+            half = np.radians(float(_numbers("fov_y", fov_y, ()))) / 2
+            fx = fy = height / 2 / np.tan(half) if 0 < half < np.pi / 2 else 0.0
+            cx, cy = width / 2, height / 2
+        else:
+            (fx, _, cx), (_, fy, cy), _ = _numbers("intrinsics", intrinsics, (3, 3)).tolist()
+        given = "world_to_camera" if camera_to_world is None else "camera_to_world"
+        matrix: NDArray[np.float64] = np.eye(4)
+        rows = _numbers(given, world_to_camera if camera_to_world is None else camera_to_world, (4, 4), (3, 4))
+        matrix[: len(rows)] = rows
+        try:
+            if camera_to_world is not None:
+                matrix = np.linalg.inv(matrix).astype(np.float64)
+            camera = Camera(name, width, height, float(fx), float(fy), cx, cy, matrix)
+            check_camera(camera)
+        except ValueError as error:  # a matrix without an inverse, too
+            raise SceneError(f"{given}, size, fov_y, intrinsics: {error}") from None
+        return camera
+
     @property
     def position(self) -> NDArray[np.float64]:
         """(3,) the centre of the camera in world units."""
@@ -52,6 +117,34 @@ class Camera:
     def held_out(self) -> bool:
         """Return whether nothing may be fitted to what this camera sees, so that quality can be measured on it."""
         return self.split == "test"
+
+
+def check_camera(c: Camera) -> None:
+    """Raise ValueError for a camera that is none, of no size, without focal length or at no place."""
+    numbers = np.array([c.fx, c.fy, c.cx, c.cy, *c.world_to_camera.ravel()])
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"camera {c.name} has numbers that are not finite")
+    if not (1 <= c.width <= MOST_PIXELS and 1 <= c.height <= MOST_PIXELS):
+        raise ValueError(f"camera {c.name} has size {c.width}x{c.height}, not of 1 to {MOST_PIXELS} pixels")
+    if c.fx <= 0 or c.fy <= 0:
+        raise ValueError(f"camera {c.name} has focal lengths {c.fx:g} and {c.fy:g}, not above 0")
+    if not 0 < c.near < np.inf:
+        raise ValueError(f"camera {c.name} has near {c.near}")
+    axes = c.world_to_camera[:3, :3]
+    if np.abs(axes @ axes.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(axes) < 0:
+        raise ValueError(f"camera {c.name} has a matrix that is not a rotation and a translation")
+
+
+def _numbers(name: str, value: ArrayLike | None, *shapes: tuple[int, ...]) -> NDArray[np.float64]:
+    """Finite numbers of one of some shapes. Raises SceneError for anything else."""
+    expected = f"{name}: expected finite numbers of shape {' or '.join(map(str, shapes))}"
+    try:
+        found = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        raise SceneError(f"{expected}, got {described(value)}") from None
+    if found.shape not in shapes or not np.isfinite(found).all():
+        raise SceneError(f"{expected}, got {described(value)}")
+    return found
 
 
 def look_at(
@@ -108,7 +201,7 @@ def training_views(cameras: Sequence[Camera]) -> list[Camera]:
 def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256, up: NDArray[np.float64] = UP) -> list[Camera]:
     """`count` square cameras of `size` pixels on a ring around the scene, which is upright along `up` (3,).
 
-    They look at the opacity-weighted median of the means, from far enough away to see 90 % of the opacity. Rows that
+    They look at the middle of the scene, each from as far away as shows 98 % of the opacity with a margin. Rows that
     are not finite are passed over.
     """
     turns = 2 * np.pi * np.arange(count) / max(count, 1)
@@ -141,28 +234,37 @@ def spiral(count: int, lowest: float = -1.0) -> NDArray[np.float64]:
 
 
 def _views_from(gaussians: Gaussians, sides: NDArray[np.float64], up: NDArray[np.float64], size: int) -> list[Camera]:
-    """Cameras that look at the scene from (C, 3) sides of it, unit length, far enough away to see most of it."""
-    centre, radius = _extent(gaussians)
-    away = MARGIN * radius / np.tan(FIELD_OF_VIEW / 2)
-    return [
-        look_at(centre + away * side, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=f"orbit{i:02d}")
-        for i, side in enumerate(sides)
-    ]
+    """Cameras that look at the scene from (C, 3) sides of it, unit length."""
+    return [side_view(gaussians, side, up, size, f"orbit{i:02d}") for i, side in enumerate(sides)]
 
 
-def _extent(gaussians: Gaussians) -> tuple[NDArray[np.float64], float]:
-    """The opacity-weighted median (3,) of finite means, and the radius around it within which most opacity lies."""
+def side_view(gaussians: Gaussians, side: NDArray[np.float64], up: NDArray[np.float64], size: int, name: str) -> Camera:
+    """A square camera that sees the whole scene from `side` (3,), of length 1, as those of `orbit_views`."""
+    means, weights, centre = _content(gaussians)
+    offsets = means - centre
+    matrix = look_at(side, np.zeros(3), up, size=size, fov_y=FIELD_OF_VIEW, name=name).world_to_camera
+    x, y, z = matrix[:3, :3] @ offsets.T
+    wanted = MARGIN / np.tan(FIELD_OF_VIEW / 2) * np.maximum(np.abs(x), np.abs(y)) - z
+    radius = weighted_quantile(np.linalg.norm(offsets, axis=1), weights, COVERED_OPACITY)
+    # A view from no distance has no direction, nor has one whose distance is lost beside its centre in float32.
+    least = max(MARGIN * radius, float(np.abs(centre).max()) * LEAST_SHARE, LEAST_SHARE)
+    away = max(weighted_quantile(wanted, weights, COVERED_OPACITY), least)
+    return look_at(centre + away * side, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=name)
+
+
+def _content(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(N, 3) the means that are finite, (N,) their opacities, and (3,) the middle of nearly all opacity."""
     finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(gaussians.opacity_logits)
-    means = gaussians.means[finite].astype(np.float64) if finite.any() else np.zeros((1, 3))
-    # LEAST_SHARE: opacities that are all 0 have a median, too
-    weights = gaussians.opacities()[finite].astype(np.float64) + LEAST_SHARE if finite.any() else np.ones(1)
-    centre = np.array([_quantile(means[:, axis], weights, 0.5) for axis in range(3)])
-    radius = _quantile(np.linalg.norm(means - centre, axis=1), weights, COVERED_OPACITY)
-    # A ring of radius 0 has no direction, nor has one that is lost beside its centre in float32.
-    return centre, max(radius, float(np.abs(centre).max()) * LEAST_SHARE, LEAST_SHARE)
+    if not finite.any():
+        return np.zeros((1, 3)), np.ones(1), np.zeros(3)
+    means = gaussians.means[finite].astype(np.float64)
+    weights = gaussians.opacities()[finite].astype(np.float64) + LEAST_SHARE  # opacities of 0 have a middle, too
+    ends = (1 - COVERED_OPACITY) / 2, (1 + COVERED_OPACITY) / 2
+    middle = [sum(weighted_quantile(values, weights, end) for end in ends) / 2 for values in means.T]
+    return means, weights, np.array(middle)
 
 
-def _quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
+def weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:
     """The least value that `share` of the weight does not exceed."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])

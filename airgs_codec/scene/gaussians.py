@@ -7,11 +7,13 @@ angle, in radians. N Gaussians, K = (degree + 1)^2 - 1 SH coefficients past DC.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from airgs_codec.errors import SceneError
 
 SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), real SH band 0
 LEAST_SHARE = 1e-9
@@ -20,23 +22,59 @@ SH_REST = (0, 3, 8, 15)  # SH coefficients past DC for degree 0..3
 SATURATED_LOGIT = np.float32(math.log(1019))  # a quarter of a step of 1/255 off 0 and 1, whose logits are infinite
 SMALL_ANGLE = 1e-8  # radians, below which sin(a/2)/a is 1/2 to float64 precision; above it the division is safe
 Floats = NDArray[np.floating]
+_SHAPES: Mapping[str, tuple[str, Sequence[tuple[int, ...]]]] = {  # of attributes, for people and past N
+    "means": ("(N, 3)", [(3,)]),
+    "quaternions": ("(N, 4)", [(4,)]),
+    "log_scales": ("(N, 3)", [(3,)]),
+    "opacity_logits": ("(N,)", [()]),
+    "sh_dc": ("(N, 3)", [(3,)]),
+    "sh_rest": ("(N, K, 3) with K of 0, 3, 8 or 15", [(k, 3) for k in SH_REST]),
+}
 _LEAST_SIZE = np.float32(1e-9)  # in place of 0, whose logarithm is infinite
+# Each step moves the bits of a 21-bit number further apart: shift, then keep the bits of the mask.
+_SPREAD = (
+    (32, 0x001F00000000FFFF),
+    (16, 0x001F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+_LOW_21 = np.uint64(0x1FFFFF)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gaussians:
-    """One frame of N Gaussians in stored domain. Row n is the same Gaussian in every frame of a group.
+    """One frame of N Gaussians in stored domain, float32. Row n is the same Gaussian in every frame of a group.
+
+    means           (N, 3)     world units
+    quaternions     (N, 4)     w, x, y, z; any length but 0
+    log_scales      (N, 3)     ln(world units)
+    opacity_logits  (N,)       logit of alpha in [0, 1]
+    sh_dc           (N, 3)     r, g, b
+    sh_rest         (N, K, 3)  K = 0, 3, 8 or 15 coefficients for SH degree 0 to 3, band by band, order -l to l; r, g, b
 
     The covariance of a Gaussian is R S S^T R^T, with R its rotation and S the diagonal of its scales; its colour seen
     along direction d is max(0, 0.5 + SH(d)) (3D Gaussian Splatting, Kerbl et al. 2023).
+
+    Raises SceneError for an array of another shape. Numbers are not looked at: what is not finite is repaired later.
     """
 
-    means: NDArray[np.float32]  # (N, 3)     world units
-    quaternions: NDArray[np.float32]  # (N, 4)     w, x, y, z; any length but 0
-    log_scales: NDArray[np.float32]  # (N, 3)     ln(world units)
-    opacity_logits: NDArray[np.float32]  # (N,)       logit of [0, 1]
-    sh_dc: NDArray[np.float32]  # (N, 3)     r, g, b
-    sh_rest: NDArray[np.float32]  # (N, K, 3)  r, g, b last
+    means: NDArray[np.float32]
+    quaternions: NDArray[np.float32]
+    log_scales: NDArray[np.float32]
+    opacity_logits: NDArray[np.float32]
+    sh_dc: NDArray[np.float32]
+    sh_rest: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        rows = next(iter(getattr(self.means, "shape", ())), 0)
+        for name, (text, shapes) in _SHAPES.items():
+            value = getattr(self, name)
+            shape = getattr(value, "shape", None)
+            if shape not in [(rows, *rest) for rest in shapes]:
+                expected = text if name == "means" else text.replace("N", str(rows))
+                got = type(value).__name__ if shape is None else tuple(shape)
+                raise SceneError(f"{name}: expected an array of shape {expected}, got {got}")
 
     def __len__(self) -> int:
         return len(self.means)
@@ -167,11 +205,23 @@ def to_matrices(quaternions: Floats) -> NDArray[np.float64]:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def from_matrix(r: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3, 3) a rotation -> (4,) its quaternion: the eigenvector of the largest eigenvalue (Bar-Itzhack 2000)."""
-    k = np.zeros((4, 4))
-    k[0, 0] = np.trace(r)
-    k[0, 1:] = k[1:, 0] = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
-    k[1:, 1:] = r + r.T - np.trace(r) * np.eye(3)
-    q = np.linalg.eigh(k)[1][:, -1]
-    return np.asarray(-q if q[0] < 0 else q, np.float64)
+def morton_encode(index: NDArray[np.integer]) -> NDArray[np.uint64]:
+    """(M, 3) grid indices of at most 21 bits -> (M,) codes with bit 3b + axis = bit b of that axis."""
+    code = np.zeros(len(index), np.uint64)
+    for axis in range(3):
+        v = index[:, axis].astype(np.uint64)
+        for shift, mask in _SPREAD:
+            v = (v | (v << np.uint64(shift))) & np.uint64(mask)
+        code |= v << np.uint64(axis)
+    return code
+
+
+def morton_decode(code: NDArray[np.uint64]) -> NDArray[np.uint32]:
+    """Inverse of `morton_encode`: (M,) codes -> (M, 3) grid indices."""
+    index = np.empty((len(code), 3), np.uint32)
+    for axis in range(3):
+        v = (code >> np.uint64(axis)) & np.uint64(_SPREAD[-1][1])
+        for (shift, _), mask in zip(reversed(_SPREAD), [m for _, m in reversed(_SPREAD[:-1])] + [_LOW_21], strict=True):
+            v = (v | (v >> np.uint64(shift))) & np.uint64(mask)
+        index[:, axis] = v
+    return index

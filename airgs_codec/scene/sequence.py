@@ -7,13 +7,28 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._arguments import argument, path_argument
 from airgs_codec.errors import SceneError
 from airgs_codec.places.mirror import LOCAL, Files, Habits, Mirror
 from airgs_codec.places.place import is_address
+from airgs_codec.scene.arrays import IN_MEMORY, Nowhere, clip_of
+from airgs_codec.scene.beside import (
+    ATTRIBUTION_NAME,
+    DEFAULT_FPS,
+    DEFAULTS,
+    SETTINGS_NAME,
+    USAGE_NAME,
+    Usage,
+    frame_rate,
+    load_usage,
+    read_attribution,
+    read_settings,
+)
 from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.cameras import colmap
 from airgs_codec.scene.cameras.read import NAMES as CAMERA_NAMES
@@ -34,15 +49,10 @@ from airgs_codec.scene.formats.table import (
     read_frame,
     read_frame_header,
 )
-from airgs_codec.scene.frames import HeldFrames, LazyFrames
+from airgs_codec.scene.frames import HeldFrames, LazyFrames, Repaired, place_rows, repair
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.repair import Repaired, repair
-from airgs_codec.scene.sequence_json import DEFAULTS, SETTINGS_NAME, frame_rate, read_settings
-from airgs_codec.scene.usage import Usage, load_usage
 
-ATTRIBUTION_NAME = "ATTRIBUTION.txt"
-USAGE_NAME = "usage.npz"
-KEPT_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not kept in memory
+HELD_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not held in memory
 
 
 def _is_small(name: str) -> bool:
@@ -56,12 +66,12 @@ def _find_parts(path: Path) -> list[str]:
     return external_buffers(path) if path.suffix.lower() == ".gltf" else []
 
 
-HABITS = Habits(_is_small, ((".ply", HEADER_END, MAX_HEADER),), "sparse", _find_parts)
+HABITS = Habits(_is_small, (".ply", HEADER_END, MAX_HEADER), "sparse", _find_parts)
 
 
 @dataclass(frozen=True, slots=True)
 class GaussianSequence:
-    """A sequence as `open_sequence` gives it: frames in display order, of which only the headers are in memory.
+    """A sequence as `open_sequence` or `from_arrays` gives it: frames in display order, read when they are asked for.
 
     It can be pickled. Paths are names for `files`, which gives where each can be read.
     """
@@ -76,11 +86,34 @@ class GaussianSequence:
     cameras_path: Path | None = None  # the file or folder that the cameras are from
     background: Background = BLACK  # what its cameras see behind it
     alone: bool = False  # one file, opened by its own name
-    orders: Mapping[int, NDArray[np.int32]] = field(default_factory=dict, compare=False)  # (N,) rows of files, by frame
+    orders: Mapping[int, NDArray[np.int32]] = field(default_factory=dict, compare=False)  # by frame, see `place_rows`
     breaks: tuple[int, ...] = ()  # frames whose rows are not those of the frame before, though they are as many
     clip: Clip | None = None  # the file that all frames are in, if it is one; every path is its
     files: Files = field(default=LOCAL, compare=False)  # where they are
     held: HeldFrames | None = field(default=None, compare=False)  # frames that need not be read again
+
+    @staticmethod
+    def from_arrays(
+        frames: Mapping[str, Any] | Iterable[Gaussians | Mapping[str, Any]],
+        *,
+        fps: Fraction | float = DEFAULT_FPS,
+        cameras: Iterable[Camera] = (),
+    ) -> GaussianSequence:
+        """A sequence of frames that a program has: Gaussians, or mappings of their arrays by name, of numpy or torch.
+
+        A list of them stays in memory, without a copy of what is float32 there; what an iterator gives, and what other
+        processes need, is written to a temporary folder that goes with the sequence. One mapping whose arrays have time
+        as their first axis, (T, N, 3) and so on, is all frames. `sh_rest` may be left out. The background is that of
+        the first of the `cameras`.
+
+        Raises SceneError, which names frame and attribute, for an array of another shape than `Gaussians` tells, what
+        is not finite, a frame without rows, no frame, and SH degrees that differ.
+        """
+        views = tuple(argument("cameras", camera, Camera, "cameras") for camera in cameras)
+        clip = clip_of(frames, fps)
+        paths, behind = (IN_MEMORY,) * len(clip.headers), views[0].background if views else BLACK
+        found = GaussianSequence(IN_MEMORY, paths, clip.headers, clip.fps, None, views, background=behind)
+        return replace(found, alone=True, clip=clip, files=Nowhere())
 
     @property
     def sh_degree(self) -> int:
@@ -108,6 +141,10 @@ class GaussianSequence:
     def __len__(self) -> int:
         return len(self.paths)
 
+    def count(self, frame: int) -> int:
+        """The number of rows of a frame as it is read."""
+        return len(self.orders[frame]) if frame in self.orders else self.headers[frame].count
+
     def usage(self, start: int, stop: int) -> Usage | None:
         """What the trainer measured over all frames of the group [start, stop); None where it left no such group.
 
@@ -117,13 +154,18 @@ class GaussianSequence:
             return None
         with self.files.naming():
             path = self.files.beside(self.folder / USAGE_NAME)
-            return load_usage(path, start, stop) if path else None
+            return load_usage(path, start, stop, self.count(start)) if path else None
 
     def read(self, frame: int) -> Gaussians:
         """Read one frame unrepaired, as its file has it but for `orders`. Raises SceneError when the file is broken."""
         g = self._read_file(frame) if self.held is None else self.held.get(frame, self._read_file)
         g = g.with_degree(self.sh_degree)
-        return g.take(self.orders[frame]) if frame in self.orders else g
+        return place_rows(g, self.orders[frame]) if frame in self.orders else g
+
+    def close(self) -> None:
+        """Let go of the frames that are held."""
+        if self.held is not None:
+            self.held.clear()
 
     def _read_file(self, frame: int) -> Gaussians:
         with self.files.hold([self.paths[frame]]) as [path]:
@@ -132,26 +174,17 @@ class GaussianSequence:
     def load(self, wanted: Iterable[int]) -> Repaired:
         """Read frames of one group and repair them together: a row that is dropped in one is dropped in all.
 
-        Frames that take more than KEPT_BYTES together are read once to find what must be repaired, and again whenever
+        Frames that take more than HELD_BYTES together are read once to find what must be repaired, and again whenever
         they are asked for. Raises SceneError when a file is broken or no finite row is left.
         """
         numbers = list(wanted)
         span = f"frame {numbers[0]}" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}"
         where = f"{(self.paths[0] if self.alone else self.folder).name} {span}"
-        kept = sum(replace(self.headers[n], sh_degree=self.sh_degree).bytes for n in numbers) <= KEPT_BYTES
+        held = sum(replace(self.headers[n], sh_degree=self.sh_degree).bytes for n in numbers) <= HELD_BYTES
         stored = LazyFrames(self.read, numbers)
         with self.files.hold(dict.fromkeys(self.paths[n] for n in numbers if not self.held or n not in self.held)):
-            done = repair(list(stored) if kept else stored, where)
-        return replace(done, frames=list(done.frames)) if kept else done
-
-
-def read_attribution(folder: Path) -> str:
-    """Who made a scene: the text of ATTRIBUTION.txt in its folder, empty without the file. Raises SceneError."""
-    file = folder / ATTRIBUTION_NAME
-    try:
-        return file.read_text(encoding="utf-8").strip() if file.is_file() else ""
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"{file}: expected UTF-8 text: {error}") from error
+            done = repair(list(stored) if held else stored, where)
+        return replace(done, frames=list(done.frames)) if held else done
 
 
 def open_sequence(
@@ -188,6 +221,7 @@ def open_sequence(
     than the first, one of the files beside them is malformed, or something is to be baked that leaves no choice.
     ConfigError for an address that cannot be, TransportError for a store that does not answer.
     """
+    folder = path_argument("folder", folder)
     rate = None if bake_fps is None else frame_rate(str(folder), bake_fps)
     bake = Bake(rate, None if duration is None else Fraction(str(duration)))
     files, place = Mirror.at(str(folder), HABITS) if is_address(folder) else (LOCAL, Path(folder))

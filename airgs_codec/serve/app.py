@@ -8,23 +8,32 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import re
-from collections.abc import Awaitable, Mapping
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, Response
+from starlette.responses import (
+    HTMLResponse,
+    JSONResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+    StreamingResponse,
+)
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from airgs_codec.play.repr_digest import REPR_DIGEST, repr_digest
-from airgs_codec.serve.files import PackageFiles, Snapshot
-from airgs_codec.serve.pages import NOT_BUILT, PAGE_TYPES, addresses, content_policy, list_page
+from airgs_codec.package.tables import shorten
+from airgs_codec.play.repr_digest import REPR_DIGEST, repr_value
+from airgs_codec.serve.cards import list_page
+from airgs_codec.serve.files import PackageFiles, Snapshot, Version
+from airgs_codec.serve.pages import NOT_BUILT, PAGE_TYPES, addresses, content_policy, player_address
 
 LASTING = "public, max-age=31536000, immutable"
 CHECKED = "no-cache"  # may be stored, but is asked for again each time
-CHUNK_BYTES = 1 << 16  # given to a connection at once, so that a slow one holds little memory
+PIECE_BYTES = 1 << 16  # read for a connection and given to it at once, so that a slow one holds little memory
 _RANGE = re.compile(r"\s*bytes\s*=\s*(\d*)\s*-\s*(\d*)\s*", re.ASCII | re.IGNORECASE)
 _DIGITS = 18  # of a position in a file; one with more lies behind every end
 METHODS = "GET, HEAD, OPTIONS"
@@ -36,6 +45,7 @@ EVERYWHERE = {  # pages of any origin may read what is served here, and see its 
     "Timing-Allow-Origin": "*",
     "X-Content-Type-Options": "nosniff",
 }
+NOTHING_MORE: Mapping[str, str] = {}
 PREFLIGHT = {
     "Allow": METHODS,
     "Access-Control-Allow-Methods": METHODS,
@@ -44,17 +54,32 @@ PREFLIGHT = {
 }
 
 
-class Body(Response):
-    """A response whose body is handed over in pieces, each when the connection has taken the one before."""
+class Body(StreamingResponse):
+    """A response whose body is read in pieces, each when the connection has taken the one before.
+
+    It ends with the connection; where a piece cannot be read, the connection ends with it.
+    """
+
+    def __init__(
+        self, version: Version, part: range, status_code: int, headers: Mapping[str, str], media_type: str
+    ) -> None:
+        self._long = len(part) > PIECE_BYTES
+        length = {"Content-Length": str(len(part))}
+        super().__init__(_pieces(version.read, part), status_code, {**headers, **length}, media_type)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it (ASGI)."""
-        await send({"type": "http.response.start", "status": self.status_code, "headers": self.raw_headers})
-        size = len(self.body)
-        for start in range(0, max(1, size), CHUNK_BYTES):
-            stop = start + CHUNK_BYTES
-            piece = bytes(self.body[start:stop])
-            await send({"type": "http.response.body", "body": piece, "more_body": stop < size})
+        """Send it (ASGI); nothing is read for HEAD."""
+        if scope["method"] == "HEAD":
+            self.body_iterator = _pieces(Version.of(b"").read, range(0))
+        if self._long:
+            await super().__call__(scope, receive, send)
+        else:  # nobody need look whether the connection ends meanwhile
+            await self.stream_response(send)
+
+
+async def _pieces(read: Callable[[int, int], bytes], part: range) -> AsyncIterator[bytes]:
+    for start in range(part.start, part.stop, PIECE_BYTES):
+        yield await asyncio.to_thread(read, start, min(start + PIECE_BYTES, part.stop))
 
 
 def answer(snapshot: Snapshot, asked: Mapping[str, str]) -> Response:
@@ -63,24 +88,24 @@ def answer(snapshot: Snapshot, asked: Mapping[str, str]) -> Response:
     Several ranges in one request are answered with the whole file, as RFC 9110 section 14.2 allows.
     """
     zipped = None if "range" in asked or not _takes_gzip(asked) else snapshot.zipped
-    data = snapshot.data if zipped is None else zipped
-    tag = f'"{snapshot.sha256}"' if zipped is None else f'"{snapshot.sha256}-gzip"'
+    version, tag = zipped or snapshot.plain, shorten(snapshot.plain.sha256)
+    tag = f'"{tag}"' if zipped is None else f'"{tag}-gzip"'
     headers = {"ETag": tag, "Cache-Control": LASTING if snapshot.lasting else CHECKED, "Accept-Ranges": "bytes"}
     if not snapshot.lasting:  # no table says what its bytes are
-        headers[REPR_DIGEST] = repr_digest(bytes(data))
+        headers[REPR_DIGEST] = repr_value(version.sha256)
     if snapshot.zipped is not None:
         headers["Vary"] = "Accept-Encoding"
     if _is_known(asked.get("if-none-match", ""), tag):
         return Response(status_code=304, headers=headers)
     if zipped is not None:
         headers["Content-Encoding"] = "gzip"
-    part = _part(asked, tag, len(data))
+    part = _part(asked, tag, version.size)
     if part is None:
-        return Body(data, headers=headers, media_type=snapshot.media_type)
+        return Body(version, range(version.size), 200, headers, snapshot.media_type)
     if not part:
-        return Response(status_code=416, headers={"Content-Range": f"bytes */{len(data)}"})
-    headers["Content-Range"] = f"bytes {part.start}-{part.stop - 1}/{len(data)}"
-    return Body(data[part.start : part.stop], 206, headers, snapshot.media_type)
+        return Response(status_code=416, headers={"Content-Range": f"bytes */{version.size}"})
+    headers["Content-Range"] = f"bytes {part.start}-{part.stop - 1}/{version.size}"
+    return Body(version, part, 206, headers, snapshot.media_type)
 
 
 def parse_range(text: str, size: int) -> range | None:
@@ -156,6 +181,8 @@ class _Gate:
             await self._choose(scope)(scope, receive, send_more)
 
     def _choose(self, scope: Scope) -> ASGIApp:
+        if scope["method"] not in METHODS.split(", "):
+            return _refusal(f"expected {METHODS}", 405, {"Allow": METHODS})
         headers = Headers(scope=scope)
         target = len(scope["raw_path"]) + len(scope["query_string"])
         if target + sum(len(name) + len(value) for name, value in headers.raw) > HEAD_BYTES:
@@ -165,9 +192,9 @@ class _Gate:
         return Response(status_code=204, headers=PREFLIGHT) if scope["method"] == "OPTIONS" else self._app
 
 
-def _refusal(words: str, status: int) -> Response:
+def _refusal(words: str, status: int, headers: Mapping[str, str] = NOTHING_MORE) -> Response:
     """Ends the connection, too, so that what follows is never taken for a request."""
-    return PlainTextResponse(f"{words}\n", status, {"Connection": "close"})
+    return PlainTextResponse(f"{words}\n", status, {"Connection": "close", **headers})
 
 
 class _Site:
@@ -191,7 +218,10 @@ class _Site:
         return await _respond(self._files.read_page(name), request, NOT_BUILT)
 
     async def file(self, request: Request) -> Response:
-        """A file of a package."""
+        """A file of a package; the folder itself leads to the player."""
+        name, path = request.path_params["name"], request.path_params["path"]
+        if not path and name in await asyncio.to_thread(lambda: self._files.packages):
+            return RedirectResponse(f"..{player_address(name)}", 307, {"Cache-Control": CHECKED})
         return await _respond(self._files.read(**request.path_params), request, "no such file")
 
 
@@ -204,7 +234,8 @@ async def _respond(reading: Awaitable[Snapshot | None], request: Request, missin
         return _missing(missing)
     response = answer(snapshot, request.headers)
     if snapshot.media_type == "text/html":
-        response.headers[POLICY] = content_policy(snapshot.data.decode())
+        page = snapshot.plain.read(0, snapshot.plain.size)
+        response.headers[POLICY] = content_policy(page.decode())
     return response
 
 

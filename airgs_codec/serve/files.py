@@ -1,7 +1,8 @@
 """Files of packages as they are at the moment of a request, each with the SHA-256 of just these bytes; and the page.
 
-A package may grow or be replaced while it is served. A file is therefore opened anew for every request, read whole, and
-served from memory: what a client gets under one entity tag is one version of the file, never a mixture of two.
+A package may grow or be replaced while it is served: what a client gets under one entity tag is one version of a file,
+never a mixture of two. Texts, which change, are read whole and served from memory. Of other files only the digest is
+kept; they are read in pieces as a connection takes them, each from a file that is still the one that was hashed.
 """
 
 from __future__ import annotations
@@ -9,26 +10,30 @@ from __future__ import annotations
 import asyncio
 import errno
 import gzip
+import hashlib
 import os
 import re
 import stat
 import time
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package.paths import INIT_NAME, JSON_NAME, MEDIA_TYPES, ROOTS
-from airgs_codec.package.tables import digest
+from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MEDIA_TYPES, POSTER_NAME, ROOTS
 from airgs_codec.serve.pages import PAGE, PAGE_TYPES
 
 CACHE_BYTES = 64 << 20
 SETTLED_NS = 2_000_000_000  # a younger file may change without a new time stamp (the coarsest are 2 s apart)
+ENTRY_BYTES = 1024  # that a digest takes in memory, about
 LEAST_ZIPPED_BYTES = 1024  # what fits one packet gains nothing
+MOST_HELD_BYTES = 4 << 20  # of a text; a longer one is read in pieces, too
+HASHED_BYTES = 1 << 18  # that are hashed at once
 ATTEMPTS, PAUSE_S = 5, 0.02  # to read a file that is being written
-_BELOW = r"(?:group|index|key|state)/(?:[A-Za-z0-9_-]+/){0,3}[A-Za-z0-9_-]+(?:\.[a-z0-9]+){1,2}"
-_PATH = re.compile("|".join([*map(re.escape, (*ROOTS, INIT_NAME)), _BELOW]), re.ASCII)
+_BELOW = r"(?:group|index|key|sound|state)/(?:[A-Za-z0-9_-]+/){0,3}[A-Za-z0-9_-]+(?:\.[a-z0-9]+){1,2}"
+_PATH = re.compile("|".join([*map(re.escape, (*ROOTS, INIT_NAME, POSTER_NAME)), _BELOW]), re.ASCII)
 _ABSENT = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.EACCES, errno.ENAMETOOLONG, errno.ENXIO}
 _TEXT = (".json", ".mpd", ".html", ".js")  # the only files that are not compressed already
 
@@ -52,8 +57,8 @@ class Shelves:
     def _add(self, folder: Path) -> None:
         own = _is_package(folder)
         found = {folder.resolve().name: folder.absolute()} if own else _packages_in(folder)
-        if not found:
-            kinds = f"a package with {JSON_NAME} or a folder with packages"
+        if not found and not _is_empty(folder):
+            kinds = f"a package with {JSON_NAME}, a folder with packages or an empty one"
             raise ConfigError(f"{folder}: expected {kinds}, got nothing of that kind")
         for name in sorted(found.keys() & self._known.keys()):
             raise ConfigError(f"{found[name]}: expected packages of different names, got {name} twice")
@@ -77,7 +82,12 @@ class Shelves:
 
 
 def _is_package(folder: Path) -> bool:
-    return (folder / JSON_NAME).is_file()
+    return os.path.isfile(folder / JSON_NAME)  # False, too, where it may not be looked at
+
+
+def _is_empty(folder: Path) -> bool:
+    """Whether a folder has no files but hidden ones: packages may be on their way."""
+    return folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())
 
 
 def _packages_in(holder: Path) -> dict[str, Path]:
@@ -92,14 +102,28 @@ def _packages_in(holder: Path) -> dict[str, Path]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Version:
+    """Bytes that a client may be given, whole or in parts."""
+
+    size: int
+    sha256: bytes
+    read: Callable[[int, int], bytes]  # from start to stop; raises OSError where another version has come since
+
+    @staticmethod
+    def of(data: bytes) -> Version:
+        """These bytes."""
+        return Version(len(data), hashlib.sha256(data).digest(), lambda start, stop: data[start:stop])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
     """A file at one moment."""
 
     media_type: str
     lasting: bool  # the file never changes under its name
-    data: bytes
-    sha256: str  # of `data`, as in the tables: the first 24 bytes in base64url
-    zipped: bytes | None  # gzip of `data` where that is worth it
+    plain: Version
+    zipped: Version | None  # its gzip where that is worth it
+    held_bytes: int  # that it takes in memory
 
 
 def media_type(path: str) -> str | None:
@@ -113,7 +137,7 @@ def media_type(path: str) -> str | None:
 class PackageFiles:
     """The files of packages, each below its folder's name, and of the page that plays them.
 
-    Recently read ones stay in memory, `cache_bytes` at most.
+    Texts and digests of those that were asked for last stay in memory, `cache_bytes` at most.
     """
 
     def __init__(self, folders: list[Path], cache_bytes: int = CACHE_BYTES) -> None:
@@ -125,6 +149,7 @@ class PackageFiles:
         self._cache_bytes = cache_bytes
         self._cache: OrderedDict[tuple[str, str], tuple[Stamp, Snapshot]] = OrderedDict()
         self._held_bytes = 0
+        self._loading: dict[tuple[tuple[str, str], Stamp], asyncio.Task[tuple[Stamp, Snapshot] | None]] = {}
 
     @property
     def packages(self) -> Mapping[str, Path]:
@@ -155,23 +180,23 @@ class PackageFiles:
         if cached and cached[0] == stamp:
             self._cache.move_to_end(key)
             return cached[1]
-        loaded = await asyncio.to_thread(_load, folder, path, kind)
+        task = self._loading.get((key, stamp))
+        if task is None:  # all who ask meanwhile wait for this one
+            task = self._loading[key, stamp] = asyncio.create_task(asyncio.to_thread(_load, folder, path, kind))
+            task.add_done_callback(lambda _: self._loading.pop((key, stamp)))
+        loaded = await asyncio.shield(task)
         if loaded and time.time_ns() - max(loaded[0][-2:]) > SETTLED_NS:
             self._remember(key, loaded)
         return loaded[1] if loaded else None
 
     def _remember(self, key: tuple[str, str], entry: tuple[Stamp, Snapshot]) -> None:
         if old := self._cache.pop(key, None):
-            self._held_bytes -= _held(old[1])
+            self._held_bytes -= old[1].held_bytes
         self._cache[key] = entry
-        self._held_bytes += _held(entry[1])
+        self._held_bytes += entry[1].held_bytes
         while self._held_bytes > self._cache_bytes:
             _, (_, dropped) = self._cache.popitem(last=False)
-            self._held_bytes -= _held(dropped)
-
-
-def _held(snapshot: Snapshot) -> int:
-    return len(snapshot.data) + len(snapshot.zipped or b"")
+            self._held_bytes -= dropped.held_bytes
 
 
 def _open(folder: Path, path: str) -> int | None:
@@ -210,23 +235,50 @@ def _stamp_of(folder: Path, path: str) -> Stamp | None:
 
 
 def _load(folder: Path, path: str, kind: str) -> tuple[Stamp, Snapshot] | None:
-    """One version of a file, read whole. Raises TransportError where it keeps changing."""
+    """One version of a file, which is read to its end. Raises TransportError where it keeps changing."""
+    lasting = "/" in path or path in (INIT_NAME, POSTER_NAME)  # neither a root of a package nor the page
     for _ in range(ATTEMPTS):
         descriptor = _open(folder, path)
         if descriptor is None:
             return None
-        with os.fdopen(descriptor, "rb") as file:
-            before = _stamp(descriptor)
-            if before is None:
+        try:
+            stamp = _stamp(descriptor)
+            if stamp is None:
                 return None
-            data = file.read()
-            if before == _stamp(descriptor) and len(data) == before[2]:
-                return before, _snapshot(path, kind, data)
+            if path.endswith(_TEXT) and stamp[2] <= MOST_HELD_BYTES:
+                snapshot = _hold(kind, lasting, os.pread(descriptor, stamp[2], 0))
+            else:
+                plain = Version(stamp[2], _hash(descriptor, stamp[2]), partial(_read_part, folder, path, stamp))
+                snapshot = Snapshot(kind, lasting, plain, None, ENTRY_BYTES)
+            if stamp == _stamp(descriptor):
+                return stamp, snapshot
+        finally:
+            os.close(descriptor)
         time.sleep(PAUSE_S)
     raise TransportError(f"{path}: expected a whole file, got one that is being written")
 
 
-def _snapshot(path: str, kind: str, data: bytes) -> Snapshot:
-    text = path.endswith(_TEXT) and len(data) >= LEAST_ZIPPED_BYTES
-    lasting = "/" in path or path == INIT_NAME  # neither a root of a package nor the page
-    return Snapshot(kind, lasting, data, digest(data), gzip.compress(data, mtime=0) if text else None)
+def _hold(kind: str, lasting: bool, data: bytes) -> Snapshot:
+    zipped = gzip.compress(data, mtime=0) if len(data) >= LEAST_ZIPPED_BYTES else None
+    held_bytes = ENTRY_BYTES + len(data) + len(zipped or b"")
+    return Snapshot(kind, lasting, Version.of(data), None if zipped is None else Version.of(zipped), held_bytes)
+
+
+def _hash(descriptor: int, size: int) -> bytes:
+    sha256 = hashlib.sha256()
+    for start in range(0, size, HASHED_BYTES):
+        sha256.update(os.pread(descriptor, min(HASHED_BYTES, size - start), start))
+    return sha256.digest()
+
+
+def _read_part(folder: Path, path: str, stamp: Stamp, start: int, stop: int) -> bytes:
+    """Bytes of the file with this stamp. Raises TransportError where it is another now."""
+    descriptor = _open(folder, path)
+    if descriptor is not None:
+        try:
+            data = os.pread(descriptor, stop - start, start)
+            if _stamp(descriptor) == stamp:
+                return data
+        finally:
+            os.close(descriptor)
+    raise TransportError(f"{path}: expected the version that was asked for, got another")

@@ -34,7 +34,7 @@ PATIENCE_S = 20.0
 BACKLOG = 1024  # connections that wait to be taken
 SILENCE = 6  # times the patience without a word from a client end its connection, even while it takes an answer
 CONNECTION_REQUESTS = 1_000_000  # a viewer's connection lives as long as a sequence
-LOG_FORMAT = '%(h)s "%(r)s" %(s)s %(b)s bytes %(D)s us'
+LOG_FORMAT = '%(h)s - - %(t)s "%(m)s %(Uq)s HTTP/%(H)s" %(s)s %(b)s "%(f)s" "%(a)s"'  # Apache's combined log
 
 
 @dataclass(frozen=True, slots=True, eq=False)

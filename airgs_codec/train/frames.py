@@ -5,6 +5,7 @@ A frame is in the group of the one before unless its quality falls, or a chunk o
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,18 +13,24 @@ from functools import cached_property
 
 import torch
 
+from airgs_codec.analysis.flow import carry
 from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress, silent
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.usage import Usage
+from airgs_codec.scene.beside import Usage
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.train.data.multiview import MultiviewScene
 from airgs_codec.train.data.pictures import Exposure, Pictures, View, pictures_for
 from airgs_codec.train.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
+from airgs_codec.train.fit.given import fit_common, follow, missing
 from airgs_codec.train.fit.losses import ExposureModel, mean_psnr, mean_ssim, static_shares
 from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Group, Trainer, make_trainer
+from airgs_codec.train.fit.usage import group_usage
 from airgs_codec.train.record import FrameRecord, Model, Span, TrainedFrame
 from airgs_codec.train.settings import TrainSettings
-from airgs_codec.train.usage import group_usage
+
+KNOWN_DB = 28.0  # that a frame behind a given one must have, to tell what they share
+WINDOW = 12  # frames that tell it
+SHARES = 3  # one view in so many of each of them does
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +89,11 @@ class Capture:
         self._moving[frame] = now.moving
         return FrameViews(frame, now.views, Masks(a | b for a, b in zip(before, now.moving, strict=True)))
 
+    def given(self, frame: int) -> Gaussians:
+        """The Gaussians that the pictures of a frame are drawn from, repaired. Raises SceneError for a broken file."""
+        assert self.scene.given is not None
+        return self.scene.given.load([frame]).frames[0]
+
     def usage(self, read: Callable[[int], Gaussians], span: Span, progress: Progress = silent) -> Usage:
         """The usage of a group over its frames [start, stop), which `read` gives, and all its training views."""
         return group_usage(read, self.pictures, self.trainer.renderer, span, progress)
@@ -127,7 +139,10 @@ def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
     begun, trainer, named = time.perf_counter(), capture.trainer, _named(progress, 0, len(capture.scene))
     views = capture.views(0)
     model = _exposures(views, trainer) if trainer.settings.match_exposure else None
-    g = trainer.fit_first(FrameViews(0, views), capture.scene.points, model, named)
+    if capture.scene.given is None:
+        g = trainer.fit_first(FrameViews(0, views), capture.scene.points, model, named)
+    else:
+        g = _given_first(capture, 0, named)
     exposure = model.table([view.camera.name for view in views]) if model else {}
     exposed = capture.with_exposure(exposure)
     group = trainer.start_group(g, exposed.views(0))
@@ -169,6 +184,8 @@ def position_after(capture: Capture, model: Model) -> Position:
     group = capture.trainer.start_group(model.read(start), capture.views(start))
     if group.networks is not None and last > start:
         group.networks.load(model.networks())
+    if last > start:
+        group = replace(group, second_psnr=model.record.frames[start + 1].psnr)
     return Position(frame_before(model, last + 1), group)
 
 
@@ -187,17 +204,79 @@ def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Prog
     """
     trainer, s = capture.trainer, capture.trainer.settings
     before, group = at.before, at.group
-    moved = trainer.fit_frame(target, before, group, progress)
+    moved = _moved(capture, target, at, progress)
     psnr = mean_psnr(moved, target.views, trainer.renderer)
     static = static_shares(before.gaussians, moved, group.steps)
-    fitted = _Fitted(moved, "frame", psnr, group, static=static)
-    if psnr >= s.min_psnr_db and psnr >= group.first_psnr - s.max_drop_db:
+    second = round(psnr, 3) if group.second_psnr is None else group.second_psnr  # as the record has it
+    fitted = _Fitted(moved, "frame", psnr, replace(group, second_psnr=second), static=static)
+    known = group.second_psnr if capture.scene.given else group.first_psnr
+    if psnr >= s.min_psnr_db and (known is None or psnr >= known - s.max_drop_db):
         return fitted
-    g = trainer.fit_keyframe(target, before, group.steps, progress)
+    if capture.scene.given is None:
+        g = trainer.fit_keyframe(target, before, group.steps, progress)
+    else:
+        g = _given_key(capture, target, before, progress)
     key_psnr = mean_psnr(g, target.views, trainer.renderer)
     if s.keep_better and key_psnr <= psnr:
         return replace(fitted, rejected_psnr=key_psnr)
     return replace(_keyframe(capture, target, before, g), rejected_psnr=psnr)
+
+
+def _moved(capture: Capture, target: FrameViews, at: Position, progress: Progress) -> Gaussians:
+    """The Gaussians of the frame before as the target shows them.
+
+    Where they are given, they are followed first; the fit is left out where that shows what the group shows.
+    """
+    trainer, before = capture.trainer, at.before
+    if capture.scene.given is not None:
+        g = follow(trainer, before, capture.given(target.frame), target)
+        if mean_psnr(g, target.views, trainer.renderer) >= KNOWN_DB:
+            return g
+        before = FrameBefore(g, None)
+    return trainer.fit_frame(target, before, at.group, progress)
+
+
+def _given_key(capture: Capture, target: FrameViews, before: FrameBefore, progress: Progress) -> Gaussians:
+    """The Gaussians of the frame before with what they lack, or those that are given where that does not show all."""
+    trainer, given = capture.trainer, capture.given(target.frame)
+    g = follow(trainer, before, given, target)
+    g = join_rows([g, given.take(missing(trainer, g, given, target))])
+    group = Group(math.inf, trainer.steps(g, target.views), None)
+    g = trainer.fit_frame(replace(target, moving=None), FrameBefore(g, None), group, progress)
+    if mean_psnr(g, target.views, trainer.renderer) >= KNOWN_DB:
+        return g
+    return _given_first(capture, target.frame, progress)
+
+
+def _given_first(capture: Capture, start: int, progress: Progress) -> Gaussians:
+    """The Gaussians that are given of a frame, without what is not in the frames behind it as well."""
+    trainer, g = capture.trainer, capture.given(start)
+    views = [capture.views(start)]
+    steps, frames, floor = trainer.steps(g, views[0]), [g], 0.0
+    at = Position(FrameBefore(g, None), Group(math.inf, steps, None))
+    for frame in range(start + 1, min(start + WINDOW, len(capture.scene))):
+        seen = capture.views(frame)
+        target = FrameViews(frame, seen)
+        moved = follow(trainer, at.before, capture.given(frame), target)
+        psnr = mean_psnr(moved, target.views[::2], trainer.renderer)
+        if psnr < KNOWN_DB:
+            moved = trainer.fit_frame(target, FrameBefore(moved, None), at.group, progress)
+            psnr = mean_psnr(moved, target.views[::2], trainer.renderer)
+        if psnr < max(floor, KNOWN_DB):
+            break
+        floor = max(floor, psnr - capture.settings.max_drop_db)
+        if frame == start + 1:  # what is not in the first frame by chance
+            given, (g,) = capture.given(frame), frames
+            rows = missing(trainer, moved, given, target)
+            frames = [join_rows([g, carry(given, g).take(rows)])]
+            moved = join_rows([moved, given.take(rows)])
+            at = replace(at, group=replace(at.group, steps=trainer.steps(frames[0], views[0])))
+        frames.append(moved)
+        views.append(seen)
+        at = replace(at, before=FrameBefore(moved, moved.means - frames[-2].means))
+    if len(frames) == 1:
+        return g
+    return fit_common(trainer, frames, [of[i % SHARES :: SHARES] for i, of in enumerate(views)], progress)
 
 
 def _keyframe(capture: Capture, target: FrameViews, before: FrameBefore, g: Gaussians) -> _Fitted:

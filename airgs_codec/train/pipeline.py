@@ -17,7 +17,7 @@ from airgs_codec.jobs.engines import NOTHING, Needs
 from airgs_codec.jobs.job import Job, Stored
 from airgs_codec.jobs.work import Work
 from airgs_codec.progress import Progress, silent
-from airgs_codec.scene.usage import Usage
+from airgs_codec.scene.beside import Usage
 from airgs_codec.train.data.multiview import (
     Contents,
     MultiviewScene,

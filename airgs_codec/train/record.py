@@ -20,14 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import PART_SUFFIX, atomic_path, to_json, write_json
+from airgs_codec.scene.beside import USAGE_NAME, Usage, save_usage, write_settings
 from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera
+from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence import USAGE_NAME
-from airgs_codec.scene.sequence_json import write_settings
-from airgs_codec.scene.usage import Usage, save_usage
 from airgs_codec.train.data.multiview import MultiviewScene
 from airgs_codec.train.data.pictures import Exposure
 from airgs_codec.train.settings import BUDGET, TrainSettings
@@ -175,11 +174,12 @@ class Model:
     def networks(self) -> dict[str, np.ndarray]:
         """Weights after the last finished frame. Raises SceneError when they are not there."""
         path = self._networks(self.record.frames[-1].frame)
-        try:
-            with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-                return {name: file[name] for name in file.files}
-        except (OSError, ValueError, EOFError) as error:
-            raise SceneError(f"{path}: expected the networks of an unfinished run: {error}") from error
+        with (
+            expecting(path, "the networks of an unfinished run"),
+            path.open("rb") as opened,
+            np.load(opened, allow_pickle=False) as file,
+        ):
+            return {name: file[name] for name in file.files}
 
     def finish(self, usage: Mapping[Span, Usage]) -> None:
         """Write the usage of each group of a complete run, and remove the weights, which nothing needs any more."""
@@ -230,15 +230,13 @@ def open_model(folder: Path, wanted: Record, resume: bool) -> Model:
 def read_model(folder: Path) -> Model:
     """The model folder of a run, finished or not. Raises SceneError when it has no record that can be read."""
     path = folder / RECORD_NAME
-    try:
+    with expecting(path, "the record of a training run"):
         data = json.loads(path.read_text(encoding="utf-8"))
         version = data.pop("version")
         if version != VERSION:
             raise ValueError(f"version {version} instead of {VERSION}")
         data["frames"] = tuple(FrameRecord(**frame) for frame in data["frames"])
         return Model(folder, Record(**data))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise SceneError(f"{path}: expected the record of a training run: {error}") from error
 
 
 def _continued(folder: Path, known: Record, new: Record) -> Record:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from airgs_codec.analysis.rows import closed_groups, plan_groups
+from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence
@@ -32,10 +32,9 @@ def test_groups_start_where_rows_are_not_those_of_the_frame_before(tmp_path):
 
 def test_groups_of_a_growing_sequence_close_when_no_frame_can_join_them(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path / "a", moving_frames(9, 8) + moving_frames(12, 2)))
-    whole = plan_groups(sequence, 3).spans
-    assert whole == [(0, 3), (3, 6), (6, 8), (8, 10)]
-    assert closed_groups(sequence, 0, 3, done=False) == whole[:3]  # the last may grow to three frames
-    assert closed_groups(sequence, 6, 3, done=True) == whole[2:]
+    assert plan_groups(sequence, 3).spans == [(0, 3), (3, 6), (6, 8), (8, 10)]
+    assert closed_groups(sequence, 0, 3, done=False) == [(0, 3), (3, 6), (6, 9)]  # whether rows match is seen later
+    assert closed_groups(sequence, 6, 3, done=True) == [(6, 9), (9, 10)]
     named = open_sequence(write_sequence(tmp_path / "b", moving_frames(9, 8), keyframes=[0, 5]))
     assert closed_groups(named, 0, 3, done=False) == [(0, 5)]
     assert closed_groups(named, 5, 3, done=True) == [(5, 8)]

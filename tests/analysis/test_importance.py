@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.importance import RowPruning, estimate_cost, importance, pooled_error, select_omissions
-from airgs_codec.analysis.rows import plan_groups
+from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.importance import (
+    RowPruning,
+    WrittenRows,
+    estimate_cost,
+    importance,
+    pooled_error,
+    select_omissions,
+)
 from airgs_codec.analysis.sensitivity import MAX_VIEWS, measure_sensitivity, measure_usage
 from airgs_codec.media.metrics import mse
 from airgs_codec.render import render
@@ -54,6 +61,28 @@ def test_rows_that_no_ranking_picture_showed_stay_if_others_show_them(scene):
     rank[:] = 1
     rank[np.setdiff1d(np.arange(len(rank)), shown)] = 0
     assert RowPruning(views, rank, {}).within(0.0).rows.tolist() == shown.tolist()
+
+
+def test_a_small_thing_that_is_plainly_seen_stays_whatever_the_mean_says(scene):
+    """An eye: a few rows in one place that are least important by rank, and change few pixels by much."""
+    cameras, frames = scene
+    g = frames[0]
+    centre = g.means[np.argmax(measure_usage([g], cameras[:1]).peak)]
+    eye = np.argsort(np.linalg.norm(g.means - centre, axis=1))[:12]
+    rank = np.ones(len(g))
+    rank[eye] = 0
+    pruning = RowPruning([(g, camera) for camera in cameras[:4]], rank, {})
+    least = pruning.within(0.05)
+    without = WrittenRows(np.setdiff1d(least.rows, eye), 0.0)
+
+    def worst(rows):
+        pairs = [(render(g.take(rows), c).rgb, render(g, c).rgb) for c in cameras[:4]]
+        return max(float(np.abs(a - b).max()) for a, b in pairs)
+
+    kept = pruning.with_details(without, 0.0027)
+    assert np.intersect1d(kept.rows, eye).size and np.isin(without.rows, kept.rows).all()
+    assert worst(kept.rows) < worst(without.rows) / 2
+    assert kept.error == pytest.approx(pruning.error_of(len(g)), abs=0.05**2)
 
 
 def test_the_worst_pictures_weigh_more_in_a_pooled_error():

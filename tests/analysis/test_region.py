@@ -64,6 +64,29 @@ def test_the_default_margin(half, margin):
     assert reaches(found) == pytest.approx([margin] * 2, rel=0.03) and found.turn == 5
 
 
+@pytest.mark.parametrize("count", [9, 97])
+def test_viewers_begin_in_the_middle_of_the_cameras(count):
+    arc = np.radians(np.linspace(-35, 35, count))
+    up, focus = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 4.0])
+    around = [focus + 4 * np.array([np.sin(turn), 0, -np.cos(turn)]) for turn in arc]
+    cameras = [look_at(position, focus, up, size=32, fov_y=0.6, name="c") for position in around]
+    found = region_around(cameras, wall(4.0))
+    xs = [place.position[0] for place in found.places]
+    assert xs[0] == pytest.approx(0, abs=0.3) and xs[1:] == sorted(xs[1:]) and len(xs) == min(count, MAX_PLACES)
+    turning = [look_at(focus, position, up, size=32, fov_y=0.6, name="c") for position in around[:: count // 9]]
+    assert abs(region_around(turning, wall(0.0)).places[0].focus[0]) < 0.6, "in one place they look aside"
+
+
+def test_a_ring_of_cameras_has_no_middle():
+    """The one above it, which is nearest to all, shows what nobody would look at first."""
+    up, focus = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 4.0])
+    around = [focus + 4 * np.array([np.sin(turn), -0.4, -np.cos(turn)]) for turn in np.radians(range(0, 360, 30))]
+    above = focus + np.array([0.1, -4.0, 0.0])
+    cameras = [look_at(position, focus, up, size=32, fov_y=0.6, name="c") for position in [*around, above]]
+    places = region_around(cameras, wall(4.0)).places
+    assert np.allclose(places[0].position, around[0], atol=0.01) and len(places) == 13
+
+
 def test_nobody_walks_into_what_he_sees():
     beside = wall(4.0)
     pole = wall(1.0, side=0.15)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.rows import plan_groups, restore_rows
+from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.rows import outlook, restore_rows
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
@@ -62,6 +63,51 @@ def test_other_counts_every_frame_are_said_and_not_matched(tmp_path):
     assert restore_rows(open_sequence(write_sequence(tmp_path / "b", grown))).notes == []
 
 
+def thinned(frames, share=0.1):
+    """Frames, each in an order of its own and without a share of its rows, and which rows are left, in that order."""
+    kept = [np.random.default_rng(t).permutation(len(g))[: round((1 - share) * len(g))] for t, g in enumerate(frames)]
+    return [g.take(rows) for g, rows in zip(frames, kept, strict=True)], kept
+
+
+def test_rows_that_frames_lack_are_there_without_opacity(tmp_path):
+    frames = moving_frames(300, 6)
+    written, kept = thinned(frames)
+    restored = restore_rows(open_sequence(write_sequence(tmp_path, written)))
+    assert restored.unmatched == restored.alone == () and restored.missing == pytest.approx(0.1, abs=0.01)
+    assert plan_groups(restored.sequence).spans == [(0, 6)]
+    count, known = restored.sequence.count(0), []
+    for t, rows in enumerate(kept):
+        shown, order = restored.sequence.read(t), restored.sequence.orders[t]
+        there = order != -1
+        np.testing.assert_array_equal(np.sort(order[there]), np.arange(len(rows)))  # each row of the file once
+        np.testing.assert_array_equal(shown.means[there], frames[t].means[rows[order[there]]])
+        assert (shown.opacities()[~there] < 1e-8).all() and np.isfinite(shown.means).all()
+        known.append(np.where(there, rows[order], -1))  # which of the 300 each Gaussian of the run is
+    always = [len({*column} - {-1}) == 1 for column in np.transpose(known)]
+    assert count <= 306 and np.mean(always) > 0.97  # few take the place of one that has just gone
+
+
+def test_a_run_ends_where_most_of_its_gaussians_are_gone(tmp_path):
+    """A third of the rows is new in every frame: what was there long ago is not held for ever."""
+    rows = random_gaussians(1000)
+    frames = [rows.take(slice(100 * t, 100 * t + 300 + t % 2)) for t in range(7)]
+    restored = restore_rows(open_sequence(write_sequence(tmp_path, frames)))
+    counts = [restored.sequence.count(t) for t in range(7)]
+    assert restored.sequence.breaks and max(counts) <= 602 and restored.alone == ()
+    for t, g in enumerate(frames):
+        shown = restored.sequence.read(t)
+        seen = shown.take(shown.opacities() > 1e-8)
+        assert sorted(seen.means[:, 0]) == sorted(g.means[:, 0])
+
+
+def test_a_broken_row_does_not_stand_in_for_those_that_are_missing(tmp_path):
+    frames, _ = thinned(moving_frames(300, 3))
+    frames[1].means[0] = np.nan
+    restored = restore_rows(open_sequence(write_sequence(tmp_path, frames)))
+    loaded = restored.sequence.load(range(3))
+    assert len(loaded.frames[0]) == restored.sequence.count(0) - 1 and len(loaded.notes) == 1
+
+
 def test_nothing_is_matched_across_a_keyframe(tmp_path):
     frames = moving_frames(300, 2) + moving_frames(300, 2, seed=1)
     restored = restore_rows(open_sequence(write_sequence(tmp_path, frames, keyframes=[0, 2])))
@@ -80,7 +126,7 @@ def test_only_the_frames_that_are_asked_for_are_looked_at(tmp_path):
 
 
 def test_usage_of_rows_in_another_order_is_not_taken(tmp_path, monkeypatch):
-    monkeypatch.setattr("airgs_codec.scene.sequence.load_usage", lambda path, start, stop: "known")
+    monkeypatch.setattr("airgs_codec.scene.sequence.load_usage", lambda *_: "known")
     sequence = open_sequence(write_sequence(tmp_path, shuffled(moving_frames(300, 4), {1})))
     (tmp_path / "usage.npz").touch()
     assert sequence.usage(0, 2) == "known"
@@ -122,3 +168,20 @@ def test_frames_of_a_growing_sequence_that_are_alone_are_said_one_by_one(tmp_pat
 def test_frames_that_a_file_says_are_unlike_those_before_have_no_other_number(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300, seed=i) for i in range(3)]))
     assert restore_rows(replace(sequence, breaks=(1, 2))).alone == ()
+
+
+@pytest.mark.parametrize(
+    ("frames", "words"),
+    [
+        (moving_frames(300, 4), ""),
+        (shuffled(moving_frames(300, 4), {1}), "rows: out of order"),
+        (thinned(moving_frames(300, 4), 0.03)[0], "rows: out of order"),
+        (thinned(moving_frames(300, 4), 0.3)[0], "rows: a frame lacks "),
+        ([random_gaussians(300, seed=i) for i in range(4)], "rows: the first 3 frames do not share them"),
+        ([random_gaussians(300 + i, seed=i) for i in range(4)], "rows: the first 3 frames do not share them"),
+    ],
+)
+def test_the_first_frames_tell_what_rows_will_cost(tmp_path, frames, words):
+    line = outlook(open_sequence(write_sequence(tmp_path, frames)), "auto")
+    assert line.startswith(words) and bool(line) == bool(words)
+    assert ("--track" in line) == (words not in ("", "rows: out of order"))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.region import find_floor
+from airgs_codec.analysis.floor import find_floor
 from airgs_codec.analysis.viewpoint_score import Look, Sample
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import look_at

@@ -21,7 +21,8 @@ def original(tmp_path_factory):
 @pytest.fixture(scope="module")
 def package(original):
     out = original.parent / "scene.airgs"
-    options = ["--x264-preset", "veryfast", "--calibrate", "none", "--measure-pictures", "8"]
+    views = write_cameras(original.parent / "views.json", ring(8, size=128))
+    options = ["--x264-preset", "veryfast", "--calibrate", "none", "--measure-pictures", "8", "--views", str(views)]
     assert encode.main([str(original), "-o", str(out), *options, "--json"]) == 0
     return out
 

@@ -162,11 +162,11 @@ def test_after_a_failure_everything_is_as_it_was(tmp_path, monkeypatch, place, c
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_stopped_command_leaves_nothing(tmp_path, number, status):
-    """It is stopped while frames are being written."""
+    """It is stopped when its frames are written, but not yet in their place."""
     code = f"""import os, signal, sys
 from airgs_codec.cli import decode
 from airgs_codec.scene.formats import write
-write._write_all = lambda folder, *_: (folder.joinpath("a").touch(), os.kill(os.getpid(), {int(number)}))
+write.write_settings = lambda *_, **__: os.kill(os.getpid(), {int(number)})
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.exit(decode.main(sys.argv[1:]))"""
     command = [sys.executable, "-c", code, str(FOX), "-o", f"{tmp_path}/new/frames/"]

@@ -7,26 +7,20 @@ import shutil
 from html.parser import HTMLParser
 from urllib.parse import unquote, urljoin
 
-import numpy as np
 import pytest
 
 from airgs_codec.cli import manifest
-from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
-from airgs_codec.media.image import read_picture, to_bytes
-from airgs_codec.media.metrics import psnr
 from airgs_codec.package.package import open_package
-from airgs_codec.package.region import place_view
-from airgs_codec.render import render
-from airgs_codec.serve import export
 from airgs_codec.serve.export import export_page
 from tests.support.mutations import read_files
 from tests.support.page import FILES, put_page
 from tests.support.paths import VALID
 
 PACKAGE = VALID / "two-groups-sh1"
-TOP = {"index.html", ".nojekyll", "airgs-player.js", "packages", "posters"}
+SCRIPTS = ("airgs-player.js", "airgs-vr.js", "airgs-more.js", "airgs-sound.js")
+TOP = {"index.html", ".nojekyll", *SCRIPTS, "packages"}
 
 
 @pytest.fixture(autouse=True)
@@ -65,16 +59,16 @@ def test_one_package_is_played_by_the_first_page(tmp_path, capsys):
     assert {path.name for path in site.iterdir()} == TOP
     assert read_files(site / "packages" / PACKAGE.name) == read_files(PACKAGE)
     assert validate(site / "packages" / PACKAGE.name) == []
-    assert (site / "airgs-player.js").read_text() == FILES["airgs-player.js"]
+    for name in SCRIPTS:
+        assert (site / name).read_text() == FILES[name]
     text = (site / "index.html").read_text()
     elements = Elements(text)
     player = elements.one("airgs-player")
     assert target(site, "index.html", f"{player['src']}airgs.json").is_file() and player["src"].endswith("/")
-    assert target(site, "index.html", player["poster"]).is_file()
+    assert "poster" not in player and not any(a.get("property") == "og:image" for _, a in elements.found)
     assert target(site, "index.html", elements.one("script")["src"]).is_file()
     assert "<title>A &lt;scene&gt; &amp; &quot;more&quot;</title>" in text
     assert elements.one("meta", property="og:title")["content"] == 'A <scene> & "more"'
-    assert elements.one("meta", property="og:image")["content"] == player["poster"]
     out = capsys.readouterr().out
     assert "5 frames" in out and f"--directory {site}" in out
 
@@ -87,33 +81,24 @@ def test_the_page_may_load_what_the_player_needs_and_has_no_script_of_its_own(tm
     assert all("src" in attributes for tag, attributes in elements.found if tag == "script")
 
 
-def test_the_poster_is_the_first_frame_from_the_first_place(demo_package, tmp_path):
-    (made,) = export_page([demo_package], tmp_path / "site")
-    poster = read_picture(tmp_path / "site/posters/fox.airgs.jpg")
-    package = open_package(demo_package)
-    region = package.manifest.region
-    expected = to_bytes(render(decode(package, 0), place_view(region, region.places[0])).rgb)
-    assert poster.shape == expected.shape == (region.height, region.width, 3)
-    assert made.poster == (region.width, region.height) and expected.std() > 10
-    assert psnr(float(np.square((poster.astype(float) - expected) / 255).mean())) > 30  # JPEG's loss
-
-
-def test_a_huge_view_has_a_smaller_poster(tmp_path, monkeypatch):
-    monkeypatch.setattr(export, "POSTER_SIDE", 64)
-    (made,) = export_page([PACKAGE], tmp_path / "site")
-    height, width = read_picture(tmp_path / f"site/posters/{PACKAGE.name}.jpg").shape[:2]
-    assert made.poster == (width, height) and max(made.poster) == 64
-
-
-def test_several_packages_have_a_page_each_and_a_list(tmp_path):
-    odd = shutil.copytree(VALID / "moving", tmp_path / "a <b>&?#%é.airgs")
+def test_the_poster_of_a_package_is_shown_until_its_first_picture(demo_package, tmp_path):
     site = tmp_path / "site"
-    assert run(PACKAGE, odd, "-o", site, "--address", "https://example.org/scenes") == 0
+    export_page([demo_package], site)
+    elements = Elements((site / "index.html").read_text())
+    player, image = elements.one("airgs-player"), elements.one("meta", property="og:image")["content"]
+    assert player["poster"] == image and target(site, "index.html", image) == site / "packages/fox.airgs/poster.jpg"
+
+
+def test_several_packages_have_a_page_each_and_a_list(demo_package, tmp_path):
+    odd = shutil.copytree(demo_package, tmp_path / "a <b>&?#%é.airgs")
+    site = tmp_path / "site"
+    assert run(demo_package, odd, "-o", site, "--address", "https://example.org/scenes") == 0
     assert {path.name for path in site.iterdir()} == TOP | {"play"}
     listed = Elements((site / "index.html").read_text())
     links = [attributes["href"] for tag, attributes in listed.found if tag == "a"]
-    assert len(links) == 2
-    for link, name in zip(links, (PACKAGE.name, odd.name), strict=True):
+    assert all(target(site, "index.html", link).is_file() for link in links)
+    links = [link for link in links if link.startswith("play/")]
+    for link, name in zip(links, (demo_package.name, odd.name), strict=True):
         path = unquote(link)
         elements = Elements((site / path).read_text())
         player = elements.one("airgs-player")

@@ -9,15 +9,20 @@ import sys
 
 import pytest
 
+from airgs_codec.cli.encode import main as encode
+from airgs_codec.cli.manifest import main as manifest
+from airgs_codec.cli.play import main as play
+from airgs_codec.cli.train import main as train
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.package import open_package
 from airgs_codec.package.publish import staged_package
 from airgs_codec.places.place import Folder
+from airgs_codec.places.whole import _MARK, _MARK_NAME
 from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
-from tests.support.paths import FOX, VALID
+from tests.support.paths import FOX, FOX_VIEWS, VALID
 from tests.support.scenes import moving_frames, write_sequence
 
 MOVING = VALID / "moving"
@@ -98,20 +103,37 @@ def test_a_kill_in_the_middle_leaves_the_old_package(scene, target, tmp_path):
     """`python -m tests.long.kill` does it fifty times."""
     code = "import sys; from airgs_codec.cli.encode import main; sys.exit(main(sys.argv[1:]))"
     process = subprocess.Popen([sys.executable, "-c", code, str(FOX), "-o", str(target)], stdout=subprocess.DEVNULL)
-    while process.poll() is None and not list(tmp_path.glob(".out.airgs.*.stage")):
+    while process.poll() is None and not list(tmp_path.glob(".out.airgs.airgs-*/new")):
         os.sched_yield()
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert validate(target) == [] and open_package(target).manifest.frames == 3
     with staged_package(Folder(target)):  # another run at work
         command("encode", scene, "-o", target, *ENCODE, check=True)
-        assert len(list(tmp_path.glob(".out.airgs.*.stage"))) == 1  # its folder stays, that of the killed run is gone
+        assert len(list(tmp_path.glob(".out.airgs.airgs-*"))) == 1  # its folder stays, that of the killed run is gone
     assert not list(tmp_path.glob(".out.airgs.*"))
 
 
 def test_a_package_that_was_moved_aside_comes_back(scene, target, tmp_path):
     """Killed between the two renames that put a new package in the place of an old one."""
-    target.rename(tmp_path / ".out.airgs.abcd.old")
+    work = tmp_path / f".out.airgs.airgs-{'0' * 16}"
+    work.mkdir()
+    (work / _MARK_NAME).write_bytes(_MARK)
+    target.rename(work / "old")
     done = command("encode", scene, "-o", target, *ENCODE, "--quality", "high", limit=4000)  # and the disk is full
     assert done.returncode == 2 and validate(target) == []
     assert [p.name for p in tmp_path.iterdir()] == ["out.airgs"]
+
+
+@pytest.mark.parametrize("option", ["--report", "--video", "--plot"])
+def test_a_picture_or_report_that_cannot_be_written_is_said_before_the_work(option, scene, encoded, tmp_path, capsys):
+    nowhere, output = "/proc/nowhere/x", tmp_path / "out.airgs"
+    runs = {
+        "--report": [(encode, [scene, "-o", output]), (train, [FOX_VIEWS, "-o", output])],
+        "--video": [(play, [encoded, "--trace", "none"])],  # a trace that is not there would be said first
+        "--plot": [(manifest, ["inspect", encoded])],
+    }
+    for main, words in runs[option]:
+        assert main([*map(str, words), option, nowhere]) == 2
+        assert "expected a folder that can be written" in capsys.readouterr().err
+        assert not output.exists()

@@ -1,5 +1,7 @@
 """airgs-serve as a user runs it: it says where, serves, stops when it is told to."""
 
+import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -12,11 +14,14 @@ from airgs_codec.cli import serve
 from tests.support.paths import VALID
 
 PACKAGE = VALID / "two-groups-sh1"
+DATE = r"\[\d\d/\w{3}/\d{4}(:\d\d){3} [+-]\d{4}\]"
+COMBINED = re.compile(rf'127\.0\.0\.1:\d+ - - {DATE} "GET /\S+ HTTP/1\.1" 200 \d+ "-" "Python-urllib/\S+"\n')
 COMMAND = [sys.executable, "-c", "import sys; from airgs_codec.cli.serve import main; sys.exit(main())"]
 
 
 @pytest.mark.parametrize(
-    ("options", "number"), [([], signal.SIGINT), (["--trace", "const:100", "--rtt", "1", "--verbose"], signal.SIGTERM)]
+    ("options", "number"),
+    [([], signal.SIGINT), (["--trace", "const:100", "--rtt", "1", "--access-log"], signal.SIGTERM)],
 )
 def test_it_serves_until_it_is_told_to_stop(options, number):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -31,11 +36,25 @@ def test_it_serves_until_it_is_told_to_stop(options, number):
         process.send_signal(number)
         out, errors = process.communicate(timeout=20)
     assert process.returncode == 0 and out == "stopped\n"
-    assert errors.count("\n") == errors.count('"GET ') == (1 if options else 0)
+    assert errors.count("\n") == len(COMBINED.findall(errors)) == (1 if options else 0)
+
+
+def test_a_server_may_be_there_before_its_first_package(tmp_path):
+    pipes = {"stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*COMMAND, str(tmp_path), "--port", "0"], **pipes) as process:
+        address = process.stdout.readline().split()[-1]
+        assert "no package yet" in process.stdout.readline()
+        shutil.copytree(PACKAGE, tmp_path / "later")
+        with urllib.request.urlopen(f"{address}later/airgs.json", timeout=10) as answer:
+            assert answer.read() == (PACKAGE / "airgs.json").read_bytes()
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=20)
+    assert process.returncode == 0
 
 
 def test_what_cannot_be_served_is_one_line_and_status_2(tmp_path, capsys):
     package = str(PACKAGE)
+    (tmp_path / "frame.ply").touch()
     with socket.create_server(("127.0.0.1", 0)) as taken:
         wrong = [
             [str(tmp_path)],

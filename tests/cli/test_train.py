@@ -69,9 +69,7 @@ def test_bad_input_is_one_line_and_exit_2(blobs, tmp_path, capsys, words, messag
 
 
 def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(
-        "airgs_codec.cli.training.default_settings", lambda device: replace(SETTINGS, frame_iterations=5)
-    )
+    monkeypatch.setattr("airgs_codec.cli.train.default_settings", lambda device: replace(SETTINGS, frame_iterations=5))
     shutil.copytree(blobs, tmp_path / "blobs")
     words = [str(tmp_path / "blobs"), "--x264-preset", "ultrafast", "--measure-pictures", "2"]
     assert encode_main(words) == 0

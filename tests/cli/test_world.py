@@ -1,12 +1,11 @@
 """What commands are told of up and units is in the package, and said again."""
 
-import dataclasses
 import json
 
 import pytest
 
 from airgs_codec.cli import encode, manifest
-from tests.support.regions import region
+from tests.support.regions import region, region_json
 from tests.support.scenes import moving_frames, write_sequence
 
 
@@ -23,8 +22,7 @@ def test_what_is_told_of_up_and_units_is_in_the_package(tmp_path, options, line,
     (tmp_path / "world.txt").write_text("2 0 0 1\n0 0 2 1\n0 -2 0 1\n0 0 0 1\n")
     words = [str(tmp_path / "world.txt") if option == "WORLD" else option for option in options]
     seen = tmp_path / "region.json"
-    told = dataclasses.asdict(region())
-    seen.write_text(json.dumps({name: value for name, value in told.items() if value is not None}))
+    seen.write_text(json.dumps(region_json(region())))
     command = [
         str(scene),
         "-o",
@@ -36,7 +34,7 @@ def test_what_is_told_of_up_and_units_is_in_the_package(tmp_path, options, line,
         "--region",
         str(seen),
     ]
-    assert encode.main([*command, *words]) == 0 and line in capsys.readouterr().out
+    assert encode.main([*command, *words, "--verbose"]) == 0 and line in capsys.readouterr().out
     assert manifest.main(["inspect", str(tmp_path / "out")]) == 0 and line in capsys.readouterr().out
     assert manifest.main(["validate", str(tmp_path / "out")]) == 0
 

@@ -14,7 +14,8 @@ from airgs_codec.package.package import open_package
 from tests.support.paths import GOLDEN
 
 REFUSED = (
-    "numba", "scipy", "torch", "colour", "cv2", "matplotlib", "aiohttp", "hypercorn", "starlette", "tqdm", "obstore",
+    "numba", "scipy", "torch", "colour", "cv2", "PIL", "matplotlib", "aiohttp", "hypercorn", "starlette", "tqdm",
+    "obstore",
 )  # fmt: skip
 BARE = f"""
 import sys

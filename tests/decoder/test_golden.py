@@ -26,5 +26,5 @@ def test_decodes_to_the_recorded_codes(case):
 
 def test_the_corpus_has_escapes():
     package = open_package(GOLDEN / "fox-fine")
-    columns = open_segment(package.read("state/L0/1.m4s"), "x").columns
+    columns, _ = open_segment(package.read("state/L0/1.m4s"), "x")
     assert ColumnReader(columns, "x").column(1, 0)[0] > 0

@@ -16,8 +16,8 @@ from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import STATIC
-from airgs_codec.scene.sequence import USAGE_NAME, open_sequence
-from airgs_codec.scene.usage import MEASURES, Usage, save_usage
+from airgs_codec.scene.beside import MEASURES, USAGE_NAME, Usage, save_usage
+from airgs_codec.scene.sequence import open_sequence
 from tests.support.jobs import prepared_as_one_group
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence

@@ -7,7 +7,7 @@ import pytest
 
 from airgs_codec.cli import encode as command
 from airgs_codec.cli import manifest
-from airgs_codec.encoder.publish import encode, encode_part, merge
+from airgs_codec.encoder.publish import PACKAGE_ENTRY, encode, encode_part, merge
 from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import WorkError
@@ -15,7 +15,7 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs import work as work_module
 from airgs_codec.jobs.engines import Processes
 from airgs_codec.jobs.work import Part, Work
-from airgs_codec.places.results import open_store
+from airgs_codec.places.results import open_store, pack, unpack
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.mutations import read_files
@@ -64,6 +64,14 @@ def test_parts_in_any_order_are_merged_to_the_same_bytes(scene, expected, tmp_pa
     for index in (1, 0):
         encode_part(open_sequence(scene), SETTINGS, Work(store, part=Part(index, 2)))
     merge(store, tmp_path / "out")
+    assert read_files(tmp_path / "out") == expected
+    code, finished = unpack(store.read(PACKAGE_ENTRY))
+    store.write(finished.entries[0], pack(1))
+    with pytest.raises(WorkError, match="expected the files of a group"):
+        merge(store, tmp_path / "out")
+    store.write(PACKAGE_ENTRY, pack((code, 1)))
+    with pytest.raises(WorkError, match="which no part has finished"):
+        merge(store, tmp_path / "out")
     assert read_files(tmp_path / "out") == expected
 
 

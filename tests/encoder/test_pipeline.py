@@ -28,7 +28,7 @@ SETTINGS = EncodeSettings(
 )
 GIVEN = {
     "sequence", "span", "views", "settings", "fps", "renderer", "coded", "base", "first_segment", "tables", "pictures",
-    "base_files",
+    "base_files", "frame", "camera",
 }  # fmt: skip
 
 

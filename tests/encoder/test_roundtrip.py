@@ -1,5 +1,6 @@
 """Sequence -> package -> sequence: bounds on every attribute, levels, tiers, random access, leave-outs, atomicity."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +25,8 @@ from airgs_codec.places.place import Folder
 from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
-from tests.support.paths import FOX
+from tests.support.mutations import read_files
+from tests.support.paths import FOX, VALID
 from tests.support.regions import region
 from tests.support.scenes import frozen, moving_frames, random_gaussians, write_sequence
 
@@ -171,7 +173,7 @@ def test_a_coarser_key_quality_has_fewer_bytes_of_positions(fox):
     assert [quality.coarser for quality in m.qualities] == [0, 1]
     for g, group in enumerate(m.groups):
         for t, tier in enumerate(group.units):
-            files = [open_segment(fox.read(m.key_files(g, t, q)[1]), "x").columns or b"" for q in (0, 1)]
+            files = [open_segment(fox.read(m.key_files(g, t, q)[1]), "x")[0] or b"" for q in (0, 1)]
             fine, coarse = map(len, files)
             assert fine - coarse > 3 * tier.count / 8  # a bit for each axis, and escapes
 
@@ -305,12 +307,28 @@ def test_values_that_no_code_holds_are_refused_and_leave_the_old_package(tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "scene", "wild"]  # no stage is left behind
 
 
-def test_a_folder_that_is_no_package_is_never_replaced(tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "thesis.tex").write_text("years of work")
-    with pytest.raises(ConfigError, match="other files"), staged_package(Folder(tmp_path / "out")):
+@pytest.mark.parametrize("package", [False, True], ids=["alone", "beside a package"])
+@pytest.mark.parametrize("foreign", ["thesis.tex", "manifest.mpd", "key/notes.txt", ".thesis.tex.part"])
+def test_a_folder_with_other_files_is_never_replaced(tmp_path, package, foreign):
+    out = tmp_path / "out"
+    if package:
+        shutil.copytree(VALID / "moving", out)
+        foreign = foreign.replace("manifest.mpd", "other.mpd")
+    (out / foreign).parent.mkdir(parents=True, exist_ok=True)
+    (out / foreign).write_text("years of work")
+    before = read_files(out)
+    with pytest.raises(ConfigError, match="other files"), staged_package(Folder(out)):
         raise AssertionError("unreachable")
-    assert (tmp_path / "out" / "thesis.tex").exists()
+    assert read_files(out) == before
+
+
+def test_a_package_with_unfinished_files_of_its_own_is_replaced(tmp_path):
+    """A growing one whose writer was killed."""
+    out = shutil.copytree(VALID / "moving", tmp_path / "out")
+    (out / "group" / f".2.json.gz.{'0' * 16}.part").write_bytes(b"half")
+    with staged_package(Folder(out)) as stage:
+        (stage / "airgs.json").write_text("{}")
+    assert [path.name for path in out.iterdir()] == ["airgs.json"]
 
 
 def test_a_linked_file_is_refused(tmp_path):

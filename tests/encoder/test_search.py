@@ -1,19 +1,27 @@
-"""Targets: the search for a quality factor, on formulas and with trial encodes."""
+"""A goal is found in few trials, or what holds pictures back most is named."""
 
 import json
 import math
+from dataclasses import replace
 from fractions import Fraction
 
 import pytest
 
 from airgs_codec.cli import encode as command
-from airgs_codec.encoder.search import PSNR, SIZE, Goal, find_quality
+from airgs_codec.coding.quantize import StepSettings
+from airgs_codec.encoder.batch import encode_sequence
+from airgs_codec.encoder.search import LEFT_OUT, PSNR, SIZE, Goal, find_limit, find_quality
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
+from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
-from tests.support.scenes import write_demo
+from tests.support.jobs import prepared_as_one_group
+from tests.support.regions import place, region
+from tests.support.scenes import moving_frames, write_demo, write_sequence
 
 
 def test_a_search_ends_at_its_goal():
@@ -70,3 +78,35 @@ def test_a_target_out_of_reach_is_one_line_and_leaves_nothing(first_frames, tmp_
     code, error = run(first_frames, tmp_path, capsys, "--target-mb", "0.000001")
     assert code == 2 and error.count("\n") == 1 and "out of reach" in error
     assert list(tmp_path.iterdir()) == []
+
+
+FINE = StepSettings()
+COARSE = {
+    "sizes": replace(FINE, key=replace(FINE.key, log_scales=2.0), state=replace(FINE.state, log_scales=2.0)),
+    "colours": replace(FINE, key=replace(FINE.key, sh_dc=2.0), state=replace(FINE.state, sh_dc=2.0)),
+    "positions": replace(FINE, grid=4.0, state=replace(FINE.state, means=4.0)),
+    LEFT_OUT: replace(FINE, rows=0.2),
+}
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    """A small moving scene."""
+    sequence = open_sequence(write_sequence(tmp_path_factory.mktemp("limits") / "scene", moving_frames(200, 3)))
+    views = ViewPlan.of(sequence, 6, region=replace(region(place(0.0)), width=96, height=72))
+    with temporary_work() as work:
+        yield prepared_as_one_group(sequence, views, work), work
+
+
+@pytest.mark.parametrize("part", COARSE)
+def test_the_part_that_is_coarse_is_named(scene, part):
+    settings = EncodeSettings(
+        calibrate="none",
+        levels=(LevelSettings(0.0),),
+        tiers=(1.0,),
+        key_factors=(1.0,),
+        steps=COARSE[part],
+        preset="ultrafast",
+    )
+    prepared, work = scene
+    assert find_limit(encode_sequence(prepared, settings, work), prepared)[0] == part

@@ -2,17 +2,25 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
+from airgs_codec.coding.channels import LEAST_DRAWN
+from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.inspect.compare import compare_streams
+from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.sides import rung_streams
 from airgs_codec.inspect.summary import summarise
+from airgs_codec.inspect.validate import validate
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.package import open_package
 from airgs_codec.package.region import draw_views
+from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX
+from tests.support.scenes import write_sequence
 from tests.support.temporal import FLASHES, temporal_cameras, temporal_frames, write_temporal
 
 TARGET_DB = 43.0
@@ -55,3 +63,27 @@ def test_a_target_is_reached_where_no_decision_looked(ladder):
 def test_fewer_bytes_are_lower_quality(ladder):
     assert len(ladder) > 1
     assert (np.diff(ladder, axis=0) < 0).all(), ladder
+
+
+def test_rows_that_frames_lack_cost_little_and_are_not_drawn(tmp_path):
+    """Frames of the fox, each in an order of its own and without another twentieth of its rows."""
+    files = sorted(FOX.glob("*.ply"))[:5]
+    whole = [read_ply(path) for path in files]
+    kept = [np.random.default_rng(t).permutation(len(g))[: len(g) * 19 // 20] for t, g in enumerate(whole)]
+    frames = [g.take(rows) for g, rows in zip(whole, kept, strict=True)]
+    size = {}
+    settings = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", threads=2)
+    for name, keyframes in (("matched", [0]), ("alone", [0, 1, 2, 3, 4])):
+        sequence = open_sequence(write_sequence(tmp_path / f"{name} frames", frames, keyframes=keyframes))
+        encode(sequence, tmp_path / name, settings)
+        package = open_package(tmp_path / name)
+        size[name] = summarise(package.manifest, package.manifest_bytes).rungs[0].bytes_per_frame
+    assert size["matched"] < size["alone"] / 2
+    package = open_package(tmp_path / "matched")
+    assert [(g.start, g.stop) for g in package.manifest.groups] == [(0, 5)]
+    assert validate(tmp_path / "matched") == []
+    assert all(m.error <= m.bound for m in measure_errors(package, open_sequence(tmp_path / "matched frames")))
+    for frame, g, rows in zip(decode_frames(package, 0, 5), whole, kept, strict=True):
+        drawn = frame.gaussians.means[frame.gaussians.opacities() >= LEAST_DRAWN]
+        nearest = cKDTree(g.means).query(drawn)[1]
+        assert np.isin(nearest, rows).mean() > 0.98, "a row that the frame lacks is drawn"

@@ -5,19 +5,19 @@ import json
 
 import pytest
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.attributes import bytes_by_attribute, format_attributes
-from airgs_codec.inspect.left_out import describe_left_out
+from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.inspect.plot import plot_ladder
-from airgs_codec.inspect.summary import bytes_by_kind, segment_rates, summarise
-from airgs_codec.inspect.text import format_summary
-from airgs_codec.media.image import read_png
+from airgs_codec.inspect.summary import bytes_by_kind, describe_left_out, segment_rates, summarise
+from airgs_codec.inspect.text import bytes_by_attribute, format_attributes, format_ladder, format_summary
+from airgs_codec.media.image import read_picture
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.manifest import pooled_quality
-from airgs_codec.package.package import open_package
+from airgs_codec.package.package import open_files, open_package
 from airgs_codec.package.tables import LeftOut
+from airgs_codec.places.place import Memory
 from tests.support.manifests import in_groups, tiny_manifest, with_segments, with_tiers
 from tests.support.paths import VALID
+from tests.support.refusals import cases
 from tests.support.regions import arc
 
 MANIFESTS = 700  # bytes of airgs.json and manifest.mpd, say
@@ -167,7 +167,7 @@ def test_the_table_has_every_rung_level_and_repair():
 )
 def test_the_picture_is_drawn(m, tmp_path):
     plot_ladder(m, MANIFESTS, tmp_path / "ladder.png")
-    picture = read_png(tmp_path / "ladder.png")
+    picture = read_picture(tmp_path / "ladder.png")
     assert picture.shape[0] > 300 and picture.shape[1] > 1000
     assert picture.std() > 0.02  # not blank
 
@@ -188,6 +188,9 @@ def test_the_ladder_is_the_convex_hull():
     best = {(r.key, r.state) for r in summarise(m, MANIFESTS).rungs if r.best}
     assert best == {("Q0", "L0"), ("Q1", "L0"), ("Q1", "L2")}
     assert format_summary(summarise(m, MANIFESTS)).count("*") == 1 + len(best)
+    assert format_ladder(summarise(m, MANIFESTS)).count(" + L") == len(best)
+    unmeasured = format_ladder(summarise(tiny_manifest(psnr=None), MANIFESTS))
+    assert unmeasured.count(" + L") == len(summarise(m, MANIFESTS).rungs) and "not measured" in unmeasured
     assert not any(r.best for r in summarise(tiny_manifest(psnr=None), MANIFESTS).rungs)
 
 
@@ -211,3 +214,10 @@ def test_what_many_groups_leave_out_alike_is_one_line():
 def test_a_background_is_told_where_there_is_one(name, lines):
     text = format_summary(summarise(open_package(VALID / name).manifest, MANIFESTS))
     assert [line for line in text.split("\n") if line.startswith("background")] == lines
+
+
+def test_a_picture_of_another_size_is_refused():
+    package = open_files(Memory("other", cases()["bad_picture-size"].package()))
+    with pytest.raises(FormatError, match="expected 64x4096, got 64x64") as caught:
+        bytes_by_attribute(package)
+    assert caught.value.reason == "bad_picture"

@@ -18,16 +18,19 @@ import numpy as np
 
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
+from airgs_codec.encoder.tables import add_sound
+from airgs_codec.media.sound import encode_sound
+from airgs_codec.package.layout import INIT_NAME
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import open_package
-from airgs_codec.package.paths import INIT_NAME
 from airgs_codec.package.publish import write_tables
+from airgs_codec.package.region import world_from
 from airgs_codec.package.tables import Place, Region
-from airgs_codec.package.world import world_from
 from airgs_codec.places.place import Folder
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.chirps import write_wav
 from tests.support.paths import VALID
 from tests.support.rooms import room_frames
 from tests.support.scenes import write_sequence
@@ -77,6 +80,23 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             encode(open_sequence(write_sequence(Path(folder), sequence)), VALID / name, settings)
     write_live()
+    write_sound()
+
+
+def write_sound() -> None:
+    """valid/sound: valid/two-groups-sh1 with a tone."""
+    package, sound = open_package(VALID / "two-groups-sh1"), Folder(VALID / "sound")
+    m = package.manifest
+    tone = np.round(8000 * np.sin(2 * np.pi * 440 * np.arange(48_000) / 48_000)).astype("<i2")
+    with tempfile.TemporaryDirectory() as folder:
+        write_wav(Path(folder) / "tone.wav", tone[:, None])
+        track = encode_sound(Path(folder) / "tone.wav", m.frames / m.fps)
+    with_sound, files = add_sound(m, track)
+    for path in (*m.shared_files(), *(path for group in range(len(m.groups)) for path in m.group_files(group))):
+        sound.write(path, package.read(path))
+    for path, data in files.items():
+        sound.write(path, data)
+    write_tables(sound, with_sound)
 
 
 def write_live() -> None:

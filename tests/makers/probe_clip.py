@@ -14,8 +14,8 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.media.h264 import ClosedGop, CodecSettings, decode_pictures, encode_gop
-from airgs_codec.media.mp4 import read_segment
+from airgs_codec.media.h264 import ClosedGop, CodecSettings, Pictures, encode_gop
+from airgs_codec.media.mp4 import read_samples
 from tests.support.paths import REPOSITORY
 
 PATH = REPOSITORY / "web" / "src" / "media" / "probe-clip.ts"
@@ -44,7 +44,7 @@ def encode_probe() -> bytes:
     shown = picture()
     settings = CodecSettings(QP, 1.0, 1.0, stills=True)
     coded = encode_gop(ClosedGop([shown], 0, 1), shown.shape, Fraction(24), settings)
-    (sample,) = read_segment(coded.media).samples
+    (sample,) = read_samples(coded.fragment)
     return sample
 
 
@@ -58,7 +58,7 @@ def text(sample: bytes) -> str:
 def main() -> None:
     """Write the module anew."""
     sample = encode_probe()
-    (decoded,) = decode_pictures([sample], PATH.name)
+    (decoded,) = Pictures([sample], PATH.name)
     assert np.array_equal(decoded, picture()), "the coded picture is not exact"
     PATH.write_text(text(sample))
     print(f"{PATH.name}: {len(sample)} bytes of H.264")

@@ -21,9 +21,9 @@ import numpy as np
 
 from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
-from airgs_codec.media.mp4 import box, read_boxes, with_columns
-from airgs_codec.package.parse import MAX_ROOT_BYTES, parse_root
-from airgs_codec.package.paths import JSON_NAME, MPD_NAME
+from airgs_codec.media.mp4 import box, read_boxes, read_segment, sound_segment, with_own_box
+from airgs_codec.package.layout import JSON_NAME, MPD_NAME
+from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_root
 from airgs_codec.package.tables import Grid, digest
 from tests.support.mutations import (
     Files,
@@ -49,6 +49,7 @@ from tests.support.refusals import Case, base_files, findings
 KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1/1.json"
 TILE_PICTURE = "key/P2/T0/Q0/1.m4s"
 KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE = "key/T0/2.bin", "group/2.json.gz", "group/3.json.gz"
+NONE = {"bytes": 0, "sha256": ""}
 NO_SPANS = {"frames": [], "segments": [], "bytes": [], "sha256": ""}
 
 
@@ -96,9 +97,20 @@ def inflated(data: bytes) -> bytes:
     return gzip.decompress(data)
 
 
-def media_alone(data: bytes) -> bytes:
+def fragment_of(data: bytes) -> bytes:
     """A media segment without the uuid box in front of it."""
     return b"".join(whole for kind, whole in read_boxes(data) if kind != b"uuid")
+
+
+def with_columns(data: bytes, columns: bytes) -> bytes:
+    """A media segment with another column file."""
+    return with_own_box(fragment_of(data), read_segment(data).checksums, columns)
+
+
+def with_other_luma(data: bytes) -> bytes:
+    """A media segment whose first checksum is that of another picture."""
+    segment = read_segment(data)
+    return with_own_box(fragment_of(data), [segment.checksums[0] ^ 1, *segment.checksums[1:]], segment.columns or b"")
 
 
 def repaged(files: Files) -> Files:
@@ -130,7 +142,7 @@ def shortened(files: Files) -> Files:
 
 
 BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what breaks the valid package
-    "too_large": (rewrite(JSON_NAME, lambda text: text.ljust(MAX_ROOT_BYTES + 1)),),
+    "too_large": (rewrite(JSON_NAME, lambda text: text.ljust(MAX_TABLE_BYTES + 1)),),
     "not_json": (rewrite(JSON_NAME, lambda text: text[:-1]),),
     "not_json-group": in_table(rewrite(TABLE, inflated)),
     "not_json-group-tail": in_table(rewrite(TABLE, lambda data: data + data)),
@@ -150,6 +162,8 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "bad_value-world-mirror": (
         set_value(("world",), {"transform": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], "metric": False}),
     ),
+    "bad_value-name": (set_value(("region", "places", 0, "name"), ""),),
+    "bad_value-name-long": (set_value(("region", "places", 0, "name"), 65 * "a"),),
     "bad_value-background": (set_value(("region", "background"), [1, 1, 1.5]),),
     "bad_value-background-length": (set_value(("region", "background"), [1, 1]),),
     "bad_value-columns": (set_value(("index", 0, "frames"), [2, 2]),),
@@ -190,11 +204,18 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "hash_mismatch": (rewrite(KEY_SIDECAR, flip),),
     "hash_mismatch-group": (rewrite(TABLE, flip),),
     "hash_mismatch-page": (rewrite(PAGE_TABLE, lambda b: b[:-3] + b"x" + b[-2:]),),
+    "bad_sound": (rewrite("sound/1.m4a", lambda b: b[: len(b) // 2]), honest),
+    "bad_sound-packets": (rewrite("sound/1.m4a", lambda _: sound_segment([bytes([255] * 4)], 0)), honest),
+    "bad_value-sound": in_table(drop_value(("sound",), TABLE)),
+    "missing_entry-sound": in_table(set_value(("sound",), NONE, TABLE)),
+    "missing_entry-sound-init": (set_value(("sound", "init"), NONE),),
     "bad_sidecar": (rewrite(KEY_SIDECAR, lambda b: b[: len(b) // 2]), honest),
-    "bad_sidecar-detail": (rewrite(KEY_PICTURE, lambda b: with_columns(media_alone(b), bytes(20))), honest),
+    "bad_sidecar-detail": (rewrite(KEY_PICTURE, lambda b: with_columns(b, bytes(20))), honest),
     "count_mismatch": (without_moving_rows, honest),
     "bad_picture": (rewrite(KEY_PICTURE, lambda b: b[:-40] + bytes(20)), honest),
-    "bad_picture-uuid": (rewrite(KEY_PICTURE, lambda b: box(b"uuid", bytes(20)) + media_alone(b)), honest),
+    "bad_picture-uuid": (rewrite(KEY_PICTURE, lambda b: box(b"uuid", bytes(20)) + fragment_of(b)), honest),
+    "bad_picture-checksum": (rewrite(KEY_PICTURE, with_other_luma), honest),
+    "bad_picture-no-checksum": (rewrite(KEY_PICTURE, fragment_of), honest),
     "bad_value-picture-width": in_table(set_value(("tiles", 0, "tiers", 0, "qualities", 0, "width"), 4096, TABLE)),
     "bad_picture-size": in_table(set_value(("tiles", 0, "tiers", 0, "qualities", 0, "height"), 4096, TABLE)),
     "doctype": (edit_text(MPD_NAME, "<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD'),),
@@ -207,6 +228,8 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
 
 def source_of(name: str) -> str:
     """The valid package that a broken one is made of."""
+    if "sound" in name:
+        return "sound"
     return "tiled" if "-tile" in name else "paged" if "-page" in name else "kept" if "-ke" in name else "moving"
 
 

@@ -1,5 +1,8 @@
 """Images: files come back, lenses are undone, features are found where they are."""
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
@@ -14,7 +17,6 @@ from airgs_codec.media.image import (
     match_features,
     read_mask,
     read_picture,
-    read_png,
     resize,
     sift,
     to_bytes,
@@ -41,7 +43,7 @@ def test_pictures_come_back_as_they_were(tmp_path):
     rgb = noise()
     write_png(tmp_path / "a.png", rgb)
     np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), rgb)
-    np.testing.assert_array_equal(to_bytes(read_png(tmp_path / "a.png")), rgb)
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), rgb)
 
 
 def test_grey_alpha_and_16_bits_are_read_as_rgb(tmp_path):
@@ -52,6 +54,8 @@ def test_grey_alpha_and_16_bits_are_read_as_rgb(tmp_path):
     np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), np.dstack([rgb, rgb[..., 0]]))
     cv2.imwrite(path, rgb[..., ::-1].astype(np.uint16) << 8 | 7)
     np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), rgb)
+    cv2.imwrite(path, rgb[..., 0].astype(np.uint16) << 8 | 7)
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), np.repeat(rgb[..., :1], 3, axis=2))
 
 
 def test_what_is_no_picture_is_refused(tmp_path):
@@ -62,13 +66,41 @@ def test_what_is_no_picture_is_refused(tmp_path):
             read_picture(tmp_path / name)
 
 
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp"])
+@pytest.mark.parametrize("read", [read_picture, read_mask])
+def test_the_size_is_compared_before_pixels_are_decoded(tmp_path, suffix, read):
+    """Of a file that ends in the middle of its pixels, only the header can tell."""
+    path = tmp_path / f"a{suffix}"
+    cv2.imwrite(str(path), noise())
+    assert read(path, (64, 48)).shape[:2] == (48, 64)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(SceneError, match="expected a picture of 6x4, got 64x48"):
+        read(path, (6, 4))
+    with pytest.raises(SceneError, match="truncated"):
+        read(path, (64, 48))
+
+
+@pytest.mark.parametrize("side", [16_000, 50_000])
+def test_a_header_of_more_pixels_than_any_camera_has_is_refused_in_one_line(tmp_path, side):
+    path = tmp_path / "a.png"
+    write_png(path, noise())
+    data = bytearray(path.read_bytes())
+    data[16:24] = struct.pack(">II", side, side)
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    path.write_bytes(data)
+    for size in (None, (64, 48), (side, side)):
+        with pytest.raises(SceneError, match=f"a.png: expected a picture: .*{side**2} pixels") as caught:
+            read_picture(path, size)
+        assert "\n" not in str(caught.value)
+
+
 def test_a_mask_is_1_where_it_is_not_black_and_has_the_size_asked_for(tmp_path):
     mask = np.zeros((4, 6, 3), np.uint8)
     mask[1, 2] = 1
     mask[3, 5] = 255
     write_png(tmp_path / "m.png", mask)
     assert np.argwhere(read_mask(tmp_path / "m.png", (6, 4))).tolist() == [[1, 2], [3, 5]]
-    with pytest.raises(SceneError, match="expected a mask of 4x6, got 6x4"):
+    with pytest.raises(SceneError, match="expected a picture of 4x6, got 6x4"):
         read_mask(tmp_path / "m.png", (4, 6))
 
 

@@ -2,6 +2,7 @@
 
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,6 +33,25 @@ def test_what_is_no_video_is_refused(tmp_path):
     (tmp_path / "a.mp4").write_bytes(b"not a film")
     with pytest.raises(SceneError, match="expected a video"):
         VideoReader(tmp_path / "a.mp4")
+
+
+def test_a_film_whose_frames_change_their_size_is_refused_where_they_do(tmp_path):
+    path = tmp_path / "a.h264"
+    write_video(tmp_path / "1.h264", [plain(20)] * 2)
+    write_video(tmp_path / "2.h264", [plain(20, (64, 48))] * 2)
+    path.write_bytes((tmp_path / "1.h264").read_bytes() + (tmp_path / "2.h264").read_bytes())
+    film = VideoReader(path)
+    assert film.read(1).shape[1::-1] == film.size == (32, 24)
+    with pytest.raises(SceneError, match="expected frames of 32x24, got 64x48 at 2"):
+        film.read(2)
+
+
+def test_a_name_is_never_taken_for_a_protocol(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_video(tmp_path / "v.mp4", [plain(20)] * 2)
+    (tmp_path / "file:v.mp4").write_bytes(b"not a film")
+    with pytest.raises(SceneError, match=r"file:v\.mp4: expected a video"):
+        VideoReader(Path("file:v.mp4"))
 
 
 def test_threads_read_one_video_together(tmp_path):

@@ -7,8 +7,17 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import CodecError
-from airgs_codec.media.h264 import ClosedGop, CodecSettings, decode_pictures, encode_gop
-from airgs_codec.media.mp4 import box, init_segment, read_boxes, read_segment, start_codes, with_columns
+from airgs_codec.media.h264 import ClosedGop, CodecSettings, encode_gop
+from airgs_codec.media.mp4 import (
+    OWN,
+    box,
+    init_segment,
+    read_boxes,
+    read_samples,
+    read_segment,
+    start_codes,
+    with_own_box,
+)
 
 
 @pytest.fixture(scope="module")
@@ -21,24 +30,28 @@ def gops():
 
 def test_samples_fill_the_segment(gops):
     for gop in gops:
-        samples = read_segment(gop.media).samples
-        assert b"".join(samples) == dict(read_boxes(gop.media))[b"mdat"][8:]
+        samples = read_samples(gop.fragment)
+        assert b"".join(samples) == dict(read_boxes(gop.fragment))[b"mdat"][8:]
         assert 0 < sum(map(len, samples)) - sum(gop.picture_bytes) < 100  # the parameter sets
 
 
-def test_columns_stand_in_front_of_a_segment(gops):
-    media = gops[0].media
-    assert read_segment(media).columns is None and with_columns(media, b"") == media
-    whole = read_segment(with_columns(media, b"columns"))
-    assert whole.columns == b"columns" and whole.samples == read_segment(media).samples
+def test_checksums_and_columns_stand_in_front_of_a_segment(gops):
+    fragment = gops[0].fragment
+    whole = read_segment(with_own_box(fragment, (1, 2**32 - 1, 3), b"columns"))
+    assert (whole.checksums, whole.columns) == ((1, 2**32 - 1, 3), b"columns")
+    assert whole.samples == read_samples(fragment)
     with pytest.raises(CodecError, match="uuid"):
-        read_segment(box(b"uuid", bytes(20)) + media)
+        read_segment(box(b"uuid", bytes(20)) + fragment)
+    with pytest.raises(CodecError, match="uuid"):
+        read_segment(fragment)
+    with pytest.raises(CodecError, match="expected 12 at 16"):
+        read_segment(box(b"uuid", OWN, bytes(11)) + fragment)
     with pytest.raises(CodecError, match="moof"):
-        read_segment(media + box(b"uuid", bytes(20)))
+        read_segment(with_own_box(fragment + box(b"uuid", bytes(20)), (1, 2, 3), b""))
 
 
 def test_any_cut_of_a_segment_is_refused(gops):
-    media = with_columns(gops[0].media, b"columns")
+    media = with_own_box(gops[0].fragment, (1, 2, 3), b"columns")
     for end in range(len(media)):
         with pytest.raises(CodecError):
             read_segment(media[:end])
@@ -47,7 +60,7 @@ def test_any_cut_of_a_segment_is_refused(gops):
 @pytest.mark.parametrize("field", [b"traf", b"tfhd", b"trun"])
 def test_a_segment_without_its_track_fragment_is_refused(gops, field):
     with pytest.raises(CodecError, match=field.decode()):
-        read_segment(gops[0].media.replace(field, b"skip"))
+        read_samples(gops[0].fragment.replace(field, b"skip"))
 
 
 def test_units_of_a_sample_are_told_apart_by_start_codes():
@@ -59,11 +72,11 @@ def test_units_of_a_sample_are_told_apart_by_start_codes():
 
 def test_another_reader_finds_the_same_pictures(gops, tmp_path):
     """ffmpeg, behind the init segment that is shared by all: times, sizes and the pictures themselves."""
-    (tmp_path / "x.mp4").write_bytes(init_segment(24, 64, 64) + b"".join(gop.media for gop in gops))
+    (tmp_path / "x.mp4").write_bytes(init_segment(24, 64, 64) + b"".join(gop.fragment for gop in gops))
     with av.open(str(tmp_path / "x.mp4")) as container:
         assert container.streams.video[0].codec_context.codec_tag == "avc3"
         frames = list(container.decode(video=0))
-    ours = [p for gop in gops for p in decode_pictures(read_segment(gop.media).samples, "x")]
+    ours = [p for gop in gops for p in gop.pictures("x")]
     assert len(frames) == len(ours) == 4
     for frame, picture in zip(frames, ours, strict=True):
         assert (frame.width, frame.height) == (64, 64)

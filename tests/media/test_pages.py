@@ -11,14 +11,13 @@ from airgs_codec.errors import FormatError
 from airgs_codec.media.h264 import (
     STATE_QP,
     ClosedGop,
+    Pictures,
     check_gop,
-    decode_pictures,
     encode_gop,
-    open_segment,
     qp_step,
     state_codec,
 )
-from airgs_codec.media.mp4 import read_boxes, start_codes
+from airgs_codec.media.mp4 import read_boxes, read_samples, start_codes
 
 SIZE = (96, 64)
 CODEC = state_codec("veryfast")
@@ -39,7 +38,7 @@ def coded(pictures):
 
 def test_pages_come_back_one_below_another(coded, pictures):
     assert coded.pages == PAGES
-    decoded = list(decode_pictures(open_segment(coded.media, "x").samples, "x", PAGES))
+    decoded = list(coded.pictures("x"))
     assert len(decoded) == FRAMES
     for shown, picture in zip(decoded, pictures, strict=True):
         assert np.abs(shown.astype(int) - picture).max() <= 4 * qp_step(STATE_QP)
@@ -49,11 +48,11 @@ def test_pages_come_back_one_below_another(coded, pictures):
 
 def test_one_decoder_gives_page_after_page(coded, pictures):
     """It is reset by every IDR, and nothing of one page is held back behind the next."""
-    samples = open_segment(coded.media, "x").samples
+    samples = read_samples(coded.fragment)
     decoder = av.CodecContext.create("h264", "r")
     frames = [f for packet in [*map(av.Packet, map(start_codes, samples)), None] for f in decoder.decode(packet)]
     lumas = [frame.to_ndarray()[: SIZE[1], : SIZE[0]] for frame in frames]
-    whole = list(decode_pictures(samples, "x", PAGES))
+    whole = list(coded.pictures("x"))
     for number, luma in enumerate(lumas):
         page, frame = divmod(number, FRAMES)
         np.testing.assert_array_equal(luma, whole[frame][page * SIZE[1] :][: SIZE[1]])
@@ -61,14 +60,14 @@ def test_one_decoder_gives_page_after_page(coded, pictures):
 
 
 def test_the_bytes_of_a_frame_are_those_of_all_its_pages(coded):
-    samples = open_segment(coded.media, "x").samples
+    samples = read_samples(coded.fragment)
     assert len(coded.picture_bytes) == FRAMES and min(coded.picture_bytes) > 0
     assert 0.9 * sum(map(len, samples)) < sum(coded.picture_bytes) <= sum(map(len, samples))
 
 
 def test_the_pages_of_a_segment_last_as_long_as_its_frames(coded):
     """A tick that does not share out among pages is not lost."""
-    moof = dict(read_boxes(coded.media))[b"moof"]
+    moof = dict(read_boxes(coded.fragment))[b"moof"]
     run = moof[moof.index(b"trun") + 4 :]
     flags, count = struct.unpack_from(">II", run)
     durations = [
@@ -81,6 +80,6 @@ def test_the_pages_of_a_segment_last_as_long_as_its_frames(coded):
 @pytest.mark.parametrize("samples", [slice(0, -1), slice(0, 0), slice(0, FRAMES)])
 def test_pages_that_differ_in_number_are_refused(coded, samples):
     with pytest.raises(FormatError) as caught:
-        list(decode_pictures(open_segment(coded.media, "x").samples[samples], "x", PAGES))
+        list(Pictures(read_samples(coded.fragment)[samples], "x", PAGES))
         raise FormatError("bad_picture", "x", "no picture")
     assert caught.value.reason == "bad_picture"

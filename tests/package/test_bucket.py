@@ -7,8 +7,8 @@ from obstore.exceptions import GenericError
 from obstore.store import MemoryStore
 
 from airgs_codec.errors import ConfigError, FormatError, TransportError
+from airgs_codec.package.layout import JSON_NAME, MPD_NAME
 from airgs_codec.package.package import find_file
-from airgs_codec.package.paths import JSON_NAME, MPD_NAME
 from airgs_codec.package.publish import NEW, staged_package
 from airgs_codec.places.place import Bucket
 from tests.support.mutations import read_files

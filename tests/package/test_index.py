@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import GroupIndex, count_groups
+from airgs_codec.package.layout import file_kind, group_path, locate
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.package import open_manifest, open_package, root_of
 from airgs_codec.package.parse import build_index, extend_index, pack_group, pack_json, parse_root
-from airgs_codec.package.paths import file_kind, group_path, locate
 from airgs_codec.package.tables import PAGE, digest
 from tests.support.manifests import no_page, tiny_manifest
 from tests.support.mutations import read_files
@@ -81,8 +81,8 @@ def test_every_group_frame_and_segment_is_found_with_a_page_for_each_level(count
     for number in (0, count // 2, count - 1):
         way = []
         GroupIndex(index, lambda path, _, way=way: way.append(path) or pages[path]).at_frame(ALL[number].start)
-        assert len(way) < len(index) and way == list(places.pages_to_group(number))
-        assert way == list(places.pages_to_segment(firsts[number]))
+        assert len(way) < len(index) and way == list(places.pages_to("groups", number))
+        assert way == list(places.pages_to("segments", firsts[number]))
     assert (places.groups, places.frames, places.segments) == (count, ALL[count - 1].stop, firsts[-1])
 
 
@@ -112,7 +112,7 @@ def test_extending_one_by_one_gives_the_same_as_building_at_once():
 @pytest.mark.parametrize(("count", "needed"), [(63, 0), (64, 1), (65, 0), (128, 1), (4095, 0), (4096, 2), (4097, 0)])
 def test_the_newest_group_needs_a_page_for_each_level_that_was_just_filled(count, needed):
     index, pages = index_of(count)
-    assert len(list(GroupIndex(index, lambda path, _: pages[path]).pages_to_group(count - 1))) == needed
+    assert len(list(GroupIndex(index, lambda path, _: pages[path]).pages_to("groups", count - 1))) == needed
 
 
 def test_pages_that_are_not_there_are_asked_for_from_the_root_on():
@@ -127,6 +127,23 @@ def test_pages_that_are_not_there_are_asked_for_from_the_root_on():
     assert sorted(rounds[0]) == [*firsts, "index/2/1.json"]
     assert rounds[1:] == [["index/1/63.json", "index/1/64.json"]]
     assert read == ["index/2/1.json"]  # those of groups are there, but not needed to say so
+
+
+def test_what_a_page_that_cannot_be_read_leads_to_is_not_looked_for():
+    index, pages = index_of(4500)
+    broken, read = {"index/1/3.json", "index/1/66.json"}, []
+
+    def read_page(path, _):
+        read.append(path)
+        if path in broken:
+            raise FormatError("hash_mismatch", path, "of another package")
+        return pages[path]
+
+    found = list(GroupIndex(index, read_page).sweep())
+    groups = [number for number in found if isinstance(number, int)]
+    assert groups == [n for n in range(4500) if n // PAGE not in (2, 65)]
+    assert {error.where for error in found if not isinstance(error, int)} == broken and len(found) == len(groups) + 2
+    assert len(read) == len(set(read)) == len(pages)
 
 
 def segment_before(group):
@@ -181,7 +198,7 @@ def test_what_two_hours_fetch_before_their_first_group_is_small(long):
     m, pages = long
     root, mpd = pack_json(root_of(m)), write_mpd(m)
     assert parse_root(root) == root_of(m)
-    way = [pages[path] for path in m.groups.places.pages_to_group(0)]
+    way = [pages[path] for path in m.groups.places.pages_to("groups", 0)]
     assert len(way) == 2 and len(root) + len(mpd) + sum(len(pack_json(page)) for page in way) <= START_BYTES
     assert len(mpd) < 3_000
 

@@ -14,17 +14,17 @@ from hypothesis import strategies as st
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package import parse
-from airgs_codec.package.mpd import LiveClock, adaptation_sets, write_mpd
+from airgs_codec.package.layout import JSON_NAME, group_path
+from airgs_codec.package.mpd import LiveClock, Streams, write_mpd
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.parse import pack_group, pack_json, parse_group, parse_root
-from airgs_codec.package.paths import JSON_NAME, group_path
-from airgs_codec.package.schema import manifest_schema
 from airgs_codec.package.tables import PAGE
 from tests.makers.refusals import BREAKS, TABLE, changes, source_of
 from tests.support.mutations import apply, parse_table, places, set_value
 from tests.support.paths import CORPUS, REPOSITORY
 from tests.support.refusals import cases, findings
+from tools.schema import manifest_schema
 
 VALID = sorted((CORPUS / "valid").iterdir())
 CASES = cases()
@@ -231,19 +231,59 @@ def test_a_table_that_would_fill_the_memory_is_refused(monkeypatch):
     assert caught.value.reason == "too_large"
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", '{"version": NaN}', "nul", "[" * 100_000])
+@pytest.mark.parametrize("repairs", [b"[]," * (1 << 21) + b"1", b" " * (1 << 24) + b"1"], ids=["values", "bytes"])
+def test_a_table_that_would_cost_far_more_than_its_file_is_refused_before_it_is_built(repairs, monkeypatch):
+    text = apply(TABLES, set_value(("repairs",), [], TABLE))[TABLE]
+    bomb = gzip.compress(gzip.decompress(text).replace(b'"repairs":[]', b'"repairs":[%s]' % repairs))
+    assert len(bomb) < 50_000
+    monkeypatch.setattr(parse.json, "loads", None)
+    with pytest.raises(FormatError) as caught:
+        parse_group(bomb, ROOT, ENTRY, 0)
+    assert caught.value.reason == "too_large"
+
+
+def test_a_whole_number_may_be_written_with_a_point():
+    assert parse_root(apply(TABLES, set_value(("timescale",), 30000.0))[JSON_NAME]).timescale == 30000
+    with pytest.raises(FormatError):
+        parse_root(apply(TABLES, set_value(("timescale",), 30000.5))[JSON_NAME])
+
+
+def test_half_of_a_surrogate_pair_is_no_text():
+    with pytest.raises(FormatError) as caught:
+        parse_root(TEXT.replace(b'"attribution":"', b'"attribution":"\\ud800'))
+    assert (caught.value.reason, caught.value.where) == ("bad_value", "airgs.json.attribution")
+    parse_root(TEXT.replace(b'"attribution":"', b'"attribution":"\\ud83e\\udd8a'))
+
+
+@pytest.mark.parametrize("text", [b"", b"[]", b"{", b'{"version": NaN}', b"nul", b"[" * 100_000])
 def test_what_is_not_a_table_is_refused(text):
     with pytest.raises(FormatError):
         parse_root(text)
 
 
 def ids(m):
-    return [[r.id for r in s.representations] for s in adaptation_sets(m)]
+    return [[r.id for r in s.representations] for s in Streams.of(m).sets()]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-32"])
+def test_json_is_utf_8_without_a_mark(encoding):
+    """As in browsers: Python alone would read the others."""
+    parse_root(TEXT)
+    with pytest.raises(FormatError) as caught:
+        parse_root(TEXT.decode().encode(encoding))
+    assert caught.value.reason == "not_json"
+
+
+@pytest.mark.parametrize("digits", [309, 400, 4000])
+def test_a_number_that_fits_no_float_is_refused(digits):
+    with pytest.raises(FormatError) as caught:
+        parse_root(json.dumps(json.loads(TEXT) | {"key_gain": 10**digits}).encode())
+    assert (caught.value.reason, caught.value.where) == ("bad_value", "airgs.json.key_gain")
 
 
 def test_the_mpd_has_a_representation_for_everything_that_has_files():
     m = open_package(CORPUS / "valid" / "moving").manifest
-    assert [s.role for s in adaptation_sets(m)] == ["state", "key;tier=0", "key;tier=1"]
+    assert [s.role for s in Streams.of(m).sets()] == ["state", "key;tier=0", "key;tier=1"]
     assert ids(m) == [["L0", "L1"], ["T0/Q0", "T0/Q1"], ["T1/Q0", "T1/Q1"]]
     still = open_package(CORPUS / "valid" / "one-gaussian").manifest
     assert ids(still) == [["T0/Q0"]]

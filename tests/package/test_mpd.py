@@ -9,10 +9,10 @@ from datetime import UTC, datetime
 import pytest
 
 from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.package.layout import MPD_NAME
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import CONTENT, DASH, MIN_BUFFER_S, LiveClock, Run, adaptation_sets, write_mpd
+from airgs_codec.package.mpd import CONTENT, DASH, MIN_BUFFER_S, LiveClock, Run, Streams, write_mpd
 from airgs_codec.package.mpd_check import check_mpd
-from airgs_codec.package.paths import MPD_NAME
 from airgs_codec.package.tables import NO_FILE
 from tests.support.manifests import tiny_manifest, with_segments
 from tests.support.mutations import apply, edit_text
@@ -41,7 +41,7 @@ MANIFESTS = {
 
 
 def representations(m):
-    return [s.representations for s in adaptation_sets(m)]
+    return [s.representations for s in Streams.of(m).sets()]
 
 
 def reason_of(data: bytes, m: Manifest) -> str:

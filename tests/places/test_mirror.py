@@ -12,8 +12,8 @@ import pytest
 from airgs_codec.errors import ConfigError, SceneError, TransportError
 from airgs_codec.places import mirror
 from airgs_codec.places.place import Bucket, bucket_at
+from airgs_codec.scene.beside import Usage, save_usage
 from airgs_codec.scene.sequence import open_sequence
-from airgs_codec.scene.usage import Usage, save_usage
 from tests.support.clip_files import random_rows, splatv_bytes
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence

@@ -12,7 +12,7 @@ import pytest
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.places.results import open_store, pack, seal, unpack, unseal
-from airgs_codec.scene.usage import Usage
+from airgs_codec.scene.beside import Usage
 
 OURS = ("airgs_codec", "tests")
 
@@ -93,6 +93,14 @@ def test_bytes_that_are_no_value_are_one_error(data):
         unpack(pack([data])[:4] + data)
     with pytest.raises(ValueError, match="expected a stored value"):
         unpack(data)
+
+
+@pytest.mark.parametrize(("old", "new"), [(b"}", b"("), (b"(3,), }" + b" " * 15, b"(3" + b"0" * 15 + b",), }")])
+def test_an_array_whose_header_is_broken_or_absurd_is_the_same_error(old, new):
+    data = pack(np.zeros(3))
+    assert old in data
+    with pytest.raises(ValueError, match="expected a stored value"):
+        unpack(data.replace(old, new))
 
 
 @pytest.mark.parametrize("kind", ["folder", "bucket"])

@@ -89,8 +89,35 @@ def test_a_staged_folder_takes_no_links_place(tmp_path, there):
     (tmp_path / "out").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(ConfigError, match="got a link"), whole.staged_folder(tmp_path / "out", Path.is_dir, "package"):
         raise AssertionError("unreachable")
-    (tmp_path / ".new.x.stage").symlink_to(tmp_path / "nowhere")
-    (tmp_path / ".new.x.old").symlink_to(tmp_path)
+    work = tmp_path / f".new.airgs-{'0' * 16}"
+    work.symlink_to(tmp_path)
     with whole.staged_folder(tmp_path / "new", Path.is_dir, "package") as stage:
         (stage / "a").touch()
-    assert (tmp_path / "new" / "a").is_file() and (tmp_path / ".new.x.old").is_symlink()
+    assert (tmp_path / "new" / "a").is_file() and work.is_symlink()
+
+
+def test_what_others_put_beside_a_staged_folder_stays(tmp_path):
+    """Whatever it is called: without the mark of an unfinished folder it is not ours."""
+    others = [".new.x.stage", ".new.backup.old", f".new.airgs-{'0' * 16}", ".new.airgs-notes"]
+    for name in others:
+        (tmp_path / name / "old").mkdir(parents=True)
+        (tmp_path / name / "notes.txt").write_text("of somebody")
+    (tmp_path / others[2] / "airgs-unfinished").write_text("not the mark")
+    for _ in range(2):
+        with whole.staged_folder(tmp_path / "new", Path.is_dir, "package") as stage:
+            (stage / "a").touch()
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*others, "new"])
+    assert all((tmp_path / name / "notes.txt").read_text() == "of somebody" for name in others)
+
+
+def test_what_others_write_meanwhile_is_not_replaced(tmp_path):
+    with pytest.raises(ConfigError, match="other files"), whole.staged_folder(tmp_path / "new", is_ours, "package"):
+        (tmp_path / "new").mkdir()
+        (tmp_path / "new" / "notes.txt").write_text("of somebody")
+    assert [path.name for path in tmp_path.iterdir()] == ["new"]
+    assert (tmp_path / "new" / "notes.txt").read_text() == "of somebody"
+
+
+def is_ours(folder):
+    """As if nothing were."""
+    return False

@@ -8,17 +8,17 @@ import threading
 import time
 from dataclasses import replace
 from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 
 import numpy as np
 import pytest
 
 from airgs_codec.errors import ConfigError, FormatError, TransportError
+from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import open_package
-from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.play.downloader import Batch, BatchKind, Request
 from airgs_codec.play.http import HttpDownloader, fetch_beside
-from airgs_codec.play.http_files import HttpSettings
+from airgs_codec.play.http_files import LEAST_BYTES, FileClient, HttpSettings, Transfer, connect
 from airgs_codec.play.report.session import format_metrics
 from airgs_codec.play.repr_digest import check_repr_digest, repr_digest
 from airgs_codec.play.session import play, simulate
@@ -135,6 +135,88 @@ def test_a_link_that_falls_silent_is_given_up():
     assert arrival.at_s - arrival.first_byte_s >= 2 * 0.5
     assert looks[0].elapsed_s >= 0.5 and looks[0].bytes < looks[0].expected_bytes
     assert looks[0].expected_bytes == offers.wire_bytes([offers.file_bytes(path)])
+
+
+@contextlib.contextmanager
+def answering(do_get):
+    """A server whose GET is this function of the handler; gives its port."""
+    handler = type("Handler", (BaseHTTPRequestHandler,), {"log_message": lambda *_: None, "do_GET": do_get})
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        server.daemon_threads = True
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+        yield server.server_address[1]
+        server.shutdown()
+
+
+def fetch_one(port, http):
+    """What a client gets from a server for one file, and what it says of that."""
+    taken, transfer = [], Transfer()
+
+    async def get():
+        async with connect(http, 1) as session:
+            client = FileClient(session, local(port).rstrip("/"), http, lambda path, data: taken.append(data))
+            await client.get("a.bin", 1 << 20, transfer, 0.0)
+
+    asyncio.run(get())
+    return taken, " ".join(str(error) for error in transfer.refused.values())
+
+
+@pytest.mark.parametrize(
+    "form", ["http://127.0.0.1:{}/b.bin", "//127.0.0.1:{}/b.bin", "https://127.0.0.1:{}/", "/b.bin"]
+)
+def test_a_redirect_stays_on_its_server(form):
+    asked = []
+
+    def answer(handler):
+        asked.append(handler.path)
+        handler.send_response(200)
+        handler.send_header("Content-Length", "3")
+        handler.end_headers()
+        handler.wfile.write(b"abc")
+
+    def redirect(handler):
+        if handler.path == "/b.bin":
+            answer(handler)
+            return
+        handler.send_response(302)
+        handler.send_header("Location", form.format(other))
+        handler.send_header("Content-Length", "0")
+        handler.end_headers()
+
+    with answering(answer) as other, answering(redirect) as port:
+        taken, refused = fetch_one(port, FAST)
+    if form == "/b.bin":
+        assert taken == [b"abc"] and not refused
+    else:
+        scheme = form.partition("//")[0] or "http:"
+        assert (
+            f"a.bin: expected a file of http://127.0.0.1:{port}, got a redirect to {scheme}//127.0.0.1:{other}"
+            in refused
+        )
+        assert not taken and not asked
+
+
+@pytest.mark.parametrize("part", ["head", "body"])
+def test_an_answer_that_trickles_is_broken_off_and_one_that_is_slow_is_not(part):
+    """For twice the time-out a byte now and then, or enough of them."""
+    size, http = 1 << 18, HttpSettings(timeout_s=1.0, attempts=1)
+    head, body = f"HTTP/1.0 200 OK\r\nX: {'x' * 99}\r\nContent-Length: {size}\r\n\r\n".encode(), bytes(size)
+
+    def answer(handler, step):
+        start = 0 if part == "head" else len(head)
+        stop = min(len(head), 40 * step) if part == "head" else start + 40 * step
+        with contextlib.suppress(OSError):
+            handler.wfile.write((head + body)[:start])
+            for at in range(start, stop, step):
+                handler.wfile.write((head + body)[at : min(at + step, stop)])
+                time.sleep(0.05)
+            handler.wfile.write((head + body)[stop:])
+
+    with answering(lambda handler: answer(handler, 1)) as port:
+        taken, refused = fetch_one(port, http)
+    assert not taken and "broken off: fewer than 4096 bytes in 1 s" in refused
+    with answering(lambda handler: answer(handler, LEAST_BYTES if part == "body" else 20)) as port:
+        assert fetch_one(port, http) == ([body], "")
 
 
 def test_links_that_fail_at_once_are_one_error():

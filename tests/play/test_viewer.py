@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from airgs_codec.media.image import read_png
+from airgs_codec.media.image import read_picture
 from airgs_codec.package.region import place_view
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.report.map import MOST_PIXELS, Viewer
@@ -48,7 +48,7 @@ def test_who_leaves_the_region_says_by_how_much(tmp_path):
     record = json.loads((tmp_path / "session.json").read_text())
     assert record["viewer"]["ticks_outside"] == 40 and record["viewer"]["furthest_units"] == pytest.approx(2)
     assert "outside the viewing region for 40 of 40" in page.read_text() and "region.png" in page.read_text()
-    assert read_png(tmp_path / "region.png").std() > 0.02
+    assert read_picture(tmp_path / "region.png").std() > 0.02
 
 
 def test_a_guessed_region_is_told_in_every_picture():

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from airgs_codec.render import cuda
-from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.backend import CPU, Renderer
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.fit.losses import mean_psnr, photometric
 from airgs_codec.train.fit.optimise import Schedule, optimise

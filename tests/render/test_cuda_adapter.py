@@ -7,11 +7,10 @@ import pytest
 import torch
 
 from airgs_codec.render import cuda
-from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.backend import CPU
-from airgs_codec.render.cuda_loaded import OnCuda
+from airgs_codec.render.cpu import RasterInputs
+from airgs_codec.render.cuda import AbsGrad, OnCuda
 from airgs_codec.render.differentiable import rasterize_views
-from airgs_codec.render.inputs import RasterInputs
 from tests.support import fake_gsplat
 from tests.support.scenes import random_gaussians
 from tests.support.views import ring

@@ -7,9 +7,17 @@ import pytest
 import torch
 
 from airgs_codec.render import Camera, measure_contribution, read_cameras, render, render_views
-from airgs_codec.render.cpu import Redraw, activate, blend, contribution_and_gradients, draw, gradients, project
+from airgs_codec.render.cpu import (
+    RasterInputs,
+    Redraw,
+    activate,
+    blend,
+    contribution_and_gradients,
+    draw,
+    gradients,
+    project,
+)
 from airgs_codec.render.differentiable import rasterize
-from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.render.reference import blending_weights, render_reference
 from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.scene.gaussians import Gaussians

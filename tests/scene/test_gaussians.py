@@ -1,4 +1,4 @@
-"""Rows of two frames as one; quaternions and rotation vectors invert one another."""
+"""Rows of two frames as one; quaternions and rotation vectors, Morton codes and indices invert one another."""
 
 import numpy as np
 from hypothesis import given
@@ -10,6 +10,8 @@ from airgs_codec.scene.gaussians import (
     conjugate,
     from_rotation_vector,
     mix_rows,
+    morton_decode,
+    morton_encode,
     multiply,
     to_matrices,
     to_rotation_vector,
@@ -51,3 +53,12 @@ def test_rotation_vectors_at_the_extremes():
 def test_matrices_are_those_of_scipy():
     q = np.random.default_rng(0).normal(size=(20, 4))
     np.testing.assert_allclose(to_matrices(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), atol=1e-12)
+
+
+@given(npst.arrays(np.int64, st.tuples(st.integers(1, 50), st.just(3)), elements=st.integers(0, 2**21 - 1)))
+def test_morton_codes_invert(index):
+    np.testing.assert_array_equal(morton_decode(morton_encode(index)), index)
+
+
+def test_morton_bits_interleave_x_first():
+    assert morton_encode(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [3, 3, 3]])).tolist() == [1, 2, 4, 8, 63]

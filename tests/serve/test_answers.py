@@ -1,17 +1,34 @@
 """Conditions, ranges and content coding, without a server."""
 
+import asyncio
 import gzip
+import itertools
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airgs_codec.serve.app import answer, parse_range
-from airgs_codec.serve.files import Snapshot
+from airgs_codec.package.tables import digest
+from airgs_codec.play.repr_digest import check_repr_digest
+from airgs_codec.serve.app import PIECE_BYTES, answer, parse_range
+from airgs_codec.serve.files import Snapshot, Version
 
 DATA = bytes(range(100))
-SEGMENT = Snapshot("video/mp4", True, DATA, "hash", None)
-ROOT = Snapshot("application/json", False, b"x" * 5000, "hash", gzip.compress(b"x" * 5000))
+TEXT = b"x" * 5000
+HASH, TEXT_HASH = digest(DATA), digest(TEXT)
+SEGMENT = Snapshot("video/mp4", True, Version.of(DATA), None, 0)
+ROOT = Snapshot("application/json", False, Version.of(TEXT), Version.of(gzip.compress(TEXT)), 0)
+
+
+def pieces_of(response):
+    async def gather():
+        return [piece async for piece in response.body_iterator]
+
+    return asyncio.run(gather()) if hasattr(response, "body_iterator") else [response.body]
+
+
+def body_of(response):
+    return b"".join(pieces_of(response))
 
 
 @pytest.mark.parametrize(
@@ -49,7 +66,7 @@ def test_a_range_is_what_a_slice_would_be(first, last, size):
 
 def test_a_part_says_where_it_lies():
     response = answer(SEGMENT, {"range": "bytes=10-19"})
-    assert (response.status_code, response.body) == (206, DATA[10:20])
+    assert (response.status_code, body_of(response)) == (206, DATA[10:20])
     assert response.headers["content-range"] == "bytes 10-19/100" and response.headers["content-length"] == "10"
     refused = answer(SEGMENT, {"range": "bytes=100-"})
     assert (refused.status_code, refused.headers["content-range"]) == (416, "bytes */100")
@@ -57,7 +74,7 @@ def test_a_part_says_where_it_lies():
 
 @pytest.mark.parametrize(
     ("condition", "status"),
-    [('"hash"', 206), ('W/"hash"', 200), ('"old"', 200), ("Sat, 29 Oct 1994 19:43:31 GMT", 200)],
+    [(f'"{HASH}"', 206), (f'W/"{HASH}"', 200), ('"old"', 200), ("Sat, 29 Oct 1994 19:43:31 GMT", 200)],
 )
 def test_a_part_of_another_version_is_never_given(condition, status):
     assert answer(SEGMENT, {"range": "bytes=0-1", "if-range": condition}).status_code == status
@@ -65,12 +82,12 @@ def test_a_part_of_another_version_is_never_given(condition, status):
 
 @pytest.mark.parametrize(
     ("condition", "status"),
-    [('"hash"', 304), ('"a", W/"hash"', 304), ("*", 304), ('"old"', 200), ("hash", 200), ("", 200)],
+    [(f'"{HASH}"', 304), (f'"a", W/"{HASH}"', 304), ("*", 304), ('"old"', 200), (HASH, 200), ("", 200)],
 )
 def test_a_known_version_is_not_sent_again(condition, status):
     response = answer(SEGMENT, {"if-none-match": condition, "range": ""})
-    assert response.status_code == status and response.headers["etag"] == '"hash"'
-    assert (response.body == b"") == (status == 304)
+    assert response.status_code == status and response.headers["etag"] == f'"{HASH}"'
+    assert (body_of(response) == b"") == (status == 304)
 
 
 @pytest.mark.parametrize(
@@ -80,18 +97,31 @@ def test_a_known_version_is_not_sent_again(condition, status):
 def test_text_is_zipped_for_those_who_take_it(accepted, zipped):
     response = answer(ROOT, {"accept-encoding": accepted})
     assert ("content-encoding" in response.headers) == zipped
-    assert (gzip.decompress(response.body) if zipped else response.body) == ROOT.data
-    assert response.headers["etag"] == ('"hash-gzip"' if zipped else '"hash"')
+    body = body_of(response)
+    assert (gzip.decompress(body) if zipped else body) == TEXT
+    assert response.headers["etag"] == (f'"{TEXT_HASH}-gzip"' if zipped else f'"{TEXT_HASH}"')
+    check_repr_digest("airgs.json", body, response.headers["repr-digest"])
     assert response.headers["vary"] == "Accept-Encoding"
-    assert response.headers["content-length"] == str(len(response.body))
+    assert response.headers["content-length"] == str(len(body))
 
 
 def test_ranges_count_in_the_file_itself_and_pictures_are_never_zipped():
     part = answer(ROOT, {"accept-encoding": "gzip", "range": "bytes=0-9"})
-    assert part.body == ROOT.data[:10] and "content-encoding" not in part.headers
+    assert body_of(part) == TEXT[:10] and "content-encoding" not in part.headers
     assert "content-encoding" not in answer(SEGMENT, {"accept-encoding": "gzip"}).headers
 
 
 def test_what_may_be_kept_for_ever():
     assert "immutable" in answer(SEGMENT, {}).headers["cache-control"]
     assert answer(ROOT, {}).headers["cache-control"] == "no-cache"
+
+
+@pytest.mark.parametrize(("asked", "expected"), [("", range(500_000)), ("bytes=7-400000", range(7, 400_001))])
+def test_a_file_is_read_in_pieces_and_no_further_than_a_range_goes(asked, expected):
+    reads = []
+    version = Version(500_000, bytes(32), lambda start, stop: reads.append(range(start, stop)) or bytes(stop - start))
+    pieces = pieces_of(answer(Snapshot("video/mp4", True, version, None, 0), {"range": asked}))
+    assert reads[0].start == expected.start and reads[-1].stop == expected.stop
+    assert all(one.stop == other.start for one, other in itertools.pairwise(reads))
+    assert [len(piece) for piece in pieces] == [len(read) for read in reads]
+    assert max(map(len, reads)) == PIECE_BYTES

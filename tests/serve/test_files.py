@@ -2,6 +2,7 @@
 
 import asyncio
 import gzip
+import hashlib
 import os
 import shutil
 import time
@@ -9,7 +10,7 @@ import time
 import pytest
 
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package.tables import digest
+from airgs_codec.package.tables import digest, shorten
 from airgs_codec.places.whole import write_bytes
 from airgs_codec.serve import files as module
 from airgs_codec.serve.files import PackageFiles, media_type
@@ -29,6 +30,10 @@ def read(files, path, name="two.airgs"):
     return asyncio.run(files.read(name, path))
 
 
+def whole(version):
+    return version.read(0, version.size)
+
+
 def age(path, seconds=60.0):
     """As if the file had been written before; its inode still changes now."""
     then = time.time_ns() - int(1e9 * seconds)
@@ -39,10 +44,11 @@ def test_every_file_of_a_package_is_there_with_its_digest(package):
     files = PackageFiles([package])
     for path, data in read_files(package).items():
         snapshot = read(files, path)
-        assert snapshot.data == data and snapshot.sha256 == digest(data)
+        assert whole(snapshot.plain) == data and shorten(snapshot.plain.sha256) == digest(data)
+        assert snapshot.plain.read(3, 7) == data[3:7]
         assert snapshot.lasting == (path not in ("airgs.json", "manifest.mpd"))
         assert (snapshot.zipped is not None) == (path.endswith((".json", ".mpd")) and len(data) >= 1024)
-        assert snapshot.zipped is None or gzip.decompress(snapshot.zipped) == data
+        assert snapshot.zipped is None or gzip.decompress(whole(snapshot.zipped)) == data
 
 
 @pytest.mark.parametrize(
@@ -86,12 +92,13 @@ def test_a_growing_package_is_served_as_it_is_now(package, monkeypatch):
     assert read(files, "state/L0/99.m4s") is None
     write_bytes(package / "state/L0/99.m4s", b"new")
     write_bytes(package / "airgs.json", b"{}")
-    assert read(files, "state/L0/99.m4s").data == b"new"
-    assert read(files, "airgs.json").sha256 == digest(b"{}")
+    assert whole(read(files, "state/L0/99.m4s").plain) == b"new"
+    assert whole(read(files, "airgs.json").plain) == b"{}"
+    assert whole(root.plain) == (PACKAGE / "airgs.json").read_bytes()  # to those who asked for it before
     shutil.rmtree(package)
     assert read(files, "airgs.json") is None
     shutil.copytree(PACKAGE, package)
-    assert read(files, "airgs.json").data == root.data
+    assert whole(read(files, "airgs.json").plain) == whole(root.plain)
 
 
 def test_a_young_file_is_read_anew_because_its_time_stamp_may_not_tell(package):
@@ -99,7 +106,7 @@ def test_a_young_file_is_read_anew_because_its_time_stamp_may_not_tell(package):
     files, path = PackageFiles([package]), package / STATE
     for data in (b"first", b"other"):
         path.write_bytes(data)
-        assert read(files, STATE).data == data
+        assert whole(read(files, STATE).plain) == data
 
 
 def test_a_file_in_memory_is_known_by_all_of_its_stamp(package, monkeypatch):
@@ -108,12 +115,15 @@ def test_a_file_in_memory_is_known_by_all_of_its_stamp(package, monkeypatch):
     files, path = PackageFiles([package]), package / STATE
     path.write_bytes(b"first")
     age(path)
-    assert read(files, STATE).data == b"first"
+    first = read(files, STATE)
+    assert whole(first.plain) == b"first"
     shutil.copystat(path, shutil.copy(package / "airgs.json", package / "copy"))
     (package / "copy").write_bytes(b"other")
     shutil.copystat(path, package / "copy")
     (package / "copy").replace(path)
-    assert read(files, STATE).data == b"other"
+    assert whole(read(files, STATE).plain) == b"other"
+    with pytest.raises(TransportError, match="another"):  # no part of this one under the tag of the first
+        whole(first.plain)
 
 
 def test_a_file_that_is_being_written_is_not_served(package, monkeypatch):
@@ -135,20 +145,46 @@ def test_memory_is_bounded(package, monkeypatch):
     monkeypatch.setattr(module, "SETTLED_NS", 0)
     files = PackageFiles([package], cache_bytes=50_000)
     for number in range(100, 120):
-        (package / f"state/L0/{number}.m4s").write_bytes(bytes(10_000))
-    (package / "state/L0/200.m4s").write_bytes(bytes(60_000))
-    kept = [read(files, f"state/L0/{number}.m4s") for number in range(100, 120)]
-    assert read(files, "state/L0/119.m4s") is kept[-1] and read(files, "state/L0/100.m4s") is not kept[0]
-    assert len(files._cache) <= 5 and files._held_bytes <= 50_000
-    assert len(read(files, "state/L0/200.m4s").data) == 60_000 and files._held_bytes <= 50_000
+        (package / "index").mkdir(exist_ok=True)
+        (package / f"index/{number}.json").write_bytes(os.urandom(4000))
+    (package / "index/200.json").write_bytes(bytes(60_000))
+    kept = [read(files, f"index/{number}.json") for number in range(100, 120)]
+    assert read(files, "index/119.json") is kept[-1] and read(files, "index/100.json") is not kept[0]
+    assert len(files._cache) <= 6 and files._held_bytes <= 50_000
+    assert len(whole(read(files, "index/200.json").plain)) == 60_000 and files._held_bytes <= 50_000
+
+
+def test_of_pictures_and_long_texts_only_the_digest_is_kept(package, monkeypatch):
+    monkeypatch.setattr(module, "SETTLED_NS", 0)
+    monkeypatch.setattr(module, "MOST_HELD_BYTES", 1 << 20)
+    files = PackageFiles([package])
+    for path in (STATE, "airgs.json"):
+        (package / path).write_bytes(bytes(3 << 20))
+        snapshot = read(files, path)
+        assert snapshot.plain.sha256 == hashlib.sha256(bytes(3 << 20)).digest() and snapshot.zipped is None
+        assert read(files, path) is snapshot and snapshot.plain.read(5, 7) == bytes(2)
+    assert files._held_bytes < 10_000
+
+
+def test_all_who_ask_at_once_wait_for_one_digest(package, monkeypatch):
+    loads, load = [], module._load
+    monkeypatch.setattr(module, "_load", lambda *file: loads.append(file) or load(*file))
+    files = PackageFiles([package])
+
+    async def ask():
+        return await asyncio.gather(*(files.read("two.airgs", STATE) for _ in range(40)))
+
+    assert len(set(map(id, asyncio.run(ask())))) == len(loads) == 1 and not files._loading
 
 
 def test_folders_must_be_packages_of_different_names(package, tmp_path):
     with pytest.raises(ConfigError, match=r"nothing.*expected a package"):
         PackageFiles([tmp_path / "nothing"])
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(ConfigError, match=r"empty.*expected a package.*or a folder with packages"):
-        PackageFiles([package, tmp_path / "empty"])
+    (tmp_path / "frames").mkdir()
+    assert list(PackageFiles([package, tmp_path / "frames"]).packages) == ["two.airgs"]
+    (tmp_path / "frames" / "0.ply").touch()
+    with pytest.raises(ConfigError, match=r"frames: expected a package.*, a folder with packages or an empty one"):
+        PackageFiles([package, tmp_path / "frames"])
     other = shutil.copytree(package, tmp_path / "other" / "two.airgs")
     for second in (other, other.parent):
         with pytest.raises(ConfigError, match="twice"):

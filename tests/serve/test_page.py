@@ -4,14 +4,16 @@ import base64
 import hashlib
 import http.client
 import json
+import re
 import shutil
 from urllib.parse import parse_qs, unquote, urljoin, urlsplit
 
 import pytest
 
 from airgs_codec.package.package import open_package
-from airgs_codec.serve import pages
-from airgs_codec.serve.pages import content_policy, look_at, player_address
+from airgs_codec.serve import cards
+from airgs_codec.serve.cards import look_at
+from airgs_codec.serve.pages import content_policy, player_address
 from tests.support.page import FILES, INLINE, put_page
 from tests.support.paths import VALID
 from tests.support.servers import serving
@@ -118,7 +120,7 @@ def test_a_folder_of_packages_is_served_with_all_of_them(port):
     assert ask(port, "/player.html")[2] == FILES["player.html"].encode()
     for hidden in ("/.hidden.airgs/airgs.json", "/linked/airgs.json", "/report/airgs.json", "/../demo/airgs.json"):
         assert ask(port, hidden)[0] == 404, hidden
-    assert ask(port, "/ladder.png")[0] == ask(port, "/player.html/")[0] == 404
+    assert ask(port, "/ladder.png")[0] == 404
 
 
 def test_the_list_leads_to_the_player_and_the_player_to_the_package(port):
@@ -137,17 +139,30 @@ def test_the_list_leads_to_the_player_and_the_player_to_the_package(port):
 def test_the_list_says_what_each_package_is(port):
     text = ask(port, "/")[2].decode()
     size = sum(path.stat().st_size for path in PACKAGE.rglob("*") if path.is_file())
-    assert f"{size / 1e6:.3g} MB · 5 frames · 0.2 s · 44.4 dB at best" in text
+    m = open_package(PACKAGE).manifest
+    best = 8e-6 * sum((PACKAGE / path).stat().st_size for path in m.rung_files(0, 0)) * float(m.fps) / m.frames
+    assert f"0.2 s · 5 frames · {size / 1e3:.3g} kB · {best:.3g} Mbit/s and 44.4 dB at best" in text
+
+
+def test_a_card_has_the_poster_and_the_credit_of_its_package_as_text(page, demo_package, tmp_path):
+    package = shutil.copytree(demo_package, tmp_path / "a#b%.airgs")
+    root = json.loads((package / "airgs.json").read_text())
+    (package / "airgs.json").write_text(json.dumps(root | {"attribution": "by <i>me</i>\nand\u202eyou"}))
+    with serving(tmp_path) as port:
+        text = ask(port, "/")[2].decode()
+        (poster,) = re.findall('<img src="([^"]*)"', text)
+        assert ask(port, poster)[2] == (package / "poster.jpg").read_bytes()
+    assert "<p>by &lt;i&gt;me&lt;/i&gt;</p><p>and\\u202eyou</p>" in text and "a#b%</span>" in text
 
 
 def test_of_a_long_package_the_first_groups_stand_for_all(monkeypatch):
     package = open_package(PACKAGE)
     whole = look_at(package.manifest, 1000)
-    monkeypatch.setattr(pages, "LOOKED_AT", 1)
+    monkeypatch.setattr(cards, "LOOKED_AT", 1)
     guess = look_at(package.manifest, 1000)
     assert (whole.whole, guess.whole, guess.frames) == (True, False, whole.frames)
     assert guess.bytes == pytest.approx(whole.bytes, rel=0.5) and guess.psnr == pytest.approx(whole.psnr, abs=3)
-    assert guess.words.startswith("about ") and "about" not in whole.words
+    assert " about " in guess.words and "about" not in whole.words
 
 
 def test_packages_that_appear_go_or_break_are_listed_as_they_are(page, tmp_path):

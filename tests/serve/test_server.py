@@ -6,6 +6,7 @@ import json
 import shutil
 import socket
 import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -118,7 +119,7 @@ def test_pages_of_other_origins_may_ask_for_ranges_and_read_tags(port):
         "/%ff%fe/airgs.json",
         "/other/airgs.json",
         f"/{NAME}",
-        f"/{NAME}/",
+        "/other/",
         f"/{NAME}/key",
         "*",
     ],
@@ -130,13 +131,18 @@ def test_nothing_else_is_served(port, target):
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "TRACE", "NONSENSE"])
 def test_other_methods_are_refused(port, method):
     status, headers, _ = ask(port, ROOT, method, {"Content-Length": "0"})
-    assert status == 405 and set(headers["Allow"].split(", ")) == {"GET", "HEAD"}
+    assert status == 405 and set(headers["Allow"].split(", ")) == {"GET", "HEAD", "OPTIONS"}
+
+
+def test_the_folder_of_a_package_leads_to_the_player(port):
+    status, headers, _ = ask(port, f"/{NAME}/")
+    assert (status, headers["Location"]) == (307, f"../player.html?src={NAME}/")
 
 
 @pytest.mark.parametrize(
     ("data", "status"),
     [
-        (request(ROOT, "POST", "Content-Length: 9999999") + b"x" * 100, 413),
+        (request(ROOT, "POST", "Content-Length: 9999999") + b"x" * 100, 405),
         (request(ROOT, "GET", "Content-Length: 9999999"), 413),
         (request(ROOT, "GET", "Transfer-Encoding: chunked") + b"5\r\nhello\r\n", 413),
         (request(ROOT, "GET", "Content-Length: -1"), 400),
@@ -205,6 +211,51 @@ def test_a_client_that_takes_nothing_is_dropped(tmp_path):
             while part := connection.recv(1 << 20):
                 taken += len(part)
         assert taken < size
+
+
+def test_a_file_that_is_replaced_while_it_is_sent_ends_the_answer(tmp_path):
+    """Before the end, so that nobody takes parts of two files for one."""
+    package = shutil.copytree(PACKAGE, tmp_path / "big")
+    path = package / "state/L0/1.m4s"
+    path.write_bytes(bytes(32 << 20))  # more than buffers hold
+    with serving(package) as port:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+        connection.request("GET", "/big/state/L0/1.m4s")
+        response = connection.getresponse()
+        write_bytes(path, b"x" * (32 << 20))
+        with pytest.raises(http.client.IncompleteRead) as broken:
+            response.read()
+        assert not any(broken.value.partial)
+        connection.close()
+
+
+def test_memory_does_not_grow_with_files_that_nobody_takes(tmp_path):
+    """Clients that read nothing of a large file, and one that wants a byte of it, within 256 MiB in a child process."""
+    package = shutil.copytree(PACKAGE, tmp_path / "big")
+    with (package / "state/L0/1.m4s").open("r+b") as file:
+        file.truncate(100 << 20)
+    child = subprocess.run([sys.executable, "-c", STALLED, package], capture_output=True, text=True, timeout=100)
+    assert (child.returncode, child.stdout) == (0, "206 1\n"), child.stderr
+
+
+STALLED = """
+import contextlib, http.client, re, resource, socket, sys
+from pathlib import Path
+from tests.support.servers import serving
+
+taken = 1024 * int(re.search(r"VmData:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
+with serving(Path(sys.argv[1])) as port, contextlib.ExitStack() as stack:
+    limit = taken + (256 << 20)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+    for _ in range(40):
+        reader = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
+        reader.sendall(b"GET /big/state/L0/1.m4s HTTP/1.1\\r\\nHost: a\\r\\n\\r\\n")
+        assert reader.recv(12) == b"HTTP/1.1 200"
+    connection = http.client.HTTPConnection("127.0.0.1", port)
+    connection.request("GET", "/big/state/L0/1.m4s", headers={"Range": "bytes=77777-77777"})
+    response = connection.getresponse()
+    print(response.status, len(response.read()))
+"""
 
 
 def test_a_growing_package_is_never_served_in_parts_of_two_versions(tmp_path):

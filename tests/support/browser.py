@@ -74,11 +74,15 @@ class _Server(ThreadingHTTPServer):
 
 
 @contextmanager
-def serve(folders: Mapping[str, Path], made: Mapping[str, Maker] | None = None) -> Iterator[Site]:
+def serve(
+    folders: Mapping[str, Path],
+    made: Mapping[str, Maker] | None = None,
+    told: Callable[[bytes], bytes] | None = None,
+) -> Iterator[Site]:
     """Python's own static server.
 
     `folders` are the first parts of paths, and what lies below them; `made` are paths whose answers are made anew for
-    each request.
+    each request; `told` takes what is posted, and answers.
     """
     answers: list[tuple[str, int]] = []
     ended = threading.Event()
@@ -94,6 +98,10 @@ def serve(folders: Mapping[str, Path], made: Mapping[str, Maker] | None = None) 
             else:
                 self._give(answer if isinstance(answer, Answer) else Answer(answer))
 
+        def do_POST(self) -> None:
+            assert told
+            self._give(Answer(told(self.rfile.read(int(self.headers["Content-Length"])))))
+
         def _give(self, answer: Answer) -> None:
             if answer.dropped:
                 self.log_request(0)
@@ -105,9 +113,9 @@ def serve(folders: Mapping[str, Path], made: Mapping[str, Maker] | None = None) 
                 self.send_header(name, str(value))
             self.end_headers()
             come = answer.body[: len(answer.body) - answer.lost]
-            self.wfile.write(come[:-1])
-            ended.wait(answer.wait_s)
             with contextlib.suppress(OSError):  # nobody waited for it
+                self.wfile.write(come[:-1])
+                ended.wait(answer.wait_s)
                 self.wfile.write(come[-1:])
 
         def translate_path(self, path: str) -> str:

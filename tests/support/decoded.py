@@ -20,7 +20,7 @@ from airgs_codec.coding.atlas import GREY, plane_starts, row_places
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
 from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames
-from airgs_codec.media.h264 import decode_pictures, open_segment
+from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Atlas
 from airgs_codec.render import cpu
@@ -150,12 +150,12 @@ class _Writer:
         m = self.package.manifest
         unit, grid, quality = m.groups[group].units[tier], m.groups[group].grid, self.rung.quality
         coarsest = m.qualities[-1].coarser
-        file, atlas = open_segment(self.package.read(media), media), unit.qualities[quality]
-        reader = ColumnReader(file.columns, media)
+        atlas = unit.qualities[quality]
+        columns, pictures = open_segment(self.package.read(media), media, atlas.pages)
+        reader = ColumnReader(columns, media)
         read_detail(reader, shared, grid, m.qualities[quality].coarser, coarsest)
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
-        picture = next(decode_pictures(file.samples, media, atlas.pages))
-        return self._picture(picture, atlas, jumps, 0)
+        return self._picture(next(iter(pictures)), atlas, jumps, 0)
 
     def _states(self, index: int) -> list[Json]:
         """Every frame of a segment; none where there is nothing to fetch."""
@@ -163,9 +163,9 @@ class _Writer:
         out = []
         for media in m.state_files(index, level):
             span, atlas = m.segments[index], m.groups[m.group_of(index)].tiles[0].levels[level]
-            file = open_segment(self.package.read(media), media)
-            jumps = escapes.unpack(file.columns, (span.stop - span.start, len(atlas.planes), atlas.rows), media)
-            for t, picture in enumerate(decode_pictures(file.samples, media, atlas.pages)):
+            columns, pictures = open_segment(self.package.read(media), media, atlas.pages)
+            jumps = escapes.unpack(columns, (span.stop - span.start, len(atlas.planes), atlas.rows), media)
+            for t, picture in enumerate(pictures):
                 out.append(self._picture(picture, atlas, jumps, t))
         return out
 

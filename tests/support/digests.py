@@ -7,8 +7,8 @@ from hashlib import sha256
 import numpy as np
 
 from airgs_codec.decoder.decode import decode_key, decode_state
+from airgs_codec.package.layout import tile_folder
 from airgs_codec.package.package import Package
-from airgs_codec.package.paths import tile_folder
 
 
 def digest(codes: np.ndarray) -> str:

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from airgs_codec.encoder.pipeline import PreparedSequence
-from airgs_codec.encoder.prepare import look_at_frames, number_groups
+from airgs_codec.encoder.prepare import look_at_frames
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.errors import FormatError
 from airgs_codec.jobs.work import Work
@@ -13,7 +13,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 
 def prepared_as_one_group(sequence: GaussianSequence, views: ViewPlan, work: Work) -> PreparedSequence:
     """All frames of a sequence as one group."""
-    return PreparedSequence(sequence, look_at_frames(sequence, work)[0], number_groups([(0, len(sequence))]), views)
+    return PreparedSequence(sequence, look_at_frames(sequence, work)[0], [(0, len(sequence))], views)
 
 
 def square(number: int, folder: str) -> int:

@@ -110,11 +110,13 @@ def tiny_manifest(
         state_gain=6.0,
         region=region(),
         world=None,
+        poster=None,
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
         tiers=tiers,
         tiles=1,
+        sound=None,
         init=mf.FileEntry(50, HASH),
         groups=in_groups(tables, table_bytes),
     )

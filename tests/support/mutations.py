@@ -1,4 +1,4 @@
-"""Changes to packages, by hand and by chance: the one engine behind the corpus of refusals, the tests and the fuzzer.
+"""Changes to packages: the one engine behind the corpus of refusals, the tests and the fuzzer.
 
 A package is held as its files, {relative path: bytes}; a mutation is a function from files to files, which leaves its
 argument as it is. `apply` runs some in turn, `on_disk` writes the outcome, `honest` makes the lengths and digests in
@@ -11,34 +11,27 @@ import gzip
 import itertools
 import json
 import os
-import random
-import zlib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from airgs_codec.package.paths import (
+from airgs_codec.package.layout import (
     INIT_NAME,
     JSON_NAME,
-    MPD_NAME,
-    FileKind,
-    file_kind,
     group_path,
     key_media_path,
     key_sidecar_path,
+    page_path,
+    sound_path,
     state_media_path,
     tile_folder,
 )
-from airgs_codec.package.tables import digest
+from airgs_codec.package.tables import PAGE, digest
 
 Files = dict[str, bytes]
 Mutation = Callable[[Files], Files]
 Place = tuple[str | int, ...]  # keys and indices from the root of a JSON document
-VALUES: list[Any] = [
-    None, True, -1, 0, 1, 2, 3, 7, 255, 256, 1 << 16, 1 << 24, 1 << 31, (1 << 31) - 1, 1 << 63, 10**30, -(10**12), 0.5,
-    1e-30, 1e30, 1e308, -1e308, "", "x", "../../etc/passwd", "A" * 32, [], {}, [0], [[0]], [1, 2, 3], {"a": 1},
-]  # fmt: skip
-NUMBERS = (b"\x00\x00\x00\x00", b"\xff\xff\xff\xff", b"\x7f\xff\xff\xff", b"\x80\x00\x00\x00", b"\x00\x00\x00\x01")
 
 
 class Link(bytes):
@@ -170,24 +163,23 @@ def honest(files: Files) -> Files:
         name = group_path(number)
         if name not in out:
             break
-        try:
+        with suppress(Exception):
             table = parse_table(out[name])
+            before = json.dumps(table)
             for path, entry in _entries(table, number, segment):
                 if path in out and entry["bytes"]:
                     entry |= {"bytes": len(out[path]), "sha256": digest(out[path])}
             segment += len(table["segments"])
-            out[name] = pack_table(name, table)
-        except UNREADABLE:
-            continue
+            if json.dumps(table) != before:
+                out[name] = pack_table(name, table)
     return reindexed(out)
-
-
-UNREADABLE = (ValueError, KeyError, TypeError, IndexError, RecursionError, OSError, EOFError, zlib.error)
 
 
 def _entries(table: Any, number: int, segment: int) -> Iterator[tuple[str, Any]]:
     """Path and entry of every file of a group, whose first segment has the number `segment`."""
     count = len(table["tiles"])
+    if "sound" in table:
+        yield sound_path(number), table["sound"]
     for p, tile in enumerate(table["tiles"]):
         for t, tier in enumerate(tile["tiers"]):
             yield key_sidecar_path(tile_folder(p, count), t, number), tier["sidecar"]
@@ -200,96 +192,30 @@ def _entries(table: Any, number: int, segment: int) -> Iterator[tuple[str, Any]]
 
 
 def reindexed(files: Files) -> Files:
-    """Make the index of a package without pages agree with the tables of its groups, and airgs.json with init.mp4."""
-    try:
-        root = parse_table(files[JSON_NAME])
-        columns = root["index"][0]
-        tables = [files[group_path(number)] for number in range(1, 1 + len(columns["frames"]))]
-        columns["bytes"], columns["sha256"] = [len(data) for data in tables], "".join(map(digest, tables))
-        root["init"] = {"bytes": len(files[INIT_NAME]), "sha256": digest(files[INIT_NAME])}
-    except UNREADABLE:
-        return files
-    return files | {JSON_NAME: pack_table(JSON_NAME, root)}
+    """Make the index agree with the tables of groups, page by page up to airgs.json, and that with init.mp4."""
+    out = dict(files)
+    with suppress(Exception):
+        root = parse_table(out[JSON_NAME])
+        index = root["index"]
+        groups = sum(len(columns["frames"]) * PAGE**level for level, columns in enumerate(index))
+        for level in range(1, len(index)):
+            for number in range(1, groups // PAGE**level + 1):
+                name = page_path(level, number)
+                if name not in out:
+                    break
+                with suppress(Exception):
+                    page = parse_table(out[name])
+                    _stamp(out, page, level - 1, PAGE * number)
+                    out[name] = pack_table(name, page)
+        for level, columns in enumerate(index):
+            _stamp(out, columns, level, groups // PAGE**level)
+        root["init"] = {"bytes": len(out[INIT_NAME]), "sha256": digest(out[INIT_NAME])}
+        out[JSON_NAME] = pack_table(JSON_NAME, root)
+    return out
 
 
-def by_chance(chance: random.Random, *, tables: bool = True) -> Mutation:
-    """One random change to one file; `tables`: airgs.json and manifest.mpd are among them, and more often."""
-
-    def mutate(files: Files) -> Files:
-        of_tables = [name for name in files if file_kind(name) is FileKind.MANIFESTS]
-        names = list(files) if tables else [name for name in files if name not in of_tables]
-        name = chance.choice(names) if chance.random() < 0.7 else chance.choice(of_tables if tables else names)
-        if name in of_tables and name != MPD_NAME and chance.random() < 0.8:
-            return files | {name: random_tables(chance, name, files[name])}
-        return files | {name: random_bytes(chance, files[name], chance.choice([d for d in files.values() if d]))}
-
-    return mutate
-
-
-def random_bytes(chance: random.Random, data: bytes, other: bytes) -> bytes:
-    """One change: bits, bytes, numbers, pieces cut, doubled, cut short or taken from another file."""
-    if not data:
-        return data
-    at = chance.randrange(len(data))
-    head, piece, tail = data[:at], data[at : at + (1 << chance.randrange(1, 7))], data[at:]
-    rest = data[at + len(piece) :]
-    start = chance.randrange(len(other))
-    match chance.randrange(8):
-        case 0:
-            return _flip_bits(chance, data)
-        case 1:
-            return head + bytes([chance.randrange(256)]) + tail[1:]
-        case 2:
-            return head + chance.choice(NUMBERS) + tail[4:]
-        case 3:
-            return head + rest
-        case 4:
-            return head + piece + tail
-        case 5:
-            return head
-        case 6:
-            return head + other[start : start + len(piece)] + rest
-        case _:
-            return head + chance.randbytes(len(piece)) + tail
-
-
-def _flip_bits(chance: random.Random, data: bytes) -> bytes:
-    out = bytearray(data)
-    for _ in range(chance.choice((1, 1, 2, 8))):
-        out[chance.randrange(len(out))] ^= 1 << chance.randrange(8)
-    return bytes(out)
-
-
-def random_tables(chance: random.Random, name: str, text: bytes) -> bytes:
-    """One or two values somewhere in a table replaced, dropped, doubled or moved a little."""
-    try:
-        tables = parse_table(text)
-    except UNREADABLE:
-        return text
-    for _ in range(chance.choice((1, 1, 1, 2))):
-        _change_somewhere(chance, tables)
-    return pack_table(name, tables)
-
-
-def _change_somewhere(chance: random.Random, here: Any) -> None:
-    """Walk down at random and change one value; an empty document stays as it is."""
-    while isinstance(here, (dict, list)) and here:
-        key = chance.choice(list(here) if isinstance(here, dict) else range(len(here)))
-        if not (isinstance(here[key], (dict, list)) and here[key] and chance.random() < 0.85):
-            _change(chance, here, key)
-            return
-        here = here[key]
-
-
-def _change(chance: random.Random, here: Any, key: Any) -> None:
-    value, kind = here[key], chance.randrange(5)
-    if kind == 0:
-        del here[key]
-    elif kind == 1 and isinstance(here, list):
-        here.insert(key, value)
-    elif kind == 2 and isinstance(value, (int, float)):
-        here[key] = value + chance.choice((-1, 1, 16, 256, -value, value))
-    elif kind == 3 and isinstance(value, str) and value:
-        here[key] = value[:-1] + chance.choice("xA0/")
-    else:
-        here[key] = chance.choice(VALUES)
+def _stamp(files: Files, columns: Any, level: int, last: int) -> None:
+    """Give the columns of a level the lengths and digests of its files up to the number `last`."""
+    numbers = range(last - len(columns["frames"]) + 1, last + 1)
+    found = [files[page_path(level, n) if level else group_path(n)] for n in numbers]
+    columns["bytes"], columns["sha256"] = [len(data) for data in found], "".join(map(digest, found))

@@ -12,6 +12,9 @@ INLINE = "document.title = 'ready';"
 FILES = {
     "player.html": f'<!doctype html><script type="module" src="airgs-player.js"></script><script>{INLINE}</script>',
     "airgs-player.js": "customElements.define('airgs-player', class extends HTMLElement {});\n",
+    "airgs-vr.js": "export const enter = () => {};\n",
+    "airgs-more.js": "export const readCameraPath = () => {};\n",
+    "airgs-sound.js": "export class Sound {}\n",
     "airgs.js": "export const open = () => {};\n",
     "airgs-frames.js": "export const openFrames = () => {};\n",
 }

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from typing import Any
+
 import numpy as np
 
 from airgs_codec.encoder.settings import EncodeSettings
@@ -16,6 +19,12 @@ def place(x: float, *, reach: float = 0.5) -> Place:
 def region(*places: Place, turn: float = 10.0, source: str = "cameras") -> Region:
     """Pictures of 32 x 24 pixels, 50 degrees high, from these places; from the one in the middle if none are given."""
     return Region(source, 32, 24, 50.0, 0.01, turn, list(places) or [place(0.0)])
+
+
+def region_json(region: Region) -> dict[str, Any]:
+    """The region as a file of `--region` has it: fields that may be missing are, where they are None."""
+    given = {name: value for name, value in asdict(region).items() if value is not None}
+    return given | {"places": [{name: v for name, v in p.items() if v is not None} for p in given["places"]]}
 
 
 def arc(degrees: float, count: int, reach: float, radius: float = 3.0) -> Region:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from airgs_codec.package.layout import INIT_NAME, key_media_path, key_sidecar_path, state_media_path
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.package import Package
-from airgs_codec.package.paths import INIT_NAME, key_media_path, key_sidecar_path, state_media_path
 from airgs_codec.package.publish import write_tables
 from airgs_codec.package.tables import Group
 from airgs_codec.places.place import Folder

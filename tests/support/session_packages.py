@@ -11,8 +11,8 @@ from itertools import pairwise
 from typing import Any
 
 from airgs_codec.package import tables as mf
+from airgs_codec.package.layout import page_path
 from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.package.paths import page_path
 from airgs_codec.play.offers import Offers
 from tests.support.manifests import HASH, tiny_manifest
 
@@ -61,6 +61,7 @@ def manifest_of(numbers: Numbers, count: int | None = None, live: bool = False) 
     tiny = tiny_manifest()
     return replace(
         tiny,
+        sound=mf.Sound(1, 312, _file(50)) if "sound" in parts[0] else None,
         frame_rate=list(numbers["frame_rate"]),
         frames=starts[-1],
         live=live,
@@ -94,7 +95,8 @@ def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
         for sidecar, pictures, count in zip(part["sidecars"], part["pictures"], kept, strict=True)
     ]
     tiles = [replace(some.tiles[0], tiers=tiers)]
-    return replace(some, start=span[0], stop=span[1], tiles=tiles, segments=segments, keeps=part.get("keeps"))
+    group = replace(some, start=span[0], stop=span[1], tiles=tiles, segments=segments, keeps=part.get("keeps"))
+    return replace(group, sound=_file(part["sound"]) if "sound" in part else None)
 
 
 def _file(size: int) -> mf.FileEntry:

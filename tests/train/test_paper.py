@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit import optimise, parameters
@@ -178,7 +178,7 @@ def test_3dgs_adds_all_rows_above_its_threshold_and_no_others():
     densifier.collect(AbsGrad(signed=lambda: (gradients, torch.ones(5, dtype=torch.bool))))
     p = random_parameters(5)
     p["log_scales"][:] = np.log(0.009)
-    keep, added = densifier.grow(p, extent=1.0, kept=0, done=0.2)
+    keep, added = densifier.grow(p, extent=1.0, fixed=0, done=0.2)
     assert keep.all() and torch.equal(added["means"], p["means"][[0, 3]])  # no larger than 0.01 of the extent: clones
     full = Densifier(growth_of_3dgs(6, pictures=1), 5, np.random.default_rng(0))
     full.collect(AbsGrad(signed=lambda: (gradients, torch.ones(5, dtype=torch.bool))))

@@ -10,7 +10,7 @@ from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
 from airgs_codec.errors import FormatError
 from airgs_codec.package.tables import Atlas, Grid
-from airgs_codec.scene.morton import morton_decode, morton_encode
+from airgs_codec.scene.gaussians import morton_decode, morton_encode
 from tests.support.vectors import cases, data, label, numbers
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from airgs_codec.coding.channels import colours
 from airgs_codec.decoder.decode import Part, decode_frames
-from airgs_codec.media.h264 import decode_pictures, open_segment
+from airgs_codec.media.h264 import open_segment
 from airgs_codec.package import package as opening
 from airgs_codec.package.index import GroupIndex
+from airgs_codec.package.layout import group_path
 from airgs_codec.package.package import open_package
-from airgs_codec.package.paths import group_path
 from tests.support.long_index import long_index
 from tests.support.paths import REPOSITORY, VECTORS
 from tests.support.vectors import cases, data
@@ -55,8 +55,8 @@ def test_the_way_to_a_group_of_a_long_package(case):
     places = GroupIndex(index, lambda path, _: pages[path])
     assert [len(spans) for spans in index] == case["entries"] and places.groups == case["count"]
     assert places.at_frame(case["frame"]) == places.at_segment(case["frame"]) == case["number"] - 1
-    assert list(places.pages_to_segment(case["frame"])) == case["pages"]
-    assert list(places.pages_to_group(case["number"] - 1)) == case["pages"]
+    assert list(places.pages_to("segments", case["frame"])) == case["pages"]
+    assert list(places.pages_to("groups", case["number"] - 1)) == case["pages"]
 
 
 @pytest.mark.parametrize("case", cases("packages", "startup"), ids=label)
@@ -73,9 +73,9 @@ def test_what_is_fetched_before_the_first_picture(case, monkeypatch):
 
 @pytest.mark.parametrize("case", cases("packages", "units"), ids=label)
 def test_pictures_and_columns(case):
-    segment = open_segment(package(case).read(case["path"]), case["path"])
-    assert segment.columns == (None if case["columns"] is None else data(case["columns"]))
-    pictures = list(decode_pictures(segment.samples, case["path"]))
+    columns, shown = open_segment(package(case).read(case["path"]), case["path"])
+    assert columns == (None if case["columns"] is None else data(case["columns"]))
+    pictures = list(shown)
     assert {picture.shape for picture in pictures} == {(case["height"], case["width"])}
     assert [sha256(picture.tobytes()).hexdigest() for picture in pictures] == case["luma"]
 

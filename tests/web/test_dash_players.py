@@ -12,9 +12,9 @@ import pytest
 
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import LevelSettings
+from airgs_codec.package.layout import INIT_NAME, MPD_NAME, tile_folder
 from airgs_codec.package.mpd import LiveClock, write_mpd
 from airgs_codec.package.package import open_package
-from airgs_codec.package.paths import INIT_NAME, MPD_NAME, tile_folder
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import WEB, missing, serve, visit
 from tests.support.paths import GOLDEN

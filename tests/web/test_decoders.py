@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airgs_codec.media.h264 import decode_pictures
+from airgs_codec.media.h264 import Pictures
 from airgs_codec.package.package import open_package
 from tests.makers import probe_clip
 from tests.support.browser import missing
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(m
 def test_the_probe_is_what_its_maker_makes():
     """x264 may change what it writes; what it decodes to is checked in the browser."""
     sample = probe_clip.encode_probe()
-    (decoded,) = decode_pictures([sample], "probe")
+    (decoded,) = Pictures([sample], "probe")
     assert np.array_equal(decoded, probe_clip.picture())
     assert probe_clip.text(sample).splitlines()[:8] == probe_clip.PATH.read_text().splitlines()[:8]
 

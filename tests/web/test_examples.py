@@ -12,12 +12,11 @@ import pytest
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.publish import encode
 from airgs_codec.media.metrics import psnr
+from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.parse import pack_json
-from airgs_codec.package.paths import JSON_NAME
-from airgs_codec.package.region import levelled
+from airgs_codec.package.region import levelled, world_from
 from airgs_codec.package.tables import World
-from airgs_codec.package.world import world_from
 from airgs_codec.render import look_at, render
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import WEB, missing, serve, visit
@@ -79,7 +78,7 @@ def look(package, example, wanted, **query):
 def test_an_example_draws_the_first_view_of_a_package_as_we_do(built, package, example):
     words, picture = look(package, example, 1, frame=1)
     assert words == [f"frame 2 of {package.manifest.frames}"]
-    region = levelled(package.manifest)
+    region = levelled(package.manifest.region, package.manifest.world)
     place = region.places[0]
     at = (np.array(v) for v in (place.position, place.focus, place.up))
     camera = look_at(*at, size=SIZE, fov_y=np.radians(region.fov_y), name="first")

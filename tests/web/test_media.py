@@ -13,7 +13,7 @@ from airgs_codec.coding.channels import colours
 from airgs_codec.decoder.decode import Part, decode_frames
 from airgs_codec.encoder import representation
 from airgs_codec.encoder.publish import encode
-from airgs_codec.media.h264 import decode_pictures, open_segment
+from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.package import open_package
 from airgs_codec.play.repr_digest import REPR_DIGEST, repr_digest
 from airgs_codec.scene.sequence import open_sequence
@@ -155,7 +155,7 @@ def test_luma_of_every_picture_is_exact(luma, name):
     paths = [path for g in range(len(p.manifest.groups)) for path in p.manifest.group_files(g)]
     assert set(report["found"]) == {path for path in paths if path.endswith(".m4s")}
     for path, digests in report["found"].items():
-        pictures = decode_pictures(open_segment(p.read(path), path).samples, path)
+        _, pictures = open_segment(p.read(path), path)
         assert digests == [sha(picture) for picture in pictures], path
 
 
@@ -230,6 +230,7 @@ class Flaky:
 
 TABLE = "group/1.json.gz"
 TABLE_BYTES = FOX.files.path.joinpath(TABLE).read_bytes()
+KEY = "key/T0/Q0/1.m4s"
 OTHER = TABLE_BYTES[:-1] + bytes([TABLE_BYTES[-1] ^ 1])
 ROOT = FOX.files.path.joinpath("airgs.json").read_bytes()
 WRONG_ROOT = {REPR_DIGEST: repr_digest(b"another")}
@@ -273,6 +274,8 @@ def faults(encoded, tmp_path_factory):
     )
     keep = {"Cache-Control": "max-age=3600"}
     add("kept", "fetching", {TABLE: lambda: Answer(TABLE_BYTES, headers=keep)}, paths=[TABLE], times=2)
+    fresh = {"Cache-Control": "no-store"}
+    add("kept here", "fetching", {TABLE: lambda: Answer(TABLE_BYTES, headers=fresh)}, paths=[TABLE, KEY], times=3)
     add("root right", "opening", {"airgs.json": lambda: Answer(ROOT, headers={REPR_DIGEST: repr_digest(ROOT)})})
     add("root wrong", "opening", {"airgs.json": lambda: Answer(ROOT, headers=WRONG_ROOT)})
     add("root busy", "opening", {"airgs.json": lambda: Answer(b"", 503)})
@@ -315,6 +318,15 @@ def test_what_the_browser_had_kept_says_nothing_of_the_network(faults):
     assert (first["cached"], again["cached"]) == (False, True)
     assert first["bytes"] > 0 and again["bytes"] == 0
     assert first["whole"] == again["whole"] == [TABLE]
+
+
+def test_what_the_player_has_kept_is_not_fetched(faults):
+    """Of a table and a key file, which can be asked for once the table is there, the key file comes but once."""
+    _, both, again = faults["kept here"]["came"]
+    table, key = len(TABLE_BYTES) + HEADERS, FOX.manifest.entry(KEY).bytes + HEADERS
+    assert sorted(both["whole"]) == sorted(again["whole"]) == [TABLE, KEY]
+    assert (both["bytes"], both["expected"]) == (table + key, table + key)
+    assert (again["bytes"], again["expected"], again["cached"]) == (table, table, False)
 
 
 def test_the_root_is_checked_by_its_header(faults):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from airgs_codec.package.package import open_package
-from airgs_codec.package.region import first_place
 from airgs_codec.serve.pages import PAGE
 from tests.support.browser import WEB, build_pages, missing, serve, visit
 from tests.support.paths import GOLDEN
@@ -36,7 +35,7 @@ def test_the_page_bears_the_name_of_the_package_until_there_is_a_picture(report)
 
 def test_a_drag_turns_the_camera_and_the_picture_and_a_key_goes_back(report):
     look = report["look"]
-    first = first_place(open_package(FOX).manifest.region).position
+    first = open_package(FOX).manifest.region.places[0].position
     assert look["first"] == pytest.approx(first, abs=1e-5)
     assert np.linalg.norm(np.subtract(look["turned"], look["first"])) > 0.02
     assert difference(look) > 0.5

@@ -1,5 +1,6 @@
 """The pages that are published, with nothing of a test in them: they play, and ask nobody else."""
 
+import shutil
 from urllib.parse import quote, urlsplit
 
 import pytest
@@ -7,7 +8,7 @@ import pytest
 from airgs_codec.package.package import open_package
 from airgs_codec.serve.export import export_page
 from tests.support.browser import WEB, Answer, missing, serve, visit
-from tests.support.paths import GOLDEN
+from tests.support.paths import GOLDEN, REPOSITORY, VALID
 from tests.support.repeated import write_repeated
 from tests.support.servers import plainly_serving, serving
 
@@ -22,6 +23,32 @@ window.report = new Promise((resolve) => {
   }, 50);
 });
 """
+
+SHOWCASE = REPOSITORY / "manifests" / "showcase"
+WIDTHS = (390, 768, 1280)
+LAID_OUT = """
+window.report = new Promise((resolve) => {
+  addEventListener("load", async () => {
+    const seen = [];
+    for (const width of WIDTHS) {
+      await window.drive("setViewportSize", { width, height: 800 });
+      await new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)));
+      const cards = [...document.querySelectorAll("li")].map((card) => card.getBoundingClientRect());
+      const pictures = [...document.querySelectorAll("img")].map((image) => image.getBoundingClientRect().toJSON());
+      const abreast = cards.filter(({ top }) => top === cards[0].top).length;
+      const loaded = [];
+      for (const image of document.querySelectorAll("img")) {
+        image.scrollIntoView(); // they are not fetched before
+        await image.decode();
+        loaded.push(image.naturalWidth > 0);
+      }
+      scrollTo(0, 0);
+      seen.push({ width, needs: document.documentElement.scrollWidth, abreast, pictures, loaded });
+    }
+    resolve({ seen });
+  });
+});
+""".replace("WIDTHS", str(list(WIDTHS)))
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
@@ -61,3 +88,25 @@ def test_the_example_of_a_page_of_ones_own_plays(package):
             seen = visit(f"{site.url}/", LOOK.decode())
     assert seen.complaints() == []
     assert seen.report["shown"] >= 3
+
+
+def check_laid_out(url):
+    """As many cards abreast as there is room, whatever their names, with posters of one shape."""
+    seen = visit(url, LAID_OUT)
+    assert seen.complaints() == []
+    shown = seen.report["seen"]
+    assert [one["abreast"] for one in shown] == [1, 2, 4]
+    for one in shown:
+        assert one["needs"] <= one["width"] and len(one["loaded"]) == 2 and all(one["loaded"])
+        assert {round(picture["width"] / picture["height"], 2) for picture in one["pictures"]} == {1.33}
+
+
+def test_lists_of_packages_fit_phones_tablets_and_desks(tmp_path):
+    shown = [SHOWCASE / "fox.airgs", SHOWCASE / "head.airgs"]
+    names = ["moving", "a name_" + 9 * "without_room_"]
+    plain = [shutil.copytree(VALID / "moving", tmp_path / "plain" / name) for name in names]
+    with serving(*shown, *plain) as port:
+        check_laid_out(f"http://127.0.0.1:{port}/")
+    export_page([*shown, *plain], tmp_path / "site")
+    with plainly_serving(tmp_path / "site") as port:
+        check_laid_out(f"http://127.0.0.1:{port}/")

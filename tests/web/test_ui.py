@@ -7,7 +7,7 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 
-from tests.support.browser import WEB, build_pages, missing, serve, visit
+from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit
 
 PAGE = b'<!doctype html><link rel="icon" href="data:,"><body><script type="module" src="/web/out/pages/ui.js"></script>'
 FIRST = np.array([0, -0.6, -4])  # of the pretended region, which looks at 0
@@ -57,6 +57,33 @@ def test_a_drag_turns_with_shift_it_moves_and_a_double_click_goes_back(report):
     assert seen["paused"]  # neither a drag nor a double click plays
 
 
+def test_the_camera_goes_along_a_path_until_it_is_touched(report):
+    seen = report("path")
+    assert seen["first"]["position"] == pytest.approx([0.2, -0.6, -4]) and seen["first"]["fovY"] == 30
+    assert seen["gone"]["position"][0] > 0.2 and not seen["paused"]
+    assert seen["camera"]["position"] == FIRST.tolist() and "camera path cannot be used" in seen["note"]
+
+
+def test_another_rung_is_shown_beside_the_one_that_plays(report):
+    seen = report("split")
+    still, first = seen["still"], seen["first"]
+    assert (still["quality"], still["time"], still["paused"]) == ("Q1+L1", 30, True)
+    assert still["camera"] == first["camera"] and still["camera"]["position"] != FIRST.tolist()
+    assert not seen["plays"]["paused"] and abs(seen["plays"]["apart"]) < 0.2
+    assert seen["dragged"] == {"clip": "inset(0px 0px 0px 25%)", "camera": first["camera"]}
+    assert seen["keyed"]["clip"] == "inset(0px 0px 0px 30%)" and seen["keyed"]["now"] == "30"
+    assert "35.2 dB" in seen["keyed"]["labels"] and seen["closed"]
+    assert "split=Q9+L9: expected one of Q2+L0" in seen["note"] and seen["made"] == 3
+
+
+def test_what_cannot_be_loaded_later_is_said_and_the_scene_plays():
+    build_pages()
+    lost = {"/ui.html": lambda: PAGE, "/web/out/pages/airgs-more.js": lambda: Answer(status=404)}
+    with serve({"web": WEB}, lost) as site:
+        seen = visit(f"{site.url}/ui.html?case=parts").report
+    assert "cannot be fetched now" in seen["note"] and seen["time"] > 0 and not seen["menu"]
+
+
 def test_the_region_holds_a_viewer_softly_unless_he_may_leave(report):
     seen = report("wall")
     assert 0 < outside(seen["pulled"]) < GIVES
@@ -96,6 +123,12 @@ def test_keys_look_around_play_and_seek(report):
     assert steps == pytest.approx([5, -5, 1 / 24, -1 / 24, 5], abs=0.011)  # the calls have two decimals
     assert seen["panel"]
     assert seen["after"] == len(seen["calls"])  # numbers do nothing
+
+
+def test_the_sound_of_a_package_that_has_some_is_muted_by_button_key_and_attribute(report):
+    seen = report("sound")
+    assert seen["offered"] == [False, True] and seen["volume"] == 0.5
+    assert seen["seen"] == [[True, True], [False, False], [True, True], [False, False]]
 
 
 def test_the_time_line_is_dragged_and_has_keys(report):
@@ -155,6 +188,25 @@ def test_trouble_is_said_in_words(report):
     assert "Try again" not in seen["newer"]["text"]
     assert "trying again" in seen["note"] and seen["cleared"] == ""
     assert "gone for good" in seen["fatal"]
+
+
+def test_the_address_says_where_to_begin_and_is_copied(report):
+    seen = report("address")
+    told = "t=42.5&view=0.3,-0.5,-3.9,0.1,0,0,0,1,0&rung=Q1+L2&speed=0.5"
+    opened = seen["opened"]
+    assert opened["position"] == pytest.approx([0.3, -0.5, -3.9])
+    assert opened["up"][1] > 0.9  # turned over
+    assert (opened["rung"], opened["speed"], opened["at"]) == ("Q1+L2", 0.5, told)
+    assert seen["calls"] == ["seek 42.50"]
+    assert seen["note"] == "Not taken from the address: speed=-1: expected a number above 0"
+    assert seen["copied"].split("#")[1] == told and "Copied" in seen["said"]
+    assert seen["silent"]  # it writes no address by itself
+    assert seen["moved"]["up"][1] < -0.9
+    assert seen["again"]["position"] == pytest.approx(seen["moved"]["position"], abs=1e-6)
+    assert seen["out"]["position"] == pytest.approx([9, 0, 0], abs=1e-6)  # as it was told, and not pulled back
+    assert seen["home"]["position"] == pytest.approx(FIRST.tolist(), abs=1e-6)
+    assert seen["shown"].startswith("#t=42.5&view=0,-0.6,-4,0,0,0&rung=Q1+L2")
+    assert seen["plain"]["camera"]["position"] == FIRST.tolist() and seen["plain"]["offered"]
 
 
 def test_live_goes_to_the_newest(report):

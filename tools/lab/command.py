@@ -19,8 +19,8 @@ from typing import Any
 
 from airgs_codec._report import require_matplotlib, table
 from airgs_codec._settings import setting
-from airgs_codec.cli.common import Bar  # before all that loads numba
 from airgs_codec.cli.options import make_app, run_program, takes
+from airgs_codec.cli.terminal import Bar  # before all that loads numba
 from tools.lab.experiments import EXPERIMENTS, FIGURES, Experiment
 from tools.lab.page import Made, Page, text_of, update, write_page
 from tools.lab.results import Results

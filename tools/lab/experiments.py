@@ -49,6 +49,7 @@ EXPERIMENTS = (
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
     _room("tiles", "What do spatial tiles cost and save?", "30 min"),
     _bench("training-plan", "What does training take in memory and time?", "1 min"),
+    _room("upright", "How often is the guess of which way is up right?", "10 s a scene"),
     _bench("viewpoints", "How close do found cameras come to the true ones?", "10 s a scene"),
     Experiment(
         "work-precision", "What buys quality, and what only time?", "tools.lab.numerics.work_precision", "20 minutes"
@@ -78,10 +79,11 @@ def _of(document: str, command: str, *files: str) -> tuple[Figure, ...]:
 
 
 FIGURES = (
-    *_of("README.md", "python -m tools.screenshot fox.airgs -o docs/browser.png", "docs/browser.png"),
+    *_of("docs/browser.md", "python -m tools.screenshot manifests/showcase/head.airgs -o docs/browser.png",
+         "docs/browser.png"),
     *_of("docs/datapath.svg", "(drawn by hand)"),
     *_of("docs/encoding.md", "airgs-manifest inspect fox.airgs --plot docs/ladder.png", "docs/ladder.png"),
-    *_of("docs/playing.md", "python -m tools.make_film", "docs/session.gif"),
+    *_of("docs/playing.md", "python -m tools.make_film", "docs/session.webp"),
     *_of("docs/results/training.md", "airgs-train fox/ -o OUT --report OUT", "docs/results/training.png"),
     *_of("docs/results/crowd.md", "python -m tools.lab crowd fox.airgs raca2018_4g_car/ -o docs/results",
          *(f"docs/results/crowd-{name}.png" for name in ("cache", "egress", "policies", "stalls"))),

@@ -10,8 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, to_matrices
 from airgs_codec.scene.sequence import open_sequence
+
+JITTER, LOST, SPLIT = 0.1, 0.05, 0.05  # of a size, and shares of the rows
 
 
 def make_scene(rows: int, frames: int, folder: Path) -> None:
@@ -45,3 +47,38 @@ def forth_and_back(source: Path, frames: int, folder: Path) -> None:
     folder.mkdir()
     for number, frame in enumerate(itertools.islice(itertools.cycle(turn), frames)):
         (folder / f"{number:06d}.ply").symlink_to(paths[frame].resolve())
+
+
+def untracked(source: Path, folder: Path, seed: int = 0) -> None:
+    """A sequence as if every frame had been predicted by itself: rows in another order, and other ones, in each.
+
+    Frames are `predicted`. What lies beside them is linked.
+    """
+    sequence = open_sequence(source)
+    folder.mkdir()
+    for number in range(len(sequence)):
+        rng = np.random.default_rng([seed, number])
+        write_ply(folder / f"{number:06d}.ply", predicted(sequence.read(number), rng))
+    for name in ("sequence.json", "transforms.json"):
+        if (sequence.folder / name).is_file():
+            (folder / name).symlink_to((sequence.folder / name).resolve())
+
+
+def predicted(g: Gaussians, rng: np.random.Generator) -> Gaussians:
+    """A frame in another order, as another training would have it.
+
+    LOST of the rows are left out, SPLIT of them become two that are 1.6 times smaller, and all means are moved by a
+    normal draw of JITTER of each axis of their Gaussian.
+    """
+    g = g.take(rng.permutation(len(g))[round(LOST * len(g)) :])
+    splits = round(SPLIT * len(g))
+    g = g.take(np.concatenate([np.arange(len(g)), np.arange(splits)]))
+    halves = np.concatenate([np.arange(splits), np.arange(len(g) - splits, len(g))])
+    scales = g.log_scales.copy()
+    scales[halves] -= np.float32(math.log(1.6))
+    away = rng.normal(size=(splits, 3)) / 2
+    local = JITTER * rng.normal(size=(len(g), 3))
+    local[halves] += np.concatenate([away, -away])
+    turned = np.einsum("nij,nj->ni", to_matrices(g.quaternions), local * np.exp(g.log_scales))
+    moved = replace(g, means=(g.means + turned).astype(np.float32), log_scales=scales)
+    return moved.take(rng.permutation(len(g)))

@@ -68,13 +68,15 @@ export async function bundleOnce(entry, file) {
     const run = `import { run } from ${JSON.stringify(path)};\nif (role === ${name}) run();`;
     return { contents: `${run}\nexport const start = () => startWorker(${name});`, resolveDir: "/" };
   };
+  const define = { "import.meta.url": "address" };
   const options = { ...COMMON, minify: true, format: "iife", globalName: "module", metafile: true, write: false };
-  const made = await build({ ...options, entryPoints: [entry], plugins: [workers(load), styles] });
+  const made = await build({ ...options, define, entryPoints: [entry], plugins: [workers(load), styles] });
   const { code } = await minify(made.outputFiles[0].text, { compress: { passes: 3 }, ecma: 2020 });
   const names = await exportsOf(entry);
   await writeFile(
     file,
     `const library = (library, role) => {
+const address = import.meta.url;
 const startWorker = (name) => {
 const code = "const library = " + library + ";library(library," + JSON.stringify(name) + ")";${STARTED}
 };

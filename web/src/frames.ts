@@ -1,20 +1,18 @@
 // Frames as Gaussians, for programs that draw with an engine of their own: those of all tiles. N rows, C colours each.
+import { basesAfter } from "./format/atlas.ts";
 import { concat } from "./format/concat.ts";
 import { canonicalGaussians, shownGaussians } from "./format/gaussians.ts";
 import { levelled } from "./format/region.ts";
-import type { Canonical, Gaussians, Region, Root, StateFrame, World } from "./format/types.ts";
-import { type CanonicalName, Media } from "./media/client.ts";
+import type { Canonical, CanonicalName, Gaussians, Region, Root, StateFrame, World } from "./format/types.ts";
+import { Media } from "./media/client.ts";
 
-/** A tile of a segment that is decoded. */
 interface DecodedTile {
   canonical: Canonical;
   base: Gaussians;
   frames: (StateFrame | null)[];
 }
 
-/** A segment that is decoded, with all tiles. */
 interface Decoded {
-  name: string;
   start: number;
   group: number;
   quality: number;
@@ -45,7 +43,6 @@ export class FrameReader {
     return this.root.frames;
   }
 
-  /** Frames a second. */
   get fps(): number {
     return this.root.frame_rate[0] / this.root.frame_rate[1];
   }
@@ -77,8 +74,10 @@ export class FrameReader {
     return joined(
       tiles.map(({ canonical, base, frames }) => {
         const state = frames[frame - start];
-        const bases = state && basesAt(frames, frame - start);
-        return shownGaussians(tables.root, table, base, canonical, state && { level, luma: state.luma, bases });
+        if (!state) return shownGaussians(tables.root, table, base, canonical, null);
+        const changes = frames.slice(0, frame - start + 1).map((one) => one?.bases ?? null);
+        const bases = basesAfter(state.luma.length, changes);
+        return shownGaussians(tables.root, table, base, canonical, { level, luma: state.luma, bases });
       }),
     );
   }
@@ -97,7 +96,7 @@ export class FrameReader {
     if (name !== this.#wanted) {
       this.#wanted = name;
       const before = this.#decoded;
-      this.#decoded = this.#decode(segment, number, name, before);
+      this.#decoded = this.#decode(segment, number, before);
       this.#decoded.catch(() => {
         if (this.#wanted === name) this.#wanted = ""; // another try fetches it again
       });
@@ -105,7 +104,7 @@ export class FrameReader {
     return this.#decoded as Promise<Decoded>;
   }
 
-  async #decode(segment: number, rung: number, name: string, before: Promise<Decoded> | null): Promise<Decoded> {
+  async #decode(segment: number, rung: number, before: Promise<Decoded> | null): Promise<Decoded> {
     const { tables } = this.media;
     const { levels } = tables.root;
     const [quality, level] = [Math.floor(rung / levels.length), rung % levels.length];
@@ -118,7 +117,7 @@ export class FrameReader {
       return this.#tile(segment, level, { group, tile, quality, tiers }, same?.tiles[tile]);
     });
     const { start } = tables.segment(segment);
-    return { name, start, group, quality, level, tiers, tiles: await Promise.all(tiles) };
+    return { start, group, quality, level, tiers, tiles: await Promise.all(tiles) };
   }
 
   /** A tile of a segment; `last` is that tile in a segment of the same canonical space. */
@@ -139,25 +138,10 @@ export class FrameReader {
 /** The rows of tiles, one tile after the other. */
 export function joined(tiles: Gaussians[]): Gaussians {
   if (tiles.length === 1) return tiles[0];
-  const all = (name: keyof Gaussians) =>
-    concat(
-      tiles.map((tile) => tile[name]),
-      Float32Array,
-    );
-  return {
-    means: all("means"),
-    quaternions: all("quaternions"),
-    logScales: all("logScales"),
-    alpha: all("alpha"),
-    colours: all("colours"),
+  const names = Object.keys(tiles[0]) as (keyof Gaussians)[];
+  const all = (name: keyof Gaussians) => {
+    const parts = tiles.map((tile) => tile[name]);
+    return concat(parts, Float32Array);
   };
-}
-
-/** Bases of all samples of the picture of frame `t` of a segment; null: they are 0. */
-function basesAt(frames: (StateFrame | null)[], t: number): Int32Array | null {
-  const changes = frames.slice(0, t + 1).flatMap((frame) => frame?.bases ?? []);
-  if (!changes.length) return null;
-  const bases = new Int32Array(frames[t]?.luma.length ?? 0);
-  for (const { texels, bases: values } of changes) for (const [i, at] of texels.entries()) bases[at] = values[i];
-  return bases;
+  return Object.fromEntries(names.map((name) => [name, all(name)])) as unknown as Gaussians;
 }

@@ -113,7 +113,7 @@ def choose_robust_mpc(state: PlayerState, value_before: ValueBefore = Model.valu
 
 
 def _horizon(state: PlayerState) -> list[Coming]:
-    """What is looked at, this segment first."""
+    """Return what is looked at, this segment first."""
     segments: list[Coming] = []
     total_s = 0.0
     for offer, known in islice(state.upcoming(), HORIZON_SEGMENTS):

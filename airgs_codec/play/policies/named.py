@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from airgs_codec._arguments import argument
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Offers
@@ -19,6 +20,8 @@ from airgs_codec.play.policies.paper import (
 from airgs_codec.play.policies.simple import choose_bola, choose_fixed, choose_throughput
 from airgs_codec.play.policies.state import PlayerState, Policy
 from airgs_codec.play.trace import Link
+
+Choose = Callable[[PlayerState], Decision]
 
 DEFAULT_POLICY = "robust-mpc"
 ADAPTIVE = {
@@ -40,11 +43,17 @@ ORACLES: dict[str, Callable[[PlayerState, Link], Decision]] = {
 NAMES = (*ADAPTIVE, *ORACLES)
 
 
-def make_policy(name: str, offers: Offers, link: Link | None = None) -> Policy:
-    """A policy by name, or fixed:J (level J with the finest keys) or fixed:RUNG (such as Q1+L3).
+def make_policy(policy: Policy | Choose | str, offers: Offers, link: Link | None = None) -> Policy:
+    """A policy by name, or fixed:J (level J with the finest keys) or fixed:RUNG (such as Q1+L3), or of a function.
 
-    The oracles need the link. Raises ConfigError for other names, and for an oracle without a link.
+    A value is returned as it is. The oracles need the link. Raises ConfigError for other names, and for an oracle
+    without a link.
     """
+    if callable(policy):
+        policy = Policy(getattr(policy, "__name__", type(policy).__name__), policy)
+    if isinstance(policy, Policy):
+        return policy
+    name = argument("policy", policy, str, "a name, a function from PlayerState to Decision or a Policy")
     if name in ADAPTIVE:
         return ADAPTIVE[name]
     if name in ORACLES:

@@ -29,7 +29,7 @@ def choose_oracle_lp(state: PlayerState, link: Link) -> Decision:
 
 
 def upcoming_horizon(state: PlayerState, link: Link) -> Horizon:
-    """What is to come: shown without a stall from the deadline of the next segment on, at most two buffers long.
+    """Return what is to come: shown without a stall from the deadline of the next segment on, at most two buffers long.
 
     A pipelined player requests a segment one round trip before the link is free, so that only the wait for room in
     the buffer costs a round trip. Otherwise the link is idle for a round trip before every segment; the bytes that it

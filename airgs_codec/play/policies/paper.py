@@ -7,8 +7,10 @@ The cliff test (lines 1 to 11) says how far a level space is worth going down, w
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
-from airgs_codec.play.ladder import DEFAULT_BETA, Decision, frame_budget, select, select_literal
+from airgs_codec.errors import ConfigError
+from airgs_codec.play.ladder import DEFAULT_BETA, Decision, Option, select
 from airgs_codec.play.policies.state import (
     PlayerState,
     before_cliff,
@@ -44,3 +46,51 @@ def choose_paper_literal(state: PlayerState, beta: float = DEFAULT_BETA) -> Deci
 def choose_paper_literal_no_cliff(state: PlayerState) -> Decision:
     """The same where no drop is a cliff."""
     return choose_paper_literal(state, math.inf)
+
+
+def select_literal(options: Sequence[Option], budget_bytes: float, beta: float = DEFAULT_BETA) -> int | None:
+    """Algorithm 1 as it is printed, over options in the order of their levels; None where it leaves p undefined.
+
+    A step is q[i] - q[i-1], negative where quality falls. Divisions are IEEE: 0 / 0 is no number and never above beta,
+    and a fall after a step of 0 is -infinity, so that the cliff is missed there. When nothing fits, the answer is the
+    cliff's level, whatever its size; see `ladder` for what `select` does. Raises ConfigError without options.
+    """
+    if not options:
+        raise ConfigError("Algorithm 1: expected at least one level, got none")
+    rungs, answer = [0], None
+    previous = _minus(options[1].quality, options[0].quality) if len(options) > 1 else 0.0
+    for i in range(1, len(options)):
+        drop = _minus(options[i].quality, options[i - 1].quality)
+        if _ratio(drop, previous) > beta:
+            answer = i
+            break
+        rungs.append(i)
+        previous = drop
+    low, high = 0, len(rungs) - 1
+    while low <= high:
+        middle = (low + high) // 2
+        if options[rungs[middle]].size_bytes <= budget_bytes:
+            answer, high = rungs[middle], middle - 1
+        else:
+            low = middle + 1
+    return answer
+
+
+def _minus(a: float, b: float) -> float:
+    return a - b if math.isfinite(a) or math.isfinite(b) else math.nan
+
+
+def _ratio(a: float, b: float) -> float:
+    if b:
+        return a / b
+    return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, a)
+
+
+def frame_budget(bandwidth_bps: float, fps: float) -> float:
+    """Bytes a frame may have: the paper's C = B / R with its units.
+
+    A bandwidth that is negative or no number counts as 0 (12). Raises ConfigError unless fps > 0.
+    """
+    if not fps > 0:
+        raise ConfigError(f"frame rate: expected more than 0, got {fps}")
+    return bandwidth_bps / (8 * fps) if bandwidth_bps > 0 else 0.0

@@ -6,6 +6,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from airgs_codec._arguments import argument
+from airgs_codec.errors import ConfigError
 from airgs_codec.play.ladder import Decision, Ladder, Option
 from airgs_codec.play.offers import SegmentOffer, Units
 
@@ -45,6 +47,11 @@ class PlayerState:
     history: tuple[Download, ...]  # oldest first
 
     @property
+    def throughput_bps(self) -> float:
+        """bit/s that `estimate_throughput` makes of the downloads so far."""
+        return estimate_throughput(self.history)
+
+    @property
     def segment_s(self) -> float:
         """Seconds that the segment shows."""
         return self.offer.seconds
@@ -65,6 +72,14 @@ class Policy:
     may_replace: bool = True  # fetch better rungs for buffered segments
     needs_quality: bool = True  # only packages with measured quality
     horizon: int = 1  # segments whose sizes it looks at, the next one first; oracles know those of all
+
+    def decide(self, state: PlayerState) -> Decision:
+        """Return what it chooses. Raises ConfigError where that is no Decision for one of `state.options`."""
+        decision = argument(f"policy {self.name}", self.choose(state), Decision, "a Decision")
+        known = [option.index for option in state.options]
+        if decision.index not in known:
+            raise ConfigError(f"policy {self.name}: expected the index of one of {known}, got {decision.index!r}")
+        return decision
 
 
 def estimate_throughput(history: Sequence[Download]) -> float:
@@ -106,5 +121,5 @@ def before_cliff(state: PlayerState) -> PlayerState:
     """
     rungs = state.offer.rungs
     least = Ladder.build(state.offer.levels).options[-1].size_bytes
-    kept = tuple(p for p in state.options if rungs[p.index].state_bytes >= least)
-    return replace(state, options=kept or state.options)
+    enough = tuple(p for p in state.options if rungs[p.index].state_bytes >= least)
+    return replace(state, options=enough or state.options)

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
+from airgs_codec.decoder.sound import decode_all
 from airgs_codec.errors import FormatError
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.media.movie import write_movie
+from airgs_codec.media.mp4 import SOUND_RATE
 from airgs_codec.package.package import Package
 from airgs_codec.play.downloader import Shown
 from airgs_codec.play.offers import Offers
@@ -45,7 +47,7 @@ def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians
 
 
 def _parts(log: SessionLog, tick: int, entry: int) -> list[tuple[int, ...]]:
-    """What is on the screen at a display tick: rungs, each with the tiles in it; without tiles: all."""
+    """Return what is on the screen at a display tick: rungs, each with the tiles in it; without tiles: all."""
     if log.tiles is None:
         return [(log.shown[entry].rung or 0,)]
     there = log.tiles.there(entry, float(log.tiles.tick_times[tick]))
@@ -98,11 +100,37 @@ def film(
 ) -> None:
     """An H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting, and by how
     much he was outside of the region; beside it the same moment of the original, or of the best rung where there is no
-    `original`.
+    `original`. It has the sound of the package; while the viewer waits, it is silent.
 
     Raises CodecError.
     """
-    write_movie(path, _pictures(package, log, viewer, original, progress), log.offers.manifest.fps)
+    pictures = _pictures(package, log, viewer, original, progress)
+    write_movie(path, pictures, log.offers.manifest.fps, sound_of(package, log))
+
+
+def sound_of(package: Package, log: SessionLog) -> NDArray[np.int16] | None:
+    """(n, C) samples, 48,000 a second, that were heard during the display ticks of a session; None without sound."""
+    m = package.manifest
+    numbers = [m.group_of(shown.segment) for shown in log.shown]
+    groups = range(min(numbers), max(numbers) + 1)
+    samples = decode_all(package, groups)
+    if samples is None:
+        return None
+    first = m.groups.places.entry(groups.start).start
+    frames = [log.offers.span(log.shown[entry].segment)[0] + frame - first for entry, frame in log.screen_ticks]
+    ends = [round(tick / m.fps * SOUND_RATE) for tick in range(len(frames) + 1)]
+    heard = np.zeros((ends[-1], samples.shape[1]), np.int16)
+    begun = 0  # the tick since when frames follow one another
+    for tick, frame in enumerate(frames):
+        if tick and frame == frames[tick - 1]:
+            begun = tick + 1
+            continue
+        if tick and frame != frames[tick - 1] + 1:
+            begun = tick
+        at = round(frames[begun] / m.fps * SOUND_RATE) - ends[begun]
+        part = samples[at + ends[tick] : at + ends[tick + 1]]
+        heard[ends[tick] : ends[tick] + len(part)] = part
+    return heard
 
 
 def _pictures(

@@ -31,7 +31,7 @@ _BLUE, _ORANGE, _RED, _GREY = "#2a6fbb", "#e08a1e", "#c8453b", "#8a8f98"
 
 def path_of(m: Manifest, cameras: Sequence[Camera] = ()) -> Path:
     """The way of a viewer through a package's region, or by way of `cameras`, at most MOST_STOPS of them."""
-    region = levelled(m)
+    region = levelled(m.region, m.world)
     if not cameras:
         return path_of_region(region)
     return path_by_cameras(region, [cameras[i] for i in evenly_spaced(len(cameras), MOST_STOPS)])
@@ -66,7 +66,7 @@ class Viewer:
         return Departure(max(d.distance for d in self.departures), max(d.degrees for d in self.departures))
 
     def caption(self, tick: int) -> str:
-        """What a film has to say about the place of its viewer; empty where all is well."""
+        """Return what a film has to say about the place of its viewer; empty where all is well."""
         if not self.departures[tick].inside:
             return f"outside the region: {departure_words(self.departures[tick])}"
         return "viewpoint unknown: an orbit is assumed" if self.region.source == ORBIT else ""
@@ -79,7 +79,8 @@ class Viewer:
             at_most = departure_words(self.furthest)
             text = f"outside the viewing region for {self.outside} of {len(self.cameras)} ticks, by at most {at_most}"
         if self.unreached:
-            text += f"; stops that are not on the walk, the way there leads through what is looked at: {self.unreached}"
+            why = "the way there leads out of the region or through what is looked at"
+            text += f"; stops that are not on the walk, {why}: {self.unreached}"
         return text
 
     def table(self) -> dict[str, Any]:

@@ -34,7 +34,7 @@ def write_report(log: SessionLog, directory: Path, viewer: Viewer | None = None)
     try:
         directory.mkdir(parents=True, exist_ok=True)
         record = {
-            "metrics": dataclasses.asdict(log.metrics),
+            "metrics": log.metrics.as_dict(),
             **place_record(log, viewer),
             "rungs": _rung_record(log),
             "meanings": meanings(FIGURES),
@@ -52,7 +52,7 @@ def write_report(log: SessionLog, directory: Path, viewer: Viewer | None = None)
 
 
 def place_record(log: SessionLog, viewer: Viewer | None) -> dict[str, Any]:
-    """The viewing region, and how the viewer kept to it (None: there was no walk), as plain values."""
+    """The viewing region, and how the viewer stayed in it (None: there was no walk), as plain values."""
     region = dataclasses.asdict(RegionSummary.of(log.offers.manifest.region))
     return {"region": region, "viewer": viewer.table() if viewer else None}
 
@@ -211,7 +211,7 @@ def plot_tiles(axis: Any, log: SessionLog) -> None:
 
 
 def tile_words(figures: TileFigures) -> str:
-    """What was fetched and what was lacking."""
+    """Return what was fetched and what was lacking."""
     sizes = ", ".join(f"{size / 1e3:.0f}" for size in figures.bytes)
     return (
         f"{100 * figures.fetched:.0f} % fetched, {figures.late} after their segment had begun; "
@@ -231,7 +231,7 @@ def _place_rows(log: SessionLog, viewer: Viewer | None) -> list[tuple[str, str]]
 
 
 def _readable(log: SessionLog) -> list[tuple[str, str]]:
-    r: dict[str, Any] = dataclasses.asdict(log.metrics)
+    r: dict[str, Any] = log.metrics.as_dict()
     bound = session_bound(log) if log.offers.manifest.measured else None
     quality = "not measured"
     if r["psnr_mean"] is not None:
@@ -264,9 +264,9 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
     if log.metrics.tiles is not None:
         rows.append(("tiles", tile_words(log.metrics.tiles)))
     if log.lost:
-        rows.append(("lost", f"{r['lost_frames']} frames; {_some(log.lost)}"))
+        rows.append(("lost", f"{r['lost_frames']} frames; {some(log.lost)}"))
     if log.retried:
-        rows.append(("asked for again", f"{len(log.retried)} files; {_some(log.retried)}"))
+        rows.append(("asked for again", f"{len(log.retried)} files; {some(log.retried)}"))
     return rows
 
 
@@ -275,7 +275,8 @@ def _gaussian_words(log: SessionLog) -> str:
     return f"at most {log.metrics.gaussians:,}" + ("" if budget is None else f" of a budget of {budget:,}")
 
 
-def _some(lines: Sequence[str]) -> str:
+def some(lines: Sequence[str]) -> str:
+    """The first of some lines, and how many more there are."""
     more = len(lines) - MOST_LINES
     return "; ".join(lines[:MOST_LINES]) + (f"; and {more} more" if more > 0 else "")
 
@@ -308,7 +309,7 @@ def _page(log: SessionLog, directory: Path, viewer: Viewer | None) -> str:
 
 
 def _rung_table(log: SessionLog) -> str:
-    """What the package says of its rungs: the mean picture of its region, and the worst one."""
+    """Return what the package says of its rungs: the mean picture of its region, and the worst one."""
     cells = [
         (str(rung["rung"]), *("-" if rung[name] is None else f"{rung[name]:.2f} dB" for name in ("psnr", "worst")))
         for rung in _rung_record(log)

@@ -66,7 +66,7 @@ def _summary_lines(summaries: Sequence[PolicySummary]) -> list[str]:
 
 
 def conditions(study: Study) -> str:
-    """What was played over what, in a sentence."""
+    """Return what was played over what, in a sentence."""
     s = study.settings
     means = {r["trace"]: r["mean_bps"] for r in study.rows}
     rates = [bps / 1e6 for bps in means.values()]

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.cameras.posed import Cursor, Posed, expecting, undistorted
+from airgs_codec.scene.cameras.posed import Posed, expect_any, undistorted
+from airgs_codec.scene.files import Cursor, expecting
 
 WORDS = "a COLMAP reconstruction"
 TEST_NAME = "test.txt"
@@ -107,9 +107,7 @@ def read(folder: Path) -> list[Posed]:
         images = sorted(_images_of_binary(folder) if binary else _images_of_text(folder), key=lambda image: image.name)
         held_out = _held_out(folder)
         posed = [_posed(image, *cameras[image.sensor], held_out) for image in images]
-    if not posed:
-        raise SceneError(f"{folder}: expected images with poses, got none")
-    return posed
+    return expect_any(posed, folder, "images with poses")
 
 
 def _at_origin(sensor: _Sensor) -> tuple[Camera, Lens | None]:

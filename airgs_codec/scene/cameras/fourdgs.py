@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera, look_at
-from airgs_codec.scene.cameras.posed import Cursor, Posed, expecting, inverse, undistorted
+from airgs_codec.scene.cameras.posed import Posed, expect_any, inverse, undistorted
+from airgs_codec.scene.files import Cursor, expecting
 
 MAGIC = b"\x894DGS"
 VERSION = b"1\r\n"
@@ -42,9 +42,7 @@ def read(path: Path) -> list[Posed]:
         sensors = [posed for opcode, content in records if opcode == SENSOR for posed in _sensor(content, rigs)]
         up = next((_up(content) for opcode, content in records if opcode == FRAME), UP)
         posed = sensors or [posed for opcode, content in records if opcode == CAMERA for posed in _views(content, up)]
-    if not posed:
-        raise SceneError(f"{path}: expected sensors or a viewpoint in a .4dgs file, got none")
-    return posed
+    return expect_any(posed, path, "sensors or a viewpoint in a .4dgs file")
 
 
 def _records(cursor: Cursor) -> Iterator[tuple[int, Cursor]]:

@@ -18,7 +18,8 @@ import numpy as np
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.cameras.posed import Cursor, Posed, expecting, inverse, read_json
+from airgs_codec.scene.cameras.posed import Posed, expect_any, inverse
+from airgs_codec.scene.files import Cursor, expecting, read_json
 
 NAME = "cameras.json"
 SPLATV_MAGIC = b"\x4b\x67\0\0"
@@ -56,9 +57,7 @@ def _posed_from(path: Path, data: Any) -> list[Posed]:
     """Read such a list, which the file at `path` holds. Raises SceneError."""
     with expecting(path, WORDS):
         posed = [_posed(entry, number) for number, entry in enumerate(data)]
-    if not posed:
-        raise SceneError(f"{path}: expected at least one camera, got none")
-    return posed
+    return expect_any(posed, path, "at least one camera")
 
 
 def _posed(entry: dict[str, Any], number: int) -> Posed:

@@ -7,14 +7,13 @@ the nearest and farthest depth.
 from __future__ import annotations
 
 from pathlib import Path
-from tokenize import TokenError
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.cameras.posed import Posed, expecting
+from airgs_codec.scene.cameras.posed import Posed, expect_any
+from airgs_codec.scene.files import expecting
 
 NAME = "poses_bounds.npy"
 MAGIC = b"\x93NUMPY"
@@ -23,18 +22,9 @@ MAGIC = b"\x93NUMPY"
 def read(path: Path) -> list[Posed]:
     """One for each row. Raises SceneError."""
     with expecting(path, "rows of 17 numbers"):
-        rows = _load(path).astype(np.float64).reshape(-1, 17)
+        rows = np.asarray(np.load(path, allow_pickle=False)).astype(np.float64).reshape(-1, 17)
         posed = [_posed(row, number) for number, row in enumerate(rows)]
-    if not posed:
-        raise SceneError(f"{path}: expected at least one row, got none")
-    return posed
-
-
-def _load(path: Path) -> NDArray:
-    try:
-        return np.asarray(np.load(path, allow_pickle=False))
-    except (SyntaxError, TokenError) as error:  # what numpy raises for a broken header is Python's, which it looks like
-        raise ValueError("its header is broken") from error
+    return expect_any(posed, path, "at least one row")
 
 
 def _posed(row: NDArray[np.float64], number: int) -> Posed:

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.cameras.posed import Posed, expecting, read_object
+from airgs_codec.scene.cameras.posed import Posed, expect_any
+from airgs_codec.scene.files import expecting, read_object
 
 NAME = "train_meta.json"
 TEST_NAME = "test_meta.json"
@@ -47,13 +47,13 @@ def _read(path: Path, split: str) -> list[Posed]:
         posed = [
             _posed(size, time, split, shot) for time, moment in enumerate(moments) for shot in zip(*moment, strict=True)
         ]
-    if not posed:
-        raise SceneError(f"{path}: expected at least one frame, got none")
-    return posed
+    return expect_any(posed, path, "at least one frame")
 
 
 def _posed(size: tuple[int, int], time: int, split: str, shot: tuple[str, Any, Any, int]) -> Posed:
     file, k, w2c, number = shot
+    if not file:
+        raise ValueError("a picture without a name")
     m, view = np.asarray(k, np.float64).reshape(3, 3), np.asarray(w2c, np.float64).reshape(4, 4)
     camera = Camera(f"cam{number:02d}", *size, m[0, 0], m[1, 1], m[0, 2], m[1, 2], view, split, NEAR)
     return Posed(camera, str(file), time=time, fixed=True)

@@ -9,7 +9,8 @@ from typing import Any
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.cameras import colmap, fourdgs, inria, llff, panoptic, transforms
-from airgs_codec.scene.cameras.posed import Posed, distinct, expecting, read_json
+from airgs_codec.scene.cameras.posed import Posed, distinct
+from airgs_codec.scene.files import expecting, read_json
 
 Reader = Callable[[Path], list[Posed]]
 

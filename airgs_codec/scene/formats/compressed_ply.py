@@ -11,8 +11,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds
 from airgs_codec.scene.formats.library import read_with_library
 from airgs_codec.scene.formats.ply_elements import Header, read_header
-from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
-from airgs_codec.scene.morton import morton_encode
+from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians, morton_encode
 
 _CHUNK = 256  # rows
 _WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -13,8 +12,8 @@ import numpy as np
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.ply_elements import Header
+from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.repair import repair
 
 MOST_FRAMES = 1 << 18  # two and a half hours at 30 frames a second
 SIZES = ("log_scales", -87.0, 88.0)  # the range of sizes that are neither 0 nor infinite in float32
@@ -106,15 +105,6 @@ class ClipFormat(Format):
 
     open: Callable[[Path, Bake], Clip]
     write: Callable[[Path, Iterable[Gaussians], float], None] = _refuse_writing  # of frames, so many a second
-
-
-@contextmanager
-def reading(path: Path) -> Iterator[None]:
-    """Turns an OSError of the block into a SceneError that names the file."""
-    try:
-        yield
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
 
 
 def check_count(path: Path, header: FrameHeader) -> FrameHeader:

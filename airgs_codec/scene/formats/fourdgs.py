@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.files import reading
 from airgs_codec.scene.formats.form import (
     Axes,
     Bake,
@@ -25,7 +26,6 @@ from airgs_codec.scene.formats.form import (
     Holds,
     check_count,
     rate_words,
-    reading,
     refuse_baking,
 )
 from airgs_codec.scene.formats.library import expect_library

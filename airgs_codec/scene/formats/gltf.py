@@ -11,7 +11,6 @@ import json
 import math
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,12 @@ from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.form import SIZES, Axes, FrameFormat, FrameHeader, Holds
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, from_matrix, join_rows, logits_of, logs_of, multiply
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, logits_of, logs_of, multiply
 
 EXTENSION = "KHR_gaussian_splatting"
 _COLOURS = ("srgb_rec709_display", "BT.709")  # the second is of drafts
@@ -33,7 +34,7 @@ _MOST_BYTES = 1 << 32  # of a .glb, whose length is a word of 32 bits
 _MOST_NODES = 10_000  # that are walked through, and primitives of splats in them
 _TOLERANCE = 1e-3  # of a matrix that turns and scales alike, relative
 _POINTS = 0
-_BROKEN = (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, RecursionError)
+_WORDS = f"glTF with {EXTENSION}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +60,14 @@ class _Placed:
 
 def read_gltf_header(path: Path) -> FrameHeader:
     """Count and SH degree of all splats together. Raises SceneError."""
-    with _expecting(path):
+    with expecting(path, _WORDS):
         document = _open(path, only_json=True)
         return _header(document, list(_splats(document.json)))
 
 
 def read_gltf(path: Path) -> Gaussians:
     """The splats of all nodes of the scene, one after another. Raises SceneError."""
-    with _expecting(path):
+    with expecting(path, _WORDS):
         document = _open(path)
         primitives = list(_splats(document.json))
         degree = _header(document, primitives).sh_degree
@@ -76,23 +77,13 @@ def read_gltf(path: Path) -> Gaussians:
 
 def external_buffers(path: Path) -> list[str]:
     """Names of the files beside it that its buffers are in. Raises SceneError."""
-    with _expecting(path):
+    with expecting(path, _WORDS):
         uris = [buffer.get("uri") for buffer in _open(path, only_json=True).json.get("buffers", [])]
         return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
 
 
-@contextmanager
-def _expecting(path: Path) -> Iterator[None]:
-    """Turns what goes wrong while a file is read into a SceneError of one line; an OSError passes."""
-    try:
-        yield
-    except _BROKEN as error:
-        words = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise SceneError(f"{path}: expected glTF with {EXTENSION}: {words[:160]}") from error
-
-
 def _open(path: Path, *, only_json: bool = False) -> _Document:
-    """Read the JSON and, unless only that is asked for, the binary chunk. Raises OSError, or one of _BROKEN."""
+    """Read the JSON and, unless only that is asked for, the binary chunk. Raises OSError, ValueError."""
     with path.open("rb") as file:
         head = file.read(20)
         if head[:4] != b"glTF":
@@ -109,7 +100,7 @@ def _open(path: Path, *, only_json: bool = False) -> _Document:
 
 
 def _header(document: _Document, primitives: list[_Placed]) -> FrameHeader:
-    """Return what the JSON promises. Raises SceneError, or one of _BROKEN."""
+    """Return what the JSON promises. Raises SceneError, or what `expecting` knows."""
     if not primitives:
         raise ValueError("no node of its scene has splats")
     degrees = set()
@@ -121,8 +112,9 @@ def _header(document: _Document, primitives: list[_Placed]) -> FrameHeader:
         if extension.get("kernel", "ellipse") != "ellipse" or extension.get("colorSpace", _COLOURS[0]) not in _COLOURS:
             raise ValueError(f"kernel ellipse in {_COLOURS[0]}, got {json.dumps(extension)[:120]}")
         degrees.add(max(d for d in range(4) if all(name in names for name in _harmonics(d))))
-        if any(name.startswith(f"{EXTENSION}:SH_DEGREE_{max(degrees) + 1}") for name in names):
-            raise ValueError(f"some coefficients of SH degree {max(degrees) + 1}")
+        beyond = max(degrees) + 1
+        if any(f"{EXTENSION}:SH_DEGREE_{beyond}_COEF_{i}" in names for i in range(2 * beyond + 1)):
+            raise ValueError(f"some coefficients of SH degree {beyond}")
         count += _whole(document.json["accessors"][names["POSITION"]]["count"])
     if len(degrees) > 1:
         raise ValueError(f"one SH degree, got {sorted(degrees)}")
@@ -168,21 +160,10 @@ def _local(node: dict[str, Any]) -> NDArray[np.float64]:
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     out = np.eye(4)
-    out[:3, :3] = _matrix(node.get("rotation", (0, 0, 0, 1))) * np.array(node.get("scale", (1, 1, 1)), np.float64)
+    turn = Rotation.from_quat(node.get("rotation", (0, 0, 0, 1)))
+    out[:3, :3] = turn.as_matrix() * np.array(node.get("scale", (1, 1, 1)), np.float64)
     out[:3, 3] = node.get("translation", (0, 0, 0))
     return out
-
-
-def _matrix(quaternion: Any) -> NDArray[np.float64]:
-    """(3, 3) of a unit quaternion x, y, z, w."""
-    x, y, z, w = np.array(quaternion, np.float64)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def _placed(attributes: dict[str, int], extension: dict[str, Any], matrix: NDArray[np.float64]) -> _Placed:
@@ -191,7 +172,8 @@ def _placed(attributes: dict[str, int], extension: dict[str, Any], matrix: NDArr
     scale = max(determinant, 0.0) ** (1 / 3)
     if not scale > 0 or np.abs(turn @ turn.T / scale**2 - np.eye(3)).max() > _TOLERANCE:
         raise ValueError("a node that moves, turns and scales alike in all directions")
-    return _Placed(attributes, extension, turn, matrix[:3, 3], scale, from_matrix(turn / scale))
+    rotation = Rotation.from_matrix(turn / scale).as_quat(scalar_first=True)
+    return _Placed(attributes, extension, turn, matrix[:3, 3], scale, rotation)
 
 
 def _harmonics(degree: int) -> Iterator[str]:

@@ -51,7 +51,8 @@ def _open(path: Path, expected: str) -> tuple[Header, Element]:
     header = read_header(path)
     vertex = header.element("vertex")
     if vertex is None:
-        raise SceneError(f"{path}: expected a .ply header with {expected}, got {[e.name for e in header.elements]}")
+        got = ", ".join(e.name for e in header.elements)[:80] or "none"
+        raise SceneError(f"{path}: expected a .ply header with {expected}, got {got}")
     return header, vertex
 
 

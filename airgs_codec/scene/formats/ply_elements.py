@@ -7,6 +7,7 @@ one after another. Rows are read in blocks, so that only the columns asked for a
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -17,9 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.files import expecting, reading
 
 BLOCK = 1 << 14  # rows read at once: some MB
 MAX_HEADER = 1 << 20  # bytes
+MOST_ELEMENTS = 64
+MOST_PROPERTIES = 4096  # of all elements together; Gaussians with features of a network have some hundreds
 HEADER_END = b"end_header"  # the last line of a header
 _MAX_DIGITS = 18  # of a count: it fits 64 bits
 _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -79,33 +83,34 @@ class Header:
 def read_header(path: Path) -> Header:
     """The header alone. Lines may end in LF, CR LF or CR, as the first one does.
 
-    Raises SceneError when the file cannot be read or has no well-formed header of at most 1 MiB.
+    Raises SceneError when the file cannot be read or has no well-formed header of at most 1 MiB, MOST_ELEMENTS and
+    MOST_PROPERTIES.
     """
-    try:
-        with path.open("rb") as file:
-            head = file.read(1 << 12)
-            newline = next((end for end in (b"\r\n", b"\n", b"\r") if head.startswith(b"ply" + end)), b"")
-            last = newline + HEADER_END + newline
-            while newline and last not in head and len(head) < MAX_HEADER and (more := file.read(len(head))):
-                head += more
-    except OSError as error:
-        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
+    with reading(path), path.open("rb") as file:
+        head = file.read(1 << 12)
+        newline = next((end for end in (b"\r\n", b"\n", b"\r") if head.startswith(b"ply" + end)), b"")
+        last = newline + HEADER_END + newline
+        while newline and last not in head and len(head) < MAX_HEADER and (more := file.read(len(head))):
+            head += more
     end = head.find(last)
     if not newline or end < 0:
         raise SceneError(f"{path}: expected a .ply header, got {head[:16]!r}")
     lines = head[:end].decode("ascii", "replace").split(newline.decode())
-    try:
+    with expecting(path, "a .ply header"):
         return _parse(lines[1:], end + len(last))
-    except ValueError as error:
-        raise SceneError(f"{path}: expected a .ply header: {error}") from error
 
 
 def _parse(lines: Sequence[str], size: int) -> Header:
     """The header of its lines after the first. Raises ValueError."""
     form: str | None = None
     elements: list[tuple[str, int, list[Property]]] = []
-    for line in lines:
-        match line.split():
+    rows = [line.split() for line in lines]
+    kinds = Counter(row[0] for row in rows if row)
+    if kinds["element"] > MOST_ELEMENTS or kinds["property"] > MOST_PROPERTIES:
+        got = f"{kinds['element']} elements and {kinds['property']} properties"
+        raise ValueError(f"at most {MOST_ELEMENTS} elements and {MOST_PROPERTIES} properties, got {got}")
+    for line, row in zip(lines, rows, strict=True):
+        match row:
             case [] | ["comment" | "obj_info", *_]:
                 pass
             case ["format", name, "1.0"] if name in _BYTE_ORDERS and form is None:
@@ -123,8 +128,8 @@ def _parse(lines: Sequence[str], size: int) -> Header:
     if form is None:
         raise ValueError("no line says the format")
     for names in ([e[0] for e in elements], *([p.name for p in e[2]] for e in elements)):
-        if twice := {name for name in names if names.count(name) > 1}:
-            raise ValueError(f"{min(twice)} stands there twice")
+        if twice := [name for name, count in Counter(names).items() if count > 1]:
+            raise ValueError(f"{twice[0]} stands there twice")
     return Header(form == "ascii", tuple(Element(n, count, tuple(ps)) for n, count, ps in elements), size)
 
 
@@ -141,27 +146,18 @@ def read_columns(
     """
     if element.has_lists:
         raise SceneError(f"{path}: expected {element.name} rows of single values, got a list property")
-    try:
+    with expecting(path, f"{element.count} {element.name} rows, got a broken or truncated file"):
         blocks = _text_blocks(path, header, element) if header.ascii else _binary_blocks(path, header, element)
         columns = None
         start = 0
         for rows in blocks:
             if columns is None:  # from here on the file is known to be as long as its header says
                 columns = [np.empty((element.count, len(names)), np.float32) for names in groups]
-            _copy(rows, groups, [column[start : start + len(rows)] for column in columns])
+            for names, column in zip(groups, columns, strict=True):
+                for i, name in enumerate(names):
+                    column[start : start + len(rows), i] = rows[name]  # a double past float32 is Inf
             start += len(rows)
-    except (OSError, ValueError) as error:
-        raise SceneError(
-            f"{path}: expected {element.count} {element.name} rows, got a broken or truncated file: {error}"
-        ) from error
     return columns or [np.empty((0, len(names)), np.float32) for names in groups]
-
-
-def _copy(rows: NDArray[np.void], groups: Sequence[Sequence[str]], columns: list[NDArray[np.float32]]) -> None:
-    with np.errstate(over="ignore"):  # a double past float32 is Inf
-        for names, column in zip(groups, columns, strict=True):
-            for i, name in enumerate(names):
-                column[:, i] = rows[name]
 
 
 def _binary_blocks(path: Path, header: Header, element: Element) -> Iterator[NDArray[np.void]]:

@@ -5,18 +5,16 @@ from __future__ import annotations
 import io
 import json
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds, check_count
 from airgs_codec.scene.formats.library import LIBRARY, read_with_library, write_with_library
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 
 META_NAME = "meta.json"
-# What zipfile raises; a RuntimeError is that of an encrypted archive or of an unknown method of compression.
-_BROKEN_ARCHIVE = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)
 _MOST_META = 1 << 20  # bytes
 _MOST_SPARE = 1 << 20  # pixels of a picture beyond two a Gaussian: the largest palette of SH has so many
 _MOST_FILES = 64
@@ -70,7 +68,7 @@ def write_sog_folder(folder: Path, gaussians: Gaussians) -> None:
 
 def _header(path: Path, text: bytes) -> tuple[FrameHeader, list[str]]:
     """Return what meta.json says, and the pictures that it names."""
-    try:
+    with expecting(path, f"{META_NAME} of a SOG file"):
         meta = json.loads(text)
         if meta.get("version") != 2:
             raise SceneError(f"{path}: expected SOG of version 2, got {meta.get('version', 'version 1 or no version')}")
@@ -81,11 +79,6 @@ def _header(path: Path, text: bytes) -> tuple[FrameHeader, list[str]]:
         whole &= len(meta["means"]["mins"]) == len(meta["means"]["maxs"]) == 3 and len(names) >= 5
         if count < 0 or not 0 <= bands < len(SH_REST) or not whole:
             raise ValueError("counts, bands, bounds or codebooks that are not SOG's")
-    except SceneError:
-        raise
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, OverflowError) as error:
-        reason = f"{type(error).__name__} {error}"[:120]
-        raise SceneError(f"{path}: expected {META_NAME} of a SOG file: {reason}") from error
     return check_count(path / names[0] if path.is_dir() else path, FrameHeader(count, bands)), names
 
 
@@ -98,17 +91,13 @@ def _names(meta: Meta, part: str, number: int) -> list[str]:
 
 def _files(path: Path, *, only_meta: bool = False) -> dict[str, bytes]:
     """meta.json and, unless only that is asked for, what else lies beside it, by name."""
-    try:
+    with expecting(path, f"SOG, a {META_NAME} with WebP pictures"):
         if path.is_dir():
             meta = _read_at_most(path / META_NAME, _MOST_META)
             names = [] if only_meta else _header(path, meta)[1]
             return {META_NAME: meta} | {name: (path / name).read_bytes() for name in names if (path / name).is_file()}
         with zipfile.ZipFile(path) as archive:
             return _unzip(path, archive, only_meta)
-    except SceneError:
-        raise
-    except (OSError, ValueError, *_BROKEN_ARCHIVE) as error:
-        raise SceneError(f"{path}: expected SOG, a {META_NAME} with WebP pictures: {error}") from error
 
 
 def _unzip(path: Path, archive: zipfile.ZipFile, only_meta: bool) -> dict[str, bytes]:

@@ -29,10 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.form import Bake, Clip, ClipFormat, FrameHeader, count_frames, rate_words, reading
+from airgs_codec.scene.beside import DEFAULT_FPS
+from airgs_codec.scene.files import expecting, reading
+from airgs_codec.scene.formats.form import Bake, Clip, ClipFormat, FrameHeader, count_frames, rate_words
 from airgs_codec.scene.formats.ply_elements import Header, read_columns, read_header
 from airgs_codec.scene.gaussians import SH_C0, Gaussians, logits_of, logs_of, sigmoid
-from airgs_codec.scene.sequence_json import DEFAULT_FPS
 
 DEFAULT_SECONDS = Fraction(50, 30)  # no file states it; the models of the paper are trained on 50 frames of 30 fps
 _CACHED = 2  # models of a process
@@ -189,12 +190,9 @@ def _rows(path: Path, data: bytes) -> np.ndarray:
 
 def _texture(path: Path, text: bytes) -> tuple[int, int]:
     """Texels across and down, from the JSON."""
-    try:
+    with expecting(path, "a .splatv header with one chunk of type splat"):
         [chunk] = [chunk for chunk in json.loads(text) if chunk["type"] == "splat"]
         return _positive(chunk["texwidth"]), _positive(chunk["texheight"])
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
-        reason = f"{type(error).__name__} {error}"[:120]
-        raise SceneError(f"{path}: expected a .splatv header with one chunk of type splat: {reason}") from error
 
 
 def _positive(value: Any) -> int:

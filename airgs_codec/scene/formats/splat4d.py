@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import functools
 import json
-import struct
 import subprocess
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.beside import MAX_FPS, exact_number
+from airgs_codec.scene.files import Cursor, expecting
 from airgs_codec.scene.formats.form import (
     Bake,
     Clip,
@@ -28,17 +28,14 @@ from airgs_codec.scene.formats.form import (
     check_count,
     count_frames,
     rate_words,
-    reading,
     refuse_baking,
 )
 from airgs_codec.scene.formats.library import find_command
 from airgs_codec.scene.formats.sandbox import run_limited
 from airgs_codec.scene.formats.splat import RANGES, ROW_BYTES, read_splat, write_splat
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence_json import MAX_FPS, exact_number
 
 _MAGIC = b"SP4D"
-_HEADER = struct.Struct("<4sII")  # magic, version, length of the JSON
 _VERSION = 1
 _MOST_JSON = 1 << 24  # bytes
 _ROW_COPIES = 64  # of a row of .splat, in the command
@@ -48,9 +45,14 @@ _MOST_SHIFT = 0.05  # of a position, in median sizes
 def open_splat4d(path: Path, bake: Bake) -> Clip:
     """The frames of a file, which are there as they are. Raises SceneError."""
     refuse_baking(path, bake, ".splat4d")
-    try:
-        with reading(path), path.open("rb") as file:
-            header = _header(path, file.read(_HEADER.size + _MOST_JSON))
+    with expecting(path, "a .splat4d header"):
+        cursor = Cursor.open(path)
+        magic, version, length = cursor.take("4sII")
+        if magic != _MAGIC:
+            raise SceneError(f"{path}: expected a .splat4d file, got {magic!r}")
+        if version != _VERSION:
+            raise ValueError(f"expected version {_VERSION}, got {version}")
+        header = json.loads(cursor.piece(min(length, _MOST_JSON)))
         count, frames, fps = header["n"], header["t"], exact_number(str(header["fps"]))
         whole = isinstance(count, int) and isinstance(frames, int)
         if not whole or min(count, frames) < 1 or not 0 < fps <= MAX_FPS:
@@ -58,24 +60,10 @@ def open_splat4d(path: Path, bake: Bake) -> Clip:
         ends = [0] + [end for gop in header["gops"] for end in (gop["f0"], gop["f1"] + 1)]
         if ends[1::2] != ends[:-1:2] or ends[-1] != frames:
             raise ValueError(f"groups that are not frames 0 to {frames - 1}")
-    except SceneError:
-        raise
-    except (ValueError, TypeError, KeyError, ArithmeticError, RecursionError) as error:
-        raise SceneError(f"{path}: expected a .splat4d header: {type(error).__name__} {error}"[:300]) from error
     frame = check_count(path, FrameHeader(count, 0))
     count_frames(path, fps, frames / fps)
     note = f".splat4d, {count} Gaussians in {frames} frames, {rate_words(fps)}"
     return Clip((frame,) * frames, fps, functools.partial(_read, count), note)
-
-
-def _header(path: Path, data: bytes) -> dict[str, Any]:
-    """The JSON. Raises SceneError, ValueError."""
-    if len(data) < _HEADER.size or data[:4] != _MAGIC:
-        raise SceneError(f"{path}: expected a .splat4d file, got {data[:8]!r}")
-    _, version, length = _HEADER.unpack_from(data)
-    if version != _VERSION:
-        raise SceneError(f"{path}: expected .splat4d of version {_VERSION}, got {version}")
-    return dict(json.loads(data[_HEADER.size : _HEADER.size + length]))
 
 
 def _read(count: int, path: Path, frame: int) -> Gaussians:

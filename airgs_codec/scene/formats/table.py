@@ -10,9 +10,11 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
+from airgs_codec._arguments import path_argument
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.files import reading
 from airgs_codec.scene.formats.compressed_ply import COMPRESSED
-from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, FrameHeader, reading
+from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, FrameHeader
 from airgs_codec.scene.formats.fourdgs import FOUR_DGS
 from airgs_codec.scene.formats.gltf import GLTF
 from airgs_codec.scene.formats.ply import INRIA
@@ -88,6 +90,17 @@ def read_frame(path: Path) -> Gaussians:
     """A frame of any format, as its file has it. Raises SceneError."""
     with reading(path):
         return format_of(path).read(path)
+
+
+def read(path: str | Path) -> Gaussians:
+    """One frame from a file or folder of any format that holds one, as it is stored.
+
+    Raises SceneError for one that is broken, of no format, or holds other than one frame (`open_sequence` reads those).
+    """
+    found = find_frames(Path(path_argument("path", path)))
+    if len(found.paths) != 1:
+        raise SceneError(f"{path}: expected one frame, got {len(found.paths)}")
+    return read_frame(found.paths[0])
 
 
 def is_frame(path: Path) -> bool:

@@ -10,8 +10,10 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
+from airgs_codec._arguments import argument, path_argument
 from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import atomic_path, staged_files
+from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, write_settings
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, Losses
 from airgs_codec.scene.formats.library import find_command
@@ -19,10 +21,10 @@ from airgs_codec.scene.formats.ply import INRIA
 from airgs_codec.scene.formats.sog import META_NAME, SOG, write_sog_folder
 from airgs_codec.scene.formats.table import CLIPS, FRAMES
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence_json import SETTINGS_NAME, write_settings
 
 SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
 WRITERS: tuple[FrameFormat | ClipFormat, ...] = (*FRAMES, *(form for form in CLIPS if form.writer))
+KEYS = tuple(form.key for form in WRITERS)  # the names of formats that can be asked for
 Numbered = tuple[int, Gaussians]  # a frame and its number
 
 
@@ -33,11 +35,6 @@ class Target:
     path: Path
     form: FrameFormat | ClipFormat
     folder: bool
-
-
-def format_keys() -> list[str]:
-    """The names of formats that can be asked for."""
-    return [form.key for form in WRITERS]
 
 
 def choose_target(place: str, key: str | None, frames: int) -> Target:
@@ -51,7 +48,8 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
         raise ConfigError("expected the name of a file or folder for the frames, got an empty one")
     path = Path(place)
     named = next((form for form in WRITERS if form.key == key), None)
-    ending = max((form for form in WRITERS if path.name.lower().endswith(f".{form.key}")), key=_length, default=None)
+    endings = [form for form in WRITERS if path.name.lower().endswith(f".{form.key}")]
+    ending = max(endings, key=lambda form: len(form.key), default=None)
     if path.name == META_NAME and named in (None, SOG):
         target = Target(path.parent, SOG_FOLDER, True)
     elif place.endswith(os.sep) or ending is None:
@@ -65,10 +63,6 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
         target = Target(path, ending, False)
     _check(place, target, frames)
     return target
-
-
-def _length(form: FrameFormat | ClipFormat) -> int:
-    return len(form.key)
 
 
 def _check(place: str, target: Target, frames: int) -> None:
@@ -103,12 +97,23 @@ def write_frames(
         if isinstance(target.form, ClipFormat):
             target.form.write(temporary, (g for _, g in fitted), float(fps))
         elif target.folder and target.form is not SOG_FOLDER:
-            _write_all(temporary, target.form, fitted)
+            for number, gaussians in fitted:
+                target.form.write(temporary / f"{number:06d}.{target.form.key}", gaussians)
             if not (target.path / SETTINGS_NAME).exists():
                 write_settings(temporary, fps, background=background)
         else:
             target.form.write(temporary, *(g for _, g in fitted))
     return losses.lines()
+
+
+def write(gaussians: Gaussians, path: str | Path) -> list[str]:
+    """Write one frame in the format that the ending of `path` tells; returns what is lost, a line for each kind.
+
+    A file there is replaced once the new one is whole. A path that ends like no format is a folder, for frames of .ply.
+    Raises ConfigError for a path that does not suit, SceneError where no Gaussian is finite.
+    """
+    frame = argument("gaussians", gaussians, Gaussians, "Gaussians")
+    return write_frames(choose_target(str(path_argument("path", path)), None, 1), [(0, frame)], DEFAULT_FPS)
 
 
 @contextmanager
@@ -123,8 +128,3 @@ def _made_folders(path: Path) -> Iterator[None]:
             with suppress(OSError):
                 folder.rmdir()
         raise
-
-
-def _write_all(folder: Path, form: FrameFormat, frames: Iterator[Numbered]) -> None:
-    for number, gaussians in frames:
-        form.write(folder / f"{number:06d}.{form.key}", gaussians)

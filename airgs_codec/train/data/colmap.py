@@ -1,6 +1,9 @@
-"""Reader of a COLMAP reconstruction with pictures: sparse/ and videos/CAM.mp4, images/CAM/* or one picture each.
+"""Readers of scenes whose cameras are a COLMAP reconstruction.
 
-Its points are in points3D.bin or points3D.txt.
+On its own it is sparse/ and videos/CAM.mp4, images/CAM/* or one picture each; its points are in points3D.bin or
+points3D.txt. Scenes of HiFi4G and DualGS are image_white_undistortion/FRAME/CAM.png and a reconstruction in
+colmap/sparse/0, in the folder of the frames as it is downloaded or moved beside it; its images are named as the
+pictures of a frame are. Frames are numbered folders, from any number on. The background is white.
 """
 
 from __future__ import annotations
@@ -12,9 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.beside import DEFAULT_FPS
 from airgs_codec.scene.cameras import colmap
-from airgs_codec.scene.cameras.posed import Cursor, Posed, expecting
-from airgs_codec.scene.sequence_json import DEFAULT_FPS
+from airgs_codec.scene.cameras.posed import Posed
+from airgs_codec.scene.files import Cursor, expecting
+from airgs_codec.scene.formats.table import natural_key
 from airgs_codec.train.data.multiview import MultiviewScene, Points, Shot, Source
 from airgs_codec.train.data.videos import CameraFilm, find_pictures, find_videos, scene_from_films
 
@@ -102,3 +107,42 @@ def _rows_of_text(path: Path) -> Iterator[tuple[float, ...]]:
             if line.strip() and not line.startswith("#"):
                 x, y, z, red, green, blue = map(float, line.split(maxsplit=7)[1:7])
                 yield x, y, z, red, green, blue
+
+
+WHITE = (1.0, 1.0, 1.0)
+PICTURES = "image_white_undistortion"
+
+
+def has_hifi4g(folder: Path) -> bool:
+    """Whether the folder has the undistorted pictures of such a scene, or is the folder of them."""
+    return (folder / PICTURES).is_dir() or (folder.name == PICTURES and _hifi4g_model(folder) is not None)
+
+
+def read_hifi4g(folder: Path) -> MultiviewScene:
+    """The scene; cameras are named by their pictures. Raises SceneError."""
+    pictures = folder / PICTURES if (folder / PICTURES).is_dir() else folder
+    model = _hifi4g_model(folder) or _hifi4g_model(pictures)
+    if model is None:
+        raise SceneError(f"{folder}: expected colmap/sparse in it or in {PICTURES}/, got none")
+    numbered = [path for path in pictures.iterdir() if path.is_dir() and path.name.isdecimal()]
+    if not numbered:
+        raise SceneError(f"{pictures}: expected numbered folders, one a frame, got none")
+    posed = sorted(colmap.read(model), key=lambda image: natural_key(Path(image.picture)))
+    frames = tuple(_hifi4g_frame(path, posed) for path in sorted(numbered, key=natural_key))
+    return MultiviewScene(folder, DEFAULT_FPS, frames, read_points3d(model), WHITE)
+
+
+def _hifi4g_model(folder: Path) -> Path | None:
+    return colmap.find_model(folder / "colmap") if (folder / "colmap").is_dir() else None
+
+
+def _hifi4g_frame(folder: Path, posed: list[Posed]) -> tuple[Shot, ...]:
+    """The shots of one frame, in the order of the cameras. Raises SceneError where one has no picture."""
+    by_stem = {path.stem: path for path in find_pictures(folder)}
+    names = [Path(image.picture).stem for image in posed]
+    if missing := [name for name in names if name not in by_stem]:
+        raise SceneError(f"{folder}: expected pictures of {len(names)} cameras, got none of {', '.join(missing[:8])}")
+    return tuple(
+        Shot(replace(image.camera, name=name), Source(by_stem[name]), image.lens)
+        for image, name in zip(posed, names, strict=True)
+    )

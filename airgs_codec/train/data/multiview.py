@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +26,25 @@ from airgs_codec.media.image import Lens, read_picture
 from airgs_codec.media.movie import VideoReader
 from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.cameras.posed import Posed
+from airgs_codec.scene.files import expecting
+from airgs_codec.scene.sequence import GaussianSequence
 
 HELD_OUT_SHARE = 8  # one camera in so many is held out where a scene names none
+
+
+class Readable(Protocol):
+    """What a picture is read from."""
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+
+    @property
+    def frame(self) -> int | None:
+        """The number of the picture in the file; None: it is the picture."""
+
+    def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
+        """Read the picture, as `Source` does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,9 +54,17 @@ class Source:
     path: Path
     frame: int | None = None  # its number in a video; None: the file is the picture
 
-    def read(self) -> NDArray[np.uint8]:
-        """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha. Raises SceneError."""
-        return read_picture(self.path) if self.frame is None else open_video(self.path).read(self.frame)
+    def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
+        """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha; nothing is decoded of one of another size.
+
+        `size`: width, height. Raises SceneError.
+        """
+        if self.frame is None:
+            return read_picture(self.path, size)
+        video = open_video(self.path)
+        if video.size != size:
+            raise SceneError(f"{self}: expected a picture of {size[0]}x{size[1]}, got {video.size[0]}x{video.size[1]}")
+        return video.read(self.frame)
 
     def __str__(self) -> str:
         """Name the place in a message."""
@@ -57,7 +82,7 @@ class Shot:
     """The picture that one camera took at one frame."""
 
     camera: Camera  # of the undistorted picture at full size
-    source: Source
+    source: Readable
     lens: Lens | None = None  # None: the picture is that of a pinhole camera already
     mask: Path | None = None  # picture that is not 0 where the foreground is
 
@@ -79,6 +104,7 @@ class MultiviewScene:
     frames: tuple[tuple[Shot, ...], ...]  # the shots of each frame
     points: Points | None = None  # of the first frame; None: the scene has none
     background: Background = BLACK  # what its pictures show behind the scene
+    given: GaussianSequence | None = None  # what its pictures are drawn from, where they are (`data.drawn`)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -116,9 +142,10 @@ def with_held_out(scene: MultiviewScene, names: Sequence[str] | None) -> Multivi
     known = [camera.name for camera in scene.cameras]
     if unknown := sorted(set(names) - set(known)):
         raise SceneError(f"{scene.path}: no camera {', '.join(unknown)}; there are {', '.join(known)}")
-    if not set(known) - set(names):
+    held_out = set(names)
+    if not set(known) - held_out:
         raise SceneError(f"{scene.path}: expected cameras to train on, all {len(known)} are held out")
-    return _with_cameras(scene, lambda camera: replace(camera, split="test" if camera.name in names else "train"))
+    return _with_cameras(scene, lambda camera: replace(camera, split="test" if camera.name in held_out else "train"))
 
 
 def _one_in_eight(names: Sequence[str]) -> list[str]:
@@ -149,11 +176,11 @@ def hash_files(paths: Sequence[Path]) -> list[str]:
     """SHA-256 of each file. Raises SceneError."""
     digests = []
     for path in paths:
-        try:
+        with expecting(path, "a picture or a video"):
+            if not path.is_file():  # a device has no end
+                raise ValueError("No such file")
             with path.open("rb") as file:
                 digests.append(hashlib.file_digest(file, "sha256").hexdigest())
-        except OSError as error:
-            raise SceneError(f"{path}: expected a picture or a video: {error.strerror}") from error
     return digests
 
 

@@ -145,7 +145,7 @@ class Pictures:
 
     def _load(self, key: _Key) -> Stored:
         shot = self._scene.frames[key[0]][key[1]]
-        data = _read(shot)
+        data = shot.source.read(_full_size(shot))
         mask = self._mask(shot)
         if mask is None and data.shape[2] == 3:
             if self._choice == RANDOM:
@@ -198,15 +198,6 @@ class _Shown:
 def pictures_for(scene: MultiviewScene, settings: TrainSettings) -> Pictures:
     """The pictures that a run with these settings is trained on."""
     return Pictures(scene, max_size=settings.max_size, foreground=settings.foreground, background=settings.background)
-
-
-def _read(shot: Shot) -> NDArray[np.uint8]:
-    """(H, W, 3) RGB or (H, W, 4) with alpha."""
-    data, size = shot.source.read(), _full_size(shot)
-    if data.shape[1::-1] != size:
-        got = f"{data.shape[1]}x{data.shape[0]}"
-        raise SceneError(f"{shot.source}: expected a picture of {size[0]}x{size[1]}, got {got}")
-    return data
 
 
 def _full_size(shot: Shot) -> tuple[int, int]:

@@ -1,24 +1,31 @@
-"""Opening a multi-view scene: the table of formats. To add one, write its module and its row in FORMATS."""
+"""Opening a multi-view scene: the table of formats. To add one, write its module and its row in FORMATS.
+
+Those of a JSON file that names pictures with their cameras are read here. nerfstudio's transforms.json has an entry for
+each picture, or for each camera where entries name videos. CMU Panoptic, as Dynamic 3D Gaussians has it, is
+train_meta.json, pictures in ims/, and masks in seg/ that are not 0 where something moves.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.beside import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.scene.cameras import llff, panoptic, transforms
+from airgs_codec.scene.cameras.posed import Posed
+from airgs_codec.scene.files import expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.formats.table import has_frames
-from airgs_codec.train.data.colmap import has_colmap, read_colmap
-from airgs_codec.train.data.hifi4g import has_hifi4g, read_hifi4g
-from airgs_codec.train.data.multiview import MultiviewScene, Points
+from airgs_codec.train.data.colmap import has_colmap, has_hifi4g, read_colmap, read_hifi4g
+from airgs_codec.train.data.multiview import MultiviewScene, Points, Shot, Source, in_frames
 from airgs_codec.train.data.rig import has_rig, read_rig
-from airgs_codec.train.data.transforms import read_panoptic, read_transforms
-from airgs_codec.train.data.videos import read_poses_bounds
+from airgs_codec.train.data.videos import VIDEO_SUFFIXES, CameraFilm, read_poses_bounds, scene_from_films
 
 POINT_FILES = (
     "points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "sparse_pc.ply", "points3d.npy",
@@ -32,6 +39,56 @@ class Format:
     sign: str  # what a folder of this format has, for messages
     recognise: Callable[[Path], bool]
     read: Callable[[Path], MultiviewScene]  # reads no pictures; raises SceneError
+
+
+def read_transforms(folder: Path) -> MultiviewScene:
+    """The scene of a transforms.json. Frames are the distinct `time_index`, or the distinct `time` without it.
+
+    Without either, as `ns-process-data` writes it, all pictures are of one frame. `ply_file_path` names its points.
+
+    Raises SceneError.
+    """
+    path = folder / transforms.NAME
+    posed = transforms.read(path)
+    fps, points = _frame_rate(path), _named_points(folder, read_object(path).get("ply_file_path"))
+    films = {p.camera.name: CameraFilm(_picture_shot(folder, p), folder / p.picture) for p in posed}
+    if all(film.path.suffix.lower() in VIDEO_SUFFIXES for film in films.values()):
+        return replace(scene_from_films(folder, list(films.values())), points=points)
+    return MultiviewScene(folder, fps, in_frames(posed, partial(_picture_shot, folder)), points)
+
+
+def _named_points(folder: Path, name: object) -> Points | None:
+    """The cloud that the file names, in the axes of its cameras; None where it names none. Raises SceneError."""
+    if name is None:
+        return None
+    with expecting(folder / transforms.NAME, "the points of ply_file_path"):
+        if not isinstance(name, str) or not (folder / name).is_file():
+            raise ValueError(f"got no file {name}")
+    return Points(*read_points(folder / name))
+
+
+def _picture_shot(folder: Path, posed: Posed) -> Shot:
+    picture = folder / posed.picture
+    source = Source(picture if picture.suffix else picture.with_suffix(".png"))
+    return Shot(posed.camera, source, posed.lens, folder / posed.mask if posed.mask else None)
+
+
+def read_panoptic(folder: Path) -> MultiviewScene:
+    """The scene of a train_meta.json, and of the test_meta.json beside it. Raises SceneError."""
+    path = folder / panoptic.NAME
+    posed = panoptic.read(path)
+    return MultiviewScene(folder, _frame_rate(path), in_frames(posed, partial(_masked_shot, folder)))
+
+
+def _frame_rate(path: Path) -> Fraction:
+    """The `fps` of a JSON file. Raises SceneError."""
+    with expecting(path, "a frame rate"):
+        return frame_rate(str(path), exact_number(str(read_object(path).get("fps", DEFAULT_FPS))))
+
+
+def _masked_shot(folder: Path, posed: Posed) -> Shot:
+    mask = folder / "seg" / Path(posed.picture).with_suffix(".png")
+    return Shot(posed.camera, Source(folder / "ims" / posed.picture), None, mask if mask.is_file() else None)
 
 
 def _has(name: str) -> Callable[[Path], bool]:
@@ -95,8 +152,6 @@ def _read_points(folder: Path) -> Points | None:
         return None
     if path.suffix == ".ply":
         return Points(*read_points(path))
-    try:
-        table = np.load(path, allow_pickle=False).astype(np.float32)
+    with expecting(path, "rows of x, y, z [, r, g, b]"), path.open("rb") as file:
+        table = np.load(file, allow_pickle=False).astype(np.float32)
         return Points(table[:, :3], table[:, 3:6] if table.shape[1] >= 6 else None)
-    except (OSError, ValueError, IndexError) as error:
-        raise SceneError(f"{path}: expected rows of x, y, z [, r, g, b]: {error}") from error

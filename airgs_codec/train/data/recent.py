@@ -50,11 +50,7 @@ class Recent(Generic[Key, Value]):
             return found
         with self._making:
             found = self._find(key)  # somebody may have made it meanwhile
-            return self._hold(key, self._make(key)) if found is None else found
-
-    def put(self, key: Key, value: Value) -> None:
-        """Hold a value that is known already."""
-        self._hold(key, value)
+            return self.put(key, self._make(key)) if found is None else found
 
     def expect(self, key: Key) -> None:
         """Make the value of a key in another thread, where it is not in memory; a failure is left for `get` to find."""
@@ -69,7 +65,8 @@ class Recent(Generic[Key, Value]):
                 self._values.move_to_end(key)
             return self._values.get(key)
 
-    def _hold(self, key: Key, value: Value) -> Value:
+    def put(self, key: Key, value: Value) -> Value:
+        """Hold a value that is known already, and return it."""
         with self._changing:
             self._values[key] = value
             held = sum(v.nbytes for v in self._values.values())

@@ -12,10 +12,10 @@ from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.beside import DEFAULT_FPS
 from airgs_codec.scene.camera import Camera, with_pixels
 from airgs_codec.scene.cameras import llff
 from airgs_codec.scene.formats.table import natural_key
-from airgs_codec.scene.sequence_json import DEFAULT_FPS
 from airgs_codec.train.data.multiview import MultiviewScene, Shot, Source, open_video
 
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")

@@ -8,7 +8,7 @@ That only refines what is there; an object in empty space has no Gaussian near i
 seeds on a test scene). Seeds lie on the visual hull of what the views cannot explain: a point belongs to it if almost
 every view that sees it disagrees there.
 
-N Gaussians, of which the first `kept` stay in any case, P points, V views, H x W pixels.
+N Gaussians, of which the first `fixed` stay in any case, P points, V views, H x W pixels.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from airgs_codec.media.image import box_mean
-from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.backend import CPU, Renderer
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.data.plates import Masks
-from airgs_codec.train.fit.parameters import Parameters, from_points
-from airgs_codec.train.fit.points import project
+from airgs_codec.train.fit.parameters import Parameters
+from airgs_codec.train.fit.points import from_points, project
 
 LARGE = 0.003  # of the scene's extent: larger Gaussians are split, smaller ones cloned
 SPLIT_SHRINK = math.log(1.6)  # 3DGS: children of a split are 1.6 times smaller
@@ -98,7 +98,7 @@ class Densifier:
         """(N,) mean over the pictures that showed a row; 0 where none did."""
         return self._sum / self._count.clamp_min(1)
 
-    def grow(self, p: Parameters, extent: float, kept: int, done: float) -> tuple[torch.Tensor, Parameters | None]:
+    def grow(self, p: Parameters, extent: float, fixed: int, done: float) -> tuple[torch.Tensor, Parameters | None]:
         """Mask (N,) of the rows that go on, and new rows, as many as are due when a share `done` is past.
 
         `extent`: of the scene in world units.
@@ -110,7 +110,7 @@ class Densifier:
             score, wanted = score * (score >= limit), self.growth.budget
         parents = strongest(score, wanted - len(p["means"])).to(p["means"].device)
         split = parents & (p["log_scales"].amax(dim=1).exp() > self.growth.large * extent)
-        return split_or_clone(p, parents, split, kept, self._rng)
+        return split_or_clone(p, parents, split, fixed, self._rng)
 
 
 def strongest(score: torch.Tensor, count: int) -> torch.Tensor:
@@ -122,16 +122,16 @@ def strongest(score: torch.Tensor, count: int) -> torch.Tensor:
 
 
 def split_or_clone(
-    p: Parameters, parents: torch.Tensor, split: torch.Tensor, kept: int, rng: np.random.Generator
+    p: Parameters, parents: torch.Tensor, split: torch.Tensor, fixed: int, rng: np.random.Generator
 ) -> tuple[torch.Tensor, Parameters | None]:
     """Mask (N,) of the rows that go on, and one new row more for each of the `parents` (N,); None: there are none.
 
-    Rows in `split` (N,) become two smaller ones drawn from them, the other parents are cloned. The first `kept` rows
+    Rows in `split` (N,) become two smaller ones drawn from them, the other parents are cloned. The first `fixed` rows
     go on in any case, and get one child each.
     """
     if not bool(parents.any()):
         return torch.ones_like(parents), None
-    goes = split & (torch.arange(len(split), device=split.device) >= kept)
+    goes = split & (torch.arange(len(split), device=split.device) >= fixed)
     rows = torch.cat([torch.nonzero(mask)[:, 0] for mask in (parents, goes)])  # one that goes leaves two
     moved = split[rows]
     children = {name: value[rows].clone() for name, value in p.items()}
@@ -140,10 +140,10 @@ def split_or_clone(
     return ~goes, children
 
 
-def is_visible(p: Parameters, kept: int, low: float = LOW_OPACITY) -> torch.Tensor:
-    """(N,) mask of the first `kept` rows and of those whose opacity is at least `low`."""
+def is_visible(p: Parameters, fixed: int, low: float = LOW_OPACITY) -> torch.Tensor:
+    """(N,) mask of the first `fixed` rows and of those whose opacity is at least `low`."""
     keep = p["opacity_logits"].sigmoid() >= low
-    keep[:kept] = True
+    keep[:fixed] = True
     return keep
 
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from airgs_codec.errors import TrainingError
 from airgs_codec.media.image import resize
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render.absgrad import AbsGrad
 from airgs_codec.render.cpu import TILE, Redraw, Render
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.camera import with_pixels
 from airgs_codec.train.data.pictures import Picture, Target, View
 from airgs_codec.train.fit.losses import LAMBDA, ExposureModel, photometric
@@ -31,8 +31,8 @@ LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite
 class Variables(Protocol):
     """The variables that an iteration moves."""
 
-    def current(self) -> Parameters:
-        """The Gaussians as they are now, differentiable by the variables."""
+    def current(self, view: int = 0) -> Parameters:
+        """The Gaussians as the view of that number shows them now, differentiable by the variables."""
 
     def watch(self) -> AbsGrad | None:
         """Where the absolute gradients of the next picture are wanted; None: nowhere."""
@@ -126,7 +126,7 @@ def optimise(
         seen = [_before(views[i], rng) if schedule.random_background else views[i] for i in chosen]
         sh_degree = schedule.sh_degree(iteration / schedule.iterations)
         cameras, redraws = zip(*((view.camera, view.redraw) for view in seen), strict=True)
-        pictures = render_views(variables.current(), cameras, sh_degree, variables.watch(), redraws)
+        pictures = render_views(variables.current(chosen[0]), cameras, sh_degree, variables.watch(), redraws)
         parts = []
         for index, view, (rgb, _) in zip(chosen, seen, pictures, strict=True):
             shown = exposure.apply(rgb, index) if exposure else rgb

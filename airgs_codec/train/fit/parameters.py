@@ -1,11 +1,10 @@
 """Gaussians as torch tensors in stored domain, the way to and from them, and Adam for them, whose rows may come and go.
 
-N Gaussians, K SH coefficients past DC, P points. Names are those of `Gaussians`, the paper's six attributes.
+N Gaussians, K SH coefficients past DC. Names are those of `Gaussians`, the paper's six attributes.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -13,15 +12,13 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from airgs_codec.render.absgrad import AbsGrad
-from airgs_codec.render.cpu import Redraw
+from airgs_codec.render.cpu import RasterInputs, Redraw
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.render.differentiable import Picture, rasterize_views
-from airgs_codec.render.inputs import RasterInputs
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
-from airgs_codec.scene.repair import QUATERNION_MIN_NORM
+from airgs_codec.scene.frames import QUATERNION_MIN_NORM
+from airgs_codec.scene.gaussians import SH_REST, Gaussians
 
 ATTRIBUTES = tuple(f.name for f in fields(Gaussians))
 Parameters = dict[str, torch.Tensor]  # attribute -> (N, ...)
@@ -58,27 +55,6 @@ def take_and_append(
 ) -> Parameters:
     """The rows of `old` in the mask `keep` (N,), in order, and the rows of `new` after them."""
     return {n: v[keep] if new is None else torch.cat([v[keep], new[n]]) for n, v in old.items()}
-
-
-def from_points(
-    positions: NDArray[np.float32], colours: NDArray[np.float32], sh_degree: int, opacity: float, largest: float
-) -> Gaussians:
-    """Balls at `positions` (P, 3) with RGB `colours` (P, 3), as large as their three nearest neighbours are far.
-
-    `opacity`: of each, 0..1. `largest`: their largest radius in world units.
-    """
-    n = len(positions)
-    near, _ = cKDTree(positions).query(positions, k=min(4, n))
-    spacing = np.sqrt(np.square(near.reshape(n, -1)[:, 1:]).mean(axis=1)) if n > 1 else np.full(n, 0.01 * largest)
-    radius = np.log(np.clip(spacing, 1e-4 * largest, largest))  # the logarithm of coincident points' 0 is -Inf
-    return Gaussians(
-        means=positions.astype(np.float32),
-        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
-        log_scales=np.repeat(radius[:, None], 3, axis=1).astype(np.float32),
-        opacity_logits=np.full(n, math.log(opacity / (1 - opacity)), np.float32),
-        sh_dc=((colours - 0.5) / SH_C0).astype(np.float32),
-        sh_rest=np.zeros((n, SH_REST[sh_degree], 3), np.float32),
-    )
 
 
 def render(p: Mapping[str, torch.Tensor], camera: Camera, sh_degree: int, absgrad: AbsGrad | None = None) -> Picture:

@@ -6,6 +6,7 @@ together, numbered one view after another.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -13,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import match_features, sift
 from airgs_codec.render import Camera
+from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import View
 
@@ -60,6 +63,27 @@ def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng
     if points.colours is None:
         points = replace(points, colours=_seen_colours(points.positions, views))
     return points
+
+
+def from_points(
+    positions: NDArray[np.float32], colours: NDArray[np.float32], sh_degree: int, opacity: float, largest: float
+) -> Gaussians:
+    """Balls at `positions` (P, 3) with RGB `colours` (P, 3), as large as their three nearest neighbours are far.
+
+    `opacity`: of each, 0..1. `largest`: their largest radius in world units.
+    """
+    n = len(positions)
+    near, _ = cKDTree(positions).query(positions, k=min(4, n))
+    spacing = np.sqrt(np.square(near.reshape(n, -1)[:, 1:]).mean(axis=1)) if n > 1 else np.full(n, 0.01 * largest)
+    radius = np.log(np.clip(spacing, 1e-4 * largest, largest))  # the logarithm of coincident points' 0 is -Inf
+    return Gaussians(
+        means=positions.astype(np.float32),
+        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        log_scales=np.repeat(radius[:, None], 3, axis=1).astype(np.float32),
+        opacity_logits=np.full(n, math.log(opacity / (1 - opacity)), np.float32),
+        sh_dc=((colours - 0.5) / SH_C0).astype(np.float32),
+        sh_rest=np.zeros((n, SH_REST[sh_degree], 3), np.float32),
+    )
 
 
 def _with_random(points: Points, count: int, views: Sequence[View], rng: np.random.Generator) -> Points:

@@ -26,11 +26,10 @@ from airgs_codec.train.fit.parameters import (
     ATTRIBUTES,
     Parameters,
     from_gaussians,
-    from_points,
     to_gaussians,
     zeros_like,
 )
-from airgs_codec.train.fit.points import initial_points, scene_extent
+from airgs_codec.train.fit.points import from_points, initial_points, scene_extent
 from airgs_codec.train.fit.variables import MlpDriven, Networks, PerGaussian, Rates, Regularisers
 from airgs_codec.train.settings import BUDGET, RANDOM, TrainSettings
 
@@ -72,6 +71,7 @@ class Group:
     first_psnr: float  # dB, mean over training views of its first frame
     steps: Parameters  # codec steps at its first frame
     networks: Networks | None  # they learn on from frame to frame; None: frames move without
+    second_psnr: float | None = None  # dB, of the frame behind it, where that is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +197,7 @@ class Trainer:
             start,
             temporal,
             s.temporal.until,
-            kept=rows,
+            fixed=rows,
             regularisers=Regularisers(inflation=s.inflation),
             densifier=Densifier(self._growth(most, scope.views), len(base["means"]), rng),
             resting=scope.resting,

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from airgs_codec.errors import TrainingError
-from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.train.fit.active import Resting
 from airgs_codec.train.fit.grow import Densifier, is_visible
 from airgs_codec.train.fit.parameters import ATTRIBUTES, BETAS, Adam, Parameters, take_and_append, zeros_like
@@ -67,7 +67,7 @@ class PerGaussian:
     start: Parameters | None = None  # D to begin with; None: 0
     temporal: Parameters | None = None  # weight of |D| of each element, `temporal_weights`; 0 in rows that are new
     until: float = 1.0  # share of the iterations in which it acts
-    kept: int = 0  # U
+    fixed: int = 0  # U
     regularisers: Regularisers = field(default_factory=Regularisers)
     densifier: Densifier | None = None  # None: no rows are added
     resting: Resting | None = None  # rows that are in the pictures, too, and are not fitted; None: there are none
@@ -78,7 +78,7 @@ class PerGaussian:
     def __post_init__(self) -> None:
         self.adam = Adam(self.start or zeros_like(self.base), self.rates.at(0.0, self.extent))
 
-    def current(self) -> Parameters:
+    def current(self, view: int = 0) -> Parameters:
         """The Gaussians as they are now, base + D, differentiable by D, among those that rest."""
         fitted = self._fitted()
         return self.resting.joined(fitted) if self.resting else fitted
@@ -103,8 +103,8 @@ class PerGaussian:
             opacity = (self.base["opacity_logits"] + self.adam.parameters["opacity_logits"]).sigmoid()
             if r.opacity:
                 total = total + r.opacity * opacity.mean()
-            if r.inflation and len(opacity) > self.kept:
-                total = total + r.inflation * opacity[self.kept :].sum()
+            if r.inflation and len(opacity) > self.fixed:
+                total = total + r.inflation * opacity[self.fixed :].sum()
         if r.scale:
             size = (self.base["log_scales"] + self.adam.parameters["log_scales"]).exp()
             total = total + r.scale / self.extent * size.mean()
@@ -124,15 +124,15 @@ class PerGaussian:
     def remove_fainter(self, opacity: float) -> None:
         """Remove rows past the first U whose opacity is under `opacity`. Raises TrainingError where none is left."""
         with torch.no_grad():
-            self._replace(is_visible(self._fitted(), self.kept, opacity), None)
+            self._replace(is_visible(self._fitted(), self.fixed, opacity), None)
 
     @torch.no_grad()
     def _densify(self, densifier: Densifier, iteration: int, iterations: int) -> None:
         due = densifier.growth.due(iteration, iterations)
         if due:
-            self._replace(*densifier.grow(self._fitted(), self.extent, self.kept, iteration / iterations))
+            self._replace(*densifier.grow(self._fitted(), self.extent, self.fixed, iteration / iterations))
         if densifier.growth.removes(iteration, iterations):
-            self._replace(is_visible(self._fitted(), self.kept), None)
+            self._replace(is_visible(self._fitted(), self.fixed), None)
             densifier.restart(len(self.base["means"]))
 
     def _fitted(self) -> Parameters:
@@ -278,7 +278,7 @@ class MlpDriven:
         self._changes = {}
         self._adam = torch.optim.Adam(self.networks.parameters(), lr=RATE, betas=BETAS)
 
-    def current(self) -> Parameters:
+    def current(self, view: int = 0) -> Parameters:
         """GS_t + d_{t+1}, differentiable by the weights."""
         self._changes = {n: d.reshape(self.base[n].shape) for n, d in self.networks(self._features).items()}
         return {n: p + self._changes[n] if n in self._changes else p for n, p in self.base.items()}

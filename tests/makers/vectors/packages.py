@@ -13,7 +13,7 @@ from typing import Any
 
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.decoder.decode import decode_key, decode_state
-from airgs_codec.media.h264 import decode_pictures, open_segment
+from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.tables import unpack_matrix
 from tests.makers.vectors.formulas import Coding, Row, key_row, listed, state_row
@@ -106,12 +106,12 @@ def _startups(t: Tables) -> list[dict[str, Any]]:
 
 
 def _unit(folder: Path, path: str) -> dict[str, Any]:
-    segment = open_segment((folder / path).read_bytes(), path)
-    pictures = list(decode_pictures(segment.samples, path))
+    columns, shown = open_segment((folder / path).read_bytes(), path)
+    pictures = list(shown)
     return {
         "package": _name(folder),
         "path": path,
-        "columns": None if segment.columns is None else binary(segment.columns),
+        "columns": None if columns is None else binary(columns),
         "width": pictures[0].shape[1],
         "height": pictures[0].shape[0],
         "luma": [sha256(picture.tobytes()).hexdigest() for picture in pictures],

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.errors import FormatError
+from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import open_package
-from airgs_codec.package.paths import JSON_NAME
 from airgs_codec.play.downloader import (
     Arrival,
     Arrived,
@@ -97,6 +97,14 @@ def kept_package(rng: np.random.Generator) -> Numbers:
     return {**first, "name": "kept", "groups": groups}
 
 
+def sounding_package(rng: np.random.Generator) -> Numbers:
+    """The groups of the drawn package with sound, in whose time one has none."""
+    drawn = drawn_package(rng)
+    sounds = [7400, 0, 9100]
+    groups = [group | {"sound": size} for group, size in zip(drawn["groups"], sounds, strict=True)]
+    return {**drawn, "name": "sounding", "groups": groups}
+
+
 def _segment(frames: int, rng: np.random.Generator) -> dict[str, Any]:
     best, most = rng.uniform(33, 42), rng.uniform(1e3, 2.5e3) * frames
     sizes = [int(most * 0.55**j * rng.uniform(0.9, 1.1)) for j in range(4)]
@@ -131,7 +139,8 @@ def packages() -> list[Numbers]:
     """What is played."""
     fox = open_package(GOLDEN / "fox")
     drawn, kept = drawn_package(np.random.default_rng(31)), kept_package(np.random.default_rng(33))
-    return [drawn, numbers_of(fox.manifest, "fox", fox.root_bytes), paged_package(), kept]
+    sounding = sounding_package(np.random.default_rng(34))
+    return [drawn, numbers_of(fox.manifest, "fox", fox.root_bytes), paged_package(), kept, sounding]
 
 
 def traces(numbers: Numbers, rng: np.random.Generator) -> list[Trace]:
@@ -168,6 +177,9 @@ def plays() -> Iterator[Play]:
         yield Play(3, 12 + number % 4, policy, settings=_rules(0, next(turn)))
     yield Play(3, 12, "robust-mpc", faults={"key/T0/1.bin": "hash_mismatch", "group/3.json.gz": "missing_file"})
     yield Play(3, 13, "throughput", growth=[2, 3, 4, 5])
+    yield Play(4, 18, "paper", settings={"loops": 1})
+    bad = {"sound/1.m4a": "missing_file", "key/T0/3.bin": "hash_mismatch"}
+    yield Play(4, 16, "robust-mpc", faults=bad, settings={"loops": 1})
 
 
 def _rules(package: int, turn: int) -> dict[str, Any]:

@@ -91,6 +91,13 @@ def test_a_header_of_numpy_that_is_broken_is_refused_in_one_line(tmp_path):
         read_cameras(path)
 
 
+def test_an_array_of_more_bytes_than_any_machine_has_is_refused_in_one_line(tmp_path):
+    path = FORMS["llff"](tmp_path, ring(3))
+    path.write_bytes(path.read_bytes().replace(b"(3, 17), }" + b" " * 12, b"(3" + b"0" * 12 + b", 17), }"))
+    with pytest.raises(SceneError, match=r"poses_bounds\.npy: expected rows of 17 numbers: Unable to allocate"):
+        read_cameras(path)
+
+
 def test_nothing_an_empty_folder_and_another_file_are_refused(tmp_path):
     with pytest.raises(SceneError, match=r"none: expected cameras .* No such file"):
         read_cameras(tmp_path / "none")

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.ply_elements import BLOCK, read_columns, read_header
+from airgs_codec.scene.formats.ply_elements import BLOCK, MOST_ELEMENTS, MOST_PROPERTIES, read_columns, read_header
 from tests.support.ply import ORDERS, TYPES, Column, ply_bytes
 
 NUMBERS = {
@@ -105,6 +105,23 @@ def test_absurd_counts_are_refused_before_memory_is_taken(tmp_path, form, elemen
             table_of(path, ["x"])
         assert tracemalloc.get_traced_memory()[1] < 3e6
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("form", ORDERS)
+def test_a_header_declares_no_more_than_a_scene_can_need(tmp_path, form):
+    path = tmp_path / "a.ply"
+    vertex = [Column(f"p{i}", "uchar", [i % 256]) for i in range(MOST_PROPERTIES - MOST_ELEMENTS + 1)]
+    elements = {f"e{i}": [Column("x", "uchar", [])] for i in range(MOST_ELEMENTS - 1)} | {"vertex": vertex}
+    path.write_bytes(ply_bytes(elements, form))
+    assert table_of(path, ["p7"])[0, 0] == 7
+    for more, got in (
+        ({"more": [Column("x", "uchar", [])]}, f"{MOST_ELEMENTS + 1} elements and {MOST_PROPERTIES + 1} properties"),
+        ({f"e{i}": [Column("x", "uchar", [])] for i in range(20_000)}, "20001 elements"),
+        ({"vertex": [Column(f"p{i}", "uchar", [1]) for i in range(45_000)]}, "45063 properties"),
+    ):
+        path.write_bytes(ply_bytes(elements | more, form))
+        with pytest.raises(SceneError, match=f"{MOST_ELEMENTS} elements and {MOST_PROPERTIES} properties, got .*{got}"):
+            read_header(path)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.scene.repair import repair
+from airgs_codec.scene.frames import repair
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames

@@ -33,7 +33,8 @@ class Counted:
     size: tuple[int, int]
     reads: list[int]
 
-    def read(self):
+    def read(self, size):
+        assert size == self.size
         self.reads.append(self.seed)
         return np.random.default_rng(self.seed).integers(0, 256, (self.size[1], self.size[0], 3), np.uint8)
 
@@ -78,7 +79,7 @@ def test_pictures_that_fit_are_read_once():
 def test_opaque_pictures_at_full_size_are_exact_and_others_within_half_a_level(moving):
     scene, _ = noise(1, (30, 20))
     view = Pictures(scene).train(0)[0]
-    assert (view.target.rgb == scene.frames[0][0].source.read().astype(np.float32) / np.float32(255)).all()
+    assert (view.target.rgb == scene.frames[0][0].source.read((30, 20)).astype(np.float32) / np.float32(255)).all()
     small = Pictures(open_scene(moving), max_size=24).train(0)[0].target.rgb
     whole = Pictures(open_scene(moving)).train(0)[0].target.rgb
     assert 0 < np.abs(small - resize(whole, 24, 24)).max() <= 0.5 / 255 + 1e-6

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.train.fit.grow import (
     Densifier,
     Growth,
@@ -34,7 +34,7 @@ def test_growth_ends_at_the_budget_and_never_passes_it():
 def test_growing_adds_what_was_asked_and_leaves_kept_rows_in_place():
     p = random_parameters(50)
     parents = strongest(torch.linspace(0, 1, 50), 20)
-    keep, added = split_or_clone(p, parents, parents, kept=40, rng=np.random.default_rng(0))
+    keep, added = split_or_clone(p, parents, parents, fixed=40, rng=np.random.default_rng(0))
     assert keep[:40].all() and not keep[40:].any()  # splits of kept rows leave the parent
     assert int(keep.sum()) + len(added["means"]) == 70
     sizes = p["log_scales"][-1]
@@ -46,7 +46,7 @@ def test_growing_adds_what_was_asked_and_leaves_kept_rows_in_place():
 def test_small_rows_are_cloned_in_place():
     p = random_parameters(5)
     parents = torch.tensor([False, True, False, False, False])
-    keep, added = split_or_clone(p, parents, torch.zeros(5, dtype=torch.bool), kept=0, rng=np.random.default_rng(0))
+    keep, added = split_or_clone(p, parents, torch.zeros(5, dtype=torch.bool), fixed=0, rng=np.random.default_rng(0))
     assert keep.all()
     assert all(torch.equal(added[name][0], value[1]) for name, value in p.items())
 
@@ -59,14 +59,14 @@ def test_rows_without_a_gradient_are_never_parents():
 
 def test_nothing_is_added_before_a_gradient_was_seen():
     densifier = Densifier(Growth(20), 9, np.random.default_rng(0))
-    keep, added = densifier.grow(random_parameters(9), extent=1.0, kept=0, done=0.5)
+    keep, added = densifier.grow(random_parameters(9), extent=1.0, fixed=0, done=0.5)
     assert added is None and keep.all()
 
 
 def test_what_is_faint_goes_but_for_kept_rows():
     p = random_parameters(6)
     p["opacity_logits"] = torch.tensor([-9.0, 3.0, -9.0, 3.0, -9.0, 3.0])
-    assert is_visible(p, kept=3).tolist() == [True, True, True, True, False, True]
+    assert is_visible(p, fixed=3).tolist() == [True, True, True, True, False, True]
 
 
 def test_absolute_gradients_are_largest_where_the_picture_is_wrong():

@@ -8,8 +8,7 @@ from airgs_codec.render import Camera, cpu, read_cameras
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.parameters import from_points
-from airgs_codec.train.fit.points import initial_points, intersect, project, scene_extent, triangulate
+from airgs_codec.train.fit.points import from_points, initial_points, intersect, project, scene_extent, triangulate
 from tests.support.paths import FOX, FOX_VIEWS
 from tests.support.views import coloured_cloud, ring, views_of
 

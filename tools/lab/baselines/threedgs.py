@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from airgs_codec.errors import TrainingError
-from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.fit.grow import LOW_OPACITY, is_visible, split_or_clone
 from airgs_codec.train.fit.parameters import Adam, Parameters, from_gaussians, to_gaussians
@@ -71,7 +71,7 @@ class Splats:
         self._absgrad = AbsGrad()
         self._restart()
 
-    def current(self) -> Parameters:
+    def current(self, view: int = 0) -> Parameters:
         """The Gaussians as they are now, leaves."""
         return self._adam.parameters
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.train.fit.grow import Densifier, Growth
 from airgs_codec.train.fit.parameters import EPSILON, Parameters, from_gaussians, to_gaussians
@@ -122,7 +122,7 @@ class CacheDriven:
         self._adam = torch.optim.Adam(self.cache.parameters(), lr=self.rate, betas=BETAS, eps=EPSILON)
         self.collected = Densifier(Growth(len(self.base)), len(self.base), np.random.default_rng(0))
 
-    def current(self) -> Parameters:
+    def current(self, view: int = 0) -> Parameters:
         """The moved Gaussians, differentiable by the numbers of the cache."""
         return transformed(self._base, self._rows, self.cache(self._places), self.region.diagonal)
 

@@ -23,8 +23,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import write_json
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.morton import morton_encode
+from airgs_codec.scene.gaussians import Gaussians, morton_encode
 from airgs_codec.train.fit.optimise import Schedule, optimise
 from airgs_codec.train.fit.parameters import BETAS, Parameters, from_gaussians, to_gaussians
 from airgs_codec.train.fit.trainer import FIRST_REGULARISERS, FrameViews, Trainer, make_trainer
@@ -230,7 +229,7 @@ class FieldDriven:
         self._places = self._field.places(means)
         self._adam = torch.optim.Adam(self._field.parameters(), lr=FIELD_RATE, betas=BETAS)
 
-    def current(self) -> Parameters:
+    def current(self, view: int = 0) -> Parameters:
         """The Gaussians where the field puts them, differentiable by its weights."""
         moved = self.base["means"] + DISPLACEMENT * self.extent * self._field(self._places)
         return self.base | {"means": moved}

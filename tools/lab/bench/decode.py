@@ -16,10 +16,10 @@ from pathlib import Path
 import av
 
 from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_segment
-from airgs_codec.media.h264 import decode_pictures, open_segment
+from airgs_codec.media.h264 import open_segment
+from airgs_codec.package.layout import INIT_NAME
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.package.paths import INIT_NAME
 from tools.lab import Lab, Page, Row, Section, Table, middle, required, setting, timed
 
 
@@ -111,7 +111,7 @@ def middle_frame(m: Manifest) -> tuple[int, int]:
 
 
 def _decode_video(package: Package, path: str, pages: int) -> None:
-    _exhaust(decode_pictures(open_segment(package.read(path), path).samples, path, pages))
+    _exhaust(iter(open_segment(package.read(path), path, pages)[1]))
 
 
 def _exhaust(values: Iterator[object]) -> None:

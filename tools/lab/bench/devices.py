@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.render.backend import CPU, Loaded, open_renderer
-from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Section, Table, required, seconds_of, setting

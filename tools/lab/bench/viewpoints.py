@@ -16,7 +16,7 @@ import numpy as np
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.viewpoint_score import Sample
 from airgs_codec.analysis.viewpoints import find_viewpoints
-from airgs_codec.inspect.contact_sheet import write_contact_sheet
+from airgs_codec.inspect.compare import write_contact_sheet
 from airgs_codec.render import Camera, look_at, read_cameras, render
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from airgs_codec.package.paths import ROOTS
+from airgs_codec.package.layout import ROOTS
 from airgs_codec.play.offers import HEADER_BYTES
 
 

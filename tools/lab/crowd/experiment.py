@@ -14,9 +14,9 @@ from pathlib import Path
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.engines import Processes
+from airgs_codec.package.layout import FileKind, file_kind
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.package.paths import FileKind, file_kind
 from airgs_codec.play.trace import open_trace
 from tools.lab import Lab, Page, nested, required, setting
 from tools.lab.crowd.costs import Prices

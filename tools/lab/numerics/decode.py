@@ -12,7 +12,7 @@ import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames, decode_segment, decode_state
-from airgs_codec.media.h264 import decode_pictures, open_segment
+from airgs_codec.media.h264 import open_segment
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
@@ -123,4 +123,4 @@ def _pictures(package: Package, index: int) -> int:
     m = package.manifest
     (media,) = m.state_files(index, 0)
     atlas = m.groups[m.group_of(index)].tiles[0].levels[0]
-    return sum(1 for _ in decode_pictures(open_segment(package.read(media), media).samples, media, atlas.pages))
+    return sum(1 for _ in open_segment(package.read(media), media, atlas.pages)[1])

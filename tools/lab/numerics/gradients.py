@@ -9,10 +9,10 @@ import torch
 from numpy.typing import NDArray
 
 from airgs_codec.render import Camera, cpu
-from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.render.reference import render_reference
+from airgs_codec.scene.frames import QUATERNION_MIN_NORM
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.repair import QUATERNION_MIN_NORM
 from tools.lab.numerics.outcome import BOUNDED, Case, Judged, error_end, grid
 from tools.lab.numerics.problems import AXES, Axis
 

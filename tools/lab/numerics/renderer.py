@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import Camera, cpu, cpu_kernels
-from airgs_codec.render.inputs import RasterInputs
+from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.render.reference import render_reference
 from airgs_codec.scene.camera import resized
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene

@@ -23,8 +23,8 @@ from airgs_codec._settings import setting
 from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.play.ladder import frame_budget
 from airgs_codec.play.offers import Offers
+from airgs_codec.play.policies.paper import frame_budget
 from airgs_codec.play.trace import Link, open_trace
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, read_cameras

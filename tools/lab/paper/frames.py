@@ -28,8 +28,9 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.ladder import DEFAULT_BETA, Ladder, Option, frame_budget, saved_shares, select, select_literal
+from airgs_codec.play.ladder import DEFAULT_BETA, Ladder, Option, saved_shares, select
 from airgs_codec.play.offers import Offers
+from airgs_codec.play.policies.paper import frame_budget, select_literal
 from airgs_codec.play.policies.state import Download, estimate_throughput
 from airgs_codec.play.trace import Link
 

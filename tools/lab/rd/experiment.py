@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 from airgs_codec._report import plain_log_ticks
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import read_cameras
+from airgs_codec.scene.beside import exact_number
 from airgs_codec.scene.sequence import open_sequence
-from airgs_codec.scene.sequence_json import exact_number
 from tools.lab import Lab, Page, Picture, Section, Table, required, rows_of, setting
 from tools.lab.page import Row
 from tools.lab.rd.coders import OURS, layout_trials, our_trials

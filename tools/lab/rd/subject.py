@@ -7,16 +7,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.rows import plan_groups
-from airgs_codec.errors import SceneError
+from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.media.image import read_picture, to_floats
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, render
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.morton import morton_encode
+from airgs_codec.scene.gaussians import Gaussians, morton_encode
 from airgs_codec.scene.sequence import GaussianSequence
 from tools.lab.rd.points import RdPoint
 
@@ -102,11 +100,4 @@ def read_truth(views: Path, cameras: Sequence[Camera], frames: Sequence[int]) ->
     wanted = {number: [paths.get((camera.name, number)) for camera in cameras] for number in frames}
     if not all(path and path.is_file() for row in wanted.values() for path in row):
         return {}
-    return {number: [_read_picture(path) for path in row if path] for number, row in wanted.items()}
-
-
-def _read_picture(path: Path) -> np.ndarray:
-    picture = cv2.imread(str(path))
-    if picture is None:
-        raise SceneError(f"{path}: expected a picture")
-    return picture[..., ::-1].astype(np.float32) / 255
+    return {number: [to_floats(read_picture(path)[..., :3]) for path in row if path] for number, row in wanted.items()}

@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.layout import JSON_NAME, MPD_NAME, FileKind, file_kind
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import open_package
-from airgs_codec.package.paths import JSON_NAME, MPD_NAME, FileKind, file_kind
 from airgs_codec.package.publish import GrowingPackage, write_root
 from airgs_codec.package.tables import Group
 from airgs_codec.places.place import Folder

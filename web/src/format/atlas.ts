@@ -1,5 +1,5 @@
 // Where samples lie in pictures: FORMAT.md, section 4. N rows, P planes.
-import { BLOCK, BRIGHTEST, DARKEST, ESCAPE_UNIT, GREY } from "../generated/constants.ts";
+import { BLOCK, ESCAPE_UNIT, GREY } from "../generated/constants.ts";
 import { FormatError } from "./errors.ts";
 import type { Atlas, BaseChanges } from "./types.ts";
 
@@ -21,7 +21,6 @@ export function pages(atlas: Atlas): number {
   return atlas.planes.length ? Math.ceil(atlasLines(atlas) / atlas.height) : 0;
 }
 
-/** Samples of all pages together. */
 export function atlasSamples(atlas: Atlas): number {
   return pages(atlas) * atlas.width * atlas.height;
 }
@@ -48,31 +47,34 @@ export function planeCorner(atlas: Atlas, plane: number): number {
   return line * atlas.width + (plane % atlas.columns) * atlas.plane_width;
 }
 
-/** Throws FormatError(bad_picture) unless every sample of decoded luma may stand; `where` names the file. */
-export function checkLuma(luma: Uint8Array, where: string): void {
-  let least = 255;
-  let most = 0;
-  for (let i = 0; i < luma.length; i++) {
-    const sample = luma[i]!;
-    if (sample < least) least = sample;
-    if (sample > most) most = sample;
-  }
-  if (luma.length && (least < DARKEST || most > BRIGHTEST)) {
-    throw new FormatError("bad_picture", where, `expected luma of ${DARKEST} to ${BRIGHTEST}, got ${least} to ${most}`);
-  }
+/** What a byte does to a CRC-32. */
+const CRC = Uint32Array.from({ length: 256 }, (_, byte) => {
+  let rest = byte;
+  for (let bit = 0; bit < 8; bit++) rest = rest & 1 ? (rest >>> 1) ^ 0xedb88320 : rest >>> 1;
+  return rest;
+});
+
+/** Throws FormatError(bad_picture) unless decoded luma has this checksum, CRC-32 (RFC 1952); `where` names the file. */
+export function checkLuma(luma: Uint8Array, checksum: number | undefined, where: string): void {
+  let rest = -1;
+  for (let i = 0; i < luma.length; i++) rest = (rest >>> 8) ^ CRC[(rest ^ luma[i]!) & 0xff]!;
+  if (~rest >>> 0 !== checksum)
+    throw new FormatError("bad_picture", where, `a picture differs from its checksum ${checksum}`);
 }
 
-/** Bases of all samples of an atlas, in which changes take effect one after the other. */
-export function applyBases(bases: Int32Array, changes: BaseChanges | null): void {
-  changes?.texels.forEach((texel, i) => {
-    bases[texel] = changes.bases[i]!;
-  });
+/** (`samples`) bases after changes from bases of 0, one after the other; null where there is no change. */
+export function basesAfter(samples: number, changes: readonly (BaseChanges | null)[]): Int32Array | null {
+  if (!changes.some((one) => one)) return null;
+  const bases = new Int32Array(samples);
+  for (const one of changes) {
+    one?.texels.forEach((texel, i) => {
+      bases[texel] = one.bases[i]!;
+    });
+  }
+  return bases;
 }
 
-/** (channels · N) codes of every channel, rows after one another: luma − GREY + ESCAPE_UNIT · base + centre.
- *
- * `luma` are the samples of all pages, `bases` those of the same places, null where all are 0.
- */
+/** (channels · N) luma − GREY + ESCAPE_UNIT · base + centre of every channel; `bases` null: they are 0. */
 export function readCodes(atlas: Atlas, luma: Uint8Array, bases: Int32Array | null): Int32Array {
   const { rows, centres, planes } = atlas;
   const codes = new Int32Array(centres.length * rows);

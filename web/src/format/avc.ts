@@ -4,7 +4,6 @@ import { FormatError } from "./errors.ts";
 import type { Sample } from "./mp4.ts";
 import type { Atlas } from "./types.ts";
 
-/** What a sequence parameter set says. */
 export interface Parameters {
   /** RFC 6381, for decoders that are configured without a description and take Annex B. */
   codec: string;
@@ -18,7 +17,6 @@ const SPS = 7;
 // Profiles whose SPS says which chroma and depths it has: 7.3.2.1.1.
 const HIGH = [100, 110, 122, 244, 44, 83, 86, 118, 128, 138, 139, 134, 135];
 
-/** The NAL units of a sample. Throws FormatError(bad_picture). */
 export function nalUnits(sample: Uint8Array, where: string): Uint8Array[] {
   const view = new DataView(sample.buffer, sample.byteOffset, sample.byteLength);
   const units: Uint8Array[] = [];
@@ -40,7 +38,6 @@ export function annexB(sample: Uint8Array, where: string): Uint8Array {
   return stream;
 }
 
-/** Whether a sample is an IDR picture. */
 export function isIdr(sample: Uint8Array, where: string): boolean {
   return nalUnits(sample, where).some((unit) => (unit[0]! & 31) === IDR);
 }
@@ -49,7 +46,25 @@ export function isIdr(sample: Uint8Array, where: string): boolean {
 export function readParameters(sample: Uint8Array, where: string): Parameters {
   const unit = nalUnits(sample, where).find((unit) => (unit[0]! & 31) === SPS);
   if (!unit) throw new FormatError("bad_picture", where, "expected a sequence parameter set before the IDR picture");
-  return readSps(new Bits(unit, where));
+  const bits = new Bits(unit, where);
+  bits.read(8);
+  const [profile, constraints, level] = [bits.read(8), bits.read(8), bits.read(8)];
+  const codec = [profile, constraints, level].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+  bits.ue(); // seq_parameter_set_id
+  if (HIGH.includes(profile)) skipHigh(bits);
+  bits.ue(); // log2_max_frame_num_minus4
+  skipOrder(bits);
+  bits.ue(); // max_num_ref_frames
+  bits.read(1);
+  const wide = bits.ue() + 1;
+  const units = bits.ue() + 1;
+  const frameOnly = bits.read(1);
+  if (!frameOnly) bits.read(1);
+  bits.read(1); // direct_8x8_inference_flag
+  const [left, right, top, bottom] = bits.read(1) ? [bits.ue(), bits.ue(), bits.ue(), bits.ue()] : [0, 0, 0, 0];
+  const width = 16 * wide - 2 * (left + right);
+  const height = (2 - frameOnly) * (16 * units - 2 * (top + bottom));
+  return { codec: `avc1.${codec.toUpperCase()}`, width, height };
 }
 
 /** The samples of each page of `frames` pictures of an atlas, in decoding order.
@@ -75,33 +90,12 @@ export function pageSamples(samples: Sample[], atlas: Atlas, frames: number, whe
   return parts;
 }
 
-function readSps(bits: Bits): Parameters {
-  bits.skip(8);
-  const [profile, constraints, level] = [bits.read(8), bits.read(8), bits.read(8)];
-  const codec = [profile, constraints, level].map((byte) => byte.toString(16).padStart(2, "0")).join("");
-  bits.ue(); // seq_parameter_set_id
-  if (HIGH.includes(profile)) skipHigh(bits);
-  bits.ue(); // log2_max_frame_num_minus4
-  skipOrder(bits);
-  bits.ue(); // max_num_ref_frames
-  bits.skip(1);
-  const wide = bits.ue() + 1;
-  const units = bits.ue() + 1;
-  const frameOnly = bits.read(1);
-  if (!frameOnly) bits.skip(1);
-  bits.skip(1); // direct_8x8_inference_flag
-  const [left, right, top, bottom] = bits.read(1) ? [bits.ue(), bits.ue(), bits.ue(), bits.ue()] : [0, 0, 0, 0];
-  const width = 16 * wide - 2 * (left + right);
-  const height = (2 - frameOnly) * (16 * units - 2 * (top + bottom));
-  return { codec: `avc1.${codec.toUpperCase()}`, width, height };
-}
-
 /** Chroma, depths and scaling matrices. */
 function skipHigh(bits: Bits): void {
   const chroma = bits.ue();
   const depths = [bits.ue(), bits.ue()];
   if (chroma !== 1 || depths.some((depth) => depth)) throw bits.refuse(`chroma format ${chroma}, depths 8 + ${depths}`);
-  bits.skip(1);
+  bits.read(1);
   if (!bits.read(1)) return;
   for (let list = 0; list < 8; list++) {
     if (bits.read(1)) skipScaling(bits, list < 6 ? 16 : 64);
@@ -118,12 +112,11 @@ function skipScaling(bits: Bits, size: number): void {
   }
 }
 
-/** Picture order count. */
 function skipOrder(bits: Bits): void {
   const type = bits.ue();
   if (type === 0) bits.ue();
   if (type !== 1) return;
-  bits.skip(1);
+  bits.read(1);
   bits.ue();
   bits.ue();
   for (let left = bits.ue(); left > 0; left--) bits.ue();
@@ -149,10 +142,6 @@ class Bits {
       value = value * 2 + ((byte >> (7 - (this.#at & 7))) & 1);
     }
     return value;
-  }
-
-  skip(count: number): void {
-    this.read(count);
   }
 
   /** An Exp-Golomb code: 9.1. */

@@ -12,6 +12,7 @@ export type Reason =
   | "size_mismatch"
   | "hash_mismatch"
   | "bad_sidecar"
+  | "bad_sound"
   | "count_mismatch"
   | "bad_picture";
 

@@ -1,14 +1,14 @@
 // Codes to Gaussians on the CPU: FORMAT.md, section 5. It is what shaders are tested against, and what adapters to
 // other renderers feed. N rows of a tile of a group, n rows of a key tier or a level, C colour channels.
 import { KEY_AT, OPACITY_MARGIN, SMALL_ANGLE, STATE_AT } from "../generated/constants.ts";
-import { applyBases, atlasSamples, readCodes } from "./atlas.ts";
+import { atlasSamples, basesAfter, readCodes } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
 import { colourChannels, colourMatrix, colourSteps, keySteps, stateSteps } from "./steps.ts";
-import type { BaseChanges, Canonical, Gaussians, Group, Root } from "./types.ts";
+import type { Canonical, Gaussians, Group, Root } from "./types.ts";
 import { levelRows } from "./units.ts";
 
 /** What codes of a key or of a state count in. */
-export interface Coding {
+interface Coding {
   /** Value of a code of each channel. */
   steps: Float32Array;
   /** (C · C) what a code of each colour channel adds to each colour. */
@@ -16,28 +16,11 @@ export interface Coding {
 }
 
 /** Throws FormatError(bad_value) for a broken colour transform. */
-export function keyCoding(root: Root, group: Group, quality: number): Coding {
-  return codingOf(root, group, keySteps(root, group, quality), group.key_steps);
-}
-
-/** The same of a level. */
-export function stateCoding(root: Root, group: Group, level: number): Coding {
-  return codingOf(root, group, stateSteps(root, group, level), group.state_steps);
-}
-
 function codingOf(root: Root, group: Group, steps: Float32Array, scales: { sh_dc: number; sh_rest: number }): Coding {
   const channels = colourChannels(root.sh_degree);
   const scale = colourSteps(scales, channels).map((step) => step * steps.at(-1)!); // of all colour channels
   const colours = Float64Array.from(colourMatrix(group, channels), (entry, i) => entry * scale[i % channels]!);
   return { steps, colours };
-}
-
-/** Bases of `size` samples after a change from bases of 0; null where nothing changes. */
-function basesOf(size: number, changes: BaseChanges | null): Int32Array | null {
-  if (!changes) return null;
-  const bases = new Int32Array(size);
-  applyBases(bases, changes);
-  return bases;
 }
 
 /** The canonical space of a tile; α is not limited yet. `base` is the table of the group whose rows it keeps, if any.
@@ -50,11 +33,21 @@ export function canonicalGaussians(
   canonical: Canonical,
   base: Group | null = null,
 ): Gaussians {
-  const [coding, baseCoding] = [group, base].map((table) => table && keyCoding(root, table, canonical.quality));
-  const gaussians = emptyGaussians(canonical.means, colourChannels(root.sh_degree));
+  const [coding, baseCoding] = [group, base].map((table) => {
+    return table && codingOf(root, table, keySteps(root, table, canonical.quality), table.key_steps);
+  });
+  const { means } = canonical;
+  const rows = means.length / 3;
+  const gaussians = {
+    means,
+    quaternions: new Float32Array(4 * rows),
+    logScales: new Float32Array(3 * rows),
+    alpha: new Float32Array(rows),
+    colours: new Float32Array(colourChannels(root.sh_degree) * rows),
+  };
   let first = 0;
   for (const { atlas, kept, luma, bases } of canonical.parts) {
-    const codes = readCodes(atlas, luma, basesOf(atlasSamples(atlas), bases));
+    const codes = readCodes(atlas, luma, basesAfter(atlasSamples(atlas), [bases]));
     setKey(gaussians, first, kept ? codesOf(codes, atlas.rows, kept) : codes, (kept ? baseCoding : coding)!);
     first += kept ? kept.length : atlas.rows;
   }
@@ -62,24 +55,11 @@ export function canonicalGaussians(
   return gaussians;
 }
 
-/** (channels · K) codes of some of the rows. */
 function codesOf(codes: Int32Array, rows: number, some: Uint32Array): Int32Array {
   const picked = new Int32Array((codes.length / rows) * some.length);
   let at = 0;
   for (let first = 0; first < codes.length; first += rows) for (const row of some) picked[at++] = codes[first + row]!;
   return picked;
-}
-
-/** N Gaussians of given means (3N) whose other values are 0. */
-function emptyGaussians(means: Float32Array, channels: number): Gaussians {
-  const rows = means.length / 3;
-  return {
-    means,
-    quaternions: new Float32Array(4 * rows),
-    logScales: new Float32Array(3 * rows),
-    alpha: new Float32Array(rows),
-    colours: new Float32Array(channels * rows),
-  };
 }
 
 /** Writes n rows from `first` on: what (7 + C · n) key codes decode to. */
@@ -95,15 +75,9 @@ function setKey(gaussians: Gaussians, first: number, codes: Int32Array, { steps,
   addColours(gaussians.colours, (i) => first + i, codes.subarray(KEY_AT.colour * rows), { colours, rows });
 }
 
-/** A state to add: the picture of a frame, and the bases of its samples (null: all 0). */
-export interface State {
-  level: number;
-  luma: Uint8Array;
-  bases: Int32Array | null;
-}
-
-/** The Gaussians of a tile in a frame: `base` is what `canonicalGaussians` gave. `state` null: no state is added. Where
- * `canonical` has fewer tiers than the level asks for, its rows are the first of the level.
+/** The Gaussians of a tile in a frame: `base` is what `canonicalGaussians` gave, `state` the picture of the frame with the
+ * bases of its samples (null: all 0); null: no state is added. Where `canonical` has fewer tiers than the level asks
+ * for, its rows are the first of the level.
  *
  * Throws FormatError(bad_value) for numbers not finite.
  */
@@ -112,7 +86,7 @@ export function shownGaussians(
   group: Group,
   base: Gaussians,
   canonical: Canonical,
-  state: State | null,
+  state: { level: number; luma: Uint8Array; bases: Int32Array | null } | null,
 ): Gaussians {
   const shown = {
     means: base.means.slice(),
@@ -124,7 +98,8 @@ export function shownGaussians(
   if (state) {
     const rows = levelRows(canonical.depths, state.level);
     const codes = readCodes(group.tiles[canonical.tile]!.levels[state.level]!, state.luma, state.bases);
-    addState(shown, rows, canonical.units, codes, stateCoding(root, group, state.level));
+    const coding = codingOf(root, group, stateSteps(root, group, state.level), group.state_steps);
+    addState(shown, rows, canonical.units, codes, coding);
   }
   expectFinite(shown, "frame");
   shown.alpha.forEach((alpha, row) => {

@@ -5,11 +5,9 @@ import type { FileEntry, Page, Root } from "./types.ts";
 
 /** What the index says of a group, or of the groups on a page. */
 export interface Entry {
-  /** The first frame. */
   start: number;
   stop: number;
   firstSegment: number;
-  /** How many. */
   segments: number;
   /** The table of the group, or the page. */
   file: FileEntry;
@@ -35,12 +33,11 @@ interface Block {
   segments: number[];
 }
 
-/** What is counted. */
 export type Count = "groups" | "frames" | "segments";
 /** A block on the way to something, and the place in it. */
 type Step = [Block, number];
 
-const sum = (counts: number[]) => counts.reduce((total, count) => total + count, 0);
+export const sum = (counts: number[]) => counts.reduce((total, count) => total + count, 0);
 
 function starts(counts: number[], first: number): number[] {
   let next = first;
@@ -56,11 +53,6 @@ function block(spans: Page, level: number, first: Record<Count, number>): Block 
   return { level, spans, groups, frames, segments };
 }
 
-const file = (spans: Page, place: number): FileEntry => ({
-  bytes: spans.bytes[place]!,
-  sha256: spans.sha256.slice(DIGEST * place, DIGEST * (place + 1)),
-});
-
 const pathAt = ({ level, groups }: Block, place: number) => pagePath(level, groups[place]! / PAGE ** level + 1);
 
 function entryAt({ spans, frames, segments }: Block, place: number): Entry {
@@ -70,36 +62,24 @@ function entryAt({ spans, frames, segments }: Block, place: number): Entry {
     stop: start + spans.frames[place]!,
     firstSegment: segments[place]!,
     segments: spans.segments[place]!,
-    file: file(spans, place),
+    file: { bytes: spans.bytes[place]!, sha256: spans.sha256.slice(DIGEST * place, DIGEST * (place + 1)) },
   };
 }
 
-/** The place of the last of ascending numbers that is at most `value`. */
-function lastUpTo(ascending: number[], value: number): number {
-  let low = 0;
-  let high = ascending.length;
-  while (low < high) {
-    const middle = (low + high) >> 1;
-    if (ascending[middle]! <= value) low = middle + 1;
-    else high = middle;
-  }
-  return low - 1;
-}
+/** The place of the last of ascending numbers that is at most `value`: a block has few. */
+const lastUpTo = (ascending: number[], value: number) => ascending.findLastIndex((one) => one <= value);
 
 /** How many pages of a level an index leads to; of level 0, groups. */
 export const countPages = (index: Root["index"], level: number): number =>
   Math.floor(sum(index.map((spans, k) => spans.frames.length * PAGE ** (k - level))));
 
-/** Finds groups by descending from the root. Throws MissingTableError for what stands on a page not read, RangeError
- * outside the sequence.
- */
+/** Finds groups from the root down. Throws MissingTableError for a page not read, RangeError outside. */
 export class GroupIndex {
   readonly groups: number = 0;
   readonly frames: number = 0;
   readonly segments: number = 0;
   /** Those of the root, groups first. */
   #top: Block[] = [];
-  /** The blocks of pages, by their paths. */
   #pages = new Map<string, Block>();
 
   constructor(index: Root["index"]) {
@@ -130,7 +110,6 @@ export class GroupIndex {
     return this.#pages.has(path);
   }
 
-  /** The entry of a page in the level above. */
   pageEntry(path: string): Entry {
     return entryAt(...this.#stepTo(path));
   }
@@ -139,23 +118,10 @@ export class GroupIndex {
     return entryAt(...this.#leaf("groups", group));
   }
 
-  /** The group that shows a frame. */
-  atFrame(frame: number): number {
-    const [{ groups }, place] = this.#leaf("frames", frame);
+  /** The group that shows a frame, or that a segment belongs to. */
+  groupAt(count: "frames" | "segments", number: number): number {
+    const [{ groups }, place] = this.#leaf(count, number);
     return groups[place]!;
-  }
-
-  /** The group that a segment belongs to. */
-  atSegment(segment: number): number {
-    const [{ groups }, place] = this.#leaf("segments", segment);
-    return groups[place]!;
-  }
-
-  /** The paths of all pages, those that lead to others first. */
-  *pages(): Generator<string> {
-    for (let level = this.#top.length; level > 0; level--) {
-      for (let number = 1; number <= this.groups / PAGE ** level; number++) yield pagePath(level, number);
-    }
   }
 
   /** The pages that lead to a group, frame or segment, from the root on; each must be there when the next is asked for. */

@@ -1,39 +1,24 @@
 // Media segments: FORMAT.md, section 2. Boxes are those of ISO/IEC 14496-12 (8.8: fragments), with sizes of 32 bits.
-import {
-  BOX_HEADER,
-  COLUMNS_UUID,
-  HAS_BASE,
-  HAS_COMPOSITION,
-  HAS_DEFAULT_DURATION,
-  HAS_DEFAULT_SIZE,
-  HAS_DESCRIPTION,
-  HAS_DURATION,
-  HAS_FIRST_FLAGS,
-  HAS_OFFSET,
-  HAS_SIZE,
-} from "../generated/constants.ts";
+import { BOX_HEADER, OWN_UUID, TFHD, TRUN } from "../generated/constants.ts";
 import { FormatError } from "./errors.ts";
 
-/** A coded picture. */
 export interface Sample {
   /** NAL units, each after its length in 4 bytes. */
   data: Uint8Array;
-  /** When it is shown, ticks. */
   time: number;
-  /** How long, ticks. */
   duration: number;
 }
 
 export interface Media {
-  /** The column file of the uuid box; null: there is none, every number in it is 0. */
+  /** Of the luma of as many pictures as there are samples, each page in display order. */
+  checksums: Uint32Array;
+  /** A column file; null: there is none, every number in it is 0. */
   columns: Uint8Array | null;
-  /** In decoding order. */
   samples: Sample[];
 }
 
 interface Box {
   kind: string;
-  /** Where its content begins. */
   start: number;
   stop: number;
 }
@@ -46,30 +31,50 @@ export function readMedia(data: Uint8Array, where: string): Media {
   return new Reader(data, where).media();
 }
 
+/** The samples of a media segment without a uuid box. Throws FormatError(bad_sound). */
+export function readPackets(data: Uint8Array, where: string): Sample[] {
+  return new Reader(data, where, "bad_sound").packets();
+}
+
 class Reader {
   #view: DataView;
 
   constructor(
     readonly data: Uint8Array,
     readonly where: string,
+    readonly reason: "bad_picture" | "bad_sound" = "bad_picture",
   ) {
     this.#view = new DataView(data.buffer, data.byteOffset, data.byteLength);
   }
 
   media(): Media {
-    const boxes = this.#boxes(0, this.data.length);
-    const own = boxes[0]?.kind === "uuid" ? boxes.shift()! : null;
-    const kinds = boxes.map((box) => box.kind).join(" ");
-    if (kinds !== "moof mdat") throw this.#bad(`expected one moof and one mdat, got ${kinds.slice(0, 80)}`);
-    const [moof, mdat] = boxes as [Box, Box];
-    return { columns: own && this.#columns(own), samples: this.#samples(moof, mdat) };
+    const [own, moof, mdat] = this.#expect("uuid moof mdat") as [Box, Box, Box];
+    const samples = this.#samples(moof, mdat);
+    const columns = this.#expectOwn(own) + 4 * samples.length;
+    if (columns > own.stop) throw this.#bad(`expected ${samples.length} checksums, got ${own.stop - own.start} bytes`);
+    const checksums = Uint32Array.from(samples, (_, n) => this.#view.getUint32(columns - 4 * (samples.length - n)));
+    return { checksums, columns: columns < own.stop ? this.data.subarray(columns, own.stop) : null, samples };
   }
 
-  #columns({ start, stop }: Box): Uint8Array {
+  packets(): Sample[] {
+    const [moof, mdat] = this.#expect("moof mdat");
+    return this.#samples(moof!, mdat!);
+  }
+
+  /** All boxes, which must be of these kinds. */
+  #expect(kinds: string): Box[] {
+    const boxes = this.#boxes(0, this.data.length);
+    const got = boxes.map((box) => box.kind).join(" ");
+    if (got !== kinds) throw this.#bad(`expected the boxes ${kinds}, got ${got.slice(0, 80)}`);
+    return boxes;
+  }
+
+  /** Where the content of the uuid box begins. */
+  #expectOwn({ start, stop }: Box): number {
     const type = [...this.data.subarray(start, Math.min(start + UUID_BYTES, stop))];
     const text = type.map((byte) => byte.toString(16).padStart(2, "0")).join("");
-    if (text !== COLUMNS_UUID) throw this.#bad(`expected the uuid ${COLUMNS_UUID}, got ${text}`);
-    return this.data.subarray(start + UUID_BYTES, stop);
+    if (text !== OWN_UUID) throw this.#bad(`expected the uuid ${OWN_UUID}, got ${text}`);
+    return start + UUID_BYTES;
   }
 
   #samples(moof: Box, mdat: Box): Sample[] {
@@ -93,10 +98,10 @@ class Reader {
   /** The default duration and size of samples, 0 where there is none. */
   #defaults(tfhd: Box): { duration: number; size: number } {
     const flags = this.#u32(tfhd, 0);
-    let at = 8 + (flags & HAS_BASE ? 8 : 0) + (flags & HAS_DESCRIPTION ? 4 : 0);
-    const duration = flags & HAS_DEFAULT_DURATION ? this.#u32(tfhd, at) : 0;
-    at += flags & HAS_DEFAULT_DURATION ? 4 : 0;
-    return { duration, size: flags & HAS_DEFAULT_SIZE ? this.#u32(tfhd, at) : 0 };
+    let at = 8 + (flags & TFHD.base ? 8 : 0) + (flags & TFHD.description ? 4 : 0);
+    const duration = flags & TFHD.duration ? this.#u32(tfhd, at) : 0;
+    at += flags & TFHD.duration ? 4 : 0;
+    return { duration, size: flags & TFHD.size ? this.#u32(tfhd, at) : 0 };
   }
 
   #start(tfdt: Box): number {
@@ -108,23 +113,23 @@ class Reader {
     const flags = this.#u32(trun, 0);
     const count = this.#u32(trun, 4);
     const expected = moof.stop - moof.start + 2 * BOX_HEADER;
-    if (!(flags & HAS_OFFSET) || this.#u32(trun, 8) !== expected) throw this.#bad("the samples do not follow the moof");
-    let at = 12 + (flags & HAS_FIRST_FLAGS ? 4 : 0);
+    if (!(flags & TRUN.offset) || this.#u32(trun, 8) !== expected)
+      throw this.#bad("the samples do not follow the moof");
+    let at = 12 + (flags & TRUN.first ? 4 : 0);
     const next = (flag: number, missing: number) => {
       if (!(flags & flag)) return missing;
       at += 4;
       return this.#u32(trun, at - 4);
     };
     for (let i = 0; i < count; i++) {
-      const duration = next(HAS_DURATION, defaults.duration);
-      const size = next(HAS_SIZE, defaults.size);
+      const duration = next(TRUN.duration, defaults.duration);
+      const size = next(TRUN.size, defaults.size);
       next(HAS_FLAGS, 0);
-      const offset = next(HAS_COMPOSITION, 0);
+      const offset = next(TRUN.composition, 0);
       yield { duration, size, offset: flags >>> 24 ? offset | 0 : offset };
     }
   }
 
-  /** The one box of a kind in another. */
   #child(parent: Box, kind: string): Box {
     const found = this.#boxes(parent.start, parent.stop).filter((box) => box.kind === kind);
     if (found.length !== 1) throw this.#bad(`expected one box ${kind}, got ${found.length}`);
@@ -150,6 +155,6 @@ class Reader {
   }
 
   #bad(detail: string): FormatError {
-    return new FormatError("bad_picture", this.where, detail);
+    return new FormatError(this.reason, this.where, detail);
   }
 }

@@ -1,12 +1,21 @@
 // The tables of a package as one value, which grows as they are read: FORMAT.md, section 2. Groups, segments, tiles,
 // tiers, qualities, levels and pages count from 0; groups, segments, tiles and pages in paths from 1. A unit is a key tier
 // of a tile: number tile · T + tier, T being the tiers of a tile.
-import { INIT_PATH, PAGE, ROOT_PATH } from "../generated/constants.ts";
+import { INIT_PATH, PAGE, POSTER_PATH, ROOT_PATH, SOUND_INIT_PATH } from "../generated/constants.ts";
 import { group as groupSchema, page as pageSchema } from "../generated/schema.ts";
 import { FormatError } from "./errors.ts";
 import { countPages, GroupIndex, MissingTableError } from "./index.ts";
 import { inflate, parseRoot, parseTable } from "./parse.ts";
-import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath, tileFolder } from "./paths.ts";
+import {
+  groupPath,
+  keyMediaPath,
+  keySidecarPath,
+  locate,
+  pagePath,
+  soundPath,
+  stateMediaPath,
+  tileFolder,
+} from "./paths.ts";
 import { Recent } from "./recent.ts";
 import { checkGroup, checkKept, checkPage } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment, Tier, Tile } from "./types.ts";
@@ -27,7 +36,6 @@ export class Tables {
     public rootBytes: number,
   ) {}
 
-  /** The tables of an airgs.json. Throws FormatError. */
   static parse(rootBytes: Uint8Array): Tables {
     const root = parseRoot(rootBytes);
     return new Tables(root, new GroupIndex(root.index), rootBytes.length);
@@ -75,12 +83,10 @@ export class Tables {
     else await this.addGroup(found.numbers[0]! - 1, bytes);
   }
 
-  /** All tiles. */
   get tiles(): readonly number[] {
     return Array.from({ length: this.root.tiles }, (_, tile) => tile);
   }
 
-  /** Whether the table of a group is here. */
   has(number: number): boolean {
     return this.#groups.has(number);
   }
@@ -93,9 +99,8 @@ export class Tables {
     throw new MissingTableError(groupPath(number + 1));
   }
 
-  /** The group that a segment belongs to. */
   groupOf(segment: number): number {
-    return this.index.atSegment(segment);
+    return this.index.groupAt("segments", segment);
   }
 
   /** Gaussians of a group in each key unit. Throws what `group` does. */
@@ -103,7 +108,6 @@ export class Tables {
     return this.group(group).tiles.flatMap(({ tiers }) => tiers.map((tier) => tier.count));
   }
 
-  /** The boxes of the tiles of a group. Throws what `group` does. */
   boxes(group: number): readonly Pick<Tile, "low" | "high">[] {
     return this.group(group).tiles;
   }
@@ -125,9 +129,8 @@ export class Tables {
     return { start: firstSegment, stop: firstSegment + segments };
   }
 
-  /** The segment that shows a frame. */
   segmentAt(frame: number): number {
-    const group = this.index.atFrame(frame);
+    const group = this.index.groupAt("frames", frame);
     const { segments } = this.group(group);
     return this.index.entry(group).firstSegment + segments.findIndex((segment) => frame < segment.stop);
   }
@@ -159,7 +162,6 @@ export class Tables {
     return base === null ? [] : this.keyFiles(base, unit, quality);
   }
 
-  /** All files of key units of a group, with those of its base. */
   keysOf(group: number, quality: number, units: readonly number[]): string[] {
     return units.flatMap((unit) => [...this.keyFiles(group, unit, quality), ...this.keptFiles(group, unit, quality)]);
   }
@@ -171,9 +173,19 @@ export class Tables {
     return there.map((tile) => stateMediaPath(tileFolder(tile, this.root.tiles), level, segment + 1));
   }
 
+  /** The sound of a group; none where there is nothing to fetch. */
+  soundFiles(group: number): string[] {
+    return this.group(group).sound?.bytes ? [soundPath(group + 1)] : [];
+  }
+
   /** Length and digest of a file. Throws FormatError(missing_entry); MissingTableError. */
   entry(path: string): FileEntry {
-    const found = path === INIT_PATH ? this.root.init : this.#find(path);
+    const shared: Record<string, FileEntry | undefined> = {
+      [INIT_PATH]: this.root.init,
+      [POSTER_PATH]: this.root.poster,
+      [SOUND_INIT_PATH]: this.root.sound?.init,
+    };
+    const found = shared[path] ?? this.#find(path);
     if (!found?.bytes) throw new FormatError("missing_entry", path, "no table has such a file");
     return found;
   }
@@ -193,6 +205,7 @@ export class Tables {
     if (what === "page") return (number + 1) * PAGE ** named > groups ? null : this.index.pageEntry(path).file;
     if (number >= (what === "state" ? segments : groups)) return null;
     if (what === "group") return this.index.entry(number).file;
+    if (what === "sound") return this.group(number).sound;
     if (named > 0 !== this.root.tiles > 1) return null;
     const tile = Math.max(0, named - 1);
     if (what === "state") return this.segment(number).levels[first]?.files[tile];
@@ -229,10 +242,7 @@ const inOrder = (value: object) =>
     part && typeof part === "object" && !Array.isArray(part) ? Object.fromEntries(Object.entries(part).sort()) : part,
   );
 
-/** Throws FormatError(bad_value) unless a root can follow another while groups are added.
- *
- * Gives what pages that were filled since, by their paths, must begin with.
- */
+/** What pages filled since must begin with. Throws FormatError(bad_value) unless a root can follow. */
 function checkGrowth(before: Root, after: Root): [string, Page][] {
   const fixed = (root: Root) => inOrder(Object.fromEntries(Object.entries(root).filter(([name]) => !GROWS.has(name))));
   if (fixed(before) !== fixed(after) || after.frames < before.frames || (after.live && !before.live)) {

@@ -1,17 +1,13 @@
 // The bytes of tables, parsed and checked against their JSON Schema (generated/schema.ts), with no library: exactly the
 // keywords that it uses. FORMAT.md, section 2. The text of a group's table is one gzip member (RFC 1952).
-import { MAX_ROOT_BYTES, MAX_TABLE_BYTES, ROOT_PATH, VERSION } from "../generated/constants.ts";
+import { MAX_TABLE_BYTES, MAX_VALUES, ROOT_PATH, VERSION } from "../generated/constants.ts";
 import { root as rootSchema } from "../generated/schema.ts";
 import { concat } from "./concat.ts";
 import { FormatError, type Reason } from "./errors.ts";
 import { checkRoot } from "./references.ts";
 import type { Root } from "./types.ts";
 
-/** An airgs.json. Throws FormatError. */
 export function parseRoot(bytes: Uint8Array): Root {
-  if (bytes.length > MAX_ROOT_BYTES) {
-    throw new FormatError("too_large", ROOT_PATH, `expected at most ${MAX_ROOT_BYTES} bytes`);
-  }
   const data = parseJson(bytes, ROOT_PATH);
   checkTable(data, { type: "object" }, ROOT_PATH);
   const { version } = data as { version?: unknown };
@@ -32,21 +28,28 @@ export function parseTable(bytes: Uint8Array, schema: Record<string, unknown>, w
 }
 
 function parseJson(bytes: Uint8Array, where: string): unknown {
+  if (bytes.length > MAX_TABLE_BYTES || countValues(bytes) > MAX_VALUES) {
+    const detail = `expected at most ${MAX_TABLE_BYTES} bytes of JSON with ${MAX_VALUES} commas and opening brackets`;
+    throw new FormatError("too_large", where, detail);
+  }
   try {
-    return JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(bytes));
+    return JSON.parse(new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(bytes));
   } catch (error) {
     throw new FormatError("not_json", where, `expected JSON: ${error}`);
   }
 }
 
+/** Commas and opening brackets: a value follows each. */
+function countValues(bytes: Uint8Array): number {
+  let count = 0;
+  for (const byte of bytes) count += Number(byte === 0x2c || byte === 0x5b || byte === 0x7b);
+  return count;
+}
+
 /** The bytes in a gzip member; `where` names the file. Throws FormatError (not_json, too_large). */
 export async function inflate(data: Uint8Array, where: string): Promise<Uint8Array> {
-  const inflater = new DecompressionStream("gzip");
-  const writer = inflater.writable.getWriter();
-  // What is wrong with the data, the reader says too. The bytes are never those of a SharedArrayBuffer.
-  writer.write(data as Uint8Array<ArrayBuffer>).catch(() => {});
-  writer.close().catch(() => {});
-  const text = await collect(inflater.readable.getReader(), where);
+  const coded = new Response(data as Uint8Array<ArrayBuffer>).body!;
+  const text = await collect(coded.pipeThrough(new DecompressionStream("gzip")).getReader(), where);
   // Node's inflater takes several members, and anything behind them.
   // The last four bytes are the length of the only one.
   const length = new DataView(data.buffer, data.byteOffset + data.length - 4).getUint32(0, true);
@@ -90,7 +93,6 @@ const KEYWORDS: Record<string, Keyword> = {
   maxItems: (list, high, s) => ((list as unknown[]).length <= (high as number) ? null : range(s.minItems, high)),
 };
 
-/** JSON's name of a value's type. */
 function typeOf(value: unknown): string {
   if (value === null) return "null";
   return Array.isArray(value) ? "array" : typeof value;
@@ -103,11 +105,19 @@ const shown = (value: unknown) => (JSON.stringify(value) ?? "nothing").slice(0, 
  */
 export function checkTable(value: unknown, schema: Json, where: string): void {
   const refuse = (reason: Reason, detail: string) => new FormatError(reason, where, detail);
-  checkType(value, schema.type, refuse);
+  const { type } = schema;
+  const got = typeOf(value);
+  if (type !== undefined && got !== (type === "integer" ? "number" : type)) {
+    throw refuse("wrong_type", `expected ${type}, got ${got}`);
+  }
+  if (type === "integer" && !Number.isInteger(value)) throw refuse("wrong_type", `expected integer, got ${value}`);
+  if (typeof value === "string" && /\p{Surrogate}/u.test(value)) {
+    throw refuse("bad_value", "expected text, got half a surrogate pair");
+  }
   if (typeof value === "number" && !Number.isFinite(value)) throw refuse("bad_value", "expected a finite number");
   if (Array.isArray(value)) {
     for (const [i, item] of value.entries()) checkTable(item, (schema.items ?? {}) as Json, `${where}[${i}]`);
-  } else if (typeOf(value) === "object") checkObject(value as Json, schema, where);
+  } else if (got === "object") checkObject(value as Json, schema, where);
   for (const [name, argument] of Object.entries(schema)) {
     if (STRUCTURE.has(name)) continue;
     const keyword = KEYWORDS[name];
@@ -117,18 +127,12 @@ export function checkTable(value: unknown, schema: Json, where: string): void {
   }
 }
 
-function checkType(value: unknown, type: unknown, refuse: (reason: Reason, detail: string) => FormatError): void {
-  if (type === undefined) return;
-  const got = typeOf(value);
-  if (got !== (type === "integer" ? "number" : type)) throw refuse("wrong_type", `expected ${type}, got ${got}`);
-  if (type === "integer" && !Number.isInteger(value)) throw refuse("wrong_type", `expected integer, got ${value}`);
-}
-
 function checkObject(value: Json, schema: Json, where: string): void {
   const properties = (schema.properties ?? {}) as Record<string, Json>;
   const others = schema.additionalProperties;
   const strange = Object.keys(value).filter((name) => !Object.hasOwn(properties, name));
-  if (others === false && strange.length) throw new FormatError("unknown_field", where, `unknown fields ${strange}`);
+  if (others === false && strange.length)
+    throw new FormatError("unknown_field", where, `unknown fields ${strange.slice(0, 8)}`);
   const missing = ((schema.required ?? []) as string[]).filter((name) => !Object.hasOwn(value, name));
   if (missing.length) throw new FormatError("missing_field", where, `missing fields ${missing}`);
   for (const [name, one] of Object.entries(properties)) {

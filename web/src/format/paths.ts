@@ -5,7 +5,7 @@ import { PATHS } from "../generated/constants.ts";
 export interface Location {
   what: (typeof PATHS)[number][1];
   /** sidecar: tile, tier, number; key: tile, tier, quality, number; state: tile, level, number; page: level, number;
-   * group: number. The tile is 0 in a package that has one.
+   * sound, group: number. The tile is 0 in a package that has one.
    */
   numbers: number[];
 }
@@ -21,17 +21,16 @@ export function locate(path: string): Location | null {
   return null;
 }
 
-/** Page of the index; the level counts from 1 as well. */
+export const soundPath = (number: number) => `sound/${number}.m4a`;
 export const pagePath = (level: number, number: number) => `index/${level}/${number}.json`;
-/** Table of a group. */
 export const groupPath = (number: number) => `group/${number}.json.gz`;
 /** The part of paths that a tile, counted from 0, has in a package of so many; the only one has none. */
 export const tileFolder = (tile: number, tiles: number) => (tiles > 1 ? `P${tile + 1}/` : "");
 /** Sidecar of a key unit, the same for all its qualities; `folder` is that of its tile. */
 export const keySidecarPath = (folder: string, tier: number, number: number) => `key/${folder}T${tier}/${number}.bin`;
-/** Picture of a key unit in a quality. */
 export const keyMediaPath = (folder: string, tier: number, quality: number, number: number) =>
   `key/${folder}T${tier}/Q${quality}/${number}.m4s`;
-/** Pictures of a segment of a tile in a level. */
 export const stateMediaPath = (folder: string, level: number, number: number) =>
   `state/${folder}L${level}/${number}.m4s`;
+
+export const isSound = (path: string): boolean => locate(path)?.what === "sound";

@@ -21,7 +21,6 @@ const CODE = 1;
 // Numbers that a byte can hold at most: a decision takes log2(1 / (1 − 16 / 32768)) bits or more, a number six of them.
 const DENSEST = 2048;
 
-/** Numbers of up to 63 bits. */
 export interface Wide {
   lo: Uint32Array;
   hi: Uint32Array;
@@ -59,7 +58,6 @@ export class ColumnReader {
     return lo;
   }
 
-  /** The same of numbers of up to 63 bits. */
   wide(count: number, order: 0 | 1): Wide {
     if (!this.#absent && count > DENSEST * (this.#data.length + END_BYTES)) throw this.#tooShort(count);
     const column = { lo: new Uint32Array(count), hi: new Uint32Array(count) };
@@ -70,7 +68,6 @@ export class ColumnReader {
     return column;
   }
 
-  /** Refuses a file that goes on. */
   close(): void {
     if (this.#at !== this.#data.length || this.#state[CODE]) {
       throw this.refuse(`expected the end at ${this.#at}, got ${this.#data.length} bytes`);

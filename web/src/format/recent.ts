@@ -1,8 +1,12 @@
-/** Values by their keys, of which at most so many are there: the last used. */
+/** Values by their keys, of which the last used are there: at most so many, or so much by `sizeOf`, the newest aside. */
 export class Recent<Key, Value> {
   readonly #values = new Map<Key, Value>(); // its order is that of adding: the last used is the last
+  #size = 0;
 
-  constructor(readonly most: number) {}
+  constructor(
+    readonly most: number,
+    readonly sizeOf: (value: Value) => number = () => 1,
+  ) {}
 
   has(key: Key): boolean {
     return this.#values.has(key);
@@ -14,13 +18,20 @@ export class Recent<Key, Value> {
   }
 
   set(key: Key, value: Value): Value {
-    this.#values.delete(key);
+    this.#drop(key);
     this.#values.set(key, value);
+    this.#size += this.sizeOf(value);
     for (const oldest of this.#values.keys()) {
-      if (this.#values.size <= this.most) break;
-      this.#values.delete(oldest);
+      if (this.#size <= this.most || oldest === key) break;
+      this.#drop(oldest);
     }
     return value;
+  }
+
+  #drop(key: Key): void {
+    const value = this.#values.get(key);
+    if (value !== undefined) this.#size -= this.sizeOf(value);
+    this.#values.delete(key);
   }
 
   /** The value of a key, which is made where it is not there. */

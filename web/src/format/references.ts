@@ -6,10 +6,8 @@ import {
   DIGEST,
   KEY_AT,
   KEY_ATTRIBUTES,
-  MAX_BITS,
-  MAX_MACROBLOCKS,
-  MAX_PAGES,
-  MAX_PICTURE_SIDE,
+  LIMITS,
+  MAX_POSTER_BYTES,
   MIN_PICTURE_SIDE,
   PAGE,
   ROOT_PATH,
@@ -18,16 +16,15 @@ import {
 } from "../generated/constants.ts";
 import { pages, planeHeight } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
-import type { Entry } from "./index.ts";
+import { type Entry, sum } from "./index.ts";
 import { groupPath } from "./paths.ts";
 import { isSimilarity } from "./region.ts";
+import { packetsOf } from "./sound.ts";
 import { colourChannels } from "./steps.ts";
 import type { Atlas, FileEntry, Group, Page, Region, Root, Segment, Tier, Tile } from "./types.ts";
 
 const bad = (where: string, detail: string) => new FormatError("bad_value", where, detail);
-const sum = (numbers: number[]) => numbers.reduce((total, number) => total + number, 0);
 
-/** The tables of one file, `where`. */
 class Place {
   constructor(readonly where: string) {}
 
@@ -71,6 +68,11 @@ export function checkRoot(root: Root): void {
     throw bad(`${ROOT_PATH}.timescale`, "a frame is not a whole number of ticks");
   }
   place.file("init", root.init, true);
+  if (root.poster) {
+    place.file("poster", root.poster, true);
+    place.within("poster.bytes", root.poster.bytes, 1, MAX_POSTER_BYTES);
+  }
+  if (root.sound) place.file("sound.init", root.sound.init, true);
   checkIndex(root, place);
 }
 
@@ -89,7 +91,7 @@ function checkIndex({ index, frames }: Root, place: Place): void {
 
 function checkLadder({ qualities, levels, tiers }: Root, place: Place): void {
   qualities.forEach(({ coarser }, q) => {
-    place.within(`qualities[${q}].coarser`, coarser, q ? qualities[q - 1]!.coarser : 0, q ? MAX_BITS : 0);
+    place.within(`qualities[${q}].coarser`, coarser, q ? qualities[q - 1]!.coarser : 0, q ? LIMITS.bits : 0);
   });
   levels.forEach((level, j) => {
     const before = levels[j - 1];
@@ -127,6 +129,11 @@ export function checkGroup(root: Root, entry: Entry, group: Group, number: numbe
   checkShapes(root, group, place);
   checkCounts(root, group, place);
   checkAtlases(root, group, place);
+  if (!group.sound !== !root.sound) {
+    throw bad(`${where}.sound`, "expected an entry where, and only where, airgs.json has sound");
+  }
+  const packets = packetsOf(root, group);
+  if (group.sound) place.file("sound", group.sound, packets.start < packets.stop);
   for (const { name, tier } of unitsOf(group)) {
     place.file(`${name}.sidecar`, tier.sidecar, tier.count > 0);
     for (const [q, picture] of tier.pictures.entries())
@@ -202,7 +209,6 @@ function checkAtlases(root: Root, group: Group, place: Place): void {
   });
 }
 
-/** The box of a tile, and its states. */
 function checkTile({ low, high, tiers, levels }: Tile, colours: number, place: Place): void {
   high.forEach((end, axis) => {
     place.within(`high[${axis}]`, end, low[axis]!, Number.MAX_VALUE);
@@ -222,17 +228,17 @@ function checkAtlas(place: Place, atlas: Atlas, channels: number, attributes: nu
     place.within(`planes[${i}]`, plane, i ? planes[i - 1]! + 1 : 0, channels - 1);
   });
   if (!planes.length) return;
-  place.within("plane_width", plane_width, BLOCK, MAX_PICTURE_SIDE);
+  place.within("plane_width", plane_width, BLOCK, LIMITS.side);
   place.exactly(`plane_width % ${BLOCK}`, plane_width % BLOCK, 0);
   place.within("columns", columns, 1, planes.length);
-  place.within("height", height, BLOCK, MAX_PICTURE_SIDE);
+  place.within("height", height, BLOCK, LIMITS.side);
   place.exactly(`width % ${BLOCK}`, width % BLOCK, 0);
   place.within("width", width, BLOCK, Math.max(MIN_PICTURE_SIDE, plane_width * columns));
   place.exactly(`height % ${BLOCK}`, height % BLOCK, 0);
-  place.within("macroblocks", (width * height) / BLOCK ** 2, 1, MAX_MACROBLOCKS);
+  place.within("macroblocks", (width * height) / BLOCK ** 2, 1, LIMITS.macroblocks);
   place.within("width of the planes", plane_width * columns, BLOCK, width);
-  place.within("height of a plane", planeHeight(atlas.rows, plane_width), 0, MAX_PAGES * MAX_PICTURE_SIDE);
-  place.within("pages", pages(atlas), 1, MAX_PAGES);
+  place.within("height of a plane", planeHeight(atlas.rows, plane_width), 0, LIMITS.pages * LIMITS.side);
+  place.within("pages", pages(atlas), 1, LIMITS.pages);
 }
 
 /** A segment says as much of each level as there is to say. */

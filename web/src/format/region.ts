@@ -4,11 +4,9 @@ import {
   AGREEMENT,
   FORGIVEN_DEGREES,
   FORGIVEN_SHARE,
-  GIVE_OR_TAKE,
   LEAST_SCALE,
   LEVELLING,
   MOST_SCALE,
-  SLIGHTLY_DOWN,
   WORLD_TOLERANCE,
 } from "../generated/constants.ts";
 import type { Place, Region, Root, World } from "./types.ts";
@@ -21,19 +19,17 @@ export interface Viewer {
 }
 
 /** How far a viewer is outside of a region. */
-export interface Departure {
+interface Departure {
   /** World units beyond the reach of the nearest place. */
   distance: number;
   /** By which it looks further away from the focus than the region allows. */
   degrees: number;
-  inside: boolean;
 }
 
 const DEGREES = 180 / Math.PI;
 
 const slack = (position: Vector) => FORGIVEN_SHARE * (1 + Math.max(...position.map(Math.abs)));
 
-/** How far a viewer is outside, as seen from one place. */
 function departureFrom(place: Place, turn: number, { position, forward }: Viewer): Departure {
   const at = vector(position);
   const forgiven = slack(at);
@@ -42,22 +38,17 @@ function departureFrom(place: Place, turn: number, { position, forward }: Viewer
   const distant = length(ahead);
   const cosine = distant <= forgiven ? 1 : dot(ahead, forward) / distant;
   const past = Math.acos(Math.min(Math.max(cosine, -1), 1)) * DEGREES - turn;
-  const distance = beyond > forgiven ? beyond : 0;
-  const degrees = past > FORGIVEN_DEGREES ? past : 0;
-  return { distance, degrees, inside: distance === 0 && degrees === 0 };
+  return { distance: beyond > forgiven ? beyond : 0, degrees: past > FORGIVEN_DEGREES ? past : 0 };
 }
 
 /** The place from which a viewer departs the least, in distance and then in direction. */
-function nearest(region: Region, viewer: Viewer): { place: Place; departure: Departure } {
+export function nearest(region: Region, viewer: Viewer): { place: Place; departure: Departure } {
   const all = region.places.map((place) => ({ place, departure: departureFrom(place, region.turn, viewer) }));
   return all.reduce((best, one) => {
     const nearer = one.departure.distance - best.departure.distance;
     return nearer < 0 || (nearer === 0 && one.departure.degrees < best.departure.degrees) ? one : best;
   });
 }
-
-/** How far a viewer is outside of a region. */
-export const departure = (region: Region, viewer: Viewer): Departure => nearest(region, viewer).departure;
 
 /** The nearest position that a region allows, and there the direction nearest to `forward`: a wall for cameras. */
 export function keepInside(
@@ -107,22 +98,9 @@ export function upright({ places }: Region): Vector {
   return up;
 }
 
-/** The place that a viewer begins at: the first one, or, where nobody chose them, the first that looks down slightly. */
-export function firstPlace(region: Region): Place {
-  const { places, source } = region;
-  if (source === "cameras" || source === "file") return places[0]!;
-  const up = upright(region);
-  const off = places.map(({ focus, position }) => {
-    const sine = -dot(unit(minus(focus, position)), up);
-    const degrees = Math.asin(Math.max(-1, Math.min(1, sine))) * DEGREES;
-    return Math.max(GIVE_OR_TAKE, Math.abs(degrees - SLIGHTLY_DOWN));
-  });
-  return places[off.indexOf(Math.min(...off))]!;
-}
-
-/** The first view, towards the focus of a place. `fovY` in degrees; `up` is across `forward`. */
+/** The first view, at the first place. `fovY` in degrees; `up` is across `forward`. */
 export function firstView(region: Region): { position: Vector; forward: Vector; up: Vector; fovY: number } {
-  const place = firstPlace(region);
+  const place = region.places[0]!;
   const forward = unit(minus(place.focus, place.position));
   const up = across(upright(region), forward);
   return { position: vector(place.position), forward, up, fovY: region.fov_y };
@@ -133,12 +111,16 @@ const row = ({ transform }: World, i: number): Vector => vector(transform.slice(
 /** Whether a transform is a similarity that does not mirror. */
 export function isSimilarity(world: World): boolean {
   const rows = [row(world, 0), row(world, 1), row(world, 2)] as const;
-  const scale = (length(rows[0]) + length(rows[1]) + length(rows[2])) / 3;
+  const scale = scaleOf(world);
   const near = (product: number, expected: number) => Math.abs(product / scale ** 2 - expected) <= WORLD_TOLERANCE;
   const turned = rows.every((a, i) => rows.every((b, j) => near(dot(a, b), +(i === j))));
   const bounded = scale <= MOST_SCALE * (1 + WORLD_TOLERANCE) && scale >= LEAST_SCALE * (1 - WORLD_TOLERANCE);
   return turned && bounded && dot(cross(rows[0], rows[1]), rows[2]) > 0;
 }
+
+/** How long a unit of the scene is in the world. */
+export const scaleOf = (world: World): number =>
+  (length(row(world, 0)) + length(row(world, 1)) + length(row(world, 2))) / 3;
 
 /** Which way is up in the coordinates of the scene, of length 1. */
 export const upOf = (world: World): Vector => unit(row(world, 1));

@@ -28,10 +28,7 @@ export function cellBits(motionClass: number, grid: Grid, coarser: number): numb
   return Math.min(k + coarser, grid.bits);
 }
 
-/** The sidecar of a tier, whose codes are those of the last quality, `coarsest` its `coarser`.
- *
- * Throws FormatError(bad_sidecar).
- */
+/** A sidecar, with codes of the last quality, `coarsest` its `coarser`. Throws FormatError(bad_sidecar). */
 export function readSidecar(
   data: Uint8Array,
   { count, kept, base }: TierCounts,
@@ -93,10 +90,7 @@ function sumGaps({ lo, hi }: Wide, classes: Int16Array, grid: Grid, coarsest: nu
   return true;
 }
 
-/** The rows of a tier with the codes of a key quality, whose detail `reader` reads next.
- *
- * `coarser` is that of the quality. Throws FormatError(bad_sidecar).
- */
+/** The same rows with the codes of a key quality, from its detail. Throws FormatError(bad_sidecar). */
 export function readDetail(
   reader: ColumnReader,
   shared: TierRows,
@@ -156,7 +150,6 @@ export function canonicalMeans({ codes, classes }: TierRows, grid: Grid, coarser
   return means;
 }
 
-/** Motion units of all classes. */
 const UNITS = Float32Array.from({ length: MOST_CLASS - LEAST_CLASS + 1 }, (_, i) => 2 ** (i + LEAST_CLASS));
 
 /** (N) motion unit 2^c of each row, world units. */

@@ -1,20 +1,38 @@
 // What decoded things look like on their way from files to pictures. N rows of a tile of a group, C colour channels.
-import type { Atlas } from "../generated/tables.ts";
+import type { group, page, root } from "../generated/schema.ts";
 
-export type {
-  Atlas,
-  FileEntry,
-  Grid,
-  Group,
-  GroupTier as Tier,
-  GroupTile as Tile,
-  Place,
-  Region,
-  Root,
-  Segment,
-  Spans as Page,
-  World,
-} from "../generated/tables.ts";
+/** The values that a JSON Schema describes, as far as this format uses it; every table says what it requires. */
+type Of<S> = S extends { const: infer Value }
+  ? Value
+  : S extends { enum: readonly (infer Value)[] }
+    ? Value
+    : S extends { items: infer Item }
+      ? Of<Item>[]
+      : S extends { additionalProperties: infer Value extends object }
+        ? Record<string, Of<Value>>
+        : S extends { properties: infer Fields; required: readonly (infer Required)[] }
+          ? { [Name in Extract<keyof Fields, Required>]: Of<Fields[Name]> } & {
+              [Name in Exclude<keyof Fields, Required>]?: Of<Fields[Name]>;
+            }
+          : S extends { type: "string" }
+            ? string
+            : S extends { type: "boolean" }
+              ? boolean
+              : number;
+
+// FORMAT.md, section 2, says what each field is.
+export type Root = Of<typeof root>;
+export type Page = Of<typeof page>;
+export type Group = Of<typeof group>;
+export type Region = Root["region"];
+export type Place = Region["places"][number];
+export type World = NonNullable<Root["world"]>;
+export type FileEntry = Root["init"];
+export type Grid = Group["grid"];
+export type Tile = Group["tiles"][number];
+export type Tier = Tile["tiers"][number];
+export type Atlas = Tile["levels"][number];
+export type Segment = Group["segments"][number];
 
 /** Samples whose base changes with a picture (FORMAT.md, section 6), and what it is from then on. */
 export interface BaseChanges {
@@ -34,15 +52,17 @@ export interface KeyPart {
   bases: BaseChanges | null;
 }
 
-/** The canonical space of a tile of a group in a key quality, as far as tiers were fetched. */
-export interface Canonical {
-  /** Group, counted from 0. */
+/** A canonical space by what it is made of; group and tile count from 0. */
+export interface CanonicalName {
   group: number;
-  /** Counted from 0. */
   tile: number;
   quality: number;
-  /** How many tiers of the tile it is made of; one without rows has no file. */
+  /** How many tiers of the tile, from the first on; one without rows has no file. */
   tiers: number;
+}
+
+/** The canonical space of a tile of a group in a key quality, as far as tiers were fetched. */
+export interface Canonical extends CanonicalName {
   /** (3N) canonical means, world units. */
   means: Float32Array;
   /** (N) motion unit 2^c of each row, world units. */

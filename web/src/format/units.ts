@@ -1,13 +1,17 @@
-// The files of key units and segments, read up to their pictures: FORMAT.md, sections 2, 3 and 6.
+// The files of key units and segments, read up to their pictures: FORMAT.md, sections 2, 3 and 6. T frames, P planes,
+// N rows, E escapes: jumps of bases, by which values leave 8 bits.
 import { STATIC } from "../generated/constants.ts";
+import { planeCorner, rowOffsets } from "./atlas.ts";
 import { pageSamples } from "./avc.ts";
 import { FormatError } from "./errors.ts";
-import { Bases, readEscapes } from "./escapes.ts";
-import { readMedia, type Sample } from "./mp4.ts";
+import { type Media, readMedia, type Sample } from "./mp4.ts";
 import { keyMediaPath, keySidecarPath, stateMediaPath, tileFolder } from "./paths.ts";
 import { ColumnReader } from "./rangecoder.ts";
 import { canonicalMeans, motionUnits, readDetail, readSidecar } from "./sidecar.ts";
 import type { Atlas, BaseChanges, Group, Root } from "./types.ts";
+
+/** What a unit without a picture has of one. */
+const NONE: Media = { checksums: new Uint32Array(), columns: null, samples: [] };
 
 /** A key unit but for its picture. K rows of the tier are kept, M are its own. */
 export interface KeyUnit {
@@ -20,8 +24,11 @@ export interface KeyUnit {
   units: Float32Array;
   /** (K + M) */
   depths: Uint8Array;
-  /** Of each page of the picture; none where all rows are kept. */
+  /** The file of its picture; each page of it, none where all rows are kept. */
+  where: string;
   pages: Sample[][];
+  /** Of each of these. */
+  checksums: Uint32Array;
   /** Samples with another base than 0; null: none. */
   bases: BaseChanges | null;
 }
@@ -55,7 +62,7 @@ export function readKeyUnit(
   const coarsest = root.qualities.at(-1)!.coarser;
   const counts = { count, kept, base: base?.tiles[tile]?.tiers[tier]?.count ?? 0 };
   const shared = readSidecar(sidecar, counts, table.grid, coarsest, keySidecarPath(folder, tier, group + 1));
-  const { columns, samples } = media ? readMedia(media, where) : { columns: null, samples: [] };
+  const { checksums, columns, samples } = media ? readMedia(media, where) : NONE;
   const reader = new ColumnReader(columns, where);
   const rows = readDetail(reader, shared, table.grid, coarser, coarsest);
   const escapes = readEscapes(reader, 1, atlas.planes.length, atlas.rows);
@@ -68,37 +75,28 @@ export function readKeyUnit(
     means,
     units: motionUnits(rows.classes),
     depths: rows.depths,
+    where,
     pages: media ? pageSamples(samples, atlas, 1, where) : [],
+    checksums,
     bases: new Bases(escapes, atlas).next(0),
   };
 }
 
-/** A segment of a tile in a level but for its pictures. */
-export interface StateUnit {
-  atlas: Atlas;
-  frames: number;
-  /** Of each page of the pictures, in decoding order. */
-  pages: Sample[][];
-  bases: Bases;
-}
-
-/** Segment `place` of the table of a group in a level, from the bytes of its file of a tile; `segment` is its number in
- * the package, from 0. Throws FormatError (bad_sidecar, bad_picture).
- */
+/** Segment `place` of a table; `segment` is its number, from 0. Throws FormatError (bad_sidecar, bad_picture). */
 export function readStateUnit(
   table: Group,
   { segment, place, tile, level }: { segment: number; place: number; tile: number; level: number },
   media: Uint8Array,
-): StateUnit {
+): { atlas: Atlas; frames: number; pages: Sample[][]; checksums: Uint32Array; bases: Bases } {
   const where = stateMediaPath(tileFolder(tile, table.tiles.length), level, segment + 1);
   const atlas = table.tiles[tile]!.levels[level]!;
   const { start, stop } = table.segments[place]!;
-  const { columns, samples } = readMedia(media, where);
+  const { checksums, columns, samples } = readMedia(media, where);
   const reader = new ColumnReader(columns, where);
   const escapes = readEscapes(reader, stop - start, atlas.planes.length, atlas.rows);
   reader.close();
   const pages = pageSamples(samples, atlas, stop - start, where);
-  return { atlas, frames: stop - start, pages, bases: new Bases(escapes, atlas) };
+  return { atlas, frames: stop - start, pages, checksums, bases: new Bases(escapes, atlas) };
 }
 
 /** Rows of a tile that a level carries, ascending. `depths` (N) are those of all its rows, or of the first tiers. */
@@ -127,5 +125,67 @@ export function checkCount(
   if (count > expected || (complete && count !== expected)) {
     const detail = `the sidecars give ${count} rows, the table ${expected}`;
     throw new FormatError("count_mismatch", `tiles[${of.tile}].levels[${level}]`, detail);
+  }
+}
+
+/** The jumps of the bases of a segment or of a key picture. */
+export interface Escapes {
+  /** (E) ascending flat indices (t · P + p) · N + i. */
+  index: Float64Array;
+  /** (E) by how much bases change. */
+  jumps: Int32Array;
+}
+
+/** The escapes that `reader` reads next. Throws FormatError(bad_sidecar). */
+export function readEscapes(reader: ColumnReader, frames: number, planes: number, rows: number): Escapes {
+  const samples = frames * planes * rows; // at most 10⁶ · 55 · 2²⁴: exact
+  const number = reader.wide(1, 0);
+  const count = number.hi[0]! * 2 ** 32 + number.lo[0]!;
+  if (count > samples) throw reader.refuse(`expected at most ${samples} escapes, got ${count}`);
+  const gaps = reader.wide(count, 0);
+  const zigzag = reader.column(count, 1);
+  const index = new Float64Array(count);
+  let at = 0;
+  for (let e = 0; e < count; e++) {
+    const gap = gaps.hi[e]! * 2 ** 32 + gaps.lo[e]!;
+    at += gap;
+    if ((e && !gap) || at >= samples) throw reader.refuse("escapes are not in ascending order inside the segment");
+    index[e] = at;
+  }
+  return { index, jumps: Int32Array.from(zigzag, (z) => (z >>> 1) ^ -(z & 1)) };
+}
+
+/** The bases of an atlas from picture to picture; every picture of a file is to be asked for, in order. */
+export class Bases {
+  /** Bases by now, of samples that ever had another than 0: by plane · N + row. */
+  readonly now = new Map<number, number>();
+  #offsets: Uint32Array;
+  #at = 0;
+
+  constructor(
+    readonly escapes: Escapes,
+    readonly atlas: Atlas,
+  ) {
+    this.#offsets = rowOffsets(atlas);
+  }
+
+  /** The changes that come with picture `t`; null: none. */
+  next(t: number): BaseChanges | null {
+    const { index, jumps } = this.escapes;
+    const { rows, planes } = this.atlas;
+    const area = planes.length * rows;
+    const first = this.#at;
+    while (this.#at < index.length && index[this.#at]! < (t + 1) * area) this.#at++;
+    if (this.#at === first) return null;
+    const texels = new Uint32Array(this.#at - first);
+    const bases = new Int32Array(this.#at - first);
+    for (let e = first; e < this.#at; e++) {
+      const sample = index[e]! % area;
+      const base = ((this.now.get(sample) ?? 0) + jumps[e]!) | 0;
+      this.now.set(sample, base);
+      texels[e - first] = planeCorner(this.atlas, Math.floor(sample / rows)) + this.#offsets[sample % rows]!;
+      bases[e - first] = base;
+    }
+    return { texels, bases };
   }
 }

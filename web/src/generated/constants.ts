@@ -1,7 +1,7 @@
 // Made by python -m tools.typescript from airgs_codec: the modules named below say what each is.
 
 // airgs_codec.package.tables
-export const VERSION = 2;
+export const VERSION = 3;
 export const PAGE = 64;
 export const DIGEST = 32;
 export const BLOCK = 16;
@@ -9,22 +9,21 @@ export const STATIC = 255;
 export const LEAST_CLASS = -128;
 export const MOST_CLASS = 127;
 export const TRANSFORM_UNITS = 32767;
-export const MAX_BITS = 21;
-export const MAX_PICTURE_SIDE = 4096;
+export const LIMITS = {"bits": 21, "side": 4096, "macroblocks": 36864, "pages": 128} as const;
 export const MIN_PICTURE_SIDE = 64;
-export const MAX_MACROBLOCKS = 36864;
-export const MAX_PAGES = 128;
+export const MAX_POSTER_BYTES = 20000;
+export const PACKETS = 50;
 
 // airgs_codec.package.parse
-export const MAX_ROOT_BYTES = 16777216;
-export const MAX_TABLE_BYTES = 268435456;
-
-// airgs_codec.package.paths
-export const ROOT_PATH = "airgs.json";
-export const INIT_PATH = "init.mp4";
-export const PATHS = [["^key/(?:P([1-9]\\d?)/)?T(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.bin$", "sidecar"], ["^key/(?:P([1-9]\\d?)/)?T(0|[1-9]\\d?)/Q(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "key"], ["^state/(?:P([1-9]\\d?)/)?L(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "state"], ["^group/([1-9]\\d{0,6})\\.json\\.gz$", "group"], ["^index/([1-9])/([1-9]\\d{0,6})\\.json$", "page"]] as const;
+export const MAX_TABLE_BYTES = 16777216;
+export const MAX_VALUES = 2097152;
 
 // airgs_codec.package.layout
+export const ROOT_PATH = "airgs.json";
+export const INIT_PATH = "init.mp4";
+export const POSTER_PATH = "poster.jpg";
+export const SOUND_INIT_PATH = "sound/init.m4a";
+export const PATHS = [["^key/(?:P([1-9]\\d?)/)?T(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.bin$", "sidecar"], ["^key/(?:P([1-9]\\d?)/)?T(0|[1-9]\\d?)/Q(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "key"], ["^state/(?:P([1-9]\\d?)/)?L(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "state"], ["^sound/([1-9]\\d{0,6})\\.m4a$", "sound"], ["^group/([1-9]\\d{0,6})\\.json\\.gz$", "group"], ["^index/([1-9])/([1-9]\\d{0,6})\\.json$", "page"]] as const;
 export const KEY_ATTRIBUTES = ["log_scales", "quaternions", "opacity", "colour"] as const;
 export const KEY_AT = {"log_scales": 0, "quaternions": 3, "opacity": 6, "colour": 7} as const;
 export const KEY_CHANNELS = ["log_scales", "log_scales", "log_scales", "quaternions", "quaternions", "quaternions", "opacity"] as const;
@@ -32,7 +31,7 @@ export const STATE_ATTRIBUTES = ["means", "log_scales", "quaternions", "opacity"
 export const STATE_AT = {"means": 0, "log_scales": 3, "quaternions": 6, "opacity": 9, "colour": 10} as const;
 export const STATE_CHANNELS = ["means", "means", "means", "log_scales", "log_scales", "log_scales", "quaternions", "quaternions", "quaternions", "opacity"] as const;
 
-// airgs_codec.package.world
+// airgs_codec.package.references
 export const LEAST_SCALE = 1e-06;
 export const MOST_SCALE = 1000000.0;
 export const WORLD_TOLERANCE = 1e-05;
@@ -40,8 +39,6 @@ export const WORLD_TOLERANCE = 1e-05;
 // airgs_codec.package.region
 export const AGREEMENT = 0.1;
 export const LEVELLING = 100;
-export const SLIGHTLY_DOWN = 15.0;
-export const GIVE_OR_TAKE = 10.0;
 export const FORGIVEN_DEGREES = 0.0001;
 export const FORGIVEN_SHARE = 1e-09;
 
@@ -71,16 +68,12 @@ export const MODELLED_BITS = 3;
 
 // airgs_codec.media.mp4
 export const BOX_HEADER = 8;
-export const COLUMNS_UUID = "3ecfa94eaae8510889ef0197dc29f025";
-export const HAS_OFFSET = 1;
-export const HAS_FIRST_FLAGS = 4;
-export const HAS_DURATION = 256;
-export const HAS_SIZE = 512;
-export const HAS_COMPOSITION = 2048;
-export const HAS_BASE = 1;
-export const HAS_DESCRIPTION = 2;
-export const HAS_DEFAULT_DURATION = 8;
-export const HAS_DEFAULT_SIZE = 16;
+export const OWN_UUID = "fe15461879f4528284085db6297a522f";
+export const TRUN = {"offset": 1, "first": 4, "duration": 256, "size": 512, "composition": 2048} as const;
+export const TFHD = {"base": 1, "description": 2, "duration": 8, "size": 16} as const;
+export const PACKET_TICKS = 960;
+export const SOUND_RATE = 48000;
+export const WARM_UP = 4;
 
 // airgs_codec.media.h264
 export const DARKEST = 16;
@@ -141,7 +134,7 @@ export const SHORTEST_S = 1e-09;
 // airgs_codec.play.player
 export const POLL_S = 0.2;
 export const SILENCE_S = 60.0;
-export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decodeFrameS": 0.004, "replace": true, "abandon": true, "pipelined": true, "loops": null} as const;
+export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decodeFrameS": 0.004, "replace": true, "abandon": true, "pipelined": true} as const;
 export const VIEW_BUFFER_S = 1.0;
 
 // airgs_codec.play.fetch_plan
@@ -161,6 +154,7 @@ export const SMALL_TURN = 1e-06;
 export const BUSY: readonly number[] = [429, 502, 503, 504];
 export const GARBLED = ["size_mismatch", "hash_mismatch", "not_json"] as const;
 export const LONGEST_PAUSE_S = 4.0;
+export const LEAST_BYTES = 4096;
 export const TIMEOUT_S = 30.0;
 export const ATTEMPTS = 4;
 export const BACKOFF_S = 0.25;

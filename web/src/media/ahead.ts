@@ -27,14 +27,11 @@ export class Ahead {
     }, signal);
   }
 
-  /** Resolves when another picture of a call may be decoded. One that has none ahead never waits: the others are shown
-   * together with it.
-   */
+  /** Resolves when another picture may be decoded: at once for a call with none ahead, as others need it. */
   async room(id: number, signal: AbortSignal): Promise<void> {
     await this.#until(() => this.#bytes < this.bytes || !this.#open.has(id), signal);
   }
 
-  /** Frame `t` of a segment was given out. */
   give(id: number, segment: number, t: number, bytes: number): void {
     const { frames } = this.#open.get(id) ?? { frames: new Map<number, number>() };
     this.#open.set(id, { segment, frames: frames.set(t, bytes) });
@@ -50,7 +47,6 @@ export class Ahead {
     this.#bell.ring();
   }
 
-  /** No frame of the call is wanted any more. */
   drop(id: number): void {
     for (const t of this.#open.get(id)?.frames.keys() ?? []) this.taken(id, t);
     this.#bell.ring();

@@ -10,7 +10,6 @@ export class Bell {
     this.#next = this.#after();
   }
 
-  /** Resolves when the bell rings next. */
   wait(): Promise<void> {
     return this.#next;
   }
@@ -22,21 +21,27 @@ export class Bell {
   }
 }
 
-/** Waits so many milliseconds. */
 export const pause = (ms: number): Promise<void> => new Promise((resolve) => setTimeout(resolve, ms));
 
-/** Waits so many milliseconds; less long where the browser says that it is online again, or the signal aborts. */
-export function untilOnline(ms: number, signal: AbortSignal): Promise<void> {
+/** Waits so many ms, or until the signal aborts or what `listen` listens to happens; it gives how to stop. */
+export function waitFor(ms: number, signal: AbortSignal, listen: (end: () => void) => () => void): Promise<void> {
   return new Promise((resolve) => {
     const timer = setTimeout(end, ms);
+    const forget = listen(end);
     function end() {
       clearTimeout(timer);
+      forget();
       signal.removeEventListener("abort", end);
-      globalThis.removeEventListener?.("online", end);
       resolve();
     }
     signal.addEventListener("abort", end);
-    globalThis.addEventListener?.("online", end);
     if (signal.aborted) end();
   });
 }
+
+/** Waits so many milliseconds; less long where the browser says that it is online again, or the signal aborts. */
+export const untilOnline = (ms: number, signal: AbortSignal): Promise<void> =>
+  waitFor(ms, signal, (end) => {
+    globalThis.addEventListener?.("online", end);
+    return () => globalThis.removeEventListener?.("online", end);
+  });

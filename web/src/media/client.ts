@@ -3,44 +3,42 @@ import { start } from "worker:./worker.ts";
 import type { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
-import type { Canonical, StateFrame } from "../format/types.ts";
+import type { Canonical, CanonicalName, StateFrame } from "../format/types.ts";
 import { ATTEMPTS, ROOT_PATH } from "../generated/constants.ts";
-import { Caller } from "./caller.ts";
-import { fromWire, UnsupportedError } from "./errors.ts";
-import type { Retry } from "./http.ts";
-import type { CanonicalName, WireBatch } from "./messages.ts";
+import type { Batch } from "./batch.ts";
+import { aborted, fromWire, UnsupportedError } from "./errors.ts";
+import type { Call, Calls, Note, Poster, Reply, Request, WireBatch } from "./messages.ts";
 import { checkBrowser } from "./probe.ts";
 
 export { TransportError, UnsupportedError } from "./errors.ts";
 export type { Retry } from "./http.ts";
-export type { CanonicalName } from "./messages.ts";
 
 const AHEAD_BYTES = 48 * 2 ** 20;
+const KEPT_BYTES = 64 * 2 ** 20;
 
 /** What came of a batch. Times are seconds of performance.now() of the page. */
-export interface Fetched {
+export interface Fetched extends Omit<Batch, "firstByteMs" | "endMs"> {
   /** When the first answer began; `endS` where none did. */
   firstByteS: number;
   endS: number;
-  /** Bytes that came over the network, with about 350 for the headers of each answer. */
-  bytes: number;
-  /** All of it was cached by the browser: the time says nothing of the network. */
-  cached: boolean;
-  /** Files that came and are what the tables say. */
-  whole: string[];
-  /** Files that cannot be had, and why. Those that were given up are neither. */
-  refused: Map<string, FormatError>;
-  /** Answers that were not taken. */
-  retries: Retry[];
 }
 
 export interface FetchOptions {
   /** Gives up: what is whole by then counts, and the promise resolves. */
   signal?: AbortSignal | undefined;
-  /** Is told how many bytes of the batch have come so far. */
-  onProgress?: (bytes: number) => void;
+  /** So many bytes came, of so many that are to come over the network, headers included. */
+  onProgress?: (bytes: number, expected: number) => void;
   /** Faulty answers after which a file cannot be had. */
   attempts?: number;
+}
+
+export interface OpenOptions {
+  /** Bytes that are decoded ahead of what is shown. */
+  aheadBytes?: number;
+  /** Most bytes of files that are kept. */
+  keptBytes?: number;
+  attempts?: number;
+  onPoster?: (poster: Blob) => void;
 }
 
 /** An open package. Groups, segments, levels and qualities count from 0. */
@@ -50,54 +48,61 @@ export class Media {
 
   private constructor(
     caller: Caller,
-    /** The tables that were fetched. */
     readonly tables: Tables,
     /** How this browser gives luma: as it was coded, or so that it can be undone. */
     readonly luma: "exact" | "invertible",
-    /** What came of airgs.json. */
     readonly opened: Fetched,
+    /** Bytes and seconds of the poster, the wait for its first byte included; null: there was none. */
+    readonly first: { bytes: number; seconds: number } | null,
   ) {
     this.#caller = caller;
   }
 
-  /** Opens the package in a folder, or whose airgs.json is at `url`; relative addresses are of the page.
+  /** Opens the package in a folder, or whose airgs.json is at `url`; relative addresses are of the page. `onPoster` hears
+   * of the poster before.
    *
    * Throws FormatError, TransportError where there is no server, UnsupportedError where this browser cannot play
    * packages.
    */
-  static async open(url: string, { aheadBytes = AHEAD_BYTES, attempts = ATTEMPTS } = {}): Promise<Media> {
+  static async open(url: string, options: OpenOptions = {}): Promise<Media> {
+    const { aheadBytes = AHEAD_BYTES, keptBytes = KEPT_BYTES, attempts = ATTEMPTS, onPoster } = options;
+    let first: Media["first"] = null;
     checkBrowser();
     const caller = new Caller(start);
     try {
-      const { luma, batch } = await caller.call("open", { url: folder(url), aheadBytes, attempts });
+      const onEvent = ({ poster, seconds }: Poster) => {
+        first = { bytes: poster.length, seconds };
+        onPoster?.(new Blob([poster as BlobPart], { type: "image/jpeg" }));
+      };
+      const args = { url: folder(url), aheadBytes, keptBytes, attempts };
+      const { luma, batch } = await caller.call("open", args, { onEvent });
       const [[, bytes]] = batch.tables;
-      return new Media(caller, Tables.parse(bytes), luma, fetched(batch));
+      return new Media(caller, Tables.parse(bytes), luma, fetched(batch), first);
     } catch (error) {
       caller.end();
       throw error;
     }
   }
 
-  /** Fetches files at once. Tables among them are added to `tables`; the others are stored as long as there is room. */
+  /** Fetches files at once. Tables among them are added to `tables`; of the others the last used are kept, as far as
+   * there is room, and not fetched again.
+   */
   async fetch(paths: string[], options: FetchOptions = {}): Promise<Fetched> {
     const { signal, onProgress, attempts = ATTEMPTS } = options;
     const batch = await this.#caller.call(
       "fetch",
       { paths, attempts },
-      { signal, onEvent: (bytes) => onProgress?.(bytes) },
+      { signal, onEvent: ({ bytes, expected }) => onProgress?.(bytes, expected) },
     );
     for (const [path, bytes] of batch.tables) await this.tables.add(path, bytes);
     return fetched(batch);
   }
 
-  /** The segment that shows a frame; fetches the pages and tables of its group, and of its base.
-   *
-   * Throws FormatError, TransportError.
-   */
+  /** The segment that shows a frame; fetches the tables to it. Throws FormatError, TransportError. */
   async locate(frame: number, signal: AbortSignal): Promise<number> {
     for (;;) {
       try {
-        this.tables.baseTable(this.tables.index.atFrame(frame));
+        this.tables.baseTable(this.tables.index.groupAt("frames", frame));
         return this.tables.segmentAt(frame);
       } catch (error) {
         if (!(error instanceof MissingTableError)) throw error;
@@ -115,10 +120,12 @@ export class Media {
     return fetched(batch);
   }
 
-  /** Decodes the canonical space of a tile, which may have no rows; files that are not at hand are fetched.
-   *
-   * Throws FormatError, TransportError.
-   */
+  /** The file with the sound of a group, which has some; where it is not at hand it is fetched. Throws FormatError. */
+  sound(group: number, signal: AbortSignal): Promise<Uint8Array> {
+    return this.#caller.call("sound", { group }, { signal });
+  }
+
+  /** Decodes a canonical space; files not at hand are fetched. Throws FormatError, TransportError. */
   canonical({ group, tile, quality, tiers }: CanonicalName, signal?: AbortSignal): Promise<Canonical> {
     return this.#caller.call("canonical", { group, tile, quality, tiers }, { signal });
   }
@@ -152,7 +159,6 @@ export class Media {
     if (taken) this.#caller.tell({ taken });
   }
 
-  /** Ends everything; what is still waited for is rejected. */
   close(): void {
     this.#caller.end();
   }
@@ -179,4 +185,80 @@ function fetched({ firstByteMs, endMs, bytes, cached, whole, refused, retries }:
     refused: new Map(refused.map(([path, error]) => [path, fromWire(error) as FormatError])),
     retries,
   };
+}
+
+interface Waiting {
+  resolve: (value: Calls[Call]["value"]) => void;
+  reject: (error: Error) => void;
+  onEvent: (event: Calls[Call]["event"]) => void;
+}
+
+/** The page's end of the line to the worker. */
+class Caller {
+  readonly #worker: Worker;
+  readonly #waiting = new Map<number, Waiting>();
+  #next = 0;
+  #ended: Error | null = null;
+
+  /** Throws UnsupportedError where no worker can be started. */
+  constructor(start: () => Worker) {
+    try {
+      this.#worker = start();
+    } catch (error) {
+      throw noWorker(error);
+    }
+    this.#worker.onmessage = ({ data }: MessageEvent<Reply>) => this.#hear(data);
+    this.#worker.onerror = (event) => this.end(noWorker(event.message || "its script was not loaded"));
+    this.#worker.onmessageerror = () => this.end(noWorker("a message of it could not be read"));
+  }
+
+  /** Calls. An aborted signal makes the worker give up, whose answer says so. */
+  call<K extends Call>(
+    call: K,
+    args: Calls[K]["args"],
+    options: { signal?: AbortSignal | undefined; onEvent?: (event: Calls[K]["event"], id: number) => void } = {},
+  ): Promise<Calls[K]["value"]> {
+    const id = this.#next++;
+    if (this.#ended) return Promise.reject(this.#ended);
+    const { signal, onEvent } = options;
+    const answer = new Promise<Calls[K]["value"]>((resolve, reject) => {
+      const hear = (event: Calls[Call]["event"]) => onEvent?.(event as Calls[K]["event"], id);
+      this.#waiting.set(id, { resolve: resolve as Waiting["resolve"], reject, onEvent: hear });
+    });
+    const request: Request<K> = { id, call, args };
+    this.#worker.postMessage(request);
+    const cancel = () => this.tell({ cancel: id });
+    signal?.addEventListener("abort", cancel, { once: true });
+    if (signal?.aborted) cancel();
+    return answer;
+  }
+
+  tell(note: Note): void {
+    if (!this.#ended) this.#worker.postMessage(note);
+  }
+
+  /** Ends the worker; what is still asked for is rejected. */
+  end(error: Error = aborted("closed")): void {
+    this.#ended ??= error;
+    this.#worker.terminate();
+    for (const { reject } of this.#waiting.values()) reject(this.#ended);
+    this.#waiting.clear();
+  }
+
+  #hear(reply: Reply): void {
+    const waiting = this.#waiting.get(reply.id);
+    if (!waiting) return;
+    if ("event" in reply) {
+      waiting.onEvent(reply.event);
+      return;
+    }
+    this.#waiting.delete(reply.id);
+    if ("error" in reply) waiting.reject(fromWire(reply.error));
+    else waiting.resolve(reply.value);
+  }
+}
+
+function noWorker(why: unknown): UnsupportedError {
+  const words = why instanceof Error ? why.message : String(why);
+  return new UnsupportedError(`the worker that decodes failed: ${words} (a page's policy must allow worker-src blob:)`);
 }

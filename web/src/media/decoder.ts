@@ -4,16 +4,14 @@ import { FormatError } from "../format/errors.ts";
 import type { Sample } from "../format/mp4.ts";
 import { Bell } from "./bell.ts";
 import { aborted, UnsupportedError } from "./errors.ts";
-import { copySamples, LayoutError, type Samples, Scratch } from "./luma.ts";
+import { copySamples, LayoutError, type Samples } from "./luma.ts";
 
 /** Pictures on their way out of a decoder, and chunks on their way in: unclosed pictures of about 20 block some decoders. */
 const MOST_UNDER_WAY = 4;
 
-/** Coded pictures that are decoded together. */
 export interface Clip {
   /** In decoding order; pages one after the other, each of which begins with an IDR picture. */
   samples: Sample[];
-  /** Of every picture. */
   width: number;
   height: number;
   /** The file, for errors. */
@@ -36,7 +34,8 @@ export type TakeSamples = (samples: Samples, n: number) => void | Promise<void>;
  */
 export class LumaDecoder {
   #acceleration: HardwareAcceleration;
-  readonly #scratch = new Scratch();
+  /** Buffers for copies, used again and again. */
+  readonly #free: Uint8Array[] = [];
   #decoder: VideoDecoder | null = null;
   #configured = "";
   #pass: Pass | null = null;
@@ -63,7 +62,7 @@ export class LumaDecoder {
 
   async #persist(clip: Clip, take: TakeSamples, options: DecodeOptions): Promise<number> {
     for (let done = 0, failures = 0; ; ) {
-      const pass = new Pass(clip, take, done, this.#scratch);
+      const pass = new Pass(clip, take, done, this.#free);
       const error = await this.#run(pass, options);
       if (!error) return pass.shown;
       failures = pass.done > done ? 1 : failures + 1;
@@ -73,7 +72,7 @@ export class LumaDecoder {
         failures = 0;
         continue;
       }
-      if (isFinal(error)) throw error;
+      if (error instanceof FormatError || error instanceof UnsupportedError || error.name === "AbortError") throw error;
       if (failures > 1) throw new FormatError("bad_picture", clip.where, `H.264 does not decode: ${error.message}`);
     }
   }
@@ -145,18 +144,11 @@ export class LumaDecoder {
   }
 }
 
-/** Errors that decoding again cannot help. */
-function isFinal(error: Error): boolean {
-  return error instanceof FormatError || error instanceof UnsupportedError || error.name === "AbortError";
-}
-
-/** One pass of a clip through a decoder. */
 class Pass {
   readonly bell = new Bell();
   /** Pictures that came out, and those of them that were taken. */
   shown = 0;
   done: number;
-  /** Pictures that are not taken yet. */
   open = 0;
   error: Error | null = null;
   /** Resolves when every picture that came so far is closed, and taken unless something went wrong. */
@@ -168,7 +160,7 @@ class Pass {
     readonly clip: Clip,
     readonly take: TakeSamples,
     done: number,
-    readonly scratch: Scratch,
+    readonly free: Uint8Array[],
   ) {
     this.done = done;
   }
@@ -179,12 +171,10 @@ class Pass {
     this.bell.ring();
   }
 
-  /** Waits for a condition, or an error. */
   async until(condition: () => boolean): Promise<void> {
     while (!this.error && !condition()) await this.bell.wait();
   }
 
-  /** A picture came out of the decoder. */
   show(frame: VideoFrame): void {
     const n = this.shown++;
     const bad = this.#complaint(frame, n);
@@ -207,7 +197,7 @@ class Pass {
 
   #copy(frame: VideoFrame, n: number): void {
     this.open++;
-    const copy = copySamples(frame, this.scratch);
+    const copy = copySamples(frame, this.free);
     copy.catch(() => {}); // it is waited for below, when those before it are done
     this.copies = this.copies.then(() => this.#hand(copy, n));
   }
@@ -219,7 +209,7 @@ class Pass {
         await this.take(samples, n);
         this.done = n + 1;
       }
-      this.scratch.give(samples.data);
+      this.free.push(samples.data);
     } catch (error) {
       this.fail(error as Error);
     }

@@ -35,7 +35,6 @@ export function fromWire(wire: WireError): Error {
   return name === "AbortError" ? aborted(message) : Object.assign(new Error(message), { name });
 }
 
-/** The error that is thrown where somebody gave up. */
 export function aborted(message = "given up"): DOMException {
   return new DOMException(message, "AbortError");
 }

@@ -24,7 +24,6 @@ function layoutOf(frame: VideoFrame): { layout: Layout; options: VideoFrameCopyT
   throw new UnsupportedError(`this browser gives pictures as ${format}, from which luma cannot be read exactly`);
 }
 
-/** A picture's samples as the browser gives them. */
 export interface Samples {
   layout: Layout;
   data: Uint8Array;
@@ -34,11 +33,13 @@ export interface Samples {
   step: number;
 }
 
-/** Copies a picture out of the decoder's hands, and closes it whatever happens. */
-export async function copySamples(frame: VideoFrame, scratch: Scratch): Promise<Samples> {
+/** Copies a picture out of the decoder's hands into a free buffer, and closes it whatever happens. */
+export async function copySamples(frame: VideoFrame, free: Uint8Array[]): Promise<Samples> {
   try {
     const { layout, options } = layoutOf(frame);
-    const data = scratch.take(frame.allocationSize(options));
+    const bytes = frame.allocationSize(options);
+    const last = free.pop();
+    const data = last?.length === bytes ? last : new Uint8Array(bytes);
     const [first] = await frame.copyTo(data, options);
     const step = layout === "planar" ? 1 : PIXEL_BYTES;
     return { layout, data, offset: first.offset + (step > 1 ? GREEN : 0), stride: first.stride, step };
@@ -64,19 +65,4 @@ function inverseFor(layout: Layout, inverses: Inverses): Uint8Array | null {
   const known = inverses[layout];
   if (known !== undefined) return known;
   throw new LayoutError(`this browser gives some H.264 pictures as ${layout} and others not: luma cannot be trusted`);
-}
-
-/** Buffers for copies, used again and again. */
-export class Scratch {
-  readonly #free: Uint8Array[] = [];
-
-  /** A buffer of exactly `bytes`. */
-  take(bytes: number): Uint8Array {
-    const found = this.#free.pop();
-    return found?.length === bytes ? found : new Uint8Array(bytes);
-  }
-
-  give(data: Uint8Array): void {
-    this.#free.push(data);
-  }
 }

@@ -1,24 +1,18 @@
 // What page and worker say to each other.
-import type { Canonical, StateFrame } from "../format/types.ts";
+import type { Canonical, CanonicalName, StateFrame } from "../format/types.ts";
 import type { Batch } from "./batch.ts";
 import type { WireError } from "./errors.ts";
 
-/** The canonical space of a tile by what it is made of. */
-export interface CanonicalName {
-  /** Counted from 0. */
-  group: number;
-  /** Counted from 0. */
-  tile: number;
-  quality: number;
-  /** How many tiers of the tile, from the first on. */
-  tiers: number;
-}
-
-/** A batch as a message. */
 export interface WireBatch extends Omit<Batch, "refused"> {
   refused: [string, WireError][];
   /** Path and bytes of the tables among the files. */
   tables: [string, Uint8Array][];
+}
+
+/** The poster of a package, and the seconds from asking for it to its last byte. */
+export interface Poster {
+  poster: Uint8Array;
+  seconds: number;
 }
 
 export interface Opened {
@@ -28,9 +22,14 @@ export interface Opened {
 
 /** What the page can ask for: arguments, what comes on the way, and the answer. */
 export interface Calls {
-  open: { args: { url: string; aheadBytes: number; attempts: number }; event: never; value: Opened };
-  fetch: { args: { paths: string[]; attempts: number }; event: number; value: WireBatch };
+  open: {
+    args: { url: string; aheadBytes: number; keptBytes: number; attempts: number };
+    event: Poster;
+    value: Opened;
+  };
+  fetch: { args: { paths: string[]; attempts: number }; event: { bytes: number; expected: number }; value: WireBatch };
   refreshRoot: { args: { attempts: number }; event: never; value: WireBatch };
+  sound: { args: { group: number }; event: never; value: Uint8Array };
   canonical: { args: CanonicalName; event: never; value: Canonical };
   segment: {
     args: { index: number; level: number; of: CanonicalName };

@@ -7,12 +7,11 @@ import { type DecodeOptions, LumaDecoder } from "./decoder.ts";
 import { readLuma, type Samples } from "./luma.ts";
 import type { Probe } from "./probe.ts";
 
-/** A file of pictures of an atlas. */
 export interface PictureFile {
-  /** Coded pictures of each page. */
   pages: Sample[][];
+  /** Of the luma of each of these, in display order. */
+  checksums: Uint32Array;
   atlas: Atlas;
-  /** Pictures of each page. */
   frames: number;
   where: string;
 }
@@ -30,36 +29,27 @@ export class PictureDecoder {
 
   /** Decodes a file, and gives its pictures in order, each when its last page is there.
    *
-   * Throws FormatError(bad_picture) for pictures of another number or size, or with luma outside 16 to 235.
+   * Throws FormatError(bad_picture) for pictures of another number or size, or whose luma differs from its checksum.
    */
   async decode(file: PictureFile, take: TakeLuma, options: DecodeOptions = {}): Promise<void> {
-    const { atlas, frames, where } = file;
-    const { width, height } = atlas;
-    const gather = this.#gatherer(file, take);
-    const got = await this.#decoder.decode({ samples: file.pages.flat(), width, height, where }, gather, options);
-    const expected = file.pages.length * frames;
-    if (got !== expected) throw new FormatError("bad_picture", where, `expected ${expected} pictures, got ${got}`);
-  }
-
-  close(): void {
-    this.#decoder.close();
-  }
-
-  /** Takes pages as they come: all of the first, then all of the next. */
-  #gatherer({ atlas, frames, pages, where }: PictureFile, take: TakeLuma): (samples: Samples, n: number) => void {
+    const { atlas, frames, pages, checksums, where } = file;
     const { width, height } = atlas;
     const gathered = new Map<number, Uint8Array>();
-    return (samples, n) => {
+    /** Pages come as all of the first, then all of the next. */
+    const gather = (samples: Samples, n: number) => {
       const t = n % frames;
       const page = Math.floor(n / frames);
       const luma = gathered.get(t) ?? new Uint8Array(atlasSamples(atlas));
       const part = luma.subarray(page * width * height, (page + 1) * width * height);
       readLuma(samples, width, height, this.probe.inverses, part);
-      checkLuma(part, where);
+      checkLuma(part, checksums[n], where);
       gathered.set(t, luma);
       if (page < pages.length - 1) return;
       gathered.delete(t);
       take(t, luma);
     };
+    const got = await this.#decoder.decode({ samples: pages.flat(), width, height, where }, gather, options);
+    const expected = pages.length * frames;
+    if (got !== expected) throw new FormatError("bad_picture", where, `expected ${expected} pictures, got ${got}`);
   }
 }

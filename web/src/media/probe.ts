@@ -14,7 +14,6 @@ export interface Probe extends Verdict {
   acceleration: HardwareAcceleration;
 }
 
-/** What known samples say. */
 export interface Verdict {
   luma: "exact" | "invertible";
   inverses: Inverses;
@@ -62,7 +61,6 @@ async function probe(acceleration: HardwareAcceleration): Promise<Probe> {
   return found[0];
 }
 
-/** Judges the layout in which the samples of the probe came. */
 export function judge(samples: Samples): Verdict {
   const seen = Uint8Array.from({ length: VALUES }, (_, value) => blockValue(samples, value));
   const inverse = invert(seen);

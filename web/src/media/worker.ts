@@ -10,30 +10,27 @@ function say(reply: Reply): void {
   postMessage(reply, { transfer: [...buffersOf(reply)] });
 }
 
-async function answer({ id, call, args }: Request): Promise<Calls[typeof call]["value"]> {
-  const stop = new AbortController();
-  underWay.set(id, stop);
-  const context = { id, signal: stop.signal, emit: (event: Calls[typeof call]["event"]) => say({ id, event }) };
-  try {
-    if (call === "open") {
-      const found = await Engine.open(args as Calls["open"]["args"], context);
-      engine = found.engine;
-      return found.opened;
-    }
-    if (!engine) throw new Error("expected open() before anything else");
-    return await engine[call](args as never, context as never);
-  } finally {
-    underWay.delete(id);
+async function answer({ id, call, args }: Request, signal: AbortSignal): Promise<Calls[typeof call]["value"]> {
+  const context = { id, signal, emit: (event: Calls[typeof call]["event"]) => say({ id, event }) };
+  if (call === "open") {
+    const found = await Engine.open(args as Calls["open"]["args"], context);
+    engine = found.engine;
+    return found.opened;
   }
+  if (!engine) throw new Error("expected open() before anything else");
+  return engine[call](args as never, context as never);
 }
 
 async function respond(request: Request): Promise<void> {
   const { id } = request;
-  try {
-    say({ id, value: await answer(request) });
-  } catch (error) {
-    say({ id, error: toWire(error) });
-  }
+  const stop = new AbortController();
+  underWay.set(id, stop);
+  const reply: Reply = await answer(request, stop.signal).then(
+    (value) => ({ id, value }),
+    (error) => ({ id, error: toWire(error) }),
+  );
+  underWay.delete(id);
+  say(reply);
 }
 
 function heed({ cancel, taken }: Note): void {
@@ -44,7 +41,6 @@ function heed({ cancel, taken }: Note): void {
   if (taken) engine?.taken(taken.id, taken.t);
 }
 
-/** Answers the page from now on. */
 export function run(): void {
   globalThis.onmessage = ({ data }: MessageEvent<Request | Note>) => {
     if ("call" in data) respond(data);

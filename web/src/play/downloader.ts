@@ -3,7 +3,6 @@
 //
 // Times are seconds of the downloader's clock.
 import type { FormatError } from "../format/errors.ts";
-import type { Decision } from "./ladder.ts";
 import { type Batch, filesOf } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 
@@ -13,7 +12,6 @@ import type { Playout } from "./playout.ts";
  */
 export type BatchKind = "tables" | "group" | "state" | "replacement" | "repair";
 
-/** A batch of files to be fetched together. */
 export interface Request {
   kind: BatchKind;
   /** Of the segment in the session. */
@@ -26,7 +24,6 @@ export interface Request {
   latencyS: number;
 }
 
-/** What came of a request. */
 export interface Arrival {
   request: Request;
   firstByteS: number;
@@ -38,7 +35,6 @@ export interface Arrival {
   whole: readonly string[];
   /** Files that came and cannot be used. */
   refused: ReadonlyMap<string, FormatError>;
-  /** Given up before the last byte. */
   abandoned: boolean;
   /** It came from a cache and tells nothing of the link. */
   cached: boolean;
@@ -51,17 +47,14 @@ export const isComplete = (arrival: Arrival): boolean => arrival.whole.length ==
 export const usableFiles = (arrival: Arrival): readonly string[] =>
   isComplete(arrival) ? arrival.whole : arrival.whole.filter((path) => !arrival.request.batch.state.includes(path));
 
-/** A download under way. */
 export interface Partial {
   atS: number;
   /** Since its first byte. */
   elapsedS: number;
-  /** So far, headers included. */
   bytes: number;
   expectedBytes: number;
 }
 
-/** Whether a download is to be abandoned. */
 export type GiveUp = (partial: Partial) => boolean;
 
 /** Fetches one batch after another. It alone knows time and bytes. */
@@ -80,13 +73,9 @@ export interface Downloader {
   fetch(request: Request, giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival>;
 }
 
-/** A batch arrived, whole or not. */
 export interface Arrived {
   type: "arrived";
   arrival: Arrival;
-  decision: Decision;
-  /** What the policies' rule of thumb would have spent. */
-  budgetBytes: number;
   /** The estimate when the batch was requested. */
   throughputBps: number;
 }
@@ -113,13 +102,10 @@ export interface Cut {
   why: string;
 }
 
-/** A segment's time on the screen, when nothing can change it any more; rung null: it was lost, the last picture
- * stands.
- */
+/** A segment's final time on the screen; rung null: it was lost, the last picture stands. */
 export interface Shown {
   type: "shown";
   position: number;
-  /** In the package. */
   segment: number;
   loop: number;
   rung: number | null;

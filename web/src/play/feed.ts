@@ -21,22 +21,17 @@ export interface FeedParts extends Shared {
   onProblem: (error: unknown, fatal: boolean) => void;
 }
 
-/** Fetches for one package. */
 export class Feed {
   readonly #parts: FeedParts;
   readonly #downloader: HttpDownloader;
   #stop = new AbortController();
   #running: Promise<void> = Promise.resolve();
-  #from = 0;
+  /** The position that the session under way began with. */
+  from = 0;
 
   constructor(parts: FeedParts) {
     this.#parts = parts;
-    this.#downloader = new HttpDownloader(parts.media, parts.offers);
-  }
-
-  /** The position that the session under way began with. */
-  get from(): number {
-    return this.#from;
+    this.#downloader = new HttpDownloader(parts.media);
   }
 
   /** Ends the session that is under way; the signal of the next one, aborted if that is not wanted any more either. */
@@ -50,20 +45,21 @@ export class Feed {
 
   /** Fetch from a position on; `signal` is that of `next`, or the first one. */
   run(from: number, signal: AbortSignal = this.#stop.signal): void {
-    this.#running = Promise.all([this.#fetch(from, signal), this.#repair(signal)]).then(() => {});
+    const onProblem = (error: unknown) => this.#parts.onProblem(error, false);
+    const repairs = new Repairs({ ...this.#parts, downloader: this.#downloader, onProblem }, signal);
+    this.#running = Promise.all([this.#fetch(from, signal), repairs.run()]).then(() => {});
   }
 
   close(): void {
     this.#stop.abort();
   }
 
-  /** One session after another, until one is over. */
   async #fetch(from: number, signal: AbortSignal): Promise<void> {
-    this.#from = from;
+    this.from = from;
     while (!(await this.#session(signal))) {
       await untilOnline(1e3 * RETRY_S, signal);
       if (signal.aborted) return;
-      this.#from = (this.#parts.playout.last?.position ?? this.#from - 1) + 1;
+      this.from = (this.#parts.playout.last?.position ?? this.from - 1) + 1;
     }
   }
 
@@ -72,7 +68,7 @@ export class Feed {
     const { onEvent, onProblem, ...parts } = this.#parts;
     try {
       const policy = makePolicy(parts.policy(), parts.offers);
-      const session = new Session({ ...parts, downloader: this.#downloader, policy }, signal, this.#from);
+      const session = new Session({ ...parts, downloader: this.#downloader, policy }, signal, this.from);
       for await (const event of session.run()) onEvent(event);
     } catch (error) {
       if (signal.aborted) return true;
@@ -81,11 +77,5 @@ export class Feed {
       return !away;
     }
     return true;
-  }
-
-  /** Fetch what turns out to be lacking, also when the session is over. */
-  async #repair(signal: AbortSignal): Promise<void> {
-    const onProblem = (error: unknown) => this.#parts.onProblem(error, false);
-    await new Repairs({ ...this.#parts, downloader: this.#downloader, onProblem }, signal).run();
   }
 }

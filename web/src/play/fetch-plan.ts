@@ -8,19 +8,11 @@ import { Recent } from "../format/recent.ts";
 import type { Camera } from "../format/types.ts";
 import { BEFORE_S, EARLY_MARGIN, FURTHEST_S, LATE_MARGIN, SOON_S } from "../generated/constants.ts";
 import type { Offers } from "./offers.ts";
-import type { Playout } from "./playout.ts";
+import type { Playout, Slot } from "./playout.ts";
 import { Boxes, expected, velocityOf, type Watcher } from "./sight.ts";
-import type { Slot } from "./slot.ts";
 
 const MOST_GROUPS = 64;
 
-/** What is fetched of one segment. */
-export interface FetchPlan {
-  /** Ascending; they come in one batch. */
-  readonly tiles: readonly number[];
-}
-
-/** A tile that a segment lacks. */
 export interface Lack {
   slot: Slot;
   tile: number;
@@ -30,14 +22,13 @@ export interface Lack {
 export interface Planner {
   /** Whether tiles that turn out to be lacking are fetched later. */
   readonly late: boolean;
-  /** Of the segment at a position, whose tables are there. */
-  plan(position: number, nowS: number): FetchPlan;
+  /** The tiles, ascending, that come in one batch with the segment at a position, whose tables are there. */
+  plan(position: number, nowS: number): readonly number[];
   /** Lists what is to be fetched late, the most urgent first. */
   lacking(nowS: number): Lack[];
 }
 
-/** All tiles come with their segments. */
-export const whole = ({ tiles }: Offers): Planner => ({ late: false, plan: () => ({ tiles }), lacking: () => [] });
+export const whole = ({ tiles }: Offers): Planner => ({ late: false, plan: () => tiles, lacking: () => [] });
 
 /** Tiles come as they are expected in sight. */
 export class ByView implements Planner {
@@ -51,13 +42,12 @@ export class ByView implements Planner {
   ) {}
 
   /** Never without a tile that has rows, and with all of these while nobody looks. */
-  plan(position: number, nowS: number): FetchPlan {
+  plan(position: number, nowS: number): readonly number[] {
     const startS = this.playout.startsAtS(this.playout.dueAt(nowS), nowS);
     const off = this.#off(position, nowS, startS, startS + this.offers.secondsAt(position) / this.playout.speed);
     const most = Math.max(EARLY_MARGIN, Math.min(...off));
     const inSight = this.offers.tiles.filter((tile) => off[tile] <= most && off[tile] < Infinity);
-    const tiles = inSight.length ? inSight : this.offers.tilesWithRows(this.offers.index(position));
-    return { tiles };
+    return inSight.length ? inSight : this.offers.tilesWithRows(this.offers.index(position));
   }
 
   /** The first segment first, then what is nearest to the middle of the picture. */

@@ -1,6 +1,7 @@
 // Batches over a real connection, by the clock of the page: the other Downloader is a simulated link of the tests.
 import { FormatError } from "../format/errors.ts";
 import { CHECK_S, ROOT_PATH } from "../generated/constants.ts";
+import { waitFor } from "../media/bell.ts";
 import type { Fetched, Media } from "../media/client.ts";
 import type { Arrival, Downloader, GiveUp, Request } from "./downloader.ts";
 import { filesOf, type Offers } from "./offers.ts";
@@ -19,10 +20,7 @@ export class HttpDownloader implements Downloader {
   private shortestS = Infinity;
   private opened: Fetched | null;
 
-  constructor(
-    private readonly source: Source,
-    private readonly offers: Offers,
-  ) {
+  constructor(private readonly source: Source) {
     this.opened = source.opened;
   }
 
@@ -36,19 +34,8 @@ export class HttpDownloader implements Downloader {
   }
 
   wait(untilS: number, playout: Playout, signal: AbortSignal): Promise<void> {
-    const leftMs = 1000 * (untilS - this.now());
-    if (leftMs <= 0 || signal.aborted) return Promise.resolve();
-    return new Promise((resolve) => {
-      const timer = setTimeout(end, Math.min(leftMs, LONGEST_MS));
-      const forget = playout.onChange(end);
-      signal.addEventListener("abort", end, { once: true });
-      function end() {
-        clearTimeout(timer);
-        forget();
-        signal.removeEventListener("abort", end);
-        resolve();
-      }
-    });
+    const leftMs = Math.min(1000 * (untilS - this.now()), LONGEST_MS);
+    return leftMs > 0 ? waitFor(leftMs, signal, (end) => playout.onChange(end)) : Promise.resolve();
   }
 
   /** Answers the first request for airgs.json with what came when the package was opened. */
@@ -74,15 +61,15 @@ export class HttpDownloader implements Downloader {
   /** Looks at a download every CHECK_S from its first byte on, and ends it where it is given up. */
   private async batch(request: Request, paths: string[], giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival> {
     const sentS = this.now();
-    const expectedBytes = this.offers.wire(paths);
     const ending = new AbortController();
     const end = () => ending.abort();
     signal.addEventListener("abort", end);
     if (signal.aborted) end();
     let timer: ReturnType<typeof setInterval> | undefined;
     let bytes = 0;
-    const onProgress = (come: number) => {
-      bytes = come;
+    let expectedBytes = 0;
+    const onProgress = (come: number, expected: number) => {
+      [bytes, expectedBytes] = [come, expected];
       const firstS = this.now();
       const look = (atS: number) => giveUp?.({ atS, elapsedS: atS - firstS, bytes, expectedBytes }) && end();
       if (giveUp) timer ??= setInterval(() => look(this.now()), 1000 * CHECK_S);

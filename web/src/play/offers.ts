@@ -18,7 +18,7 @@ const MOST_OFFERS = 1024;
 export type Units = Pick<ReadonlySet<number>, "has">;
 export const NONE: Units = new Set();
 
-/** The files of a key unit in a quality. */
+/** A key unit, or the sound of a group, whose number is negative and whose tile is none. */
 export interface UnitOffer {
   /** Number of the unit among those of all groups and qualities. */
   readonly unit: number;
@@ -29,7 +29,6 @@ export interface UnitOffer {
   readonly bytes: number;
 }
 
-/** What a rung of a segment takes and gives. */
 export interface RungOffer {
   readonly quality: number;
   readonly level: number;
@@ -37,11 +36,13 @@ export interface RungOffer {
   readonly psnr: number;
   /** That it shows, in all tiles. */
   readonly gaussians: number;
-  /** Whether the budget has as many. */
+  /** Whether the budget has as many, and its level is offered. */
   readonly allowed: boolean;
   /** Share of the first level's state bytes that its level saves. */
   readonly saved: number;
-  /** In the order of fetching: each unit of the group that has files, then that of the base whose rows it reuses. */
+  /** In the order of fetching: sound, then each unit of the group that has files, then that of the base whose rows it
+   * reuses.
+   */
   readonly units: readonly UnitOffer[];
   readonly state: readonly string[];
   readonly stateBytes: number;
@@ -57,7 +58,6 @@ export interface SegmentOffer {
   readonly group: number;
   /** The group whose rows its group reuses; null: it reuses none. */
   readonly base: number | null;
-  /** It is the first one of its group. */
   readonly startsGroup: boolean;
   readonly rungs: readonly RungOffer[];
 }
@@ -78,14 +78,13 @@ export const sizesOf = ({ rungs }: SegmentOffer, decoded: Units): Float64Array =
     allowed ? units.reduce((sum, { unit, bytes }) => sum + (decoded.has(unit) ? 0 : bytes), stateBytes) : OVER_BUDGET,
   );
 
-/** Every rung that the budget allows, by its number. */
+/** Every rung that is allowed, by its number. */
 export function optionsOf(offer: SegmentOffer, decoded: Units): Option[] {
   const sizes = sizesOf(offer, decoded);
   const all = offer.rungs.map(({ psnr, saved }, index) => ({ index, sizeBytes: sizes[index], quality: psnr, saved }));
   return all.filter(({ index }) => offer.rungs[index].allowed);
 }
 
-/** The files that a rung needs beside the decoded units. */
 export function missing({ rungs }: SegmentOffer, rung: number, decoded: Units): Batch {
   const { units, state } = rungs[rung];
   return { keys: units.flatMap(({ unit, files }) => (decoded.has(unit) ? [] : files)), state, tables: [] };
@@ -94,7 +93,7 @@ export function missing({ rungs }: SegmentOffer, rung: number, decoded: Units): 
 /** The tables of a package as far as a player looks at them; they may be numbers alone. All count from 0. */
 export interface OfferTables
   extends Pick<Tables, "rootBytes" | "has" | "groupOf" | "rows" | "boxes" | "unitsOf" | "base">,
-    Pick<Tables, "keyFiles" | "keptFiles" | "stateFiles"> {
+    Pick<Tables, "keyFiles" | "keptFiles" | "stateFiles" | "soundFiles"> {
   readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "tiles" | "frames"> & {
     readonly views: Pick<Root["views"], "reference">;
     readonly qualities: readonly Pick<Root["qualities"][number], "id">[];
@@ -112,11 +111,10 @@ export class Offers {
   /** The name of every rung, such as Q1+L2. */
   readonly names: readonly string[];
   readonly fps: number;
-  /** All of them. */
   readonly tiles: readonly number[];
-  /** The segment that a session begins with. */
   first = 0;
-  readonly #made = new Recent<string, SegmentOffer>(MOST_OFFERS);
+  #made = new Recent<string, SegmentOffer>(MOST_OFFERS);
+  #finest = 0;
 
   /** `budget`: the most Gaussians that a rung may show. */
   constructor(
@@ -129,6 +127,16 @@ export class Offers {
     this.names = this.rungs.map(([q, j]) => `${qualities[q].id}+${levels[j].id}`);
     this.fps = frame_rate[0] / frame_rate[1];
     this.tiles = Array.from({ length: tiles }, (_, tile) => tile);
+  }
+
+  /** The finest level that is offered. */
+  get finest(): number {
+    return this.#finest;
+  }
+
+  set finest(level: number) {
+    if (level !== this.#finest) this.#made = new Recent(MOST_OFFERS);
+    this.#finest = level;
   }
 
   /** The offer of a segment, whose tables are there (`knows`), of some tiles, which ascend. */
@@ -144,12 +152,16 @@ export class Offers {
     const states = levels.map((_, level) => tables.stateFiles(segment, level, tiles));
     const bytes = states.map((files) => this.wire(files));
     const saved = savedShares(bytes);
+    const sound = tables.soundFiles(group).map((path) => {
+      return { unit: -1 - group, group, tile: -1, tier: 0, files: [path], bytes: this.wire([path]) };
+    });
     const rungs = this.rungs.map(([quality, level]) => {
       const gaussians = tables.unitsOf(level).reduce((sum, unit) => sum + rows[unit], 0);
-      const units = tables.unitsOf(level, tiles).flatMap((number) => this.#units(group, quality, number));
+      const keys = tables.unitsOf(level, tiles).flatMap((number) => this.#units(group, quality, number));
       const psnr = levels[level].psnr[quality] ?? 0;
       const [state, stateBytes] = [states[level], bytes[level]];
-      const allowed = gaussians <= this.budget;
+      const units = [...sound, ...keys];
+      const allowed = gaussians <= this.budget && level >= this.finest;
       return { quality, level, psnr, gaussians, allowed, saved: saved[level], units, state, stateBytes };
     });
     const startsGroup = segment === tables.index.entry(group).firstSegment;
@@ -171,17 +183,14 @@ export class Offers {
     return [own, base].filter(({ files }) => files.length);
   }
 
-  /** How many segments there are. */
   get segments(): number {
     return this.tables.index.segments;
   }
 
-  /** More groups may come in this session. */
   get live(): boolean {
     return this.tables.root.live;
   }
 
-  /** Seconds of play of the whole sequence. */
   get durationS(): number {
     return this.tables.root.frames / this.fps;
   }
@@ -189,12 +198,6 @@ export class Offers {
   /** Whether every rung of every segment has a quality. */
   get measured(): boolean {
     return this.tables.root.views.reference !== "none";
-  }
-
-  /** Seconds of play of the last group so far. */
-  get newestSeconds(): number {
-    const entry = this.tables.index.entry(this.tables.index.groups - 1);
-    return (entry.stop - entry.start) / this.fps;
   }
 
   /** Whether the tables of a segment's group, and of the one whose rows it reuses, are there. */
@@ -214,13 +217,11 @@ export class Offers {
     return this.#hasTable(segment) ? this.tables.segment(segment) : this.tables.index.guessSpan(segment);
   }
 
-  /** Seconds of play at a position. */
   secondsAt(position: number): number {
     const { start, stop } = this.span(position);
     return (stop - start) / this.fps;
   }
 
-  /** Tiles of a segment that have rows. */
   tilesWithRows(segment: number): number[] {
     const rows = this.tables.rows(this.tables.groupOf(segment));
     const { tiers } = this.tables.root;
@@ -262,7 +263,6 @@ export class Offers {
     return found;
   }
 
-  /** Wire bytes of files. */
   wire(paths: readonly string[]): number {
     const { tables, headerBytes } = this;
     const bytes = (path: string) => (path === ROOT_PATH ? tables.rootBytes : tables.entry(path).bytes);

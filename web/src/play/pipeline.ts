@@ -4,8 +4,8 @@ import { FormatError } from "../format/errors.ts";
 import { Recent } from "../format/recent.ts";
 import type { Atlas, Canonical, StateFrame } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
+import type { Slot } from "./playout.ts";
 import type { Shared } from "./receiver.ts";
-import type { Slot } from "./slot.ts";
 
 const LEAD_S = 1; // of play that is decoded ahead: what is decoded can no longer be replaced by a better rung
 const NOTHING = { luma: new Uint8Array(0), means: new Float32Array(0) };
@@ -22,18 +22,18 @@ export interface Layer {
   readonly frames: (StateFrame | null | undefined)[];
   /** It came when decoding had begun, so that nobody waits for it. */
   readonly late: boolean;
-  /** Its frame that was shown last; −1: none. */
   shown: number;
 }
 
 /** A segment that is decoded, or about to be, with the tiles that are there. */
 export interface Clip {
-  /** In the session. */
   readonly position: number;
   /** Number of the rung whose files it is made of, late ones aside. */
   readonly rung: number;
   /** Of tiles with rows. */
   readonly layers: Layer[];
+  /** That it has, or is about to have. */
+  readonly tiles: Set<number>;
   /** The frame that was shown last; −1: none. */
   shown: number;
 }
@@ -49,14 +49,9 @@ export interface PipelineParts extends Pick<Shared, "offers" | "stores" | "playo
   onProblem: (error: unknown) => void;
 }
 
-/** A clip, and which tiles it has or is about to have. */
-interface Work extends Clip {
-  readonly tiles: Set<number>;
-}
-
 /** Decodes what is scheduled. Clips stay until `drop` or `clear`. */
 export class Pipeline {
-  readonly #clips = new Map<number, Work>();
+  readonly #clips = new Map<number, Clip>();
   readonly #spaces: Recent<string, Canonical>;
   #stop = new AbortController();
   #working = false;
@@ -74,7 +69,6 @@ export class Pipeline {
     return this.#clips.values();
   }
 
-  /** Go on decoding if there is something to decode. */
   async wake(): Promise<void> {
     this.#addLate();
     if (this.#working) return;
@@ -87,8 +81,9 @@ export class Pipeline {
     this.#working = false;
   }
 
-  /** The clips before a position are of no use any more. */
+  /** The clips before a position, and the keys of earlier loops, are of no use any more. */
   drop(before: number): void {
+    this.parts.stores.keys.forget(before);
     for (const [position, clip] of this.#clips) if (position < before) this.#drop(clip);
     this.wake();
   }
@@ -96,11 +91,13 @@ export class Pipeline {
   /** A frame is on the screen, and those before it in its clip have passed. */
   shown(clip: Clip, frame: number): void {
     clip.shown = frame;
-    for (const layer of clip.layers) this.#pass(layer, frame);
+    for (const { frames, shown } of clip.layers) {
+      const stop = frame + Number(shown === frame); // the one on the screen is still of use to a layer that lags behind
+      for (let t = 0; t < stop; t++) this.#letGo(frames, t);
+    }
     this.wake();
   }
 
-  /** Forget all clips, and stop decoding. */
   clear(): void {
     for (const clip of this.#clips.values()) this.#drop(clip);
     this.#stop.abort();
@@ -111,11 +108,6 @@ export class Pipeline {
   #drop({ position, layers }: Clip): void {
     for (const { frames } of layers) for (let t = 0; t < frames.length; t++) this.#letGo(frames, t);
     this.#clips.delete(position);
-  }
-
-  /** Lets go of the frames of a layer before the one on the screen, which is still of use to one that lags behind. */
-  #pass({ frames, shown }: Layer, frame: number): void {
-    for (let t = 0; t < frame + Number(shown === frame); t++) this.#letGo(frames, t);
   }
 
   /** Of a frame that has passed, the bases are still of use: later ones follow from them. */
@@ -148,7 +140,7 @@ export class Pipeline {
     try {
       const made = await Promise.all([...tiles].map(([tile, of]) => this.#layer(position, tile, of, false, signal)));
       const layers = made.filter((layer) => layer !== null);
-      const clip: Work = { position, rung, layers, shown: -1, tiles: new Set(tiles.keys()) };
+      const clip: Clip = { position, rung, layers, shown: -1, tiles: new Set(tiles.keys()) };
       this.#clips.set(position, clip);
       this.#addLate();
       await Promise.all([...layers].map((layer) => this.#fill(clip, layer, signal)));
@@ -168,7 +160,7 @@ export class Pipeline {
     }
   }
 
-  async #decodeLate(clip: Work, tile: number, rung: number): Promise<void> {
+  async #decodeLate(clip: Clip, tile: number, rung: number): Promise<void> {
     clip.tiles.add(tile);
     const { signal } = this.#stop;
     try {
@@ -192,7 +184,7 @@ export class Pipeline {
     return canonical.depths.length ? { tile, level, canonical, atlas, frames, late, shown: -1 } : null;
   }
 
-  async #fill(clip: Work, layer: Layer, signal: AbortSignal): Promise<void> {
+  async #fill(clip: Clip, layer: Layer, signal: AbortSignal): Promise<void> {
     const { media, offers, onProgress } = this.parts;
     const { canonical, level, frames } = layer;
     const take = (t: number, frame: StateFrame | null) => {

@@ -6,21 +6,21 @@ import type { TargetFormat } from "../render/target.ts";
 import type { SessionEvent } from "./downloader.ts";
 import { Feed } from "./feed.ts";
 import { ByView, whole } from "./fetch-plan.ts";
+import { Held } from "./held.ts";
 import type { Offers } from "./offers.ts";
 import { type Clip, isDecoded, Pipeline } from "./pipeline.ts";
 import { EARLY, Playout } from "./playout.ts";
 import { wishedPolicy } from "./policies/named.ts";
 import { RungTotals } from "./rungs.ts";
+import type { Lack } from "./schedule.ts";
 import { Screen } from "./screen.ts";
 import { byView, sessionSettings } from "./settings.ts";
-import type { ViewState } from "./sight.ts";
-import { Watcher } from "./sight.ts";
+import { type ViewState, Watcher } from "./sight.ts";
 import type { PlayerStats, Statistics } from "./statistics.ts";
 import { Stores } from "./stores.ts";
+import { Waits } from "./waits.ts";
 
 const TIME_EVENT_S = 0.25;
-/** A page that shows nothing for longer loses no frames by it, seconds. */
-const LONGEST_TICK_S = 0.25;
 
 export interface PlayerOptions {
   /** Name of a policy: robust-mpc (default), throughput, bola, paper, paper-literal; both also with -no-cliff. */
@@ -29,12 +29,17 @@ export interface PlayerOptions {
   loop?: boolean;
   /** Most media time that is fetched ahead, seconds; default 10. */
   bufferS?: number;
+  /** Most bytes of files that are kept to be played again; default 64 MB. */
+  keptBytes?: number;
   /** Most Gaussians that are fetched and shown of a group; default: any number. */
   budget?: number;
   /** Whether only those tiles are fetched that the viewer is expected to see, where a package has several, and no more
    * than a second ahead; default true.
    */
   viewAdaptive?: boolean;
+  /** Whether sound is silent, and how loud it is, 0 … 1; default: false and 1. */
+  muted?: boolean;
+  volume?: number;
   /** What splats are blended into; default: half floats, where the browser has them. */
   target?: TargetFormat;
 }
@@ -47,10 +52,24 @@ export interface Wishes extends PlayerOptions {
   loop: boolean;
   paused: boolean;
   speed: number;
+  muted: boolean;
+  volume: number;
   readonly bufferS: number;
 }
 
-/** What the event "problem" tells. */
+/** The sound of a package, which is loaded where there is some: sound.ts. */
+export interface Voice {
+  /** Whether the browser lets it be heard. */
+  readonly allowed: boolean;
+  /** Whether it is heard, so that pictures follow it. */
+  readonly leads: boolean;
+  /** Take in whether it is wanted, and how loud; somebody may have touched the page. */
+  follow(): void;
+  /** Play what is due, and keep the pictures beside it; `calm`: these were in time lately. */
+  step(nowS: number, calm: boolean): void;
+  close(): void;
+}
+
 export interface Problem {
   message: string;
   /** Nothing goes on by itself. */
@@ -58,28 +77,35 @@ export interface Problem {
   error: unknown;
 }
 
+export const problemOf = (error: unknown, fatal = false): Problem => {
+  const message = error instanceof Error ? error.message : String(error);
+  return { message, fatal, error };
+};
+
 const nowS = () => performance.now() / 1e3;
 
-/** Plays one package until it is closed. */
 export class Playback {
   readonly screen: Screen;
   readonly #watcher = new Watcher();
   readonly playout: Playout;
+  readonly #waits: Waits;
+  readonly #held: Held;
   readonly #feed: Feed;
   readonly #pipeline: Pipeline;
   readonly rungs: RungTotals;
+  /** Shows the scene in place of the page while there is one. */
+  headset: XRSession | null = null;
+  /** Leads the pictures while it is heard; null: there is none, or not yet. */
+  sound: Voice | null = null;
   readonly #end = new AbortController();
   #shown: { clip: Clip; frame: number } | null = null;
   /** What follows what is on the screen; null: whatever was sought. */
   #next: { position: number; frame: number } | null = { position: 0, frame: 0 };
-  /** Seconds of the sequence. */
   #sought: number | null = null;
   /** The place of what is sought is not known yet. */
   #locating = false;
   #ended = false;
   #waiting = false;
-  /** When the page last had the chance to show something. */
-  #ticked = Number.POSITIVE_INFINITY;
   #timeTold = Number.NEGATIVE_INFINITY;
 
   /** `offers` is of `media`, which is closed with it. */
@@ -96,9 +122,12 @@ export class Playback {
     const given = sessionSettings({ bufferS, pipelined: false });
     const settings = adaptive ? byView(given) : given;
     const stores = new Stores(offers);
+    if (media.first) stores.first = media.first;
     const playout = new Playout(offers, settings, this.#lastPosition());
     const parts = { media, offers, stores, playout };
     this.playout = playout;
+    this.#waits = new Waits(playout, () => this.sound?.leads ?? false);
+    this.#held = new Held({ offers, playout, statistics, wishes });
     this.rungs = new RungTotals(offers);
     this.#feed = new Feed({
       ...parts,
@@ -115,8 +144,16 @@ export class Playback {
     });
     this.screen = new Screen(canvas, media.tables, {
       ...(target && { target }),
-      onLost: () => this.tell("lost"),
-      onRestored: () => this.#try(() => this.#restored()),
+      onLost: () => {
+        this.headset?.end(); // its layer is lost as well
+        this.tell("lost");
+      },
+      onFail: (error) => this.#problem(error, true),
+      onRestored: () => {
+        const seconds = this.currentTime; // the picture is made again
+        this.tell("restored");
+        this.seek(seconds);
+      },
     });
     this.playout.onChange(() => this.#pipeline.wake());
     document.addEventListener("visibilitychange", () => this.follow(), { signal: this.#end.signal });
@@ -131,37 +168,41 @@ export class Playback {
 
   close(): void {
     this.#end.abort();
+    this.headset?.end();
+    this.sound?.close();
     this.#feed.close();
     this.#pipeline.clear();
     this.screen.close();
     this.media.close();
   }
 
-  /** Look from somewhere else, from the next picture on. */
   look(view: ViewState): void {
     this.#watcher.look(view, nowS());
     this.screen.look(view);
   }
 
-  /** Pixels of the pictures, from the next one on. */
   resize(width: number, height: number): void {
     this.#watcher.resize(width, height);
-    this.screen.resize(width, height);
+    if (this.screen.resize(width, height)) this.#held.restart();
   }
 
   /** Take in what the viewer wants of the time: speed, and whether it passes. */
   follow(): void {
     const now = nowS();
     const { paused, speed } = this.wishes;
-    if (speed !== this.playout.speed) this.playout.setSpeed(now, speed);
+    if (speed !== this.playout.speed) {
+      this.playout.setSpeed(now, speed);
+      this.#held.restart();
+    }
     const hold = (why: "pause" | "hidden", held: boolean) =>
       held ? this.playout.freeze(now, why) : this.playout.thaw(now, why);
     hold("pause", paused);
-    hold("hidden", document.hidden); // a page that nobody sees shows nothing
+    hold("hidden", document.hidden && !this.headset); // a page that nobody sees shows nothing
   }
 
   /** Choose anew what follows, and fetch again what is not on its way to the screen. */
   async choose(): Promise<void> {
+    this.#held.offer();
     if (this.#locating) return this.seek(this.#sought ?? 0);
     const signal = await this.#feed.next();
     if (!signal.aborted) this.#goOn(signal);
@@ -188,6 +229,7 @@ export class Playback {
       this.#locating = false;
       this.#pipeline.clear();
       this.#next = null;
+      this.statistics.waiting = false;
       this.playout.end = this.#lastPosition();
       this.playout.restart((near - this.offers.span(position).start) / fps);
       this.#feed.run(position, signal);
@@ -219,7 +261,8 @@ export class Playback {
   }
 
   get stats(): PlayerStats {
-    return this.statistics.read(nowS(), this.playout, this.media.luma, this.#shown?.clip ?? null);
+    const { luma } = this.media;
+    return this.statistics.read(nowS(), this.playout, luma, this.#shown?.clip ?? null, this.#held.told);
   }
 
   #lastPosition(): number {
@@ -244,34 +287,44 @@ export class Playback {
   readonly #tick = (): void => {
     if (this.#end.signal.aborted) return;
     requestAnimationFrame(this.#tick);
-    const now = nowS();
-    if (now - this.#ticked > LONGEST_TICK_S) this.playout.freeze(this.#ticked, "display");
-    this.#ticked = now;
-    this.#try(() => {
-      this.#advance(now);
-      if (this.screen.draw() && this.statistics.drawn(now)) this.tell("firstpicture");
-    });
+    if (!this.headset) this.step(() => this.screen.draw());
   };
 
-  /** Show the frame that is due; where it is not decoded, the schedule waits for it. */
-  #advance(now: number): void {
-    const due = this.playout.at(now);
-    const there = due === null || this.#show(due.slot.position, due.slot.rung, due.frame);
-    if (there) this.playout.thaw(now, "display");
-    else this.playout.freeze(now, "display");
-    const done = there && this.playout.done(now);
-    this.#tellWaiting(!there || (this.playout.waits(now) && !done));
-    if (done && !this.#ended) this.tell("ended");
-    this.#ended = done;
+  /** Show what is due in a frame of the display; `draw` says whether it drew a picture. */
+  step(draw: () => boolean): void {
+    const now = nowS();
+    this.#waits.tick(now);
+    this.sound?.step(now, this.#waits.calm(now));
+    this.#try(() => {
+      this.#advance(now);
+      const isNew = this.statistics.waiting;
+      if (!draw()) return;
+      if (this.statistics.drawn(now)) this.tell("firstpicture");
+      if (isNew && this.#shown && this.#held.drawn(this.#shown.clip)) this.choose();
+    });
   }
 
-  /** Whether a frame is on the screen, or nothing can be shown in its place but what is there. */
-  #show(position: number, rung: number | null, frame: number): boolean {
+  /** Show the frame that is due; where it is not there, the schedule waits for it. */
+  #advance(now: number): void {
+    const due = this.playout.at(now);
+    const begins = this.#sought !== null || !this.#shown;
+    const lack = due && this.#show(due.slot.position, due.slot.rung, due.frame);
+    this.#waits.lack(now, lack && begins ? "start" : lack);
+    const over = !lack && this.playout.done(now);
+    this.#tellWaiting((lack !== null && begins) || (this.playout.waits(now) && !over));
+    const ended = over && !this.statistics.waiting;
+    if (ended && !this.#ended) this.tell("ended");
+    this.#ended = ended;
+  }
+
+  /** What a frame lacks; null: it is on the screen, or nothing can be shown in its place but what is there. */
+  #show(position: number, rung: number | null, frame: number): Lack | null {
     this.#pipeline.drop(position);
     const clip = this.#pipeline.clip(position);
-    if (rung === null) return true;
+    if (rung === null) return null;
     if (clip && this.#shown?.clip === clip && this.#shown.frame === frame) return this.#complete(clip, frame);
-    if (!clip || !isDecoded(clip, frame) || !this.screen.show(clip, frame)) return false;
+    if (!clip || !isDecoded(clip, frame)) return "decoder";
+    if (!this.screen.show(clip, frame)) return "display";
     const before = this.#shown;
     this.statistics.shown(this.#passedOver(position, frame));
     this.#shown = { clip, frame };
@@ -283,25 +336,26 @@ export class Playback {
       this.#timeTold = nowS();
       this.tell("time");
     }
-    return true;
+    return null;
   }
 
   /** Add tiles that came late to the frame on the screen. */
-  #complete(clip: Clip, frame: number): true {
+  #complete(clip: Clip, frame: number): null {
     if (clip.layers.some(({ frames, shown }) => shown !== frame && frames[frame] !== undefined)) {
       this.screen.show(clip, frame);
       this.#pipeline.shown(clip, frame);
     }
-    return true;
+    return null;
   }
 
-  /** Frames that nobody saw before this one. */
-  #passedOver(position: number, frame: number): number {
+  /** Frames that nobody saw before this one: those of segments that were lost, and those that had no time. */
+  #passedOver(position: number, frame: number): { lost: number; late: number } {
     const next = this.#next ?? { position, frame };
-    let count = frame - next.frame;
-    for (let p = next.position; p < position; p++) {
+    const count = { lost: 0, late: 0 };
+    for (let p = next.position; p <= position; p++) {
       const { start, stop } = this.offers.span(p);
-      count += stop - start;
+      const isLost = this.playout.slots.some((slot) => slot.position === p && slot.rung === null);
+      count[isLost ? "lost" : "late"] += (p < position ? stop - start : frame) - (p === next.position ? next.frame : 0);
     }
     return count;
   }
@@ -310,13 +364,6 @@ export class Playback {
     if (waiting === this.#waiting || this.wishes.paused) return;
     this.#waiting = waiting;
     this.tell(waiting ? "stall" : "resume");
-  }
-
-  /** The WebGL context is back: what was on the screen is made again. */
-  #restored(): void {
-    const seconds = this.currentTime;
-    this.tell("restored");
-    this.seek(seconds);
   }
 
   /** What the renderer refuses, such as more rows than its textures hold, ends everything. */
@@ -330,7 +377,6 @@ export class Playback {
   }
 
   #problem(error: unknown, fatal: boolean): void {
-    const message = error instanceof Error ? error.message : String(error);
-    this.tell("problem", { message, fatal, error });
+    this.tell("problem", problemOf(error, fatal));
   }
 }

@@ -5,19 +5,25 @@ import { DEFAULT_POLICY, HEADER_BYTES, SESSION } from "../generated/constants.ts
 import { Media } from "../media/client.ts";
 import { joinNewest } from "./http-downloader.ts";
 import { Offers } from "./offers.ts";
-import { Playback, type PlayerOptions, type Problem, type Wishes } from "./playback.ts";
+import { Playback, type PlayerOptions, type Problem, problemOf, type Wishes } from "./playback.ts";
 import type { RungInfo } from "./rungs.ts";
 import type { ViewState } from "./sight.ts";
+import type { Sound } from "./sound.ts";
 import { type PlayerStats, Statistics } from "./statistics.ts";
+import type { enter } from "./vr.ts";
 
 /** Where somebody stands who has not opened a package. */
 const NOWHERE: ViewState = { position: [0, 0, 0], forward: [0, 0, 1], up: [0, -1, 0], fovY: 50, near: 0.01 };
 
+/** Parts that few need, beside this script: for headsets, and for packages with sound. */
+const VR = "./airgs-vr.js";
+const SOUND = "./airgs-sound.js";
+
 /** Plays a package on a canvas.
  *
  * Events: "open" (tables are there), "firstpicture", "play", "pause", "time" (four times a second), "progress"
- * (something was fetched), "rung" (another rung is on the screen), "stall" and "resume", "ended", "lost" and "restored"
- * (the WebGL context), and "problem" (detail: `Problem`).
+ * (something was fetched), "rung" (another rung is on the screen), "stall" and "resume", "ended", "vr" (a headset shows
+ * it, or does no more), "volumechange" (of the sound, also when it comes), "lost" and "restored" (the WebGL context), and "problem" (detail: `Problem`).
  */
 export class Player extends EventTarget {
   readonly #wishes: Wishes;
@@ -25,7 +31,6 @@ export class Player extends EventTarget {
   #playback: Playback | null = null;
   #view: ViewState | null = null;
   #size = { width: 1, height: 1 };
-  /** Counts what was opened or closed. */
   #opened = 0;
 
   constructor(
@@ -33,7 +38,7 @@ export class Player extends EventTarget {
     options: PlayerOptions = {},
   ) {
     super();
-    const given = { policy: DEFAULT_POLICY, loop: true, bufferS: SESSION.bufferS, ...options };
+    const given = { policy: DEFAULT_POLICY, loop: true, bufferS: SESSION.bufferS, muted: false, volume: 1, ...options };
     this.#wishes = { ...given, quality: "auto", speed: 1, paused: true };
   }
 
@@ -45,7 +50,8 @@ export class Player extends EventTarget {
    */
   async open(src: string): Promise<void> {
     const turn = ++this.#opened;
-    const media = await Media.open(src);
+    const onPoster = (poster: Blob) => turn === this.#opened && this.#tell("poster", poster);
+    const media = await Media.open(src, { ...this.#wishes, onPoster });
     try {
       const offers = new Offers(media.tables, HEADER_BYTES, this.#wishes.budget);
       await joinNewest(offers, media);
@@ -62,6 +68,19 @@ export class Player extends EventTarget {
     this.resize(this.#size.width, this.#size.height);
     this.#tell("open");
     this.#playback.begin();
+    if (media.tables.root.sound) this.#addSound(this.#playback);
+  }
+
+  async #addSound(playback: Playback): Promise<void> {
+    try {
+      const part: { Sound: typeof Sound } = await import(new URL(SOUND, import.meta.url).href);
+      const sound = await part.Sound.of(playback);
+      if (playback !== this.#playback) return sound.close();
+      playback.sound = sound;
+      this.#tell("volumechange");
+    } catch (error) {
+      if (playback === this.#playback) this.#tell("problem", problemOf(error));
+    }
   }
 
   close(): void {
@@ -136,6 +155,33 @@ export class Player extends EventTarget {
     this.#playback?.follow();
   }
 
+  /** Whether the package has sound that this browser plays. */
+  get hasSound(): boolean {
+    return !!this.#playback?.sound;
+  }
+
+  /** Whether sound is silent; it is until somebody touches the page, where the browser wants that. */
+  get muted(): boolean {
+    return this.#wishes.muted || !this.#playback?.sound?.allowed;
+  }
+
+  set muted(muted: boolean) {
+    this.#wishes.muted = muted;
+    this.#playback?.sound?.follow();
+    this.#tell("volumechange");
+  }
+
+  /** 0 … 1. */
+  get volume(): number {
+    return this.#wishes.volume;
+  }
+
+  set volume(volume: number) {
+    this.#wishes.volume = Math.max(0, Math.min(1, volume));
+    this.#playback?.sound?.follow();
+    this.#tell("volumechange");
+  }
+
   /** Frames a second of the sequence at speed 1; 0 before a package is open. */
   get fps(): number {
     return this.#playback?.offers.fps ?? 0;
@@ -203,7 +249,41 @@ export class Player extends EventTarget {
 
   set camera(view: ViewState) {
     this.#view = view;
-    this.#playback?.look(view);
+    if (!this.vr) this.#playback?.look(view);
+  }
+
+  /** Whether a headset shows the scene, from where its wearer looks. */
+  get vr(): boolean {
+    return !!this.#playback?.headset;
+  }
+
+  /** Show the scene in a headset, until its wearer or `leaveVr` ends that. Browsers allow it when a button was pressed.
+   *
+   * Throws DOMException where they do not, TypeError where airgs-vr.js is not beside this script.
+   */
+  async enterVr(): Promise<void> {
+    const playback = this.#playback;
+    const part: { enter: typeof enter } = await import(new URL(VR, import.meta.url).href);
+    if (!playback || playback !== this.#playback || this.vr) return;
+    await part.enter(
+      playback,
+      () => this.#changeDisplay(),
+      () => (this.paused ? this.play() : this.pause()),
+    );
+    if (playback !== this.#playback) playback.headset?.end(); // closed meanwhile
+    this.#changeDisplay();
+  }
+
+  leaveVr(): void {
+    this.#playback?.headset?.end();
+  }
+
+  /** From the page to a headset, or back. */
+  #changeDisplay(): void {
+    this.resize(this.#size.width, this.#size.height);
+    this.camera = this.camera;
+    this.#playback?.follow();
+    this.#tell("vr");
   }
 
   get stats(): PlayerStats {
@@ -213,10 +293,10 @@ export class Player extends EventTarget {
   /** Pixels of the pictures, from the next one that is drawn. */
   resize(width: number, height: number): void {
     this.#size = { width, height };
-    this.#playback?.resize(width, height);
+    if (!this.vr) this.#playback?.resize(width, height);
   }
 
-  readonly #tell = (type: string, detail?: Problem): void => {
+  readonly #tell = (type: string, detail?: Problem | Blob): void => {
     this.dispatchEvent(new CustomEvent(type, { detail }));
   };
 }

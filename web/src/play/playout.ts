@@ -6,23 +6,38 @@
 import type { Offers } from "./offers.ts";
 import { type Hold, Schedule } from "./schedule.ts";
 import type { SessionSettings } from "./settings.ts";
-import { lastSlot, newSlot, type Slot } from "./slot.ts";
 
 /** Seconds for which segments that were shown stay in the timeline. */
 const PAST_S = 60;
 /** A frame begins so much of a frame early, since seconds that stand for whole frames are rounded. */
 export const EARLY = 1e-6;
 
+/** A segment of the timeline. */
+export interface Slot {
+  readonly position: number;
+  rung: number | null;
+  readonly tiles: Map<number, number>;
+  readonly seconds: number;
+  readonly frames: number;
+  readonly readyS: number;
+  readonly readyAt: number;
+  /** Of its display; Infinity while it waits. */
+  startAt: number;
+  stallS: number;
+  /** Its decoding began: what it shows can no longer change. */
+  committed: boolean;
+}
+
 /** The timeline of a session up to the position `end`, so far where the package grows. */
 export class Playout {
-  /** Stalls for want of media, and waits of the display for pictures. */
+  /** Waits for media that has not come, and their seconds. */
   stalls = 0;
+  stallS = 0;
   private readonly schedule = new Schedule();
   private timeline: Slot[] = [];
   private firstWaiting = 0;
   private firstUnseen = 0; // of the timeline: those before it were given by `started`
   private skipS = 0;
-  private mediaStallS = 0;
   private finished = false;
   private readonly listeners = new Set<() => void>();
 
@@ -37,24 +52,33 @@ export class Playout {
     return this.timeline;
   }
 
-  /** The segment that was enqueued last. */
   get last(): Slot | null {
     return this.timeline.at(-1) ?? null;
   }
 
-  /** Seconds of all stalls, and of those waits of the display that are over. */
-  get stallS(): number {
-    return this.mediaStallS + this.schedule.displayS;
+  /** Frames whose time passed while the schedule waited for the decoder or the display. */
+  get missed(): { decoder: number; display: number } {
+    const { decoder, display } = this.schedule.missedS;
+    const frames = (seconds: number) => Math.floor(seconds * this.offers.fps + EARLY);
+    return { decoder: frames(decoder), display: frames(display) };
   }
 
-  /** Seconds of media that a second shows. */
   get speed(): number {
     return this.schedule.speed;
   }
 
-  /** Whether the schedule stands still. */
   get held(): boolean {
     return this.schedule.held;
+  }
+
+  /** The place that is due. */
+  placeAt(nowS: number): number {
+    return this.schedule.at(nowS);
+  }
+
+  /** The schedule is so many seconds further on; where they are negative, it stands still for them. */
+  shift(nowS: number, seconds: number): void {
+    this.schedule.shift(nowS, seconds);
   }
 
   /** Call when anything changes; the function that is returned ends that. */
@@ -63,11 +87,9 @@ export class Playout {
     return () => this.listeners.delete(listener);
   }
 
-  /** The schedule stands still from now on: the viewer pauses, or the display waits for pictures, which is a stall. */
+  /** The schedule stands still from now on. */
   freeze(nowS: number, why: Hold = "pause"): void {
-    if (!this.schedule.hold(why, nowS)) return;
-    if (why === "display") this.stalls++;
-    this.changed();
+    if (this.schedule.hold(why, nowS)) this.changed();
   }
 
   /** The schedule goes on, unless there is another reason to stand still. */
@@ -105,14 +127,14 @@ export class Playout {
   /** The first position whose segment can still be dropped without a trace, begun and committed ones aside. */
   firstFree(nowS: number): number | null {
     const place = this.schedule.at(nowS);
-    const last = lastSlot(this.timeline, (slot) => slot.committed || slot.startAt <= place);
+    const last = this.timeline.findLast((slot) => slot.committed || slot.startAt <= place);
     return last ? last.position + 1 : (this.timeline[0]?.position ?? null);
   }
 
   /** The segment on the screen and the number of its frame; where playing waits, the last one. Null: nothing yet. */
   at(nowS: number): { slot: Slot; frame: number } | null {
     const place = this.schedule.at(nowS);
-    const slot = lastSlot(this.timeline, (one) => one.startAt <= place);
+    const slot = this.timeline.findLast((one) => one.startAt <= place);
     if (!slot) return null;
     return { slot, frame: Math.min(slot.frames - 1, Math.floor((place - slot.startAt) * this.offers.fps + EARLY)) };
   }
@@ -122,7 +144,6 @@ export class Playout {
     return this.schedule.at(nowS) >= this.scheduledEndAt;
   }
 
-  /** Whether everything was shown. */
   done(nowS: number): boolean {
     const whole =
       this.finished || (!this.offers.live && (this.last?.position ?? Number.NEGATIVE_INFINITY) >= this.end - 1);
@@ -171,18 +192,14 @@ export class Playout {
     return this.schedule.reached(dueAt, nowS);
   }
 
-  /** The place where the next segment is due, the end of all that is buffered; where playing waits, as if it went on
-   * now.
-   */
+  /** The place where the next segment is due; where playing waits, as if it went on now. */
   dueAt(nowS: number): number {
     const waiting = this.waitingS();
     const resumes = waiting || !this.firstWaiting ? this.schedule.at(nowS) : -Infinity;
     return Math.max(this.scheduledEndAt, resumes) + waiting;
   }
 
-  /** When a segment that is due at a place must have arrived to be shown without a stall, the time to decode it taken
-   * off.
-   */
+  /** When a segment that is due at a place must have arrived to be shown without a stall. */
   deadlineS(dueAt: number, nowS: number): number {
     return this.startsAtS(dueAt, nowS) - this.settings.decodeFrameS;
   }
@@ -204,7 +221,10 @@ export class Playout {
   enqueue(position: number, rung: number | null, arrivedS: number, which = this.offers.tiles): void {
     const readyS = arrivedS + (rung === null ? 0 : this.settings.decodeFrameS);
     const tiles = new Map(rung === null ? [] : which.map((tile) => [tile, rung] as const));
-    const slot = newSlot(this.offers, { position, rung, tiles, readyS, readyAt: this.schedule.at(readyS) });
+    const { start, stop } = this.offers.span(position);
+    const [frames, seconds] = [stop - start, (stop - start) / this.offers.fps];
+    const arrived = { position, rung, tiles, seconds, frames, readyS, readyAt: this.schedule.at(readyS) };
+    const slot: Slot = { ...arrived, startAt: Infinity, stallS: 0, committed: false };
     this.timeline.push(slot);
     this.finished = false;
     this.place(slot);
@@ -212,7 +232,6 @@ export class Playout {
     this.changed();
   }
 
-  /** Nothing will follow. */
   finish(nowS: number): void {
     this.finished = true;
     if (this.firstWaiting < this.timeline.length) this.resume(this.schedule.at(nowS));
@@ -231,7 +250,6 @@ export class Playout {
     this.changed();
   }
 
-  /** A tile of a segment has come late, in some rung. */
   addTile(slot: Slot, tile: number, rung: number): void {
     slot.tiles.set(tile, rung);
     this.changed();
@@ -244,9 +262,7 @@ export class Playout {
     this.changed();
   }
 
-  /** Segments that began before a moment, or have a place at all, and were not given yet: nothing replaces them any
-   * more.
-   */
+  /** Segments that began before a moment (null: have a place) and were not given yet: they stay as they are. */
   started(beforeS: number | null): Slot[] {
     const before = beforeS === null ? Infinity : this.schedule.at(beforeS);
     const first = this.firstUnseen;
@@ -314,10 +330,9 @@ export class Playout {
   private stall(slot: Slot, seconds: number): void {
     slot.stallS = seconds;
     if (seconds > 0) this.stalls++;
-    this.mediaStallS += seconds;
+    this.stallS += seconds;
   }
 
-  /** Forget what was shown long ago. */
   private trim(nowS: number): void {
     const longAgo = this.schedule.at(nowS) - PAST_S;
     const past = this.timeline.findIndex((slot) => slot.startAt + slot.seconds >= longAgo);

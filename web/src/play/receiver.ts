@@ -1,4 +1,5 @@
 // The part of a session that fetches: one batch at a time, and what arrives is taken in.
+import { isSound } from "../format/paths.ts";
 import { REMEMBERED, SHORTEST_S } from "../generated/constants.ts";
 import type { Arrival, Arrived, Downloader, GiveUp, Request } from "./downloader.ts";
 import type { Planner } from "./fetch-plan.ts";
@@ -17,7 +18,6 @@ export interface Shared {
   planner: Planner;
 }
 
-/** What a session is made of. */
 export interface SessionParts extends Shared {
   downloader: Downloader;
   policy: Policy;
@@ -33,7 +33,7 @@ export async function fetchBatch(
   const files = filesOf(request.batch);
   stores.coming.add(files);
   const arrival = await downloader.fetch(request, giveUp, signal).finally(() => stores.coming.remove(files));
-  for (const path of arrival.refused.keys()) stores.unusable.add(path);
+  for (const path of arrival.refused.keys()) if (!isSound(path)) stores.unusable.add(path);
   return arrival;
 }
 
@@ -55,7 +55,6 @@ export class Receiver {
     this.nowS = this.parts.downloader.now();
   }
 
-  /** Fetch tables for a position. */
   async fetchTables(tables: readonly string[], position: number): Promise<Arrived> {
     const batch = { keys: [], state: [], tables };
     const { rttS } = this.parts.downloader;
@@ -63,14 +62,14 @@ export class Receiver {
       { kind: "tables", position, rung: 0, batch, sentS: this.nowS, latencyS: rttS },
       null,
     );
-    const decision = { index: 0, fits: true, reason: "tables", sizeBytes: arrival.bytes };
-    return { type: "arrived", arrival, decision, budgetBytes: 0, throughputBps: 0 };
+    return { type: "arrived", arrival, throughputBps: 0 };
   }
 
-  /** The last downloads that are over when a request is sent, oldest first. */
+  /** The last downloads that are over when a request is sent, oldest first; before there is one, the tables. */
   history(sentS: number): Download[] {
-    const past = this.parts.stores.downloads.slice(-REMEMBERED);
-    return past.filter(({ atS }) => atS <= sentS + SHORTEST_S).map(({ download }) => download);
+    const { downloads, first } = this.parts.stores;
+    const past = downloads.slice(-REMEMBERED).filter(({ atS }) => atS <= sentS + SHORTEST_S);
+    return past.length ? past.map(({ download }) => download) : [first];
   }
 
   /** Fetch a batch and take in what is of use; time goes on. */
@@ -79,17 +78,25 @@ export class Receiver {
     const arrival = await fetchBatch(this.parts, request, giveUp, this.signal);
     this.nowS = arrival.atS;
     stores.tables.add(arrival);
-    if (request.kind === "tables") return arrival; // too small to tell the rate: they come in one burst
-    if (!arrival.cached && !this.signal.aborted) this.remember(arrival);
+    if (request.kind === "tables") {
+      if (!arrival.cached)
+        this.bound({ bytes: arrival.bytes, seconds: Math.max(arrival.atS - request.sentS, SHORTEST_S) });
+      return arrival;
+    }
+    if (!arrival.cached && !this.signal.aborted) {
+      const { atS, firstByteS, bytes } = arrival;
+      stores.downloads.push({ atS, download: { bytes, seconds: Math.max(atS - firstByteS, SHORTEST_S) } });
+      if (stores.downloads.length > REMEMBERED) stores.downloads.shift();
+    }
     stores.keys.add(arrival);
     this.useKeys(request);
     return arrival;
   }
 
-  private remember({ atS, firstByteS, bytes }: Arrival): void {
-    const { downloads } = this.parts.stores;
-    downloads.push({ atS, download: { bytes, seconds: Math.max(atS - firstByteS, SHORTEST_S) } });
-    if (downloads.length > REMEMBERED) downloads.shift();
+  /** What comes in one burst is too short to tell the rate, but not that it is no less. */
+  private bound(download: Download): void {
+    const { stores } = this.parts;
+    if (download.bytes / download.seconds > stores.first.bytes / stores.first.seconds) stores.first = download;
   }
 
   /** Show what is buffered of a group with its best keys, where they are decoded in time. */

@@ -6,10 +6,10 @@ import { type Arrived, type Downloader, type GiveUp, isComplete, type Request } 
 import type { Lack } from "./fetch-plan.ts";
 import type { Option } from "./ladder.ts";
 import { type Batch, filesOf } from "./offers.ts";
+import type { Slot } from "./playout.ts";
 import { estimateThroughput } from "./policies/state.ts";
 import { fetchBatch, type Shared } from "./receiver.ts";
 import { usable } from "./replacing.ts";
-import type { Slot } from "./slot.ts";
 
 /** After a link has failed, seconds. */
 const RETRY_S = 1;
@@ -59,9 +59,7 @@ export class Repairs {
     }
   }
 
-  /** A tile in the rung of its segment, or else in the smallest one; null: none can be had in time, or its files are on
-   * their way.
-   */
+  /** A tile in the rung of its segment, or else in the smallest; null: not in time, or on its way. */
   option({ slot, tile }: Lack, nowS: number): Option | null {
     const { downloader, playout, stores } = this.parts;
     const atS = nowS + downloader.rttS + playout.settings.decodeFrameS;
@@ -109,15 +107,14 @@ export class Repairs {
   /** Fetches a tile; false: it did not come, or not whole. */
   async #fetch(slot: Slot, tile: number, option: Option, batch: Batch, sentS: number): Promise<boolean> {
     const { downloader, stores, onEvent } = this.parts;
-    const { index: rung, sizeBytes } = option;
+    const rung = option.index;
     const request: Request = { kind: "repair", position: slot.position, rung, batch, sentS, latencyS: downloader.rttS };
     /** At the rate so far it would come after its segment. */
     const tooLate: GiveUp = ({ atS, elapsedS, bytes, expectedBytes }) =>
       atS + ((expectedBytes - bytes) * elapsedS) / Math.max(1, bytes) > this.#endS(slot, atS);
     const arrival = await fetchBatch(this.parts, request, tooLate, this.signal);
     stores.keys.add(arrival);
-    const decision = { index: rung, fits: true, reason: `tile ${tile + 1} is lacking`, sizeBytes };
-    onEvent({ type: "arrived", arrival, decision, budgetBytes: 0, throughputBps: 0 });
+    onEvent({ type: "arrived", arrival, throughputBps: 0 });
     if (arrival.abandoned) this.#noUse.add(nameOf({ slot, tile }));
     return isComplete(arrival);
   }

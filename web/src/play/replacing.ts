@@ -2,11 +2,9 @@
 import { REPLACE_GAIN_DB } from "../generated/constants.ts";
 import type { Option } from "./ladder.ts";
 import { type Batch, filesOf, type Offers } from "./offers.ts";
-import type { Playout } from "./playout.ts";
-import type { Slot } from "./slot.ts";
+import type { Playout, Slot } from "./playout.ts";
 import type { Stores } from "./stores.ts";
 
-/** A better rung of a buffered segment. */
 interface Replacement {
   /** dB seconds a byte. */
   worth: number;
@@ -14,15 +12,13 @@ interface Replacement {
   option: Option;
 }
 
-/** The link as a replacement is expected to find it. */
-interface Outlook {
-  nowS: number;
-  rttS: number;
-  rateBps: number;
-}
-
 /** The replacement that gains most for its bytes among those expected in time; null: none. */
-export function bestReplacement(o: Offers, playout: Playout, stores: Stores, link: Outlook): Replacement | null {
+export function bestReplacement(
+  o: Offers,
+  playout: Playout,
+  stores: Stores,
+  link: { nowS: number; rttS: number; rateBps: number },
+): Replacement | null {
   let best: Replacement | null = null;
   for (const slot of playout.pending()) {
     const startS = playout.startS(slot, link.nowS);
@@ -54,7 +50,6 @@ export function replacing(o: Offers, stores: Stores, slot: Slot, rung: number): 
   return o.rungs[rung][1] === o.rungs[slot.rung ?? 0][1] ? { ...batch, state: [] } : batch;
 }
 
-/** The tiles of a segment, ascending. */
 const tilesOf = (slot: Slot): number[] => [...slot.tiles.keys()].sort((a, b) => a - b);
 
 /** Whether no file of a batch was found missing or corrupt. */

@@ -1,9 +1,7 @@
 // The rungs of a package as people choose one: what they look like and cost on the whole.
 import type { Offers, SegmentOffer } from "./offers.ts";
 
-/** A rung of the whole package, for people who choose one. */
 export interface RungInfo {
-  /** Such as Q1+L2. */
   name: string;
   /** dB, mean over the time of the segments whose tables are known; null: not measured. */
   psnr: number | null;
@@ -24,7 +22,6 @@ export class RungTotals {
     this.#totals = offers.rungs.map(() => ({ bytes: 0, quality: 0, allowed: true }));
   }
 
-  /** One a rung. */
   read(): RungInfo[] {
     const { index } = this.offers.tables;
     for (let group = 0; group < index.groups; group++) {
@@ -54,10 +51,10 @@ export class RungTotals {
 
   #add({ rungs, group, seconds, startsGroup }: SegmentOffer): void {
     this.#seconds += seconds;
-    rungs.forEach(({ allowed, psnr, units, stateBytes }, rung) => {
+    rungs.forEach(({ gaussians, psnr, units, stateBytes }, rung) => {
       const keys = startsGroup ? units.filter((unit) => unit.group === group) : []; // what it reuses was there before
       const total = this.#totals[rung];
-      total.allowed &&= allowed;
+      total.allowed &&= gaussians <= this.offers.budget;
       total.bytes += keys.reduce((sum, { bytes }) => sum + bytes, stateBytes);
       total.quality += seconds * psnr;
     });

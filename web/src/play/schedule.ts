@@ -1,13 +1,19 @@
 // The time of a schedule: seconds of media and of stalls, one after the other.
 
-/** Why a schedule stands still: the viewer paused it, nobody sees the page, or the display waits for pictures. */
-export type Hold = "pause" | "hidden" | "display";
+/** Why a frame whose bytes are there is not on the screen; "start": playing begins there, and nobody misses frames. */
+export type Lack = "decoder" | "display" | "start";
+
+/** Why a schedule stands still: the viewer paused it, nobody sees the page, or a picture lacks. */
+export type Hold = "pause" | "hidden" | Lack;
+/** With another reason beside them, nobody misses pictures. */
+const EXCUSES: readonly Hold[] = ["pause", "hidden", "start"];
 
 /** Maps moments of a clock to places of a schedule. `speed` seconds pass a second, and none while it is held. */
 export class Schedule {
-  /** Seconds that the display alone held it, up to the last change. */
-  displayS = 0;
-  private pace = 1;
+  /** Seconds of media that would have passed meanwhile, up to the last change. */
+  readonly missedS = { decoder: 0, display: 0 };
+  /** Seconds of the schedule a second, where it is not held. */
+  speed = 1;
   private readonly holds = new Set<Hold>();
   private clockS = 0;
   private placeS = 0; // at clockS
@@ -16,19 +22,13 @@ export class Schedule {
     return this.holds.size > 0;
   }
 
-  /** Seconds of the schedule a second, where it is not held. */
-  get speed(): number {
-    return this.pace;
-  }
-
-  /** The place that is reached at a moment, as things are now. */
   at(nowS: number): number {
-    return this.held ? this.placeS : this.placeS + this.pace * (nowS - this.clockS);
+    return this.held ? this.placeS : this.placeS + this.speed * Math.max(0, nowS - this.clockS);
   }
 
   /** When a place is reached; where the schedule is held, as if it went on at `nowS`. */
   reached(placeS: number, nowS: number): number {
-    return (this.held ? nowS : this.clockS) + (placeS - this.placeS) / this.pace;
+    return (this.held ? nowS : this.clockS) + (placeS - this.placeS) / this.speed;
   }
 
   /** Stand still for a reason, beside others. False: it did for this one. */
@@ -49,13 +49,23 @@ export class Schedule {
 
   setSpeed(nowS: number, speed: number): void {
     this.move(nowS);
-    this.pace = speed;
+    this.speed = speed;
+  }
+
+  /** Be so many seconds further on; where they are negative, stand still for them. */
+  shift(nowS: number, seconds: number): void {
+    if (this.held) return;
+    this.move(nowS);
+    this.placeS += Math.max(0, seconds);
+    this.clockS -= Math.min(0, seconds) / this.speed;
   }
 
   /** Go on to a moment. One before the last change is that change: what was shown is not due again. */
   private move(nowS: number): void {
     const thenS = Math.max(nowS, this.clockS);
-    if (this.holds.size === 1 && this.holds.has("display")) this.displayS += thenS - this.clockS;
+    if (this.held && !EXCUSES.some((why) => this.holds.has(why))) {
+      this.missedS[this.holds.has("decoder") ? "decoder" : "display"] += this.speed * (thenS - this.clockS);
+    }
     this.placeS = this.at(thenS);
     this.clockS = thenS;
   }

@@ -1,7 +1,8 @@
 // What is on the canvas: a scene for each tile of each group on its way to the viewer, its rows' order in depth, and one
 // picture drawn when something has changed.
-import type { Canonical, Group, Root } from "../format/types.ts";
-import { Renderer, type Scene } from "../render/renderer.ts";
+import type { Camera, Canonical, Group, Root } from "../format/types.ts";
+import { UnsupportedError } from "../media/errors.ts";
+import { Renderer, type Scene, type Surface } from "../render/renderer.ts";
 import { Sorter } from "../render/sorter.ts";
 import type { TargetFormat } from "../render/target.ts";
 import { farToNear } from "../render/tile-order.ts";
@@ -10,7 +11,6 @@ import { cameraOf, type ViewState } from "./sight.ts";
 
 /** A canonical space on the GPU, and what it shows of a tile of which clip. */
 interface Stage {
-  /** Its name for the sorter. */
   readonly key: string;
   readonly canonical: Canonical;
   readonly scene: Scene;
@@ -21,17 +21,25 @@ interface Stage {
   means: Float32Array | null;
 }
 
+/** What one eye in a headset sees, and where it is drawn. */
+export interface Eye {
+  camera: Camera;
+  surface: Surface;
+}
+
 export interface ScreenOptions {
   target?: TargetFormat;
   /** The context is gone, or is back: what was shown must be shown again. */
   onLost?: () => void;
   onRestored?: () => void;
+  /** Nothing more can be shown. */
+  onFail?: (error: Error) => void;
 }
 
 /** Shows frames of clips on a canvas. While the WebGL context is lost, nothing is shown and nothing fails. */
 export class Screen {
   #renderer: Renderer | null;
-  readonly #sorter = new Sorter();
+  readonly #sorter: Sorter;
   readonly #stages = new Map<Canonical, Stage>();
   /** One a tile; null: nothing was shown yet. */
   #shown: Stage[] | null = null;
@@ -47,27 +55,29 @@ export class Screen {
     readonly options: ScreenOptions = {},
   ) {
     this.#renderer = this.#makeRenderer();
+    const fail = (why: string) => options.onFail?.(new UnsupportedError(`the worker that sorts failed: ${why}`));
+    this.#sorter = new Sorter(undefined, fail);
     const { signal } = this.#end;
     canvas.addEventListener("webglcontextlost", () => this.#lose(), { signal });
-    canvas.addEventListener("webglcontextrestored", () => this.#restore(), { signal });
+    const restore = () => {
+      this.#renderer = this.#makeRenderer();
+      options.onRestored?.();
+    };
+    canvas.addEventListener("webglcontextrestored", restore, { signal });
   }
 
-  /** Look from somewhere else, from the next picture on. */
   look(view: ViewState): void {
     this.#view = view;
     this.#dirty = true;
     for (const stage of this.#stages.values()) this.#sort(stage);
   }
 
-  /** Pixels of the pictures, from the next one on. */
-  resize(width: number, height: number): void {
+  /** True: pictures have another size from now on. */
+  resize(width: number, height: number): boolean {
+    const before = this.#size;
     this.#size = { width: Math.max(1, Math.round(width)), height: Math.max(1, Math.round(height)) };
     this.#dirty = true;
-  }
-
-  /** Make ready what a tile begins with, so that its first frame can follow the one before without a pause. */
-  prepare(layer: Layer): void {
-    this.#stage(layer);
+    return this.#size.width !== before.width || this.#size.height !== before.height;
   }
 
   /** Show a frame of a clip, of all tiles that are decoded, from the next picture on. False: not yet, since a scene has
@@ -80,7 +90,7 @@ export class Screen {
     const changed: { stage: Stage; layer: Layer }[] = [];
     for (const layer of layers) {
       const isDecoded = layer.frames[frame] !== undefined;
-      const stage = isDecoded ? this.#stage(layer) : this.#stages.get(layer.canonical);
+      const stage = isDecoded ? this.prepare(layer) : this.#stages.get(layer.canonical);
       const isReady = isDecoded && stage && renderer.ready(stage.scene);
       if (!isReady && !layer.late) return false;
       if (stage && (isReady || this.#shown?.includes(stage))) shown.push(stage);
@@ -92,7 +102,6 @@ export class Screen {
     return true;
   }
 
-  /** Bring a scene to a frame of a tile. */
   #change(stage: Stage, layer: Layer, frame: number): void {
     if (stage.layer !== layer || frame < stage.frame) {
       stage.scene.begin(layer.level);
@@ -111,14 +120,25 @@ export class Screen {
 
   /** Draw, if anything has changed and the GPU has finished the picture before. True: a picture was drawn. */
   draw(): boolean {
-    const stages = this.#shown;
-    if (!this.#dirty || !stages || !this.#view || !this.#renderer || this.#renderer.busy) return false;
+    if (!this.#dirty || !this.#shown || !this.#view || !this.#renderer || this.#renderer.busy) return false;
     const { width, height } = this.#size;
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    const boxes = stages.map(({ canonical }) => this.tables.group(canonical.group).tiles[canonical.tile]);
-    const scenes = farToNear(boxes, this.#view.position).map((tile) => stages[tile].scene);
-    this.#dirty = !this.#renderer.draw(scenes, cameraOf(this.#view, width, height));
+    this.#dirty = !this.#renderer.draw(this.#farToNear(), cameraOf(this.#view, width, height));
     return !this.#dirty;
+  }
+
+  /** Draw for eyes around the view, whatever has changed: a headset forgets its pictures. True: they were drawn. */
+  drawEyes(eyes: readonly Eye[]): boolean {
+    const renderer = this.#renderer;
+    if (!this.#shown || !renderer) return false;
+    const scenes = this.#farToNear();
+    return eyes.every(({ camera, surface }) => renderer.draw(scenes, camera, surface));
+  }
+
+  #farToNear(): Scene[] {
+    const stages = this.#shown ?? [];
+    const boxes = stages.map(({ canonical }) => this.tables.group(canonical.group).tiles[canonical.tile]);
+    return farToNear(boxes, this.#view?.position ?? [0, 0, 0]).map((tile) => stages[tile].scene);
   }
 
   /** Free the scenes of all canonical spaces but these and the one on the screen. */
@@ -146,7 +166,8 @@ export class Screen {
     return new Renderer(this.canvas, { background: [r, g, b], ...(target ? { target } : {}) });
   }
 
-  #stage({ canonical, frames }: Layer): Stage | null {
+  /** Makes ready what a tile begins with, so that its first frame can follow the one before without a pause. */
+  prepare({ canonical, frames }: Layer): Stage | null {
     const known = this.#stages.get(canonical);
     if (known || !this.#renderer) return known ?? null;
     const [table, base] = [this.tables.group(canonical.group), this.tables.baseTable(canonical.group)];
@@ -175,10 +196,5 @@ export class Screen {
     this.#stages.clear();
     this.#shown = null;
     this.options.onLost?.();
-  }
-
-  #restore(): void {
-    this.#renderer = this.#makeRenderer();
-    this.options.onRestored?.();
   }
 }

@@ -1,61 +1,47 @@
 // A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
 //
-// One batch passes at a time: those key units of the chosen rung that are not decoded, one by one, then the state segment;
-// of the tiles that a fetch plan names (what is lacking then, `Repairs` fetches). When nothing more fits the buffer, a
-// buffered segment may be replaced by a better rung (with it better keys of its group) as long as it will be there in
-// time. A download that would come too late is abandoned when a smaller one would come sooner; whole key files that
-// have arrived are used. A segment none of whose rungs can be had is lost: the last picture stands for its time, and
-// the session goes on.
+// One batch passes at a time: those key units of the chosen rung that are not decoded, one by one, then the state segment.
+// When nothing more fits the buffer, a buffered segment may be replaced by a better rung that will be there in time. A
+// download that would come too late is abandoned when a smaller one would come sooner; key files that are whole are
+// used. A segment none of whose rungs can be had, or whose table cannot, is lost, and the session goes on.
 //
-// What a batch offers stands in the table of its group: those of the first segments that the policy looks at are
-// fetched before the first batch, later ones with the batch before. A segment whose table cannot be had is lost.
-//
-// The sequence may be played several times, as if it were longer: keys and states are fetched again, tables are not.
-// One that grows is played as it grows: airgs.json is fetched again a group's length after the last time, until it says
-// that nothing will follow, or nothing has followed for SILENCE_S.
+// The sequence may be played several times: keys and states are fetched again, tables are not. One that grows is played
+// as it grows, until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.
 import { POLL_S, ROOT_PATH, SAFETY, SILENCE_S } from "../generated/constants.ts";
 import { TransportError } from "../media/errors.ts";
-import type { Arrival, Arrived, GiveUp, Request, SessionEvent, Shown } from "./downloader.ts";
-import { isComplete } from "./downloader.ts";
+import { type GiveUp, isComplete, type Request, type SessionEvent, type Shown } from "./downloader.ts";
 import type { Decision, Option } from "./ladder.ts";
 import { filesOf } from "./offers.ts";
-import { budgetBytes, estimateThroughput, type PlayerState } from "./policies/state.ts";
+import type { Slot } from "./playout.ts";
+import { estimateThroughput, type PlayerState } from "./policies/state.ts";
 import { Receiver, type SessionParts } from "./receiver.ts";
 import { bestReplacement, obtainable, replacing, slotQuality, usable } from "./replacing.ts";
 import { ConfigError } from "./settings.ts";
-import type { Slot } from "./slot.ts";
 
 /** After files that a repair fetches it looks again, seconds, where nothing changes before. */
 const REPAIR_S = 0.05;
 
 type Events<Result = void> = AsyncGenerator<SessionEvent, Result>;
 
-/** One run over positions, from the first request to the last: after a seek or a change of policy, another one goes on
- * with the same playout and stores.
- */
+/** One run over positions; after a seek or another policy, a new one goes on with the same stores. */
 export class Session {
   private readonly receiver: Receiver;
   private givenUp = { position: Number.NaN, sizeBytes: 0 }; // nothing as large is asked for there again
 
-  /** `first` is the position that it begins with. Throws ConfigError where the policy needs quality that was not
-   * measured.
-   */
+  /** `first` is where it begins. Throws ConfigError where the policy needs quality that was not measured. */
   constructor(
     private readonly parts: SessionParts,
     signal: AbortSignal,
     private readonly first = 0,
   ) {
     const { policy, offers } = parts;
-    if (policy.needsQuality && !offers.measured) {
+    if (policy.adapts && !offers.measured) {
       throw new ConfigError(`policy ${policy.name}: expected a package with measured quality`);
     }
     this.receiver = new Receiver(parts, signal);
   }
 
-  /** All events, in the order in which they happen, until the last segment is fetched or the signal aborts.
-   *
-   * Rejects with TransportError when the link fails.
-   */
+  /** All events until the last segment is fetched or the signal aborts. Rejects with TransportError. */
   async *run(): Events {
     const { downloader, playout, stores } = this.parts;
     const { first } = this;
@@ -101,7 +87,8 @@ export class Session {
         yield { type: "cut", atS: this.nowS, why: `no group has followed for ${SILENCE_S} s` };
         break;
       }
-      const askS = Math.max(this.nowS, (stores.rootS ?? 0) + Math.max(POLL_S, c.newestSeconds));
+      const newest = c.tables.index.entry(c.tables.index.groups - 1);
+      const askS = Math.max(this.nowS, (stores.rootS ?? 0) + Math.max(POLL_S, (newest.stop - newest.start) / c.fps));
       while (this.nowS < askS && !this.stopped) {
         if (yield* this.replaceBest()) continue;
         await this.receiver.wait(askS);
@@ -149,14 +136,10 @@ export class Session {
     return stores.tables.missing(position, stop).filter((path) => !stores.unusable.has(path));
   }
 
-  private get pipelines(): boolean {
-    return this.parts.settings.pipelined && this.parts.downloader.pipelines;
-  }
-
   /** The rest of the round trip when the link is free: pipelined, the request was sent before. */
   private latencyS(position: number, earliestS: number): number {
-    const { rttS } = this.parts.downloader;
-    if (this.pipelines && position > this.first && earliestS < this.nowS)
+    const { rttS, pipelines } = this.parts.downloader;
+    if (this.parts.settings.pipelined && pipelines && position > this.first && earliestS < this.nowS)
       return Math.max(0, rttS - (this.nowS - earliestS));
     return rttS;
   }
@@ -165,13 +148,11 @@ export class Session {
     return this.nowS - (this.parts.downloader.rttS - latencyS);
   }
 
-  /** Choose a rung of the next segment and fetch it; false: it was abandoned or broken, or a repair fetches some of it:
-   * choose again.
-   */
+  /** Choose a rung of the next segment and fetch it; false: it did not come whole, choose again. */
   private async *fetchNext(position: number, latencyS: number): Events<boolean> {
     const { offers, planner, playout, policy, stores } = this.parts;
     const plan = stores.tables.has(position) ? planner.plan(position, this.sentS(latencyS)) : null;
-    const tiles = plan ? obtainable(stores, position, plan.tiles) : offers.tiles;
+    const tiles = plan ? obtainable(stores, position, plan) : offers.tiles;
     const state = plan ? this.state(position, latencyS, tiles) : null;
     if (!state?.options.length) {
       if (position === this.first) offers.checkBudget(position);
@@ -192,16 +173,12 @@ export class Session {
       const sentS = this.sentS(latencyS);
       const request: Request = { kind, position, rung: decision.index, batch, sentS, latencyS };
       const arrival = await this.receiver.receive(request, this.giveUp(state, decision));
-      yield this.arrived(arrival, decision, budgetBytes(state), estimateThroughput(state.history));
+      yield { type: "arrived", arrival, throughputBps: estimateThroughput(state.history) };
       if (arrival.abandoned) this.givenUp = { position, sizeBytes: decision.sizeBytes };
       if (this.stopped || !isComplete(arrival)) return false;
     }
     playout.enqueue(position, decision.index, this.nowS, tiles);
     return true;
-  }
-
-  private arrived(arrival: Arrival, decision: Decision, budget: number, throughputBps: number): Arrived {
-    return { type: "arrived", arrival, decision, budgetBytes: budget, throughputBps };
   }
 
   private state(position: number, latencyS: number, tiles: readonly number[]): PlayerState {
@@ -234,7 +211,7 @@ export class Session {
   private giveUp(state: PlayerState, decision: Decision): GiveUp | null {
     const { downloader, playout, policy, settings } = this.parts;
     const smallest = Math.min(...state.options.map((option) => option.sizeBytes));
-    if (!(settings.abandon && policy.mayAbandon) || smallest >= decision.sizeBytes) return null;
+    if (!(settings.abandon && policy.adapts) || smallest >= decision.sizeBytes) return null;
     const { nowS } = this;
     const dueAt = playout.dueAt(nowS);
     const { rttS } = downloader;
@@ -249,32 +226,24 @@ export class Session {
   /** Fetch the replacement that gains most for its bytes, if any will be in time; false if there is none. */
   private async *replaceBest(): Events<boolean> {
     const { offers: c, downloader, playout, policy, settings, stores } = this.parts;
-    if (!(settings.replace && policy.mayReplace)) return false;
+    if (!(settings.replace && policy.adapts)) return false;
     const estimateBps = estimateThroughput(this.receiver.history(this.nowS));
     if (!estimateBps) return false;
     const { rttS } = downloader;
     const best = bestReplacement(c, playout, stores, { nowS: this.nowS, rttS, rateBps: SAFETY * estimateBps });
     if (!best) return false;
     const { slot, option } = best;
-    const { index, sizeBytes, quality } = option;
-    const before = slotQuality(c, slot) ?? 0;
-    const reason = `${quality.toFixed(1)} dB in place of ${before.toFixed(1)}`;
-    const batch = replacing(c, stores, slot, index);
-    const arrival = await this.receiver.receive(
-      { kind: "replacement", position: slot.position, rung: index, batch, sentS: this.nowS, latencyS: rttS },
-      null,
-    );
-    yield this.arrived(arrival, { index, fits: true, reason, sizeBytes }, 0, estimateBps);
-    if (!this.stopped && isComplete(arrival)) yield* this.putInPlace(slot, index);
-    return true;
-  }
-
-  /** A replacement is there: shown if it is in time and the decoding of what it replaces has not begun. */
-  private *putInPlace(slot: Slot, rung: number): Generator<SessionEvent> {
-    const { playout, settings } = this.parts;
-    if (slot.committed || this.nowS + settings.decodeFrameS > playout.startS(slot, this.nowS)) return;
-    yield { type: "replaced", position: slot.position, before: slot.rung ?? 0, after: rung };
+    const rung = option.index;
+    const batch = replacing(c, stores, slot, rung);
+    const { position } = slot;
+    const request: Request = { kind: "replacement", position, rung, batch, sentS: this.nowS, latencyS: rttS };
+    const arrival = await this.receiver.receive(request, null);
+    yield { type: "arrived", arrival, throughputBps: estimateBps };
+    const late = slot.committed || this.nowS + settings.decodeFrameS > playout.startS(slot, this.nowS);
+    if (this.stopped || !isComplete(arrival) || late) return true; // what it replaces stays
+    yield { type: "replaced", position, before: slot.rung ?? 0, after: rung };
     playout.replace(slot, rung);
+    return true;
   }
 
   private *shown(slots: readonly Slot[]): Generator<Shown> {

@@ -6,26 +6,17 @@ export class ConfigError extends Error {
   override name = "ConfigError";
 }
 
-export interface SessionSettings {
-  /** Most media time ahead of the playhead, seconds. */
-  bufferS: number;
+type Rules = typeof SESSION;
+
+/** The rules of airgs_codec.play.settings, which says what each is. */
+export interface SessionSettings
+  extends Record<KeysOf<Rules, number>, number>,
+    Record<KeysOf<Rules, boolean>, boolean> {
   /** Two segments fit the buffer, however long they are: the next one is fetched while one is shown. */
   roomForTwo: boolean;
-  /** Media time to buffer before playing begins, seconds; one segment at least. */
-  startupS: number;
-  /** Media time to buffer before playing goes on after a stall, seconds. */
-  resumeS: number;
-  /** Time to decode and apply one frame, seconds. */
-  decodeFrameS: number;
-  /** Fetch better rungs for segments that are buffered. */
-  replace: boolean;
-  /** Give up a download that would come too late. */
-  abandon: boolean;
-  /** Request a segment one round trip before the current batch ends, where the downloader can. */
-  pipelined: boolean;
-  /** Times the sequence is played, Infinity: for ever; null: for about 30 s. */
-  loops: number | null;
 }
+
+type KeysOf<Fields, Kind> = { [Name in keyof Fields]: Fields[Name] extends Kind ? Name : never }[keyof Fields];
 
 /** The rules where tiles are fetched by view: what is buffered is soon shown, and not replaced. */
 export const byView = (settings: SessionSettings): SessionSettings => ({
@@ -35,17 +26,10 @@ export const byView = (settings: SessionSettings): SessionSettings => ({
   replace: false,
 });
 
-const DEFAULTS: SessionSettings = { ...SESSION, roomForTwo: false };
-
-/** Settings with defaults for what is not given. Throws ConfigError for rules that cannot work. */
+/** Settings with defaults for what is not given. Throws ConfigError for a buffer that cannot work. */
 export function sessionSettings(given: Partial<SessionSettings> = {}): SessionSettings {
-  const settings = { ...DEFAULTS, ...given };
-  const { bufferS, startupS, resumeS, decodeFrameS, loops } = settings;
+  const settings = { ...SESSION, roomForTwo: false, ...given };
+  const { bufferS } = settings;
   if (!(bufferS > 0 && bufferS < Infinity)) throw new ConfigError(`buffer: expected more than 0 s, got ${bufferS}`);
-  const waits = { "start-up": startupS, resume: resumeS, decoding: decodeFrameS };
-  for (const [name, value] of Object.entries(waits)) {
-    if (!(value >= 0 && value < Infinity)) throw new ConfigError(`${name}: expected 0 s or more, got ${value}`);
-  }
-  if (loops !== null && !(loops >= 1)) throw new ConfigError(`loops: expected at least 1, got ${loops}`);
   return settings;
 }

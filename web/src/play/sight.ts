@@ -38,18 +38,15 @@ function positionOf(m: Float64Array): Vector {
   return [axis(0), axis(1), axis(2)];
 }
 
-/** How a viewer moves. */
 export interface Velocity {
   /** Rotation vector in camera axes, radians a second. */
   turn: Vector;
-  /** World units a second. */
   shift: Vector;
 }
 
 /** The steady movement that leads from one view to another in a time. */
 export function velocityOf(before: Camera, here: Camera, seconds = BEFORE_S): Velocity {
   const [a, b] = [before.worldToCamera, here.worldToCamera];
-  /** Of the turn from one to the other. */
   const entry = (i: number, j: number) =>
     b[4 * i] * a[4 * j] + b[4 * i + 1] * a[4 * j + 1] + b[4 * i + 2] * a[4 * j + 2];
   const cosine = (entry(0, 0) + entry(1, 1) + entry(2, 2) - 1) / 2;

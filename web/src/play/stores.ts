@@ -1,10 +1,10 @@
 // What a player has of a package beside states: which tables it has read, which key units it has decoded, what it knows
 // of the link. It outlives a session: after a seek another one goes on with it.
-import { groupPath } from "../format/paths.ts";
+import { groupPath, isSound } from "../format/paths.ts";
 import { Recent } from "../format/recent.ts";
 import { type Arrival, usableFiles } from "./downloader.ts";
 import type { Option } from "./ladder.ts";
-import { type Batch, missing, type Offers, optionsOf, type Units } from "./offers.ts";
+import { type Batch, missing, type Offers, optionsOf } from "./offers.ts";
 import type { Download } from "./policies/state.ts";
 
 /** Pages of the index and tables of groups are fetched once, also where the sequence is played again. */
@@ -13,14 +13,12 @@ export class TableStore {
 
   constructor(private readonly offers: Offers) {}
 
-  /** Take in what arrived. */
   add(arrival: Arrival): void {
     for (const path of usableFiles(arrival)) this.paths.add(path);
   }
 
-  /** Whether the table of the segment at a position is there. */
   has(position: number): boolean {
-    return !this.missing(position, position + 1).length;
+    return this.next(this.offers.index(position)) === null;
   }
 
   /** Lists pages that positions [start, stop) still need, and tables that pages that were read, or the root, lead to. */
@@ -61,23 +59,29 @@ export class TableStore {
   }
 }
 
-/** Loops whose keys are known, and units of a loop; those of more were played long ago. */
-const MOST_LOOPS = 64;
+/** Units of a loop that are known; those of more were played long ago. */
 const MOST_UNITS = 32768;
 
-/** Key units are decoded once a loop over the sequence: a group that is played again is fetched again. */
+/** Key units are decoded once a loop over the sequence: a group that is played again is asked for again, and comes from
+ * what is kept as far as there is room.
+ */
 export class KeyStore {
-  private readonly loops = new Recent<number, Recent<number, true>>(MOST_LOOPS);
+  private readonly loops = new Map<number, Recent<number, true>>();
 
   constructor(private readonly offers: Offers) {}
 
-  /** The units that are decoded in the loop of a position. */
-  decoded(position: number): Units {
-    return this.units(this.offers.place(position).loop);
+  /** Forget the loops before that of a position: what is buffered of a short sequence may be hundreds of loops. */
+  forget(before: number): void {
+    const { loop: first } = this.offers.place(before);
+    for (const loop of this.loops.keys()) if (loop < first) this.loops.delete(loop);
   }
 
-  private units(loop: number): Recent<number, true> {
-    return this.loops.of(loop, () => new Recent(MOST_UNITS));
+  /** The units that are decoded in the loop of a position. */
+  decoded(position: number): Recent<number, true> {
+    const { loop } = this.offers.place(position);
+    const units = this.loops.get(loop) ?? new Recent<number, true>(MOST_UNITS);
+    this.loops.set(loop, units);
+    return units;
   }
 
   /** How many tiers of a tile in a key quality, from the first on, can be shown in the group of a position. */
@@ -99,18 +103,17 @@ export class KeyStore {
     return optionsOf(this.offers.of(this.offers.index(position), tiles), this.decoded(position));
   }
 
-  /** Take in what arrived: a unit counts once its files are there. */
+  /** Take in what arrived: a unit counts once its files are there, and sound that cannot be had, which is silence. */
   add(arrival: Arrival): void {
     const { position, rung } = arrival.request;
-    const { loop, segment } = this.offers.place(position);
-    const there = new Set(usableFiles(arrival));
+    const segment = this.offers.index(position);
+    const there = new Set([...usableFiles(arrival), ...[...arrival.refused.keys()].filter(isSound)]);
     for (const { unit, files } of this.offers.of(segment).rungs[rung].units) {
-      if (files.every((path) => there.has(path))) this.units(loop).set(unit, true);
+      if (files.every((path) => there.has(path))) this.decoded(position).set(unit, true);
     }
   }
 }
 
-/** Files on their way, each as often as it was asked for. */
 export class Coming {
   private readonly counts = new Map<string, number>();
 
@@ -118,7 +121,6 @@ export class Coming {
     return this.counts.has(path);
   }
 
-  /** They were asked for. */
   add(paths: readonly string[]): void {
     for (const path of paths) this.counts.set(path, (this.counts.get(path) ?? 0) + 1);
   }
@@ -133,14 +135,14 @@ export class Coming {
   }
 }
 
-/** What sessions over one package share. */
 export class Stores {
   readonly tables: TableStore;
   readonly keys: KeyStore;
   /** With their arrivals, oldest first. */
   readonly downloads: { atS: number; download: Download }[] = [];
+  /** The fastest of tables and poster, the wait for its first byte included. */
+  first: Download = { bytes: 0, seconds: 1 };
   readonly coming = new Coming();
-  /** Files found missing or corrupt. */
   readonly unusable = new Set<string>();
   /** When airgs.json was asked for; null: not yet. */
   rootS: number | null = null;

@@ -2,7 +2,7 @@
 import { colourChannels } from "../format/steps.ts";
 import type { KeyPart } from "../format/types.ts";
 import { KEY_AT } from "../generated/constants.ts";
-import type { InUse, Programs } from "./programs.ts";
+import type { Programs, Uniforms } from "./programs.ts";
 import { type CodeTable, codeTable, Samples } from "./samples.ts";
 import { KEY_GEOMETRY, keyColours, LAYERS_A_PASS, ROW_WIDTH, WHOLE } from "./shaders.ts";
 import { framebuffer, type Texture, texture, writeRows } from "./textures.ts";
@@ -24,7 +24,6 @@ export interface KeyCoding {
   transform: Texture;
 }
 
-/** The pictures of a tier, or those of which it keeps rows. */
 interface Part {
   samples: Samples;
   codes: CodeTable;
@@ -47,12 +46,11 @@ function layerRuns(degree: number): { name: string; first: number; count: number
 
 /** Begins to compile what `KeyPasses.run` needs; gives the names. */
 export function prepareKeys(programs: Programs, degree: number): string[] {
-  const samplers = SAMPLERS;
-  programs.prepare("key geometry", () => ({ vertex: WHOLE, fragment: KEY_GEOMETRY, samplers }));
+  programs.prepare("key geometry", () => ({ vertex: WHOLE, fragment: KEY_GEOMETRY, samplers: SAMPLERS }));
   const runs = layerRuns(degree);
   for (const { name, first, count } of runs) {
     const fragment = () => keyColours(colourChannels(degree), first, count);
-    programs.prepare(name, () => ({ vertex: WHOLE, fragment: fragment(), samplers }));
+    programs.prepare(name, () => ({ vertex: WHOLE, fragment: fragment(), samplers: SAMPLERS }));
   }
   return ["key geometry", ...runs.map(({ name }) => name)];
 }
@@ -118,12 +116,12 @@ export class KeyPasses {
   }
 
   /** Draws all parts into a framebuffer, which it deletes. */
-  #pass(into: WebGLFramebuffer, use: (part: Part) => InUse): void {
+  #pass(into: WebGLFramebuffer, use: (part: Part) => Uniforms): void {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, into);
     gl.viewport(0, 0, ROW_WIDTH, this.into.places.height);
     for (const part of this.#parts) {
-      const { at } = use(part);
+      const at = use(part);
       const { samples, codes, coding, first, rows } = part;
       setCodes(gl, at, codes, samples);
       gl.uniform2f(at("tintSteps"), ...coding.tintSteps);
@@ -137,7 +135,7 @@ export class KeyPasses {
 }
 
 /** The uniforms of CODES and `colours` in shaders.ts. */
-export function setCodes(gl: WebGL2RenderingContext, at: InUse["at"], codes: CodeTable, samples: Samples): void {
+export function setCodes(gl: WebGL2RenderingContext, at: Uniforms, codes: CodeTable, samples: Samples): void {
   gl.uniform2i(at("layout_"), ...codes.layout);
   gl.uniform1i(at("escaped"), samples.bases ? 1 : 0);
   gl.uniform4iv(at("entries"), codes.entries);

@@ -16,10 +16,8 @@ interface Compiled {
   uniforms: Map<string, WebGLUniformLocation> | null;
 }
 
-/** A program in use: sets its uniforms by name. */
-export interface InUse {
-  at(name: string): WebGLUniformLocation | null;
-}
+/** Where the uniforms of a program in use are, by their names. */
+export type Uniforms = (name: string) => WebGLUniformLocation | null;
 
 export class Programs {
   readonly #parallel: KHR_parallel_shader_compile | null;
@@ -29,7 +27,6 @@ export class Programs {
     this.#parallel = gl.getExtension("KHR_parallel_shader_compile");
   }
 
-  /** Begins to compile a program unless it has begun. */
   prepare(name: string, source: () => Source): void {
     if (this.#made.has(name)) return;
     const gl = this.gl;
@@ -56,10 +53,8 @@ export class Programs {
     });
   }
 
-  /** Uses a prepared program with its textures, in the order of its samplers. Throws RenderError where it does not
-   * compile.
-   */
-  use(name: string, textures: readonly Texture[]): InUse {
+  /** Uses a program with textures in the order of its samplers. Throws RenderError if it does not compile. */
+  use(name: string, textures: readonly Texture[]): Uniforms {
     const gl = this.gl;
     const made = this.#made.get(name)!;
     gl.useProgram(made.program);
@@ -69,7 +64,7 @@ export class Programs {
       gl.bindTexture(target, handle);
     });
     const { uniforms } = made;
-    return { at: (uniform) => uniforms.get(uniform) ?? null };
+    return (uniform) => uniforms.get(uniform) ?? null;
   }
 
   free(): void {

@@ -4,7 +4,7 @@
 // px²; its determinant is taken by Cauchy-Binet, whose terms do not cancel.
 import type { Camera } from "../format/types.ts";
 import { DILATION, MARGIN, OPACITY_MARGIN, SH_C0, SH_C1, SH_C2, SH_C3, STATE_AT } from "../generated/constants.ts";
-import type { InUse } from "./programs.ts";
+import type { Uniforms } from "./programs.ts";
 import { CODES, colours, each, HEAD, layerSteps, ROW_WIDTH, three } from "./shaders.ts";
 
 // The signs are those of INRIA's files; FORMAT.md, section 5. d: direction from the viewer, dd: its squares.
@@ -139,7 +139,7 @@ void main() {
 }
 
 /** Sets the uniforms of VIEW, for a picture of `size` pixels instead of the camera's. */
-export function setView(gl: WebGL2RenderingContext, at: InUse["at"], camera: Camera, size: [number, number]): void {
+export function setView(gl: WebGL2RenderingContext, at: Uniforms, camera: Camera, size: [number, number]): void {
   const [width, height] = size;
   const m = camera.worldToCamera;
   const [x, y] = [width / camera.width, height / camera.height];

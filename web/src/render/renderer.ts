@@ -8,8 +8,7 @@ import { prepareKeys, setCodes } from "./key-passes.ts";
 import { Programs } from "./programs.ts";
 import { projection, setView } from "./project-shader.ts";
 import { Scene } from "./scene.ts";
-import { ROW_WIDTH, WHOLE } from "./shaders.ts";
-import { QUADS, SHOW, SPLAT_FRAGMENT, SPLAT_VERTEX } from "./splat-shaders.ts";
+import { QUADS, ROW_WIDTH, SHOW, SPLAT_FRAGMENT, SPLAT_VERTEX, WHOLE } from "./shaders.ts";
 import { Target, type TargetFormat, targetFormat } from "./target.ts";
 import { RenderError, type Texture, texture } from "./textures.ts";
 
@@ -22,6 +21,15 @@ export interface RendererOptions {
   background?: readonly [number, number, number];
 }
 
+/** Where a picture goes: a rectangle of a framebuffer (null: the canvas), pixels from its lower left corner. */
+export interface Surface {
+  framebuffer: WebGLFramebuffer | null;
+  x: number;
+  y: number;
+  width: number;
+  height: number;
+}
+
 const SAMPLERS = ["luma", "bases", "transform", "places", "rotations", "sizes", "ranks", "layers"];
 const PROJECTION = "projection ";
 
@@ -32,7 +40,6 @@ const PROJECTION = "projection ";
  */
 export class Renderer {
   background: readonly [number, number, number];
-  /** What splats are blended into. */
   readonly target: TargetFormat;
   readonly #gl: WebGL2RenderingContext;
   readonly #programs: Programs;
@@ -86,13 +93,11 @@ export class Renderer {
     return false;
   }
 
-  /** Begins to compile the programs of packages with this `sh_degree`; `scene` does so too. */
   prepare(degree: number): void {
     if (this.lost) return;
-    const samplers = SAMPLERS;
     const channels = colourChannels(degree);
     const fragment = () => projection(degree, channels, Math.ceil(channels / 4));
-    this.#programs.prepare(PROJECTION + degree, () => ({ vertex: WHOLE, fragment: fragment(), samplers }));
+    this.#programs.prepare(PROJECTION + degree, () => ({ vertex: WHOLE, fragment: fragment(), samplers: SAMPLERS }));
     prepareKeys(this.#programs, degree);
   }
 
@@ -122,21 +127,26 @@ export class Renderer {
     return this.#programs.done(["splats", "canvas"]);
   }
 
-  /** Draws scenes into one picture, the first the furthest, if all of them are ready, and says whether it did; else the
-   * canvas stays as it is.
-   */
-  draw(scenes: readonly Scene[], camera: Camera): boolean {
+  /** The whole canvas. */
+  get canvas(): Surface {
+    const { drawingBufferWidth: width, drawingBufferHeight: height } = this.#gl;
+    return { framebuffer: null, x: 0, y: 0, width, height };
+  }
+
+  /** Draws scenes into one picture, the furthest first, if all are ready; else it stays as it is. */
+  draw(scenes: readonly Scene[], camera: Camera, surface = this.canvas): boolean {
     if (this.lost || !this.#finishes || !scenes.every((scene) => this.ready(scene))) return false;
     const gl = this.#gl;
-    const [width, height] = [gl.drawingBufferWidth, gl.drawingBufferHeight];
+    const { framebuffer, x, y, width, height } = surface;
     for (const scene of scenes) this.#project(scene, camera, [width, height]);
     this.#clear(width, height);
     for (const scene of scenes) this.#splat(scene, [width, height]);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.viewport(0, 0, width, height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+    gl.viewport(x, y, width, height);
     gl.disable(gl.BLEND);
     gl.bindVertexArray(null);
-    const { at } = this.#programs.use("canvas", [this.#picture!.picture]);
+    const at = this.#programs.use("canvas", [this.#picture!.picture]);
+    gl.uniform2i(at("corner"), x, y);
     gl.uniform1f(at("brightest"), this.#picture!.brightest);
     gl.uniform3f(at("background"), ...this.#picture!.behind(this.background));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
@@ -145,19 +155,16 @@ export class Renderer {
     return true;
   }
 
-  /** Releases a scene. */
   free(scene: Scene): void {
     this.#scenes.delete(scene);
     if (this.lost) scene.freed = true;
     else scene.free();
   }
 
-  /** The picture that was drawn last; null: none. */
   get picture(): Target | null {
     return this.lost ? null : this.#picture;
   }
 
-  /** Releases all that it holds, scenes too. */
   dispose(): void {
     const gl = this.#gl;
     gl.canvas.removeEventListener("webglcontextlost", this.#onLost);
@@ -191,7 +198,7 @@ export class Renderer {
     const samples = shown?.samples;
     const { transform, places, rotations, sizes, ranks, layers } = scene;
     const textures = [samples?.luma ?? this.#noLuma, samples?.bases ?? this.#noBases, transform, places];
-    const { at } = this.#programs.use(PROJECTION + scene.degree, [...textures, rotations, sizes, ranks, layers]);
+    const at = this.#programs.use(PROJECTION + scene.degree, [...textures, rotations, sizes, ranks, layers]);
     gl.uniform1i(at("rows"), scene.rows);
     gl.uniform1i(at("moving"), shown ? 1 : 0);
     if (shown) setCodes(gl, at, shown.codes, shown.samples);
@@ -204,7 +211,6 @@ export class Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  /** Begins a picture of a size. */
   #clear(width: number, height: number): void {
     const held = this.#picture?.picture;
     if (held?.width !== width || held.height !== height) {
@@ -214,14 +220,13 @@ export class Renderer {
     this.#picture!.clear(this.background);
   }
 
-  /** Blends a scene over what the picture has. */
   #splat(scene: Scene, [width, height]: [number, number]): void {
     if (!scene.visible) return;
     const gl = this.#gl;
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.bindVertexArray(this.#splats);
-    const { at } = this.#programs.use("splats", [scene.firsts, scene.seconds, scene.order]);
+    const at = this.#programs.use("splats", [scene.firsts, scene.seconds, scene.order]);
     gl.uniform2f(at("size"), width, height);
     gl.uniform1i(at("visible"), scene.visible);
     gl.uniform1f(at("brightest"), this.#picture!.brightest);

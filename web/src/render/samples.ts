@@ -5,9 +5,7 @@ import type { Atlas, BaseChanges } from "../format/types.ts";
 import { BLOCK } from "../generated/constants.ts";
 import { RenderError, type Texture, texture, write } from "./textures.ts";
 
-/** Bases stand here and go to the GPU with `upload`, and then only strips of 16 lines in which something changed: few
- * samples jump in a frame, and blocks of 16 lines hold neighbours.
- */
+/** Bases go to the GPU with `upload`, in strips of 16 lines that changed: few samples jump in a frame. */
 export class Samples {
   readonly #width: number;
   readonly #height: number;
@@ -32,7 +30,6 @@ export class Samples {
     this.luma = texture(gl, "R8UI", [this.#width, this.#height], Math.max(1, this.#pages));
   }
 
-  /** Samples of all pages, one after the other. */
   setLuma(luma: Uint8Array): void {
     const page = this.#width * this.#height;
     if (luma.length !== this.#pages * page) {
@@ -43,7 +40,6 @@ export class Samples {
     }
   }
 
-  /** Takes what changes with the next picture. */
   change({ texels, bases }: BaseChanges): void {
     if (!texels.length) return;
     const all = this.#held();
@@ -56,7 +52,6 @@ export class Samples {
     }
   }
 
-  /** All bases are 0. */
   reset(): void {
     const strip = BLOCK * this.#width;
     this.#used.forEach((used, n) => {
@@ -67,7 +62,6 @@ export class Samples {
     });
   }
 
-  /** Brings the bases on the GPU up to date. */
   upload(): void {
     if (!this.#all) return;
     this.bases ??= texture(this.gl, "R32I", [this.#width, this.#height], this.#pages);

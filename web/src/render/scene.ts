@@ -12,7 +12,6 @@ import { framebuffer, RenderError, type Texture, texture, write, writeRows } fro
 
 const NO_RANK = 0xffffffff;
 
-/** How the states of a level are read. */
 export interface LevelView {
   readonly level: number;
   readonly atlas: Atlas;
@@ -162,7 +161,6 @@ export class Scene {
   }
 }
 
-/** The size of the row textures. */
 function rowSize(gl: WebGL2RenderingContext, rows: number): [number, number] {
   const side: number | null = gl.getParameter(gl.MAX_TEXTURE_SIZE); // null: the context was lost
   const height = Math.max(1, Math.ceil(rows / ROW_WIDTH));
@@ -183,7 +181,6 @@ function interleave({ means, units }: Canonical): Uint32Array {
   return new Uint32Array(places.buffer);
 }
 
-/** The colour transform of a group. */
 function transformOf(gl: WebGL2RenderingContext, group: Group, channels: number): Texture {
   const width = Math.ceil(channels / 4);
   const matrix = colourMatrix(group, channels);

@@ -103,7 +103,6 @@ interface Scope {
   postMessage(answer: SortAnswer, transfer: Transferable[]): void;
 }
 
-/** Sorts for the page from now on. */
 export function run(): void {
   const sorter = new DepthSorter();
   const known = new Map<string, Float32Array>();

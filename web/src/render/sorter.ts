@@ -11,17 +11,26 @@ interface Waiting {
   resolve: Resolve;
 }
 
-/** Asks the worker for one order at a time. While it sorts, one request of each key waits: a newer one takes its place,
- * and the older one gives null.
- */
+/** Asks for one order at a time; of each key the newest request waits, and an older one gives null. */
 export class Sorter {
   readonly #waiting = new Map<string, Waiting>();
   #sorting: Resolve | null = null;
   #closed = false;
 
-  constructor(private readonly worker: Worker = start()) {
-    worker.onmessage = ({ data }: MessageEvent<SortAnswer>) => this.#finish(data);
-    worker.onerror = () => this.#finish(null);
+  /** `onFail` is told why the worker fails before it has ever given an order: there will be none. */
+  constructor(
+    private readonly worker: Worker = start(),
+    onFail: (why: string) => void = () => {},
+  ) {
+    let works = false;
+    worker.onmessage = ({ data }: MessageEvent<SortAnswer>) => {
+      works = true;
+      this.#finish(data);
+    };
+    worker.onerror = ({ message }) => {
+      this.#finish(null);
+      if (!works) onFail(message || "its script was not loaded");
+    };
   }
 
   /** Rows far to near for `camera`, as `Renderer.order` takes them.
@@ -41,7 +50,6 @@ export class Sorter {
     });
   }
 
-  /** Lets go of the means of a key. */
   forget(key: string): void {
     this.#waiting.get(key)?.resolve(null);
     this.#waiting.delete(key);

@@ -25,7 +25,6 @@ export class Target {
   readonly picture: Texture;
   readonly handle: WebGLFramebuffer;
   readonly floats: boolean;
-  /** What the largest number of the picture stands for; 1 of floats. */
   readonly brightest: number;
 
   constructor(
@@ -39,7 +38,6 @@ export class Target {
     this.handle = framebuffer(gl, [this.picture]);
   }
 
-  /** Begins a picture. */
   clear(background: Colour): void {
     const { gl } = this;
     const { width, height } = this.picture;

@@ -18,7 +18,6 @@ export interface Texture {
   readonly layers: number;
 }
 
-/** A new texture; its texels are 0. */
 export function texture(gl: WebGL2RenderingContext, internal: Internal, size: [number, number], layers = 0): Texture {
   const target = layers ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_2D;
   const [width, height] = size;
@@ -33,7 +32,6 @@ export function texture(gl: WebGL2RenderingContext, internal: Internal, size: [n
 
 /** Where texels are written: `layer` only of arrays. */
 export interface Box {
-  x?: number;
   y: number;
   width: number;
   height: number;
@@ -42,12 +40,12 @@ export interface Box {
 
 /** Writes texels, line after line, from `offset` in `data` on. */
 export function write(gl: WebGL2RenderingContext, to: Texture, box: Box, data: ArrayBufferView, offset = 0): void {
-  const { x = 0, y, width, height, layer = 0 } = box;
+  const { y, width, height, layer = 0 } = box;
   const [format, type] = LAYOUTS[to.internal].map((name) => gl[name]);
   gl.bindTexture(to.target, to.handle);
   gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-  if (to.layers) gl.texSubImage3D(to.target, 0, x, y, layer, width, height, 1, format, type, data, offset);
-  else gl.texSubImage2D(to.target, 0, x, y, width, height, format, type, data, offset);
+  if (to.layers) gl.texSubImage3D(to.target, 0, 0, y, layer, width, height, 1, format, type, data, offset);
+  else gl.texSubImage2D(to.target, 0, 0, y, width, height, format, type, data, offset);
 }
 
 const LAYOUTS = {

@@ -1,21 +1,23 @@
 // The row of buttons below the picture, and the time line above it.
 import type { Desk } from "./desk.ts";
 import { iconButton, make, relabel, write } from "./dom.ts";
-import { type Menu, type Page, qualityName, speedName } from "./menu.ts";
+import type { Page } from "./menu.ts";
 import { Timeline } from "./timeline.ts";
-import { clock, rungTitle } from "./words.ts";
+import { clock, qualityName, rungTitle, speedName } from "./words.ts";
 
-/** Seconds behind the newest that still count as live. */
 const LIVE_S = 8;
 
 export class Bar {
   readonly node: HTMLElement;
   readonly timeline: Timeline;
   readonly play = iconButton("play", "Play");
+  readonly #sound = iconButton("mute", "Sound on");
   readonly #loop = iconButton("loop", "Loop", { class: "wide" });
   readonly #home = iconButton("home", "Back to the first view", { class: "home" });
   readonly #free = iconButton("bounded", "Leave the viewing region", { class: "wide" });
+  readonly #link = iconButton("link", "Copy a link to this view", { class: "wide" });
   readonly info = iconButton("info", "Figures");
+  readonly #vr = iconButton("vr", "Enter VR");
   readonly #full = iconButton("full", "Full screen");
   readonly #settings = this.#opens(iconButton("settings", "Settings", { class: "narrow" }));
   readonly #speed = this.#opens(make("button", { type: "button", class: "text wide", "data-tip": "Speed" }));
@@ -27,13 +29,14 @@ export class Bar {
 
   constructor(
     readonly desk: Desk,
-    readonly menu: Menu,
+    readonly openMenu: (page: Page, opener: HTMLElement) => void,
   ) {
     this.timeline = new Timeline(desk);
     const row = make(
       "div",
       { class: "row" },
       this.play,
+      this.#sound,
       this.#live,
       this.#time,
       make("span", { class: "gap" }),
@@ -42,8 +45,10 @@ export class Bar {
       this.#loop,
       this.#free,
       this.#home,
+      this.#link,
       this.#settings,
       this.info,
+      this.#vr,
       this.#full,
     );
     this.node = make(
@@ -55,11 +60,12 @@ export class Bar {
     this.#listen();
   }
 
-  /** All buttons say what is. */
   update(): void {
-    const { player, orbit, ready, full } = this.desk;
+    const { player, orbit, ready, full, headset } = this.desk;
     const action = player.ended ? "again" : player.paused ? "play" : "pause";
     relabel(this.play, action, { again: "Play again", play: "Play", pause: "Pause" }[action]);
+    this.#sound.hidden = !player.hasSound;
+    relabel(this.#sound, player.muted ? "mute" : "sound", player.muted ? "Sound on" : "Mute");
     this.#loop.ariaPressed = String(player.loop);
     this.#free.ariaPressed = String(orbit.free);
     relabel(
@@ -67,6 +73,9 @@ export class Bar {
       orbit.free ? "free" : "bounded",
       orbit.free ? "Stay inside the viewing region" : "Leave the viewing region",
     );
+    this.#vr.hidden = !headset;
+    this.#vr.ariaPressed = String(player.vr);
+    relabel(this.#vr, "vr", player.vr ? "Leave VR" : "Enter VR");
     relabel(this.#full, full ? "small" : "full", full ? "Leave full screen" : "Full screen");
     write(this.#speed, player.speed === 1 ? "1×" : speedName(player.speed));
     this.#speed.ariaLabel = `Speed: ${speedName(player.speed)}`;
@@ -105,15 +114,19 @@ export class Bar {
   #listen(): void {
     const { desk } = this;
     this.#quality.append(this.#chosen, this.#shown);
+    this.#link.hidden = !desk.linked;
     const click = (button: HTMLElement, run: () => void) =>
       button.addEventListener("click", run, { signal: desk.signal });
-    const menu = (button: HTMLElement, page: Page) => click(button, () => this.menu.toggle(page, button));
+    const menu = (button: HTMLElement, page: Page) => click(button, () => this.openMenu(page, button));
     click(this.play, () => desk.toggle());
     click(this.#live, () => desk.seek(desk.player.duration));
-    click(this.#loop, () => desk.setLoop(!desk.player.loop));
-    click(this.#free, () => desk.setFree(!desk.orbit.free));
+    click(this.#sound, () => desk.toggleSound());
+    click(this.#loop, () => desk.set("loop", !desk.player.loop));
+    click(this.#free, () => desk.set("view-region", desk.orbit.free ? "bounded" : "free"));
     click(this.#home, () => desk.home());
+    click(this.#link, () => desk.copyLink());
     click(this.info, () => desk.toggleInfo());
+    click(this.#vr, () => desk.toggleVr());
     click(this.#full, () => desk.toggleFull());
     menu(this.#speed, "speed");
     menu(this.#quality, "quality");

@@ -8,9 +8,10 @@ import type { Orbit } from "./orbit.ts";
 export type PlayerLike = EventTarget &
   Pick<Player, "open" | "play" | "pause" | "seek" | "close" | "paused" | "ended" | "live" | "loop" | "speed"> &
   Pick<Player, "currentTime" | "duration" | "fps" | "buffered" | "rungs" | "rung" | "quality" | "policy"> &
-  Pick<Player, "region" | "camera" | "stats" | "resize">;
+  Pick<Player, "region" | "camera" | "stats" | "resize" | "vr" | "enterVr" | "leaveVr"> &
+  Pick<Player, "hasSound" | "muted" | "volume">;
 
-export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | "viewAdaptive">;
+export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | "viewAdaptive" | "muted" | "volume">;
 
 /** A part of the time line, in seconds, and the number of its rung. */
 export type Part = Player["buffered"][number];
@@ -18,6 +19,7 @@ export type Part = Player["buffered"][number];
 /** What a player tells. */
 export const EVENTS = [
   "open",
+  "poster",
   "firstpicture",
   "rung",
   "stall",
@@ -25,6 +27,8 @@ export const EVENTS = [
   "time",
   "progress",
   "ended",
+  "vr",
+  "volumechange",
   "pause",
   "play",
   "problem",
@@ -32,7 +36,6 @@ export const EVENTS = [
   "restored",
 ] as const;
 
-/** Everything that a viewer can do, from wherever. */
 export interface Desk {
   readonly player: PlayerLike;
   readonly orbit: Orbit;
@@ -41,9 +44,10 @@ export interface Desk {
   /** The rungs of the package, as they were known a moment ago, and the colour of each. */
   readonly rungs: readonly RungInfo[];
   readonly colours: readonly string[];
-  /** There is a package to play. */
   readonly ready: boolean;
   readonly full: boolean;
+  /** Whether there is a headset to put on. */
+  readonly headset: boolean;
   /** The share of the display's pixels in each direction that is drawn, and how many these are. */
   readonly scale: number;
   readonly picture: readonly [number, number];
@@ -51,14 +55,19 @@ export interface Desk {
   seek(seconds: number): void;
   skip(seconds: number): void;
   frame(count: number): void;
-  home(): void;
+  /** Back to where the viewer began; `first`: to the first place of the region, to begin there again. */
+  home(first?: boolean): void;
+  beginHere(): void;
+  turnOver(): void;
+  /** Whether the address of the page says where to begin, and copies of it can. */
+  readonly linked: boolean;
+  copyLink(): void;
   toggleFull(): void;
+  toggleVr(): void;
   toggleInfo(): void;
-  /** Attributes of the element change with these. */
-  setLoop(loop: boolean): void;
-  setQuality(quality: string): void;
-  setPolicy(policy: string): void;
-  setFree(free: boolean): void;
+  toggleSound(): void;
+  /** Changes an attribute of the element, and with it the player. */
+  set(attribute: "loop" | "quality" | "policy" | "view-region", value: string | boolean): void;
   /** Something has changed: look at everything in the next animation frame. */
   wake(): void;
 }

@@ -1,21 +1,22 @@
 // The element itself: attributes, properties, methods; one view at a time.
 
-import { card } from "./cards.ts";
 import type { PlayerLike, PlayerSettings } from "./desk.ts";
 import { make } from "./dom.ts";
 import STYLE from "./style.css";
-import { lacking, type Trouble, troubleOf } from "./trouble.ts";
+import { card, lacking, type Trouble, troubleOf } from "./trouble.ts";
 import { type Owner, View } from "./view.ts";
 
 /** Workers and servers, which import this with all the rest, have no elements. */
 const Base = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
 
 /** Attributes that properties of the same name reflect: those that are there or not, and texts with their defaults. */
-const FLAGS = ["autoplay", "controls", "loop"] as const;
+const FLAGS = ["autoplay", "controls", "hash", "loop", "muted"] as const;
 const TEXTS = new Map([
+  ["path", ""],
   ["policy", ""],
   ["poster", ""],
   ["quality", "auto"],
+  ["split", ""],
 ]);
 
 /** What the player is asked for, and the answer without one. */
@@ -29,23 +30,23 @@ export abstract class PlayerElement extends Base implements Owner {
   declare readonly duration: number;
   declare autoplay: boolean;
   declare controls: boolean;
+  declare hash: boolean;
   declare loop: boolean;
+  declare muted: boolean;
+  declare path: string;
   declare policy: string;
   declare poster: string;
   declare quality: string;
+  declare split: string;
   readonly #root = this.attachShadow({ mode: "open", delegatesFocus: true });
   #view: View | null = null;
   #end = new AbortController();
+  #volume = 1;
 
   abstract create(canvas: HTMLCanvasElement, settings: PlayerSettings): PlayerLike;
 
-  /** Says what the browser lacks; null: nothing. */
   lacking(): Trouble | null {
     return lacking();
-  }
-
-  get host(): HTMLElement {
-    return this;
   }
 
   connectedCallback(): void {
@@ -58,20 +59,18 @@ export abstract class PlayerElement extends Base implements Owner {
 
   attributeChangedCallback(name: string, before: string | null, now: string | null): void {
     if (!this.isConnected || before === now) return;
-    if (name === "loop") this.#view?.apply({ loop: this.loop });
+    if (name === "loop" || name === "muted") this.#view?.apply({ [name]: this[name] });
     else if (name === "policy") this.#view?.apply(now ? { policy: now } : {});
     else if (name === "quality") this.#view?.apply({ quality: this.quality });
     else if (name === "view-region") this.#view?.apply({ free: this.viewRegion === "free" });
     else this.again();
   }
 
-  /** Start anew with the same source. */
   again(): void {
     this.#stop();
     this.#start();
   }
 
-  /** The player of the source; null without one. */
   get player(): PlayerLike | null {
     return this.#view?.player ?? null;
   }
@@ -84,7 +83,6 @@ export abstract class PlayerElement extends Base implements Owner {
     this.player?.pause();
   }
 
-  /** Go to `seconds` of the time line. */
   seek(seconds: number): void {
     this.player?.seek(seconds);
   }
@@ -95,6 +93,24 @@ export abstract class PlayerElement extends Base implements Owner {
 
   set currentTime(seconds: number) {
     this.seek(seconds);
+  }
+
+  get volume(): number {
+    return this.#volume;
+  }
+
+  set volume(volume: number) {
+    this.#volume = volume;
+    this.#view?.apply({ volume });
+  }
+
+  /** The moment that is shown, as text for an address; setting it goes there. */
+  get at(): string {
+    return this.#view?.at ?? "";
+  }
+
+  set at(text: string) {
+    this.#view?.go(text);
   }
 
   get src(): string {
@@ -121,11 +137,24 @@ export abstract class PlayerElement extends Base implements Owner {
       this.#refuse(trouble);
       return;
     }
-    const { src, autoplay, controls, poster, quality, loop, policy } = this;
+    const { src, autoplay, controls, poster, quality, split, loop, muted, volume, policy, hash: linked } = this;
     const budget = Number(this.getAttribute("budget") ?? Infinity);
     const viewAdaptive = !this.hasAttribute("all-tiles");
-    const settings = { loop, budget, viewAdaptive, ...(policy ? { policy } : {}) };
-    const plan = { src, autoplay, controls, poster, quality, settings, free: this.viewRegion === "free" };
+    const settings = { loop, muted, volume, budget, viewAdaptive, ...(policy ? { policy } : {}) };
+    const free = this.viewRegion === "free";
+    const plan = {
+      src,
+      path: this.path && new URL(this.path, this.baseURI).href,
+      autoplay,
+      controls,
+      poster,
+      quality,
+      split,
+      settings,
+      free,
+      linked,
+      at: linked ? location.hash.slice(1) : "",
+    };
     try {
       this.#view = new View(this, plan, this.#root);
     } catch (error) {
@@ -140,7 +169,6 @@ export abstract class PlayerElement extends Base implements Owner {
     this.#root.replaceChildren();
   }
 
-  /** Nothing can be played here: say why. */
   #refuse(trouble: Trouble): void {
     this.#end = new AbortController();
     const why = card(trouble, () => this.again(), this.#end.signal);

@@ -8,7 +8,6 @@ const WHEEL_LINE = 0.05;
 const WHEEL_PIXEL = 0.0015;
 /** Of a trackpad that is pinched, which browsers report as a wheel with the control key. */
 const WHEEL_PINCH = 0.01;
-/** The most that one turn of a wheel does. */
 const WHEEL_MOST = 0.4;
 /** A tap stays within so many pixels and milliseconds; two make a double tap within DOUBLE_MS. */
 const TAP_PX = 8;
@@ -26,7 +25,6 @@ interface Finger {
 }
 
 export interface GestureEvents {
-  /** The camera has been pushed. */
   moved(): void;
   tap(event: PointerEvent): void;
   doubleTap(event: PointerEvent): void;

@@ -2,7 +2,6 @@
 import type { Desk } from "./desk.ts";
 import type { Push } from "./orbit.ts";
 
-/** Speeds a second while a key is down. */
 const TURN = 1.1;
 const PAN = 0.5;
 const ZOOM = 1.0;
@@ -33,15 +32,19 @@ const COMMANDS: Readonly<Record<string, (desk: Desk) => void>> = {
   ",": (desk) => desk.frame(-1),
   ".": (desk) => desk.frame(1),
   r: (desk) => desk.home(),
-  home: (desk) => desk.home(),
+  home: (desk) => desk.home(true),
+  b: (desk) => desk.beginHere(),
+  o: (desk) => desk.turnOver(),
+  c: (desk) => desk.copyLink(),
   f: (desk) => desk.toggleFull(),
+  m: (desk) => desk.toggleSound(),
   i: (desk) => desk.toggleInfo(),
 };
 
 /** In words, for a help text: what people who cannot see buttons want to know. */
 export const HELP =
-  "Arrow keys turn the view, plus and minus zoom, W A S D move it, R goes back to the first view. " +
-  "Space plays and pauses, J and L skip, comma and period go frame by frame, F is full screen.";
+  "Arrow keys turn the view, plus and minus zoom, W A S D move it, R goes back to where you began, Home to the first view, B begins here, O turns over. " +
+  "Space plays and pauses, J and L skip, comma and period go frame by frame, F is full screen, M mutes.";
 
 /** A control that wants its keys for itself. */
 const own = (target: EventTarget | undefined, key: string): boolean =>

@@ -1,9 +1,9 @@
 // The menu: quality, speed, policy, and what is on or off.
 import type { Desk } from "./desk.ts";
 import { icon, make } from "./dom.ts";
-import { POLICIES, rate, rungTitle } from "./words.ts";
+import { POLICIES, qualityName, rate, rungTitle, speedName } from "./words.ts";
 
-export const SPEEDS = [0.25, 0.5, 0.75, 1, 1.25, 1.5, 2] as const;
+const SPEEDS = [0.25, 0.5, 0.75, 1, 1.25, 1.5, 2] as const;
 export type Page = "settings" | "quality" | "others" | "speed" | "policy";
 
 interface Item {
@@ -21,18 +21,9 @@ interface Item {
   run(): void;
 }
 
-export const speedName = (speed: number): string => (speed === 1 ? "Normal" : `${speed}×`);
-
-/** The quality that is chosen, for buttons: "Auto", or what the rung looks like. */
-export function qualityName(desk: Desk): string {
-  const rung = desk.rungs.find((one) => one.name === desk.player.quality);
-  return rung ? rungTitle(rung) : "Auto";
-}
-
 export class Menu {
   readonly node = make("div", { class: "menu", part: "menu", role: "menu", hidden: true });
   #page: Page | null = null;
-  /** The page that it was opened with. */
   #first: Page = "settings";
   #opener: HTMLElement | null = null;
 
@@ -91,7 +82,6 @@ export class Menu {
     this.desk.wake();
   }
 
-  /** The page that leads to a page. */
   #above(page: Page): Page | null {
     if (page === "policy" || page === "others") return "quality";
     return this.#first === "settings" && page !== "settings" ? "settings" : null;
@@ -110,14 +100,24 @@ export class Menu {
     return [
       { label: "Quality", note: qualityName(this.desk), run: () => this.#show("quality") },
       { label: "Speed", note: speedName(player.speed), run: () => this.#show("speed") },
-      this.#toggle("Loop", player.loop, (on) => this.desk.setLoop(on)),
-      this.#toggle("Leave the viewing region", orbit.free, (on) => this.desk.setFree(on)),
-      { label: "Back to the first view", note: "R", ends: true, run: () => this.#done(() => this.desk.home()) },
+      this.#toggle("Loop", player.loop, (on) => this.desk.set("loop", on)),
+      this.#toggle("Leave the viewing region", orbit.free, (on) =>
+        this.desk.set("view-region", on ? "free" : "bounded"),
+      ),
+      this.#action("Turn over", "O", () => this.desk.turnOver()),
+      this.#action("Begin here", "B", () => this.desk.beginHere()),
+      this.#action("Back to where you began", "R", () => this.desk.home()),
+      this.#action("Back to the first view of the scene", "Home", () => this.desk.home(true)),
+      ...(this.desk.linked ? [this.#action("Copy a link to this view", "C", () => this.desk.copyLink())] : []),
     ];
   }
 
   #toggle(label: string, checked: boolean, change: (on: boolean) => void): Item {
     return { label, checked, kind: "checkbox", run: () => this.#done(() => change(!checked)) };
+  }
+
+  #action(label: string, note: string, run: () => void): Item {
+    return { label, note, ends: true, run: () => this.#done(run) };
   }
 
   #qualities(): Item[] {
@@ -155,7 +155,7 @@ export class Menu {
   }
 
   #pick(quality: string): () => void {
-    return () => this.#done(() => this.desk.setQuality(quality));
+    return () => this.#done(() => this.desk.set("quality", quality));
   }
 
   #policies(): Item[] {
@@ -163,7 +163,7 @@ export class Menu {
     return [...POLICIES].map(([name, label]) => ({
       label,
       checked: player.policy === name,
-      run: () => this.#done(() => this.desk.setPolicy(name)),
+      run: () => this.#done(() => this.desk.set("policy", name)),
     }));
   }
 

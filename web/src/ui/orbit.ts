@@ -1,5 +1,5 @@
 // A camera that goes round what is looked at, without any page: gestures and keys push it, `step` lets time go by.
-import { firstPlace, keepInside, upright } from "../format/region.ts";
+import { keepInside, upright } from "../format/region.ts";
 import type { Place, Region } from "../format/types.ts";
 import {
   along,
@@ -9,12 +9,15 @@ import {
   dot,
   length,
   minus,
+  scaled,
   turned,
   unit,
   type Vector,
   vector,
 } from "../format/vector.ts";
+import type { CameraPath } from "../play/keyframes.ts";
 import type { ViewState } from "../play/sight.ts";
+import type { Stance } from "./address.ts";
 
 /** From where, and in what direction (length 1). */
 interface Pose {
@@ -46,10 +49,11 @@ const NEAREST = 0.02;
 const FARTHEST = 20;
 /** Wider than this, the picture is distorted: degrees. */
 const WIDEST = 100;
-/** Where nothing says where to look from. */
 const NOWHERE: Place = { position: [0, 0, -4], focus: [0, 0, 0], up: [0, -1, 0], reach: 0 };
 const FOV_Y = 50;
 const NEAR = 0.01;
+
+const firstOf = ({ position, focus }: Place): Stance => ({ position: vector(position), focus: vector(focus) });
 
 /** A camera about the focus of the nearest place of a region. */
 export class Orbit {
@@ -63,37 +67,83 @@ export class Orbit {
   strain = 0;
   #place: Place = NOWHERE;
   #pose: Pose = { position: [0, 0, -4], forward: [0, 0, 1] };
-  readonly #up: Vector;
+  #up: Vector = vector(NOWHERE.up);
   readonly #first: Place;
+  /** What the region says is up, and where viewers begin. */
+  readonly #upright: Vector;
+  #start: Stance;
   #pan: Vector = [0, 0, 0];
   readonly #speed: Required<Push> = { right: 0, up: 0, panRight: 0, panUp: 0, nearer: 0 };
   #drive: Push = {};
   #glide: { from: Pose; left: number } | null = null;
+  /** Degrees from bottom to top, in the place of the region's. */
+  #lens: number | null = null;
+  #way: { path: CameraPath; seconds: number } | null = null;
 
   constructor(readonly region: Region | null = null) {
-    this.#first = region ? firstPlace(region) : NOWHERE;
-    this.#up = region ? upright(region) : [0, -1, 0];
-    this.reset(false);
+    this.#first = region ? region.places[0]! : NOWHERE;
+    this.#upright = region ? upright(region) : vector(NOWHERE.up);
+    this.#start = firstOf(this.#first);
+    this.#stand(this.#start);
   }
 
-  /** Back to the place that viewers begin at. */
-  reset(gliding = true): void {
-    if (gliding) this.#startGlide();
-    this.#place = this.#first;
-    const position = vector(this.#place.position);
-    this.#pose = { position, forward: unit(minus(vector(this.#place.focus), position)) };
-    this.#pan = [0, 0, 0];
-    this.stop();
+  /** Back to where the viewer began. */
+  reset(): void {
+    this.#way = null;
+    this.#startGlide();
+    this.#stand(this.#start);
+  }
+
+  /** From now on, the viewer begins somewhere else, or (null) at the first place of the region; he goes there. */
+  begin(stance: Stance | null): void {
+    this.#start = stance ?? firstOf(this.#first);
+    this.reset();
+  }
+
+  /** Go along a path that is read, given what is up and a field of view, until somebody takes the camera. */
+  follow(read: (up: Vector, fovY: number) => CameraPath): void {
+    this.#way = { path: read(this.#upright, this.region?.fov_y ?? FOV_Y), seconds: 0 };
+    this.#goOn(0);
+  }
+
+  #goOn(seconds: number): void {
+    const way = this.#way!;
+    way.seconds += seconds;
+    const view = way.path.at(way.seconds);
+    const [position, focus, up] = [0, 3, 6].map((i) => vector(view.slice(i))) as [Vector, Vector, Vector];
+    this.#stand({ position, focus, up: unit(up) });
+    this.#lens = view[9];
+  }
+
+  /** What was up is down. */
+  turnOver(): void {
+    this.#way = null;
+    this.#up = scaled(this.#up, -1);
+  }
+
+  /** Where the viewer is, or goes to. */
+  get stance(): Stance {
+    const { position, forward } = this.#pose;
+    const focus = along(position, forward, length(minus(this.#pivot, position)));
+    return length(minus(this.#up, this.#upright)) > 0 ? { position, focus, up: this.#up } : { position, focus };
+  }
+
+  #stand(stance: Stance): void {
+    const { position, focus, up } = stance;
+    this.#pose = { position, forward: unit(minus(focus, position)) };
+    this.#place = this.region ? placeOf(this.region, this.#pose) : NOWHERE;
+    this.#pan = minus(focus, this.#place.focus);
+    this.#up = up ?? this.#upright;
+    this.#lens = null;
+    this.#halt();
     this.strain = 0;
   }
 
-  /** Let viewers leave, or bring them back gently. */
   setFree(free: boolean): void {
     if (this.free !== free) this.#startGlide();
     this.free = free;
   }
 
-  /** Whether it goes on by itself. */
   get moving(): boolean {
     return this.#glide !== null || NAMES.some((name) => this.#speed[name] !== 0);
   }
@@ -108,12 +158,16 @@ export class Orbit {
     );
   }
 
-  /** No motion any more. */
+  /** In the viewer's hands: it stands still. */
   stop(): void {
+    this.#way = null;
+    this.#halt();
+  }
+
+  #halt(): void {
     for (const name of NAMES) this.#speed[name] = 0;
   }
 
-  /** Move at once. */
   move(push: Push): void {
     if (push.right || push.up) this.#turn(push.right ?? 0, push.up ?? 0);
     if (push.panRight || push.panUp) this.#shift(push.panRight ?? 0, push.panUp ?? 0);
@@ -121,8 +175,8 @@ export class Orbit {
     this.#follow();
   }
 
-  /** Move as far, smoothly. */
   nudge(push: Push): void {
+    this.#way = null;
     for (const name of NAMES) this.#speed[name] += (push[name] ?? 0) / this.#rest;
   }
 
@@ -134,11 +188,16 @@ export class Orbit {
   /** Go at a speed a second as long as it is driven, by keys that are held down. */
   drive(speed: Push): void {
     this.#drive = speed;
+    if (Object.keys(speed).length > 0) this.#way = null;
     for (const name of NAMES) if (speed[name]) this.#speed[name] = speed[name]!;
   }
 
-  /** Let `seconds` go by. True: the view has changed. */
-  step(seconds: number): boolean {
+  /** Let `seconds` go by, and `played` seconds of the scene. True: the view has changed. */
+  step(seconds: number, played = 0): boolean {
+    if (this.#way) {
+      this.#goOn(this.reduced ? 0 : played);
+      return played > 0;
+    }
     let moved = this.#advance(seconds);
     if (!this.held && this.#ease(seconds)) moved = true;
     if (this.#glide) {
@@ -149,9 +208,7 @@ export class Orbit {
     return moved;
   }
 
-  /** The view in a picture of width / height `aspect`: at least as much to each side as in the pictures that the
-   * package was judged by.
-   */
+  /** The view in a picture of an aspect: at least as wide and high as what the package was judged by. */
   view(aspect: number): ViewState {
     const { position, forward } = this.pose();
     const right = unit(cross(forward, this.#up), [1, 0, 0]);
@@ -164,7 +221,6 @@ export class Orbit {
     };
   }
 
-  /** From where it is looked, in what direction. */
   pose(): Pose {
     const pose = this.region && !this.free ? softened(this.region, this.#pose) : { ...this.#pose, strain: 0 };
     this.strain = pose.strain;
@@ -193,7 +249,8 @@ export class Orbit {
   }
 
   #fov(aspect: number): number {
-    const { fov_y: fov, width, height } = this.region ?? { fov_y: FOV_Y, width: 16, height: 9 };
+    const { fov_y, width, height } = this.region ?? { fov_y: FOV_Y, width: 16, height: 9 };
+    const fov = this.#lens ?? fov_y;
     const judged = width / height;
     if (aspect >= judged) return fov;
     const wide = (2 * Math.atan((Math.tan((fov * Math.PI) / 360) * judged) / aspect) * 180) / Math.PI;
@@ -254,7 +311,6 @@ export class Orbit {
     return moved;
   }
 
-  /** Slide back into the region. */
   #ease(seconds: number): boolean {
     if (!this.region || this.free) return false;
     const { position, forward } = this.#pose;

@@ -1,19 +1,21 @@
-// The panel of figures, for those who want to know.
-
+// The panel of figures, for those who want to know, with the last minute in a small picture.
 import type { RungInfo } from "../play/rungs.ts";
 import type { PlayerStats } from "../play/statistics.ts";
 import { ranked, stripes } from "./colours.ts";
 import type { Desk } from "./desk.ts";
 import { iconButton, make, write } from "./dom.ts";
-import { History } from "./graph.ts";
 import { decibels, rate, rungTitle, SOURCES, size } from "./words.ts";
 
 /** In words: how exactly this browser decodes (the player refuses to play where it does not). */
 const LUMA = { exact: "exact", invertible: "exact, by a table" } as const;
 
+/** In words: what drops frames. */
+const BY = { display: "this screen drops frames", decoder: "decoding is too slow" } as const;
+
 /** What is shown: its label, and its text; null: not at all. */
 const ROWS: readonly (readonly [string, (desk: Desk, stats: PlayerStats) => string | null])[] = [
   ["Quality", ({ rungs }, { rung }) => nameOf(rungs[rung ?? -1])],
+  ["Held", ({ rungs }, { held }) => held && `at ${rungs[held.rung]?.name}: ${BY[held.by]}`],
   ["PSNR claimed", (_, { psnr }) => decibels(psnr)],
   ["Throughput", (_, { throughputBps }) => rate(throughputBps)],
   ["Buffer", (_, { bufferS }) => `${bufferS.toFixed(1)} s`],
@@ -23,7 +25,11 @@ const ROWS: readonly (readonly [string, (desk: Desk, stats: PlayerStats) => stri
     "Frames shown",
     (_, { framesShown, displayFps: fps }) => `${framesShown} (${fps.toFixed(fps < 10 ? 1 : 0)} pictures/s)`,
   ],
-  ["Frames dropped", (_, { framesShown, framesDropped }) => shareOf(framesDropped, framesShown + framesDropped)],
+  [
+    "Frames dropped",
+    (_, { framesShown, framesDropped: all, droppedByDecoder: some }) =>
+      `${shareOf(all, framesShown + all)}${some ? `, ${some} by the decoder` : ""}`,
+  ],
   ["Stalls", (_, { stalls, stallS }) => (stalls ? `${stalls} (${stallS.toFixed(1)} s)` : "none")],
   ["Drawn at", ({ picture, scale }) => `${picture.join(" × ")}${scale < 1 ? ` (${Math.round(100 * scale)} %)` : ""}`],
   ["Decoding", (_, { luma }) => (luma ? LUMA[luma] : "–")],
@@ -38,7 +44,6 @@ export class Panel {
   readonly close = iconButton("close", "Close");
   readonly #cells = ROWS.map(() => make("dd"));
   readonly #history: History;
-  /** Those that the legend shows. */
   #rungs: readonly RungInfo[] = [];
   readonly #legend = make("div", { class: "legend" });
 
@@ -85,5 +90,74 @@ export class Panel {
     const parts = rungs.map((rung, i) => ({ start: i, stop: i + 1, colour: colours[rung] }));
     const scale = make("i", { style: `background: ${stripes(parts, rungs.length)}` });
     this.#legend.replaceChildren(rungTitle(all[rungs[0]]), scale, rungTitle(all[rungs.at(-1)!]));
+  }
+}
+
+const SHOWN_MS = 60_000;
+const HEIGHT = 76;
+const STRIP = 5;
+const TOP = 16;
+const FLOOR = HEIGHT - STRIP - 3;
+
+interface Sample {
+  readonly at: number;
+  readonly bps: number;
+  readonly bufferS: number;
+  readonly rung: number | null;
+}
+
+/** The last minute: throughput as an area, the buffer as a line, the rung as a coloured strip below. */
+class History {
+  readonly node: HTMLElement;
+  readonly #canvas = make("canvas", { "aria-hidden": "true" });
+  readonly #words = make("figcaption");
+  #samples: Sample[] = [];
+
+  constructor(readonly desk: Desk) {
+    this.node = make("figure", { class: "graph" }, this.#canvas, this.#words);
+  }
+
+  sample(): void {
+    const { throughputBps, bufferS, rung } = this.desk.player.stats;
+    const at = performance.now();
+    this.#samples.push({ at, bps: throughputBps || 0, bufferS, rung });
+    while (at - this.#samples[0].at > SHOWN_MS) this.#samples.shift();
+  }
+
+  draw(): void {
+    const width = this.#canvas.clientWidth;
+    const ratio = window.devicePixelRatio;
+    const pen = this.#canvas.getContext("2d");
+    if (!pen || width === 0) return;
+    const size = { width: Math.round(width * ratio), height: Math.round(HEIGHT * ratio) };
+    if (this.#canvas.width !== size.width || this.#canvas.height !== size.height) Object.assign(this.#canvas, size);
+    pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+    pen.clearRect(0, 0, width, HEIGHT);
+    const samples = this.#samples;
+    const now = performance.now();
+    const x = ({ at }: Sample) => width - ((now - at) / SHOWN_MS) * width;
+    const most = (name: "bps" | "bufferS") => Math.max(1, ...samples.map((one) => one[name]));
+    const path = (name: "bps" | "bufferS") => {
+      const highest = most(name);
+      pen.beginPath();
+      for (const sample of samples) pen.lineTo(x(sample), FLOOR - (sample[name] / highest) * (FLOOR - TOP));
+    };
+    path("bps");
+    pen.lineTo(width, FLOOR);
+    if (samples.length) pen.lineTo(x(samples[0]), FLOOR);
+    pen.fillStyle = "#ffffff2e";
+    pen.fill();
+    path("bufferS");
+    Object.assign(pen, { strokeStyle: "#8ecbff", lineWidth: 1.5, lineJoin: "round" });
+    pen.stroke();
+    samples.forEach((sample, i) => {
+      if (sample.rung === null) return;
+      const next = samples[i + 1];
+      const from = x(sample);
+      pen.fillStyle = this.desk.colours[sample.rung] ?? "#fff";
+      pen.fillRect(from, HEIGHT - STRIP, (next ? x(next) : width) - from + 0.5, STRIP);
+    });
+    const upTo = `throughput up to ${rate(most("bps"))}, buffer up to ${most("bufferS").toFixed(1)} s`;
+    write(this.#words, `Last minute: ${upTo}`);
   }
 }

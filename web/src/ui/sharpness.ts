@@ -106,9 +106,7 @@ class Pace {
     this.#playing = 0;
   }
 
-  /** An animation frame: whether it has something new to draw, and whether time passes for the player. Ten times a
-   * second, the milliseconds from one picture to the next; else null.
-   */
+  /** An animation frame. Ten times a second, the milliseconds from one picture to the next; else null. */
   tick(now: number, moves: boolean, plays: boolean, player: PlayerLike): number | null {
     this.#moving = since(this.#moving, now, moves);
     this.#playing = since(this.#playing, now, plays);
@@ -132,23 +130,12 @@ class Pace {
 /** So long after the last motion, all pixels are drawn, however slowly. */
 const SHARPEN_MS = 250;
 
-/** What goes on in an animation frame. */
-export interface Motion {
-  /** Another frame follows. */
-  readonly goesOn: boolean;
-  /** The camera has moved. */
-  readonly moved: boolean;
-  /** Time passes for the player, which has what it needs. */
-  readonly plays: boolean;
-}
-
 export class Sharpness {
   readonly #chooser = new ScaleChooser();
   readonly #pace = new Pace();
   #still = false;
   #timer = 0;
 
-  /** `changed` is called when there is another scale. */
   constructor(readonly changed: () => void) {}
 
   /** The share of the display's pixels in each direction that is to be drawn. */
@@ -156,8 +143,9 @@ export class Sharpness {
     return this.#still ? 1 : this.#chooser.scale;
   }
 
-  /** An animation frame. */
-  tick(now: number, { goesOn, moved, plays }: Motion, player: PlayerLike): void {
+  /** An animation frame: whether another follows, the camera has moved, and time passes for the player. */
+  tick(now: number, is: { goesOn: boolean; moved: boolean; plays: boolean }, player: PlayerLike): void {
+    const { goesOn, moved, plays } = is;
     const ms = goesOn ? this.#pace.tick(now, moved, plays, player) : this.#pace.rest();
     if (ms && this.#chooser.add(ms)) {
       this.#pace.rest();
@@ -170,7 +158,6 @@ export class Sharpness {
     window.clearTimeout(this.#timer);
   }
 
-  /** Nothing moves, or something does again. */
   #turn(still: boolean): void {
     window.clearTimeout(this.#timer);
     if (still === this.#still || this.#chooser.scale === 1) return;

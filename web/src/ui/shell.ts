@@ -1,15 +1,24 @@
 // Everything that is on top of the picture, put together: it shows what the player says and hides when nobody needs it.
 import { Bar } from "./bar.ts";
-import { card, Notes } from "./cards.ts";
 import type { Desk } from "./desk.ts";
-import { icon, make } from "./dom.ts";
+import { icon, make, write } from "./dom.ts";
 import { HELP } from "./keys.ts";
-import { Menu } from "./menu.ts";
-import { Panel } from "./panel.ts";
+import type { Menu } from "./menu.ts";
+import { loadMore, type More } from "./more.ts";
+import type { Panel } from "./panel.ts";
 import STYLE from "./style.css";
-import type { Trouble } from "./trouble.ts";
+import { card, type Trouble } from "./trouble.ts";
 
 const HIDE_MS = 2800;
+const MISSING_MS = 7000;
+const MISSING = "This part of the player cannot be fetched now.";
+
+/** What is loaded later than the rest. */
+export interface Parts {
+  readonly menu: Menu;
+  readonly panel: Panel;
+  readonly Split: More["Split"];
+}
 
 export interface Looks {
   readonly controls: boolean;
@@ -17,7 +26,6 @@ export interface Looks {
   readonly src: string;
 }
 
-/** The name that people give a package: the last part of its address. */
 function nameOf(src: string): string {
   const last = new URL(src).pathname.split("/").filter(Boolean).pop() ?? "";
   try {
@@ -33,32 +41,27 @@ export class Shell {
   /** What is dragged and has the keyboard. */
   readonly scene: HTMLElement;
   readonly notes = new Notes();
-  readonly menu: Menu;
-  readonly panel: Panel;
   readonly bar: Bar;
+  #parts: Parts | null = null;
   readonly #poster = make("div", { class: "poster", part: "poster" });
   readonly #big = make("button", { type: "button", class: "big", "aria-label": "Play" }, icon("play"));
   readonly #edge = make("div", { class: "edge" });
   #timer = 0;
-  /** There is no picture yet. */
   #blank = true;
 
   constructor(
     readonly desk: Desk,
-    looks: Looks,
+    readonly looks: Looks,
     root: ShadowRoot,
   ) {
-    this.menu = new Menu(desk);
-    this.panel = new Panel(desk);
-    this.bar = new Bar(desk, this.menu);
+    this.bar = new Bar(desk, (page, opener) => this.use(({ menu }) => menu.toggle(page, opener)));
     const help = make("span", { id: "help", hidden: true }, HELP);
     const view = { role: "application", "aria-label": "3D view", "aria-roledescription": "3D view" };
     this.scene = make("div", { class: "scene", tabindex: 0, "aria-describedby": "help", ...view }, this.canvas, help);
-    if (looks.poster)
-      this.#poster.style.background = `#000 url(${JSON.stringify(looks.poster)}) center / contain no-repeat`;
+    if (looks.poster) this.#dress(looks.poster);
     else this.#poster.append(nameOf(looks.src));
     const spinner = make("div", { class: "spinner", role: "progressbar", "aria-label": "Loading" });
-    const above = looks.controls ? [this.#big, this.bar.node, this.panel.node, this.menu.node] : [];
+    const above = looks.controls ? [this.#big, this.bar.node] : [];
     this.frame = make(
       "div",
       { class: "frame waiting fresh" },
@@ -77,11 +80,40 @@ export class Shell {
     const { player } = this.desk;
     this.frame.classList.toggle(
       "fresh",
-      !this.desk.ready || (player.paused && player.currentTime === 0 && !this.panel.open),
+      !this.desk.ready || (player.paused && player.currentTime === 0 && !this.#parts?.panel.open),
     );
     this.bar.update();
-    this.bar.info.ariaPressed = String(this.panel.open);
-    this.panel.update();
+    this.bar.info.ariaPressed = String(!!this.#parts?.panel.open);
+    this.#parts?.panel.update();
+  }
+
+  /** Does something with the menu or the panel of figures, as soon as they are there. */
+  async use(act: (parts: Parts) => void): Promise<void> {
+    if (this.#parts) return act(this.#parts);
+    const more = await loadMore().catch(() => null);
+    if (this.desk.signal.aborted) return;
+    if (!more) return this.notes.show("more", MISSING, MISSING_MS);
+    this.#parts ??= this.#add(more);
+    act(this.#parts);
+  }
+
+  #add({ Menu, Panel, Split, STYLE }: More): Parts {
+    const [menu, panel] = [new Menu(this.desk), new Panel(this.desk)];
+    const on = { signal: this.desk.signal };
+    this.frame.append(make("style", {}, STYLE));
+    if (this.looks.controls) this.frame.append(panel.node, menu.node);
+    panel.close.addEventListener("click", () => this.desk.toggleInfo(), on);
+    this.scene.addEventListener("pointerdown", () => menu.close(), on);
+    panel.node.addEventListener(
+      "keydown",
+      (event) => {
+        if (event.key !== "Escape") return;
+        this.desk.toggleInfo();
+        this.bar.info.focus();
+      },
+      on,
+    );
+    return { menu, panel, Split };
   }
 
   /** How far a viewer pulls at the wall, 0 … 1. */
@@ -93,9 +125,21 @@ export class Shell {
     return this.frame.classList.contains("waiting");
   }
 
-  /** The spinner, after a while. */
   set waiting(waiting: boolean) {
     this.frame.classList.toggle("waiting", waiting || this.#blank);
+  }
+
+  /** The poster of the package, in place of its name. */
+  showPoster(poster: Blob): void {
+    if (!this.#blank || this.#poster.style.background) return;
+    const url = URL.createObjectURL(poster);
+    this.desk.signal.addEventListener("abort", () => URL.revokeObjectURL(url));
+    this.#dress(url);
+  }
+
+  #dress(url: string): void {
+    this.#poster.replaceChildren();
+    this.#poster.style.background = `#000 url(${JSON.stringify(url)}) center / contain no-repeat`;
   }
 
   showPicture(): void {
@@ -103,9 +147,9 @@ export class Shell {
     this.#blank = false;
     this.waiting = false;
     this.stir();
+    if (this.looks.controls) this.use(() => {});
   }
 
-  /** Nothing can be played: say why. */
   showTrouble(trouble: Trouble, again: () => void): void {
     this.#blank = false;
     this.waiting = false;
@@ -136,9 +180,8 @@ export class Shell {
     this.notes.close();
   }
 
-  /** Hide the controls, unless somebody uses them. */
   #hide(): void {
-    const busy = this.menu.open || this.bar.timeline.scrubbing || this.bar.node.querySelector(":focus-visible");
+    const busy = this.#parts?.menu.open || this.bar.timeline.scrubbing || this.bar.node.querySelector(":focus-visible");
     if (this.desk.player.paused || busy) this.stir();
     else this.frame.classList.add("idle");
   }
@@ -155,26 +198,12 @@ export class Shell {
       this.frame.addEventListener(name, stir, on);
     this.frame.addEventListener("pointerleave", () => this.#hide(), on);
     this.#big.addEventListener("click", () => this.desk.toggle(), on);
-    this.panel.close.addEventListener("click", () => this.desk.toggleInfo(), on);
-    this.scene.addEventListener("pointerdown", () => this.menu.close(), on);
-    this.panel.node.addEventListener(
-      "keydown",
-      (event) => {
-        if (event.key !== "Escape") return;
-        this.desk.toggleInfo();
-        this.bar.info.focus();
-      },
-      on,
-    );
   }
 }
 
-/** The attribute of an element that fills the window. */
 const FILLS = "fills-window";
 
-/** Full screen; where a browser has none for elements (iPhone), the element fills the window instead. Browsers with
- * WebCodecs need no prefixes.
- */
+/** Full screen; where a browser has none for elements (iPhone), the element fills the window instead. */
 export class FullScreen {
   #overflow = "";
 
@@ -205,5 +234,42 @@ export class FullScreen {
     const { style } = document.documentElement;
     if (fills) this.#overflow = style.overflow;
     style.overflow = fills ? "hidden" : this.#overflow;
+  }
+}
+
+/** Notes above the controls, each with a name: a new one takes the place of the old. */
+class Notes {
+  readonly node = make("div", { class: "notes", role: "status", "aria-live": "polite" });
+  readonly #timers = new Map<string, number>();
+
+  /** `ms`: gone after that time; without: when it is taken back. */
+  show(name: string, text: string, ms?: number): void {
+    const old = this.#find(name);
+    if (old) write(old, text);
+    else this.node.append(make("div", { class: "note", "data-name": name }, text));
+    this.#hideIn(name, ms);
+  }
+
+  hide(name: string, ms = 0): void {
+    if (ms > 0) {
+      if (this.#find(name) && !this.#timers.has(name)) this.#hideIn(name, ms);
+      return;
+    }
+    this.#hideIn(name);
+    this.#find(name)?.remove();
+  }
+
+  #hideIn(name: string, ms?: number): void {
+    window.clearTimeout(this.#timers.get(name));
+    this.#timers.delete(name);
+    if (ms !== undefined) this.#timers.set(name, window.setTimeout(this.hide.bind(this), ms, name));
+  }
+
+  close(): void {
+    for (const name of [...this.#timers.keys()]) this.hide(name);
+  }
+
+  #find(name: string): HTMLElement | null {
+    return this.node.querySelector(`[data-name="${name}"]`);
   }
 }

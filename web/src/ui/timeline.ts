@@ -18,7 +18,6 @@ export class Timeline {
   readonly #tip = make("div", { class: "tip", "aria-hidden": "true" });
   /** What was on the screen, in which rung: a player may forget it. */
   #seen: Part[] = [];
-  /** Where the pointer drags to; null: nowhere. */
   #dragged: number | null = null;
   #sought = 0;
   #painted = "";
@@ -44,7 +43,6 @@ export class Timeline {
     return this.#dragged !== null;
   }
 
-  /** Where the thumb is, seconds. */
   get time(): number {
     return this.#dragged ?? this.desk.player.currentTime;
   }

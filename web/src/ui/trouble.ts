@@ -1,7 +1,6 @@
 // What went wrong, in words for people: what it means and what they can do.
-import type { Reason } from "../format/errors.ts";
-import { FormatError } from "../format/errors.ts";
-import type { IconName } from "./dom.ts";
+import { FormatError, type Reason } from "../format/errors.ts";
+import { type IconName, icon, make, write } from "./dom.ts";
 
 export interface Trouble {
   readonly icon: IconName;
@@ -9,7 +8,6 @@ export interface Trouble {
   readonly text: string;
   /** For those who are asked for help. */
   readonly details: string;
-  /** Trying again may help. */
   readonly again: boolean;
 }
 
@@ -22,20 +20,13 @@ const UNDRAWN = {
   title: "This browser cannot draw it",
   text: "It lacks WebGL 2, or hardware acceleration is switched off in its settings.",
 } as const;
-const REASONS: Readonly<Record<Reason, string>> = {
+const REASONS: Readonly<Partial<Record<Reason, string>>> = {
   not_json: "is not a table. The address may lead to something else than a package.",
   too_large: "is larger than any player may accept.",
   unknown_version: "is of another version of the format than this player knows.",
-  unknown_field: BROKEN,
-  missing_field: BROKEN,
-  wrong_type: BROKEN,
-  bad_value: BROKEN,
-  missing_entry: BROKEN,
   missing_file: "is missing.",
   size_mismatch: DAMAGED,
   hash_mismatch: DAMAGED,
-  bad_sidecar: BROKEN,
-  count_mismatch: BROKEN,
   bad_picture: "holds pictures that cannot be decoded.",
 };
 
@@ -66,7 +57,6 @@ export function lacking(): Trouble | null {
   return null;
 }
 
-/** An error of a player in words. */
 export function troubleOf(error: unknown, src: string): Trouble {
   const name = error instanceof Error ? error.name : "Error";
   const message = error instanceof Error ? error.message : String(error);
@@ -77,7 +67,7 @@ export function troubleOf(error: unknown, src: string): Trouble {
     return {
       icon: "file",
       title: newer ? "Made for another player" : nothing ? "No package is there" : "This package cannot be played",
-      text: `${error.where} ${REASONS[error.reason]}${nothing ? " Look at the address." : ""}`,
+      text: `${error.where} ${REASONS[error.reason] ?? BROKEN}${nothing ? " Look at the address." : ""}`,
       details,
       again: error.reason === "missing_file" || REASONS[error.reason] === DAMAGED,
     };
@@ -106,4 +96,37 @@ export function troubleOf(error: unknown, src: string): Trouble {
   }
   if (/\bWebGL2\b/.test(message)) return { ...UNDRAWN, details, again: true };
   return { icon: "warn", title: "Something went wrong", text: message, details, again: true };
+}
+
+const COPIED_MS = 2000;
+
+/** A card with a trouble; `again` is called when people want to try again. */
+export function card(trouble: Trouble, again: () => void, signal: AbortSignal): HTMLElement {
+  const copy = make("button", { type: "button" }, "Copy details");
+  const buttons = make("div", { class: "buttons" }, copy);
+  copy.addEventListener("click", () => copyText(copy, trouble.details), { signal });
+  if (trouble.again) {
+    const retry = make("button", { type: "button", class: "main" }, "Try again");
+    retry.addEventListener("click", again, { signal });
+    buttons.prepend(retry);
+  }
+  return make(
+    "div",
+    { class: "card", part: "card", role: "alert" },
+    icon(trouble.icon),
+    make("h2", {}, trouble.title),
+    make("p", {}, trouble.text),
+    buttons,
+  );
+}
+
+async function copyText(button: HTMLButtonElement, text: string): Promise<void> {
+  try {
+    await navigator.clipboard.writeText(text);
+    write(button, "Copied");
+    window.setTimeout(() => write(button, "Copy details"), COPIED_MS);
+  } catch {
+    // Not allowed, or no clipboard: then people can select it.
+    button.replaceWith(make("pre", { tabindex: 0 }, text));
+  }
 }

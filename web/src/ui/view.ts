@@ -2,14 +2,16 @@
 
 import type { Problem } from "../play/playback.ts";
 import type { RungInfo } from "../play/rungs.ts";
+import { type Moment, readAddress, writeAddress } from "./address.ts";
 import { rungColours } from "./colours.ts";
-import type { Desk } from "./desk.ts";
-import { EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
+import { type Desk, EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
 import { Gestures } from "./gestures.ts";
 import { listenToKeys } from "./keys.ts";
+import { loadPath } from "./more.ts";
 import { Orbit } from "./orbit.ts";
 import { pictureSize, Sharpness } from "./sharpness.ts";
-import { FullScreen, type Looks, Shell } from "./shell.ts";
+import { FullScreen, type Looks, type Parts, Shell } from "./shell.ts";
+import type { Split } from "./split.ts";
 import { troubleOf } from "./trouble.ts";
 
 const UPDATE_MS = 250;
@@ -28,19 +30,28 @@ const LOST = "The graphics card has been taken away. Waiting for it …";
 const READ_MS = 2500;
 const OUTSIDE = "Outside the viewing region: no quality is promised here.";
 
-/** What a view is made of: the attributes of the element. */
+/** A function that throws it, where somebody can tell of it. */
+const thrown = (error: Error) => () => {
+  throw error;
+};
+
 export interface Plan extends Looks {
   readonly autoplay: boolean;
   readonly free: boolean;
   readonly quality: string;
+  /** Whether the address of the page is read, and offered. */
+  readonly linked: boolean;
+  /** What it says. */
+  readonly at: string;
   readonly settings: PlayerSettings;
+  /** A rung that is shown beside the one that plays; "": none. */
+  readonly split: string;
+  /** The address of a camera path; "": none. */
+  readonly path: string;
 }
 
-/** The element, as a view knows it. */
-export interface Owner {
-  readonly host: HTMLElement;
+export interface Owner extends HTMLElement {
   create(canvas: HTMLCanvasElement, settings: PlayerSettings): PlayerLike;
-  /** Start anew with the same source. */
   again(): void;
 }
 
@@ -50,13 +61,17 @@ export class View implements Desk {
   rungs: readonly RungInfo[] = [];
   colours: readonly string[] = [];
   ready = false;
+  headset = false;
   picture: readonly [number, number] = [1, 1];
   readonly #end = new AbortController();
   readonly #shell: Shell;
   readonly #full: FullScreen;
   readonly #sharpness = new Sharpness(() => this.#resize());
   readonly #still = window.matchMedia("(prefers-reduced-motion: reduce)");
-  readonly #watch = new ResizeObserver(([entry]) => this.#resized(entry.contentRect));
+  readonly #watch = new ResizeObserver(([{ contentRect }]) => {
+    this.#area = { width: contentRect.width, height: contentRect.height };
+    this.#resize();
+  });
   #area = { width: 0, height: 0 };
   #request = 0;
   /** When the last animation frame was; 0: the one before was long ago. */
@@ -64,6 +79,7 @@ export class View implements Desk {
   #updated = 0;
   #listed = 0;
   #click = 0;
+  #split: Split | null = null;
 
   constructor(
     readonly owner: Owner,
@@ -72,10 +88,11 @@ export class View implements Desk {
   ) {
     this.#shell = new Shell(this, plan, root);
     this.player = owner.create(this.#shell.canvas, plan.settings);
-    this.#full = new FullScreen(owner.host, () => this.wake(), this.signal);
+    this.#full = new FullScreen(owner, () => this.wake(), this.signal);
     this.#listen();
     this.#watch.observe(this.#shell.frame);
     this.#shell.stir();
+    this.#seekHeadset();
     this.#open();
   }
 
@@ -98,6 +115,7 @@ export class View implements Desk {
     window.clearTimeout(this.#click);
     this.#sharpness.close();
     this.#shell.close();
+    this.#split?.close();
     this.player.close();
   }
 
@@ -126,45 +144,97 @@ export class View implements Desk {
     this.seek(this.player.currentTime + count / this.player.fps);
   }
 
-  home(): void {
-    this.orbit.reset();
+  home(first = false): void {
+    if (first) this.orbit.begin(null);
+    else this.orbit.reset();
     this.wake();
+  }
+
+  beginHere(): void {
+    this.orbit.begin(this.orbit.stance);
+    this.#say("begin", "The view begins here now.");
+  }
+
+  turnOver(): void {
+    this.orbit.turnOver();
+    this.#look();
+  }
+
+  get linked(): boolean {
+    return this.plan.linked;
+  }
+
+  /** The moment that is shown, as text. */
+  get at(): string {
+    const { player, orbit } = this;
+    const { currentTime: t, quality, speed } = player;
+    const [rung, other] = [quality === "auto" ? {} : { rung: quality }, speed === 1 ? {} : { speed }];
+    return this.ready ? writeAddress({ t, view: orbit.stance, ...rung, ...other }) : this.plan.at;
+  }
+
+  /** Go to a moment that is told as text. What cannot be done of it is said, and the rest done. */
+  go(text: string): void {
+    if (!this.ready) return;
+    const { moment, wrong } = readAddress(text);
+    wrong.push(...this.#take(moment));
+    if (wrong.length > 0) this.#say("address", `Not taken from the address: ${wrong.join("; ")}`);
+    this.#look();
+    this.wake();
+  }
+
+  async copyLink(): Promise<void> {
+    if (!this.ready || !this.linked) return;
+    const link = `#${this.at}`;
+    try {
+      await navigator.clipboard.writeText(location.href.replace(/#.*|$/, link));
+      this.#say("copied", "Copied: a link to this view.");
+    } catch {
+      history.replaceState(null, "", link);
+      this.#say("copied", "The address of the page is now a link to this view.");
+    }
   }
 
   toggleFull(): void {
     this.#full.toggle().then(() => this.wake());
   }
 
+  toggleVr(): void {
+    const { player } = this;
+    if (player.vr) player.leaveVr();
+    else player.enterVr().catch((error: Error) => this.#shell.notes.show("vr", error.message, NOTE_MS));
+  }
+
+  toggleSound(): void {
+    const muted = !this.player.muted;
+    if (!this.player.hasSound) return;
+    this.set("muted", muted);
+    this.apply({ muted });
+  }
+
   toggleInfo(): void {
-    this.#shell.panel.toggle();
-    this.#shell.update();
-    this.wake();
+    this.#shell.use(({ panel }) => {
+      panel.toggle();
+      this.#shell.update();
+      this.wake();
+    });
   }
 
-  setLoop(loop: boolean): void {
-    this.owner.host.toggleAttribute("loop", loop);
+  set(attribute: string, value: string | boolean): void {
+    if (typeof value === "string") this.owner.setAttribute(attribute, value);
+    else this.owner.toggleAttribute(attribute, value);
   }
 
-  setQuality(quality: string): void {
-    this.owner.host.setAttribute("quality", quality);
-  }
-
-  setPolicy(policy: string): void {
-    this.owner.host.setAttribute("policy", policy);
-  }
-
-  setFree(free: boolean): void {
-    this.owner.host.setAttribute("view-region", free ? "free" : "bounded");
-  }
-
-  /** Take over an attribute that has changed. */
-  apply(change: Partial<Pick<PlayerLike, "loop" | "quality" | "policy" | "speed">> & { free?: boolean }): void {
+  apply(
+    change: Partial<Pick<PlayerLike, "loop" | "quality" | "policy" | "speed" | "muted" | "volume">> & {
+      free?: boolean;
+    },
+  ): void {
     const { free, ...settings } = change;
     if (free !== undefined) this.orbit.setFree(free);
     try {
       Object.assign(this.player, settings);
     } catch (error) {
-      this.#shell.notes.show("setting", error instanceof Error ? error.message : String(error), NOTE_MS);
+      this.#say("setting", error instanceof Error ? error.message : String(error));
     }
     this.wake();
   }
@@ -173,8 +243,15 @@ export class View implements Desk {
     if (!this.#request && !this.signal.aborted) this.#request = requestAnimationFrame((now) => this.#tick(now));
   }
 
+  /** A page may be forbidden to ask. */
+  async #seekHeadset(): Promise<void> {
+    this.headset = !!(await navigator.xr?.isSessionSupported("immersive-vr").catch(() => false));
+    this.wake();
+  }
+
   async #open(): Promise<void> {
     const { player, plan } = this;
+    const path = plan.path ? loadPath(plan.path).catch(thrown) : null;
     try {
       if (plan.quality !== "auto") player.quality = plan.quality;
       await player.open(plan.src);
@@ -182,17 +259,60 @@ export class View implements Desk {
       if (!this.signal.aborted) this.#fail(error);
       return;
     }
+    const read = await path;
     if (this.signal.aborted) return;
     this.ready = true;
     this.orbit = new Orbit(player.region);
-    this.orbit.reduced = this.#still.matches;
     this.orbit.free = plan.free;
+    try {
+      if (read) this.orbit.follow(read);
+    } catch (error) {
+      this.#say("path", `The camera path cannot be used: ${(error as Error).message}`);
+    }
     this.#list(performance.now());
-    this.#look();
-    if (player.region?.source === "orbit") this.#shell.notes.show("guess", GUESSED, NOTE_MS);
+    this.orbit.reduced = true; // nothing was seen yet that one could glide from
+    this.go(plan.at);
+    this.orbit.reduced = this.#still.matches;
+    if (player.region?.source === "orbit") this.#say("guess", GUESSED);
+    if (plan.split) this.#shell.use(({ Split }) => this.#beside(plan.split, Split));
     if (plan.autoplay) await player.play();
     this.#shell.update();
     this.wake();
+  }
+
+  /** Show another rung beside the one that plays. */
+  #beside(rung: string, Split: Parts["Split"]): void {
+    const { owner, plan, rungs } = this;
+    const names = rungs.map(({ name }) => name);
+    if (!names.includes(rung)) {
+      this.#say("split", `split=${rung}: expected one of ${names.join(", ")}`);
+      return;
+    }
+    const create = (canvas: HTMLCanvasElement) => owner.create(canvas, { ...plan.settings, muted: true });
+    const failed = (why: string) => this.#say("split", `There is no second picture: ${why}`);
+    this.#split = new Split(this, this.#shell.frame, rung, create, failed);
+    this.#split.open(plan.src);
+  }
+
+  /** Do what can be done of a moment; a line for each other part. */
+  #take({ t, view, rung, speed }: Moment): string[] {
+    const { player, orbit } = this;
+    const wrong: string[] = [];
+    if (t !== undefined && t > player.duration) wrong.push(`t=${t}: expected at most ${player.duration.toFixed(3)} s`);
+    else if (t !== undefined) player.seek(t);
+    const names = ["auto", ...this.rungs.map(({ name }) => name)];
+    if (rung && !names.includes(rung)) wrong.push(`rung=${rung}: expected one of ${names.join(", ")}`);
+    else if (rung) this.set("quality", rung);
+    if (speed) player.speed = speed;
+    if (view) {
+      orbit.begin(view);
+      if (orbit.outside && !orbit.free) this.set("view-region", "free");
+    }
+    return wrong;
+  }
+
+  #say(name: string, text: string): void {
+    this.#shell.notes.show(name, text, NOTE_MS);
   }
 
   #fail(error: unknown): void {
@@ -203,21 +323,17 @@ export class View implements Desk {
     const { width, height } = this.#area;
     if (!this.ready || width === 0 || height === 0) return;
     this.player.camera = this.orbit.view(width / height);
+    this.#split?.follow();
     this.#shell.strain = this.orbit.strain;
     if (this.orbit.outside && this.orbit.free) this.#shell.notes.show("outside", OUTSIDE);
     else this.#shell.notes.hide("outside");
   }
 
-  #resized({ width, height }: DOMRectReadOnly): void {
-    this.#area = { width, height };
-    this.#resize();
-  }
-
-  /** As many pixels as can be drawn in time. */
   #resize(): void {
     const { width, height } = this.#area;
     this.picture = pictureSize(width, height, window.devicePixelRatio, this.scale);
     this.player.resize(...this.picture);
+    this.#split?.resize();
     this.#look();
     this.wake();
   }
@@ -226,9 +342,10 @@ export class View implements Desk {
     this.#request = 0;
     const { player, orbit } = this;
     const interval = this.#last ? now - this.#last : 0;
-    const moved = orbit.step(Math.min(interval / 1000, LONGEST_S));
-    if (moved || orbit.held) this.#look();
     const plays = this.ready && !player.paused && !player.ended;
+    const seconds = Math.min(interval / 1000, LONGEST_S);
+    const moved = orbit.step(seconds, plays && !this.#shell.waiting ? player.speed * seconds : 0);
+    if (moved || orbit.held) this.#look();
     const goesOn = plays || moved || orbit.held || orbit.moving || this.#shell.bar.timeline.scrubbing;
     this.#sharpness.tick(now, { goesOn, moved, plays: plays && !this.#shell.waiting }, player);
     if (!goesOn || now - this.#updated > UPDATE_MS) {
@@ -238,6 +355,7 @@ export class View implements Desk {
     } else {
       this.#shell.bar.updateTime();
     }
+    this.#split?.follow();
     this.#last = goesOn ? now : 0;
     if (goesOn) this.wake();
   }
@@ -250,7 +368,7 @@ export class View implements Desk {
 
   #listen(): void {
     const { player, signal } = this;
-    const { host } = this.owner;
+    const host = this.owner;
     const retell = (event: Event) => {
       const detail: unknown = event instanceof CustomEvent ? event.detail : null;
       this.#hear(event.type, detail);
@@ -260,13 +378,22 @@ export class View implements Desk {
     for (const name of EVENTS) player.addEventListener(name, retell, { signal });
     const on = { signal };
     this.#still.addEventListener("change", () => (this.orbit.reduced = this.#still.matches), on);
+    navigator.xr?.addEventListener("devicechange", () => this.#seekHeadset(), on);
     window.addEventListener("offline", () => this.#shell.notes.show("network", OFFLINE), on);
     window.addEventListener("online", () => this.#shell.notes.hide("network", READ_MS), on);
+    if (this.linked) window.addEventListener("hashchange", () => this.go(location.hash.slice(1)), on);
     listenToKeys(this.#shell.frame, this, signal);
     new Gestures(
       this.#shell.scene,
       () => this.orbit,
-      { moved: () => this.wake(), tap: (event) => this.#tap(event), doubleTap: () => this.#doubleTap() },
+      {
+        moved: () => this.wake(),
+        tap: (event) => this.#tap(event),
+        doubleTap: () => {
+          window.clearTimeout(this.#click);
+          this.home();
+        },
+      },
       () => this.full || host.hasAttribute("capture"),
       signal,
     );
@@ -275,7 +402,8 @@ export class View implements Desk {
   /** Shows what follows from an event of the player. */
   #hear(name: string, detail: unknown): void {
     const { notes } = this.#shell;
-    if (name === "firstpicture") this.#shell.showPicture();
+    if (name === "poster" && detail instanceof Blob) this.#shell.showPoster(detail);
+    else if (name === "firstpicture") this.#shell.showPicture();
     else if (name === "stall" || name === "resume") this.#shell.waiting = name === "stall";
     else if (name === "progress") notes.hide("network", READ_MS);
     else if (name === "lost") notes.show("lost", LOST);
@@ -286,6 +414,7 @@ export class View implements Desk {
 
   #problem({ message, fatal, error }: Problem): void {
     if (fatal) this.#fail(error ?? new Error(message));
+    else if ((error as Error | null)?.name === "UnsupportedError") this.#say("sound", message);
     else this.#shell.notes.show("network", navigator.onLine ? message : OFFLINE);
   }
 
@@ -294,10 +423,5 @@ export class View implements Desk {
     if (!this.plan.controls) return;
     if (event.pointerType === "touch" && !this.#shell.fresh) this.#shell.toggleControls();
     else this.#click = window.setTimeout(() => this.toggle(), CLICK_MS);
-  }
-
-  #doubleTap(): void {
-    window.clearTimeout(this.#click);
-    this.home();
   }
 }

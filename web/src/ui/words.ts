@@ -1,6 +1,7 @@
 // Figures in words for people.
 import type { POLICY_NAMES } from "../generated/constants.ts";
 import type { RungInfo } from "../play/rungs.ts";
+import type { Desk } from "./desk.ts";
 
 const MINUTE = 60;
 const HOUR = 3600;
@@ -35,14 +36,12 @@ function short(value: number): string {
   return value >= 99.5 ? value.toFixed(0) : value >= 9.95 ? value.toFixed(0) : value.toFixed(value < 0.995 ? 2 : 1);
 }
 
-/** Bits a second as "2.4 Mbit/s". */
 export function rate(bps: number): string {
   if (!(bps > 0)) return "–";
   if (bps >= 1e9) return `${short(bps / 1e9)} Gbit/s`;
   return bps >= 1e6 ? `${short(bps / 1e6)} Mbit/s` : `${short(bps / 1e3)} kbit/s`;
 }
 
-/** Bytes as "3.1 MB". */
 export function size(bytes: number): string {
   if (bytes >= 1e9) return `${short(bytes / 1e9)} GB`;
   return bytes >= 1e6 ? `${short(bytes / 1e6)} MB` : `${short(bytes / 1e3)} kB`;
@@ -52,6 +51,14 @@ export const decibels = (psnr: number | null): string => (psnr === null ? "–" 
 
 /** Names a rung by its quality, else by its name in the package. */
 export const rungTitle = (rung: RungInfo): string => (rung.psnr === null ? rung.name : decibels(rung.psnr));
+
+export const speedName = (speed: number): string => (speed === 1 ? "Normal" : `${speed}×`);
+
+/** The quality that is chosen, for buttons: "Auto", or what the rung looks like. */
+export function qualityName(desk: Desk): string {
+  const rung = desk.rungs.find((one) => one.name === desk.player.quality);
+  return rung ? rungTitle(rung) : "Auto";
+}
 
 export const POLICIES: ReadonlyMap<string, string> = new Map<(typeof POLICY_NAMES)[number], string>([
   ["paper", "As in the paper"],
@@ -63,7 +70,6 @@ export const POLICIES: ReadonlyMap<string, string> = new Map<(typeof POLICY_NAME
   ["robust-mpc", "By prediction (robust MPC)"],
 ]);
 
-/** Where the viewing region comes from. */
 export const SOURCES: Readonly<Record<string, string>> = {
   cameras: "about its cameras",
   found: "found by looking",

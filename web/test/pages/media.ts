@@ -1,12 +1,12 @@
 // What the media part does in a browser, task by task: /plan.json lists them, `window.report` is what came of each.
 
-import { applyBases, atlasSamples } from "../../src/format/atlas.ts";
+import { atlasSamples, basesAfter } from "../../src/format/atlas.ts";
 import { FormatError } from "../../src/format/errors.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { groupPath } from "../../src/format/paths.ts";
-import type { Atlas, Canonical, Gaussians, StateFrame } from "../../src/format/types.ts";
+import type { Atlas, BaseChanges, Canonical, CanonicalName, Gaussians, StateFrame } from "../../src/format/types.ts";
 import { FrameReader, joined } from "../../src/frames.ts";
-import { type CanonicalName, type Fetched, Media } from "../../src/media/client.ts";
+import { type Fetched, Media } from "../../src/media/client.ts";
 import { decodes } from "./decoders.ts";
 import { probes } from "./mocks.ts";
 
@@ -132,10 +132,11 @@ async function tileOf(media: Media, segment: number, level: number, canonical: C
   const { root } = media.tables;
   const table = media.tables.group(canonical.group);
   const base = canonicalGaussians(root, table, canonical, media.tables.baseTable(canonical.group));
-  const bases = new Int32Array(atlasSamples(table.tiles[canonical.tile].levels[level]));
+  const samples = atlasSamples(table.tiles[canonical.tile].levels[level]);
+  const changes: (BaseChanges | null)[] = [];
   return (await framesOf(media, segment, level, canonical)).map((shown) => {
-    applyBases(bases, shown?.bases ?? null);
-    const state = shown && { level, luma: shown.luma, bases };
+    changes.push(shown?.bases ?? null);
+    const state = shown && { level, luma: shown.luma, bases: basesAfter(samples, changes) };
     const gaussians = shownGaussians(root, table, base, canonical, state);
     return { gaussians, sorted: shown?.means ?? canonical.means };
   });
@@ -182,12 +183,17 @@ async function fetching(step: Step): Promise<unknown> {
   const came: unknown[] = [];
   for (let time = 0; time < times; time++) {
     const progress: number[] = [];
+    let expected = 0;
     const before = performance.now() / 1e3;
     const signal = abortMs === undefined ? undefined : AbortSignal.timeout(abortMs);
-    const got = await media.fetch(paths, { signal, attempts, onProgress: (bytes) => progress.push(bytes) });
+    const onProgress = (bytes: number, all: number) => {
+      progress.push(bytes);
+      expected = all;
+    };
+    const got = await media.fetch(paths, { signal, attempts, onProgress });
     const inOrder = before <= got.firstByteS && got.firstByteS <= got.endS && got.endS <= performance.now() / 1e3;
     const refused = Object.fromEntries([...got.refused].map(([path, { reason, detail }]) => [path, [reason, detail]]));
-    came.push({ ...got, refused, inOrder, progress });
+    came.push({ ...got, refused, inOrder, progress, expected });
   }
   const groups = Array.from({ length: media.tables.index.groups }, (_, group) => media.tables.has(group));
   media.close();

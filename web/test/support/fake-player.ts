@@ -17,6 +17,7 @@ export interface Pretence {
   refusal: Error | null;
   /** Milliseconds until `open` is done. */
   openMs: number;
+  hasSound: boolean;
 }
 
 export const REGION: Region = {
@@ -44,6 +45,7 @@ const PLAIN: Pretence = {
   aheadS: 14,
   refusal: null,
   openMs: 20,
+  hasSound: false,
 };
 
 /** Seconds of a segment: rungs change with them. */
@@ -57,6 +59,9 @@ export class FakePlayer extends EventTarget implements PlayerLike {
   speed = 1;
   quality = "auto";
   readonly fps = 24;
+  readonly vr = false;
+  muted: boolean;
+  volume: number;
   closed = false;
   /** What was asked of it, in order. */
   readonly calls: string[] = [];
@@ -72,13 +77,15 @@ export class FakePlayer extends EventTarget implements PlayerLike {
 
   constructor(
     readonly canvas: HTMLCanvasElement,
-    settings: { policy?: string; loop?: boolean } = {},
+    settings: { policy?: string; loop?: boolean; muted?: boolean; volume?: number } = {},
     pretence: Partial<Pretence> = {},
   ) {
     super();
     this.pretence = { ...PLAIN, ...pretence };
     this.policy = settings.policy ?? "robust-mpc";
     this.loop = settings.loop ?? false;
+    this.muted = settings.muted ?? false;
+    this.volume = settings.volume ?? 1;
   }
 
   async open(src: string): Promise<void> {
@@ -109,6 +116,14 @@ export class FakePlayer extends EventTarget implements PlayerLike {
     this.#tell("time");
   }
 
+  async enterVr(): Promise<void> {
+    this.calls.push("enterVr");
+  }
+
+  leaveVr(): void {
+    this.calls.push("leaveVr");
+  }
+
   close(): void {
     this.closed = true;
     cancelAnimationFrame(this.#request);
@@ -117,6 +132,10 @@ export class FakePlayer extends EventTarget implements PlayerLike {
   resize(width: number, height: number): void {
     Object.assign(this.canvas, { width, height });
     this.#draw();
+  }
+
+  get hasSound(): boolean {
+    return this.pretence.hasSound;
   }
 
   get live(): boolean {
@@ -171,11 +190,14 @@ export class FakePlayer extends EventTarget implements PlayerLike {
       rung: this.rung,
       bytes: 3.4e6 + 6e5 * this.#time,
       framesShown: this.#shown,
+      droppedByDecoder: 0,
+      droppedByDisplay: 3,
       framesDropped: 3,
       displayFps: 60,
       psnr: this.rung === null ? null : this.rungs[this.rung].psnr,
       stalls: 1,
       stallS: 0.4,
+      held: null,
       tiles: { shown: 1, all: 1 },
       luma: "exact",
     };

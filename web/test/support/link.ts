@@ -1,10 +1,10 @@
 // A link that replays a trace: airgs_codec/play/trace.py, link.py and SimulatedDownloader, number by number.
 import { FormatError, type Reason } from "../../src/format/errors.ts";
 import { CHECK_S } from "../../src/generated/constants.ts";
-import type { Arrival, Downloader, GiveUp, Partial, Request } from "../../src/play/downloader.ts";
+import type { Arrival, Downloader, GiveUp, Request, Partial as UnderWay } from "../../src/play/downloader.ts";
 import { filesOf, type Offers } from "../../src/play/offers.ts";
 import { Playout } from "../../src/play/playout.ts";
-import type { SessionSettings } from "../../src/play/settings.ts";
+import { type SessionSettings, sessionSettings } from "../../src/play/settings.ts";
 
 /** Rates that hold from their starts on; after the last second comes the first one. */
 export class Trace {
@@ -115,8 +115,8 @@ export class SimulatedDownloader implements Downloader {
     };
   }
 
-  private looks(firstS: number, endS: number, expectedBytes: number): Partial[] {
-    const looks: Partial[] = [];
+  private looks(firstS: number, endS: number, expectedBytes: number): UnderWay[] {
+    const looks: UnderWay[] = [];
     for (let look = 1; firstS + CHECK_S * look < endS; look++) {
       const atS = firstS + CHECK_S * look;
       const { trace } = this.link;
@@ -142,6 +142,16 @@ function roundHalfEven(value: number): number {
 /** As in airgs_codec/play/offers.py. */
 const SESSION_S = 30;
 
+/** The rules of a session, and how often it plays the sequence; null: for about SESSION_S. */
+export interface Rules extends SessionSettings {
+  loops: number | null;
+}
+
+export const rulesOf = (given: Partial<Rules> = {}): Rules => ({
+  ...sessionSettings(given),
+  loops: given.loops ?? null,
+});
+
 /** How often a session plays the sequence: as wanted, else for about SESSION_S; once while it grows. */
 export function loopsOf({ live, durationS }: Offers, wanted: number | null): number {
   if (live) return 1;
@@ -149,5 +159,5 @@ export function loopsOf({ live, durationS }: Offers, wanted: number | null): num
 }
 
 /** The timeline of a session that plays the sequence as often as its settings say. */
-export const playoutOf = (offers: Offers, settings: SessionSettings): Playout =>
+export const playoutOf = (offers: Offers, settings: Rules): Playout =>
   new Playout(offers, settings, offers.end(loopsOf(offers, settings.loops)));

@@ -1,6 +1,14 @@
 // What a package offers a player, from numbers alone: `Offers` without files or tables. All count from 0.
 import { GroupIndex } from "../../src/format/index.ts";
-import { keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath, tileFolder } from "../../src/format/paths.ts";
+import {
+  keyMediaPath,
+  keySidecarPath,
+  locate,
+  pagePath,
+  soundPath,
+  stateMediaPath,
+  tileFolder,
+} from "../../src/format/paths.ts";
 import { PAGE } from "../../src/generated/constants.ts";
 import type { OfferTables } from "../../src/play/offers.ts";
 
@@ -15,6 +23,8 @@ export interface SegmentNumbers {
 export interface GroupNumbers {
   /** Bytes. */
   table: number;
+  /** Of a package with sound. */
+  sound?: number;
   /** Gaussians, one a unit, where a test counts them. */
   rows?: number[];
   /** One a unit; 0: no rows. */
@@ -110,7 +120,7 @@ export class NumberTables implements OfferTables {
   }
 
   groupOf(segment: number): number {
-    return this.index.atSegment(segment);
+    return this.index.groupAt("segments", segment);
   }
 
   rows(group: number): number[] {
@@ -145,6 +155,10 @@ export class NumberTables implements OfferTables {
     return base !== null && this.numbers.groups[group].kept![unit] ? this.keyFiles(base, unit, quality) : [];
   }
 
+  soundFiles(group: number): string[] {
+    return this.numbers.groups[group].sound ? [soundPath(group + 1)] : [];
+  }
+
   stateFiles(segment: number, level: number, tiles = Array.from({ length: this.tiles }, (_, tile) => tile)): string[] {
     const there = tiles.filter((tile) => this.stateBytes(segment, level, tile));
     return there.map((tile) => stateMediaPath(tileFolder(tile, this.tiles), level, segment + 1));
@@ -162,6 +176,7 @@ export class NumberTables implements OfferTables {
     if (found.what === "page") return { bytes: this.numbers.page_bytes };
     const group = this.numbers.groups[number];
     if (found.what === "group") return { bytes: group.table };
+    if (found.what === "sound") return { bytes: group.sound ?? 0 };
     const [named, first, second] = found.numbers;
     const tile = Math.max(0, named - 1);
     if (found.what === "state") return { bytes: this.stateBytes(number, first, tile) };

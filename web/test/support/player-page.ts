@@ -51,7 +51,11 @@ export class Log {
 
 /** A player that has begun to play, as seen by `view`, by default from where the package says. */
 export async function start(options: PlayerOptions = {}, view?: ViewState): Promise<Log> {
-  const player = new Player(canvas, { policy: query.get("policy") ?? "robust-mpc", ...options });
+  const player = new Player(canvas, {
+    policy: query.get("policy") ?? "robust-mpc",
+    ...(query.has("kept") && { keptBytes: number("kept", 0) }),
+    ...options,
+  });
   log = new Log(player);
   player.resize(number("width", 160), number("height", 120));
   if (view) player.camera = view;

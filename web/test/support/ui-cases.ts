@@ -11,11 +11,15 @@ declare global {
 }
 
 let pretence: Partial<Pretence> = {};
+/** In the order in which they were made. */
+const players: FakePlayer[] = [];
 let lacks: () => Trouble | null = () => null;
 
 export class FakeElement extends PlayerElement {
   override create(canvas: HTMLCanvasElement, settings: { policy?: string; loop?: boolean }): FakePlayer {
-    return new FakePlayer(canvas, settings, pretence);
+    const made = new FakePlayer(canvas, settings, pretence);
+    players.push(made);
+    return made;
   }
 
   override lacking(): Trouble | null {
@@ -46,6 +50,7 @@ async function element(
   const first = new Promise((resolve) => node.addEventListener("firstpicture", resolve, { once: true }));
   document.body.append(node);
   if (open) await first;
+  if (open && node.controls) await until(() => !!find(node, ".panel")); // it is loaded later than the rest
   await pictures();
   return node;
 }
@@ -158,6 +163,60 @@ export const cases: Record<string, () => Promise<object>> = {
     return { first, turned, moved, last: player(node).camera, paused: player(node).paused };
   },
 
+  async path() {
+    const keyframe = (t: number, x: number) => ({ t, position: [x, -0.6, -4], focus: [0, 0, 0], fov_y: 30 });
+    const json = JSON.stringify({ keyframes: [keyframe(0, 0.2), keyframe(60, 1)] });
+    const node = await element({ path: `data:application/json,${encodeURIComponent(json)}` });
+    const first = player(node).camera;
+    node.play();
+    await soon(() => player(node).camera.position[0] > first.position[0]);
+    const gone = player(node).camera;
+    await drag([320, 150], [330, 150]);
+    await rest(node);
+    const { paused } = node;
+    const wrong = await element({ path: "data:application/json,[]" });
+    return { first, gone, paused, camera: player(wrong).camera, note: find(wrong, ".notes").textContent };
+  },
+
+  async split() {
+    const node = await element({ split: "Q1+L1", loop: "" });
+    await until(() => !find(node, ".seam").hidden);
+    const [, second] = players;
+    node.seek(30);
+    await pictures();
+    await drag([200, 150], [225, 150]);
+    await rest(node);
+    const still = { time: second.currentTime, camera: second.camera, quality: second.quality, paused: second.paused };
+    node.play();
+    second.seek(29.5);
+    await soon(() => node.currentTime > 30.2 && second.currentTime > node.currentTime - 0.2);
+    const plays = { paused: second.paused, apart: node.currentTime - second.currentTime };
+    node.pause();
+    const first = { camera: player(node).camera, calls: second.calls };
+    const clip = () => find(node, ".second").style.clipPath;
+    await drag([320, 100], [160, 100]);
+    const dragged = { clip: clip(), camera: player(node).camera };
+    await press("ArrowRight");
+    const labels = find(node, ".seam").innerText;
+    const keyed = { clip: clip(), now: find(node, ".seam").ariaValueNow, labels };
+    node.remove();
+    await pictures();
+    const wrong = await element({ split: "Q9+L9" });
+    await until(() => find(wrong, ".notes").textContent !== "");
+    const note = find(wrong, ".notes").textContent;
+    return { still, first, plays, dragged, keyed, closed: second.closed, note, made: players.length };
+  },
+
+  async parts() {
+    const node = await element({}, {}, false);
+    await until(() => !!find(node, ".note"));
+    await click(button(node, "Quality"));
+    await press("i");
+    node.play();
+    await soon(() => node.currentTime > 0);
+    return { note: find(node, ".notes").textContent, menu: !!find(node, ".menu"), time: node.currentTime };
+  },
+
   async wall() {
     const node = await element();
     await window.drive("mouse.move", 320, 150);
@@ -258,6 +317,25 @@ export const cases: Record<string, () => Promise<object>> = {
     await press("5");
     seen.after = player(node).calls.length;
     return seen;
+  },
+
+  async sound() {
+    const silent = await element();
+    const offered = [!find(silent, "[data-icon=sound], [data-icon=mute]").hidden];
+    await press("m");
+    silent.remove();
+    const node = await element({ muted: "" }, { hasSound: true });
+    const seen = [[player(node).muted, node.muted]];
+    offered.push(shown(button(node, "Sound on")));
+    await click(button(node, "Sound on"));
+    seen.push([player(node).muted, node.muted]);
+    node.focus();
+    await press("m");
+    await pictures();
+    seen.push([player(node).muted, node.muted]);
+    node.muted = false;
+    node.volume = 0.5;
+    return { offered, seen: [...seen, [player(node).muted, node.muted]], volume: player(node).volume };
   },
 
   async scrub() {
@@ -379,6 +457,48 @@ export const cases: Record<string, () => Promise<object>> = {
     player(node).problem({ message: "gone for good", fatal: true, error: null });
     said.fatal = find(node, ".card").textContent;
     return said;
+  },
+
+  async address() {
+    let copied = "";
+    Object.defineProperty(navigator, "clipboard", {
+      configurable: true,
+      value: { writeText: async (text: string) => (copied = text) },
+    });
+    const told = "#t=42.5&view=0.3,-0.5,-3.9,0.1,0,0,0,1,0&rung=Q1+L2&speed=0.5";
+    location.hash = `${told}&speed=-1`;
+    const node = await element({ hash: "", style: "inline-size: 960px" });
+    const note = find(node, ".notes").textContent;
+    const opened = { ...player(node).camera, rung: player(node).quality, speed: player(node).speed, at: node.at };
+    const calls = player(node).calls.slice(1);
+    const before = location.href;
+    await click(button(node, "Copy a link"));
+    await until(() => copied !== "");
+    const said = find(node, ".notes").textContent;
+    node.focus();
+    await press("ArrowRight", "o");
+    await rest(node);
+    const moved = player(node).camera;
+    await press("b", "ArrowRight");
+    await rest(node);
+    await press("r");
+    await rest(node);
+    const again = player(node).camera;
+    const silent = location.href === before;
+    location.hash = "view=9,0,0,0,0,0";
+    await until(() => node.viewRegion === "free");
+    await rest(node);
+    const out = player(node).camera;
+    await press("Home");
+    await rest(node);
+    const home = player(node).camera;
+    Object.defineProperty(navigator, "clipboard", { value: undefined });
+    await press("c");
+    await until(() => location.hash.startsWith("#t="));
+    const shown = decodeURIComponent(location.hash);
+    const other = await element();
+    const plain = { camera: player(other).camera, offered: find(other, "[aria-label^='Copy']").hidden };
+    return { note, opened, calls, copied, said, moved, again, silent, out, home, shown, plain };
   },
 
   async live() {

@@ -6,9 +6,9 @@ import { NONE, Offers, optionsOf } from "../../src/play/offers.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
-import { ConfigError, sessionSettings } from "../../src/play/settings.ts";
+import { ConfigError } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { playoutOf, SimulatedDownloader, Trace } from "../support/link.ts";
+import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { NumberTables } from "../support/offers.ts";
 
 /** Two groups of two tiers; L0 needs both, L1 the first. */
@@ -31,7 +31,7 @@ const tables = () =>
 
 async function levels(budget: number, name: string): Promise<(number | null)[]> {
   const offers = new Offers(tables(), 0, budget);
-  const settings = sessionSettings({ loops: 2, startupS: 0 });
+  const settings = rulesOf({ loops: 2, startupS: 0 });
   const downloader = new SimulatedDownloader({ trace: new Trace([0], [1e9], 3600), rttS: 0.05 }, offers);
   const parts = { offers, settings, downloader, playout: playoutOf(offers, settings), planner: whole(offers) };
   const made = { ...parts, stores: new Stores(offers), policy: makePolicy(name, offers) };

@@ -6,9 +6,8 @@ import { Feed } from "../../src/play/feed.ts";
 import { ByView } from "../../src/play/fetch-plan.ts";
 import type { Source } from "../../src/play/http-downloader.ts";
 import { Offers } from "../../src/play/offers.ts";
-import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { playoutOf } from "../support/link.ts";
+import { playoutOf, rulesOf } from "../support/link.ts";
 import { NumberTables, type PackageNumbers } from "../support/offers.ts";
 import { readVectors } from "./files.ts";
 
@@ -17,7 +16,7 @@ const { packages } = readVectors("sessions") as { packages: PackageNumbers[] };
 /** A feed whose server is away, with a choice of tiles that finds nothing lacking. */
 function made(lacking: () => []) {
   const offers = new Offers(new NumberTables(packages[0]));
-  const settings = sessionSettings();
+  const settings = rulesOf();
   const playout = playoutOf(offers, settings);
   const planner = new ByView(offers, playout, { at: () => null });
   planner.lacking = lacking;

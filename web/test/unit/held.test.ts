@@ -7,9 +7,8 @@ import { sizesAfter } from "../../src/play/policies/mpc.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
-import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { playoutOf, SimulatedDownloader, Trace } from "../support/link.ts";
+import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { type GroupNumbers, NumberTables } from "../support/offers.ts";
 
 const SEGMENT = {
@@ -47,7 +46,7 @@ class Viewer {
   });
   readonly offers = new Offers(this.tables, 0);
   readonly planner = whole(this.offers);
-  readonly settings = sessionSettings({ loops: 2, startupS: 0 });
+  readonly settings = rulesOf({ loops: 2, startupS: 0 });
   readonly playout = playoutOf(this.offers, this.settings);
   readonly stores = new Stores(this.offers);
   readonly downloader = new SimulatedDownloader({ trace: new Trace([0], [1e9], 3600), rttS: 0.05 }, this.offers);
@@ -178,6 +177,19 @@ test("a tier is shown when what it keeps is there as well", async () => {
   stores.keys.add(arrival);
   assert.equal(stores.keys.shownTiers(2, 0, 0), 2);
   assert.deepEqual([offers.knows(2), playout.end], [true, 12]);
+});
+
+test("however many loops are buffered, their keys are known until they have been played", async () => {
+  const { offers, stores, downloader } = new Viewer();
+  for (let position = 0; position < offers.end(200); position += offers.segments) {
+    const batch = stores.keys.missing(position, 0);
+    const request = { kind: "group" as const, position, rung: 0, batch, sentS: 0, latencyS: 0 };
+    stores.keys.add(await downloader.fetch(request, null, new AbortController().signal));
+  }
+  const known = (loop: number) => stores.keys.decoded(loop * offers.segments).has(0);
+  assert.deepEqual([0, 199].map(known), [true, true]);
+  stores.keys.forget(100 * offers.segments + 1);
+  assert.deepEqual([99, 100, 199].map(known), [false, true, true]);
 });
 
 test("before the table of the other group is there nothing is said of bytes", () => {

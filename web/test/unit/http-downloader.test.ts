@@ -2,16 +2,15 @@
 import assert from "node:assert/strict";
 import { mock, test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
-import type { Fetched } from "../../src/media/client.ts";
+import type { Fetched, FetchOptions } from "../../src/media/client.ts";
 import type { Partial, Request } from "../../src/play/downloader.ts";
 import { whole as allTiles } from "../../src/play/fetch-plan.ts";
 import { HttpDownloader, joinNewest, type Source } from "../../src/play/http-downloader.ts";
 import { missing, NONE, Offers } from "../../src/play/offers.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { Session } from "../../src/play/session.ts";
-import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { playoutOf } from "../support/link.ts";
+import { playoutOf, rulesOf } from "../support/link.ts";
 import { NumberTables, type PackageNumbers } from "../support/offers.ts";
 import { readVectors } from "./files.ts";
 
@@ -28,9 +27,9 @@ class Fake implements Source {
   opened: Fetched = { ...nothing(), bytes: 3000, whole: ["airgs.json"] };
   fetched: string[][] = [];
   answer: Fetched | null = null;
-  progress: ((bytes: number) => void) | undefined;
+  progress: FetchOptions["onProgress"];
 
-  fetch(paths: string[], { signal, onProgress }: { signal?: AbortSignal; onProgress?: (bytes: number) => void } = {}) {
+  fetch(paths: string[], { signal, onProgress }: FetchOptions = {}) {
     this.fetched.push(paths);
     this.progress = onProgress;
     if (this.answer) return Promise.resolve(this.answer);
@@ -49,7 +48,7 @@ class Fake implements Source {
 function made() {
   const offers = new Offers(new NumberTables(packages[0]));
   const source = new Fake();
-  return { offers, source, downloader: new HttpDownloader(source, offers) };
+  return { offers, source, downloader: new HttpDownloader(source) };
 }
 
 function request(offers: Offers, tables: string[] = []): Request {
@@ -91,9 +90,9 @@ test("a download is looked at from its first byte on; what is whole when it is g
   const coming = downloader.fetch(asked, (partial) => looks.push(partial) > 1, never);
   mock.timers.tick(5000);
   assert.equal(looks.length, 0);
-  source.progress?.(400);
+  source.progress?.(400, 1200);
   mock.timers.tick(500);
-  source.progress?.(900);
+  source.progress?.(900, 1200);
   mock.timers.tick(500);
   const arrival = await coming;
   mock.timers.reset();
@@ -101,7 +100,7 @@ test("a download is looked at from its first byte on; what is whole when it is g
     looks.map(({ bytes }) => bytes),
     [400, 900],
   );
-  assert.equal(looks[0].expectedBytes, offers.wire([...asked.batch.keys, ...asked.batch.state]));
+  assert.equal(looks[0].expectedBytes, 1200);
   assert.deepEqual([arrival.abandoned, arrival.whole], [true, asked.batch.keys.slice(0, 1)]);
 });
 
@@ -115,7 +114,7 @@ test("a session that is stopped ends its download", async () => {
 
 test("waits end when the playout changes, or the session is stopped", async () => {
   const { offers, downloader } = made();
-  const playout = playoutOf(offers, sessionSettings());
+  const playout = playoutOf(offers, rulesOf());
   const stop = new AbortController();
   const paused = downloader.wait(Infinity, playout, stop.signal);
   playout.freeze(nowS());
@@ -129,7 +128,7 @@ test("waits end when the playout changes, or the session is stopped", async () =
 test("a session over a connection plays to the end", async () => {
   const { offers, downloader, source } = made();
   source.fetch = async (paths) => ({ ...nothing(), bytes: 1000, whole: [...paths].reverse() });
-  const settings = sessionSettings({ bufferS: 1000, loops: 2 });
+  const settings = rulesOf({ bufferS: 1000, loops: 2 });
   const playout = playoutOf(offers, settings);
   const stores = new Stores(offers);
   const policy = makePolicy("robust-mpc", offers);

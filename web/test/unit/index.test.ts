@@ -45,7 +45,7 @@ function read(places: GroupIndex, pages: Map<string, Page>, frame: number): stri
   const asked: string[] = [];
   for (;;) {
     try {
-      places.atFrame(frame);
+      places.groupAt("frames", frame);
       return asked;
     } catch (error) {
       assert.ok(error instanceof MissingTableError);
@@ -67,13 +67,12 @@ for (const one of readVectors("packages").index) {
     assert.deepEqual(read(places, pages, one.frame), one.pages);
     const group = one.number - 1;
     assert.deepEqual(
-      [places.groups, places.atFrame(one.frame), places.atSegment(one.frame)],
+      [places.groups, places.groupAt("frames", one.frame), places.groupAt("segments", one.frame)],
       [one.count, group, group],
     );
     assert.deepEqual([...places.pagesTo("segments", group)], one.pages);
     assert.equal(places.entry(group).file.sha256, digestOf(groupPath(one.number)));
     assert.deepEqual(places.guessSpan(one.frame), { start: one.frame, stop: one.frame + 1 });
-    assert.deepEqual([...places.pages()].sort(), [...pages.keys()].sort());
   });
 }
 

@@ -9,7 +9,7 @@ import { ColumnReader } from "../../src/format/rangecoder.ts";
 import { readSidecar } from "../../src/format/sidecar.ts";
 import type { Canonical, Group, KeyPart } from "../../src/format/types.ts";
 import { STATIC } from "../../src/generated/constants.ts";
-import { type Positions, readPositions } from "../../src/media/spaces.ts";
+import { type Positions, readPositions } from "../../src/media/tiles.ts";
 import { type Column, columnFile } from "../support/range-encoder.ts";
 import { fromBase64, joined, readBytes, readVectors, runs } from "./files.ts";
 import { readTables } from "./walk.ts";

@@ -1,13 +1,13 @@
 // Algorithm 1 of the paper: the cases it leaves undefined, as tests/play/test_ladder.py numbers them.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { buildLadder, type Cliff, frameBudget, type Option, select, selectLiteral } from "../../src/play/ladder.ts";
+import { buildLadder, type Option, select, selectLiteral } from "../../src/play/ladder.ts";
 
 /** Levels 10 % apart, 100 bytes apart unless sizes are given. */
 const dense = (qualities: number[], sizes = qualities.map((_, i) => 100 * (qualities.length - i))): Option[] =>
   qualities.map((quality, index) => ({ index, sizeBytes: sizes[index], quality, saved: 0.1 * index }));
 
-const kept = (qualities: number[], cliff?: Cliff) => buildLadder(dense(qualities), cliff).map((p) => p.index);
+const kept = (qualities: number[]) => buildLadder(dense(qualities)).map((p) => p.index);
 
 const ladders: [string, number[], number[]][] = [
   ["1: the first drop is 0", kept([40, 40, 39.9, 36]), [1, 2]],
@@ -15,7 +15,6 @@ const ladders: [string, number[], number[]][] = [
   ["3: a first drop of 0.001 dB is no yardstick", kept([40, 39.999, 39.9, 39.8]), [0, 1, 2, 3]],
   ["4: quality rises when pruning", kept([38, 40, 39, 38]), [1, 2, 3]],
   ["5: the mean of the earlier drops, not the last one", kept([40, 39, 37.2, 34, 28]), [0, 1, 2]],
-  ["5: a slow slide ends at the floor", kept([34, 32, 30, 28, 26], { minQuality: 29 }), [0, 1, 2]],
   ["6: a cliff at the first level", kept([40, 36, 35]), [0]],
   ["6: no cliff there", kept([40, 38, 36]), [0, 1, 2]],
   ["10: one level", kept([40]), [0]],
@@ -33,41 +32,26 @@ test("9: sizes that do not fall", () => {
   assert.equal(select(ladder, 500).index, 1);
 });
 
-test("6, 10, 11: what is refused", () => {
-  for (const beta of [1, 0.5, 0, Number.NaN]) assert.throws(() => kept([40, 39], { beta }), /more than 1/);
-  assert.throws(() => buildLadder([]), /at least one level/);
-  assert.throws(() => kept([40, Number.NaN]), /level 1/);
-});
-
 test("7, 8: nothing fits, with a cliff and without one", () => {
   for (const qualities of [
     [40, 39, 38, 20],
     [40, 39, 38],
   ]) {
-    const { index, fits, reason } = select(buildLadder(dense(qualities)), 10);
+    const { index, fits } = select(buildLadder(dense(qualities)), 10);
     assert.deepEqual([index, fits], [2, false]);
-    assert.match(reason, /nothing fits/);
   }
 });
 
-test("12: budgets that are none count as 0", () => {
+test("12: negative budgets count as 0", () => {
   for (const budget of [Number.NaN, -1, -Infinity, 0]) {
-    const { index, fits, reason } = select(buildLadder(dense([40, 39])), budget);
+    const { index, fits } = select(buildLadder(dense([40, 39])), budget);
     assert.deepEqual([index, fits], [1, false]);
-    assert.match(reason, /0 B/);
   }
 });
 
 test("14: a level that sends nothing always fits", () => {
   const ladder = buildLadder(dense([40, 39], [100, 0]));
-  assert.deepEqual(select(ladder, -5), { index: 1, fits: true, reason: "0 B fit 0 B", sizeBytes: 0 });
-});
-
-test("12, 13: 8 Mbit/s at 25 fps are 40,000 bytes a frame; half of it spent, less a header", () => {
-  assert.equal(frameBudget(8e6, 25), 40000);
-  assert.equal(frameBudget(8e6, 25, 350, 0.5), 19650);
-  for (const bandwidth of [Number.NaN, -1, 0]) assert.equal(frameBudget(bandwidth, 30), 0);
-  assert.throws(() => frameBudget(1e6, 0), /frame rate/);
+  assert.deepEqual(select(ladder, -5), { index: 1, fits: true, sizeBytes: 0 });
 });
 
 const literal = (qualities: number[], budget = 1e9, more: { sizes?: number[]; beta?: number } = {}) =>
@@ -95,10 +79,6 @@ const answers: [string, number | null, number | null][] = [
   ["16: level 0 is in S even if another is better", literal([30, 35]), 0],
 ];
 for (const [name, answer, expected] of answers) test(`as printed, ${name}`, () => assert.equal(answer, expected));
-
-test("as printed, 10: no levels", () => {
-  assert.throws(() => selectLiteral([], 10), /at least one level/);
-});
 
 test("ladders fall strictly, and what they leave out is beaten", () => {
   for (let seed = 1; seed < 200; seed++) {

@@ -1,33 +1,36 @@
 // What of the media part needs no browser: how much is kept, how far decoding goes ahead, errors between threads.
 import assert from "node:assert/strict";
-import { test } from "node:test";
+import { mock, test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
+import { Recent } from "../../src/format/recent.ts";
+import { LEAST_BYTES, TIMEOUT_S } from "../../src/generated/constants.ts";
 import { Ahead } from "../../src/media/ahead.ts";
-import { ByteStore } from "../../src/media/batch.ts";
 import { aborted, fromWire, TransportError, toWire, UnsupportedError } from "../../src/media/errors.ts";
-import { checkReprDigest } from "../../src/media/http.ts";
+import { checkReprDigest, FileClient } from "../../src/media/http.ts";
 import { buffersOf } from "../../src/media/messages.ts";
 
+const storeOf = (most: number) => new Recent<string, Uint8Array>(most, (bytes) => bytes.length);
+
 test("the files used least lately go first", () => {
-  const store = new ByteStore(100);
-  for (const path of ["a", "b", "c"]) store.put(path, new Uint8Array(30));
+  const store = storeOf(100);
+  for (const path of ["a", "b", "c"]) store.set(path, new Uint8Array(30));
   assert.equal(store.get("a")?.length, 30);
-  store.put("d", new Uint8Array(30));
+  store.set("d", new Uint8Array(30));
   assert.deepEqual(
     ["a", "b", "c", "d"].map((path) => store.get(path) !== undefined),
     [true, false, true, true],
   );
-  store.put("d", new Uint8Array(10));
-  assert.equal(store.bytes, 70);
-  store.drop("a");
-  store.drop("nothing");
-  assert.equal(store.bytes, 40);
+  store.set("d", new Uint8Array(10));
+  store.set("e", new Uint8Array(30)); // 100 in all
+  assert.notEqual(store.get("a"), undefined);
+  store.set("f", new Uint8Array(1));
+  assert.equal(store.get("c"), undefined);
 });
 
 test("a file larger than the store is kept alone", () => {
-  const store = new ByteStore(100);
-  store.put("small", new Uint8Array(10));
-  store.put("large", new Uint8Array(1000));
+  const store = storeOf(100);
+  store.set("small", new Uint8Array(10));
+  store.set("large", new Uint8Array(1000));
   assert.equal(store.get("small"), undefined);
   assert.equal(store.get("large")?.length, 1000);
 });
@@ -108,4 +111,53 @@ test("the digest in the headers is that of the answer, unless it travelled compr
   const wrong = { "Repr-Digest": right.replace("RBN", "AAA") };
   await checkReprDigest("airgs.json", bytes, new Headers({ ...wrong, "Content-Encoding": "gzip" }));
   await assert.rejects(checkReprDigest("airgs.json", bytes, new Headers(wrong)), { reason: "hash_mismatch" });
+});
+
+/** What a client gets of an answer of eight parts, of so many bytes each, with half of the time-out between them. */
+async function fetchSlowly(partBytes: number): Promise<[string | undefined, number]> {
+  let came = 0;
+  const answer = (signal: AbortSignal) => {
+    let parts = 0;
+    const body = new ReadableStream<Uint8Array>({
+      start: (control) => signal.addEventListener("abort", () => control.error(new Error("aborted"))),
+      pull: (control) => {
+        mock.timers.tick(500 * TIMEOUT_S);
+        if (signal.aborted) return;
+        if (parts++ < 8) control.enqueue(new Uint8Array(partBytes));
+        else control.close();
+      },
+    });
+    return new Response(body);
+  };
+  mock.timers.enable({ apis: ["setTimeout"] });
+  const asking = mock.method(globalThis, "fetch", async (_: string, init: RequestInit) =>
+    answer(init.signal as AbortSignal),
+  );
+  try {
+    const error = await new FileClient("http://a.example/").get({
+      path: "a.bin",
+      limit: 1 << 20,
+      attempts: 1,
+      patient: true,
+      changing: false,
+      signal: new AbortController().signal,
+      accept: async (bytes) => {
+        came = bytes.length;
+      },
+      onAsk: () => undefined,
+      onBytes: () => undefined,
+      onRetry: () => undefined,
+    });
+    return [error?.detail, came];
+  } finally {
+    asking.mock.restore();
+    mock.timers.reset();
+  }
+}
+
+test("an answer that trickles is broken off, and one that is slow is not", async () => {
+  const [fault, came] = await fetchSlowly(1);
+  assert.match(fault ?? "", /broken off/);
+  assert.equal(came, 0);
+  assert.deepEqual(await fetchSlowly(LEAST_BYTES), [undefined, 8 * LEAST_BYTES]);
 });

@@ -7,6 +7,7 @@ import type { Tables } from "../../src/format/package.ts";
 import { locate } from "../../src/format/paths.ts";
 import type { Atlas } from "../../src/format/types.ts";
 import { checkCount, readKeyUnit, readStateUnit } from "../../src/format/units.ts";
+import { OWN_UUID } from "../../src/generated/constants.ts";
 import { readBytes, readVectors } from "./files.ts";
 import { readTables } from "./walk.ts";
 
@@ -32,8 +33,9 @@ function unitOf(tables: Tables, path: string): { atlas: Atlas; start: number; st
 for (const one of readVectors("packages").units) {
   test(`${one.path} of ${one.package}`, async () => {
     const tables = await readTables(one.package);
-    const { columns, samples } = open(one.path, one.package);
+    const { checksums, columns, samples } = open(one.path, one.package);
     assert.equal(columns && Buffer.from(columns).toString("base64"), one.columns);
+    assert.equal(checksums.length, samples.length);
     const { atlas, start, stop } = unitOf(tables, one.path);
     const frames = one.path.startsWith("key") ? 1 : stop - start;
     const pages = pageSamples(samples, atlas, frames, one.path);
@@ -176,9 +178,10 @@ test("every field that a fragment may have is read", () => {
   const moofBytes = 8 + 16 + 8 + tfhd.length + tfdt.length + 8 + run.reduce((sum, part) => sum + part.length, 0);
   run[1] = words(moofBytes + 8, 0);
   const traf = box("traf", tfhd, tfdt, box("trun", ...run));
-  const media = [...box("moof", box("mfhd", words(0, 1)), traf), ...box("mdat", Uint8Array.of(1, 2, 3))];
-  const { columns, samples } = readMedia(Uint8Array.from(media), "x");
-  assert.equal(columns, null);
+  const own = box("uuid", Buffer.from(OWN_UUID, "hex"), words(7, 8), Uint8Array.of(9));
+  const media = [...own, ...box("moof", box("mfhd", words(0, 1)), traf), ...box("mdat", Uint8Array.of(1, 2, 3))];
+  const { checksums, columns, samples } = readMedia(Uint8Array.from(media), "x");
+  assert.deepEqual([[...checksums], [...columns!]], [[7, 8], [9]]);
   const start = 2 * 2 ** 32 + 5;
   assert.deepEqual(samples, [
     { data: Uint8Array.of(1, 2), time: start - 1, duration: 10 },
@@ -202,6 +205,8 @@ test("segments that are built otherwise are refused", () => {
     [other],
     [uuid],
     [box("uuid", Uint8Array.of(1)), fragment],
+    [box("uuid", Buffer.from(OWN_UUID, "hex"), Uint8Array.of(0, 0, 0)), fragment], // a checksum is missing
+    [fragment],
     [],
   ];
   for (const parts of all) {

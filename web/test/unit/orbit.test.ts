@@ -3,6 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Region } from "../../src/format/types.ts";
 import { angle, cross, dot, length, minus, turned, unit, type Vector } from "../../src/format/vector.ts";
+import { CameraPath } from "../../src/play/keyframes.ts";
 import { Orbit, rubber, softened } from "../../src/ui/orbit.ts";
 
 const REGION: Region = {
@@ -190,4 +191,94 @@ test("inside, the wall does nothing; outside, pulled and held back point the sam
 test("vectors turn as the right hand does", () => {
   close(turned([1, 0, 0], [0, 0, 1], Math.PI / 2), [0, 1, 0]);
   close(cross([1, 0, 0], [0, 1, 0]), [0, 0, 1]);
+});
+
+test("a stance that is taken again is the same view, wherever it was", () => {
+  for (const region of [REGION, RING]) {
+    const orbit = free(region);
+    orbit.move({ right: 0.4, up: 0.2, panRight: 0.1, nearer: 0.3 });
+    orbit.turnOver();
+    settle(orbit);
+    const other = free(region);
+    other.begin(orbit.stance);
+    settle(other);
+    const [seen, again] = [orbit.view(ASPECT), other.view(ASPECT)];
+    for (const axis of ["position", "forward", "up"] as const) close(again[axis], seen[axis]);
+    other.move({ right: 1 });
+    other.reset();
+    settle(other);
+    close(other.view(ASPECT).position, seen.position);
+    other.begin(null);
+    settle(other);
+    assert.deepEqual(other.view(ASPECT), new Orbit(region).view(ASPECT));
+  }
+});
+
+test("turned over, up is down and a step to the right is still one to the right of the picture", () => {
+  const orbit = free();
+  orbit.turnOver();
+  const before = orbit.view(ASPECT);
+  close(before.up, [0, 1, 0]);
+  close(orbit.stance.up!, [0, 1, 0]);
+  orbit.move({ right: 0.1 });
+  const step = minus(orbit.view(ASPECT).position, before.position);
+  assert.ok(dot(step, cross(before.forward, before.up)) > 0);
+  orbit.turnOver();
+  assert.equal(orbit.stance.up, undefined);
+});
+
+const PATH = new CameraPath(
+  [0, 2],
+  [
+    [0, 0, -4, 0, 0, 0, 0, -1, 0, 30],
+    [0.5, 0, -4, 0, 0, 0, 0, -1, 0, 20],
+  ],
+  false,
+);
+
+test("it goes along a path as the scene is played, and stays at its end", () => {
+  const orbit = new Orbit(REGION);
+  orbit.follow(() => PATH);
+  assert.equal(orbit.view(ASPECT).fovY, 30);
+  assert.ok(!orbit.step(1 / 60));
+  for (const x of [0.25, 0.5, 0.5]) {
+    assert.ok(orbit.step(1 / 60, 1));
+    close(orbit.view(ASPECT).position, [x, 0, -4]);
+  }
+  assert.equal(orbit.view(ASPECT).fovY, 20);
+});
+
+test("whoever touches the camera has it: the path is over, where the camera is", () => {
+  const touches: Record<string, (orbit: Orbit) => void> = {
+    finger: (orbit) => orbit.stop(),
+    wheel: (orbit) => orbit.nudge({ nearer: 0 }),
+    key: (orbit) => orbit.drive({ right: 1e-9 }),
+  };
+  for (const touch of Object.values(touches)) {
+    const orbit = new Orbit(REGION);
+    orbit.follow(() => PATH);
+    orbit.step(1 / 60, 1);
+    touch(orbit);
+    orbit.step(1 / 60, 1);
+    close(orbit.view(ASPECT).position, [0.25, 0, -4], 1e-6);
+    assert.equal(orbit.view(ASPECT).fovY, 25);
+    orbit.drive({});
+    orbit.reset();
+    assert.equal(orbit.view(ASPECT).fovY, 40);
+  }
+});
+
+test("where people want no motion, a path is its first view", () => {
+  const orbit = Object.assign(new Orbit(REGION), { reduced: true });
+  orbit.follow(() => PATH);
+  orbit.step(1, 1);
+  close(orbit.view(ASPECT).position, [0, 0, -4]);
+});
+
+test("a path out of the region meets its wall, unless viewers may leave", () => {
+  const away = new CameraPath([0], [[9, 0, -4, 0, 0, 0, 0, -1, 0, 30]], false);
+  const [bounded, out] = [new Orbit(REGION), free()];
+  for (const orbit of [bounded, out]) orbit.follow(() => away);
+  assert.ok(bounded.view(ASPECT).position[0] < 2);
+  close(out.view(ASPECT).position, [9, 0, -4]);
 });

@@ -3,8 +3,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { Offers } from "../../src/play/offers.ts";
 import type { Playout } from "../../src/play/playout.ts";
-import { sessionSettings } from "../../src/play/settings.ts";
-import { playoutOf } from "../support/link.ts";
+import { playoutOf, rulesOf } from "../support/link.ts";
 import { NumberTables } from "../support/offers.ts";
 
 const SEGMENTS = 8;
@@ -25,7 +24,7 @@ function playout(settings = {}): Playout {
     ],
   });
   const rules = { startupS: 0, resumeS: 0, decodeFrameS: 0, bufferS: 3, loops: 2, ...settings };
-  return playoutOf(new Offers(tables, 0), sessionSettings(rules));
+  return playoutOf(new Offers(tables, 0), rulesOf(rules));
 }
 
 function filled(count: number, settings = {}): Playout {
@@ -87,7 +86,7 @@ test("what arrives in a pause follows without a stall", () => {
   assert.equal(made.stallS, 0);
 });
 
-test("a display that waits is a stall with its length, unless the viewer pauses", () => {
+test("frames whose time passes in a wait for the display are missed, unless the viewer pauses", () => {
   const made = filled(3);
   made.freeze(1.5, "display");
   made.freeze(1.75, "pause");
@@ -96,9 +95,10 @@ test("a display that waits is a stall with its length, unless the viewer pauses"
   assert.ok(made.held);
   made.thaw(6.25, "display");
   assert.deepEqual(on(made, 6.3), [0, 5]);
-  assert.deepEqual([made.stalls, made.stallS], [1, 0.75]);
+  assert.deepEqual(made.missed, { decoder: 0, display: 7 });
   made.thaw(7, "display"); // it does not wait: nothing happens
-  assert.deepEqual([made.stalls, made.stallS], [1, 0.75]);
+  assert.deepEqual(made.missed, { decoder: 0, display: 7 });
+  assert.deepEqual([made.stalls, made.stallS], [0, 0]);
 });
 
 test("a display that waits from the start on loses no picture", () => {

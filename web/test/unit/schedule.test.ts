@@ -16,6 +16,18 @@ test("a schedule passes at its speed, and stands still while there is a reason",
   assert.equal(schedule.reached(7, 12), 13);
 });
 
+test("a schedule is moved on, or stands still until it is where it was; not while it is held", () => {
+  const schedule = new Schedule();
+  schedule.setSpeed(10, 2);
+  schedule.shift(10, 1);
+  assert.equal(schedule.at(11), 13);
+  schedule.shift(11, -0.5);
+  assert.deepEqual([schedule.at(11), schedule.at(11.25), schedule.at(12)], [13, 13, 14.5]);
+  schedule.hold("pause", 12);
+  schedule.shift(13, 5);
+  assert.equal(schedule.at(14), 14.5);
+});
+
 test("a reason from before the last change counts from that change on", () => {
   const schedule = new Schedule();
   schedule.hold("hidden", 5);
@@ -23,5 +35,5 @@ test("a reason from before the last change counts from that change on", () => {
   schedule.hold("display", 4.9); // the last picture was drawn before the page was hidden
   assert.equal(schedule.at(101), 5);
   schedule.release("display", 101);
-  assert.deepEqual([schedule.at(102), schedule.displayS], [6, 1]);
+  assert.deepEqual([schedule.at(102), schedule.missedS.display], [6, 1]);
 });

@@ -8,9 +8,8 @@ import { whole } from "../../src/play/fetch-plan.ts";
 import { Offers } from "../../src/play/offers.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { Session } from "../../src/play/session.ts";
-import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { playoutOf, SimulatedDownloader, Trace } from "../support/link.ts";
+import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { NumberTables, type PackageNumbers } from "../support/offers.ts";
 import { readVectors } from "./files.ts";
 
@@ -64,7 +63,7 @@ async function played(play: Play): Promise<Row[]> {
   const offers = new Offers(tables, numbers.header_bytes);
   if (play.growth.length) offers.first = tables.index.entry(tables.index.groups - 1).firstSegment;
   const given = Object.fromEntries(Object.entries(play.settings).map(([name, value]) => [camel(name), value]));
-  const settings = sessionSettings(given);
+  const settings = rulesOf(given);
   const { pipelines, faults, rtt_s: rttS } = play;
   const trace = new Trace(starts_s, rates_bps, duration_s);
   const downloader = new GrowingDownloader({ trace, rttS, pipelines, faults }, offers);

@@ -21,14 +21,15 @@ function pair() {
   const worker = {
     ended: false,
     onmessage: (_event: { data: Uint32Array | null }) => {},
-    onerror: () => {},
+    onerror: (_event: { message: string }) => {},
     postMessage: (request: SortRequest) => asked.push(request),
     terminate: () => {
       worker.ended = true;
     },
   };
-  const sorter = new Sorter(worker as unknown as Worker);
-  return { asked, worker, sorter, answer: (row: number) => worker.onmessage({ data: Uint32Array.of(row) }) };
+  const failures: string[] = [];
+  const sorter = new Sorter(worker as unknown as Worker, (why) => failures.push(why));
+  return { asked, worker, sorter, failures, answer: (row: number) => worker.onmessage({ data: Uint32Array.of(row) }) };
 }
 
 test("one request is made at a time, and the newest one that waits is next", async () => {
@@ -70,14 +71,16 @@ test("requests of two scenes do not overtake each other", async () => {
   );
 });
 
-test("a worker that fails answers null and does not block the next request", async () => {
-  const { worker, sorter, answer } = pair();
+test("a worker that fails answers null and does not block the next request; why is told until it has worked", async () => {
+  const { worker, sorter, answer, failures } = pair();
   const failed = sorter.order(MEANS, "a", CAMERA);
   const next = sorter.order(MEANS, "b", CAMERA);
-  worker.onerror();
+  worker.onerror({ message: "no memory" });
   assert.equal(await failed, null);
   answer(3);
   assert.deepEqual(await next, Uint32Array.of(3));
+  worker.onerror({ message: "a bad request" });
+  assert.deepEqual(failures, ["no memory"]);
 });
 
 test("forgetting and closing leave nobody waiting", async () => {

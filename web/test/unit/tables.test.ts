@@ -175,12 +175,12 @@ for (const one of readVectors("packages").startup) {
       await tables.add(path, read(path));
     };
     try {
-      tables.index.atFrame(one.frame);
+      tables.index.groupAt("frames", one.frame);
     } catch (error) {
       assert.ok(error instanceof MissingTableError);
       await add(error.path);
     }
-    const number = tables.index.atFrame(one.frame);
+    const number = tables.index.groupAt("frames", one.frame);
     assert.throws(() => tables.group(number), MissingTableError);
     await add(groupPath(number + 1));
     const units = Array.from({ length: one.tiers }, (_, unit) => unit);
@@ -214,7 +214,7 @@ test("the segments of an unread page are guessed, and found once it is read", as
   const { index } = Tables.parse(readBytes(`${folder}/airgs.json`));
   const whole = (await readTables(folder)).index;
   const page = pagePath(1, 1);
-  assert.deepEqual([[...index.pages()], [...whole.pagesTo("segments", 0)]], [[page], [page]]);
+  assert.deepEqual([...whole.pagesTo("segments", 0)], [page]);
   assert.deepEqual([index.hasPage(page), whole.hasPage(page)], [false, true]);
   assert.deepEqual([index.leadsTo(0), whole.leadsTo(0), index.leadsTo(64)], [false, true, true]);
   assert.throws(() => index.entry(0), MissingTableError);
@@ -225,7 +225,8 @@ test("the segments of an unread page are guessed, and found once it is read", as
     stop = guess.stop;
   }
   assert.equal(stop, index.frames);
-  for (const wrong of [-1, index.segments, Number.NaN]) assert.throws(() => index.atSegment(wrong), RangeError);
+  for (const wrong of [-1, index.segments, Number.NaN])
+    assert.throws(() => index.groupAt("segments", wrong), RangeError);
 });
 
 test("a key with rows and no plane is refused", async () => {
@@ -244,6 +245,19 @@ test("what stands behind a member of gzip is refused, and what is cut off", asyn
   assert.equal(new TextDecoder().decode(await inflate(one, "x")), "{}");
   const more = [Uint8Array.of(...one, 0), Uint8Array.of(...one, ...one), one.subarray(0, -1), new Uint8Array(0)];
   for (const data of more) await assert.rejects(inflate(data, "x"), { reason: "not_json" });
+});
+
+test("a table that would cost far more than its file is refused before it is built", async () => {
+  const table = await readTables("tests/golden/fox");
+  for (const tail of ["[],".repeat(1 << 21), " ".repeat(1 << 24)]) {
+    const bytes = new Uint8Array(gzipSync(`{"repairs":[${tail}1]}`));
+    await assert.rejects(table.addGroup(0, bytes), { reason: "too_large" });
+  }
+});
+
+test("half of a surrogate pair is no text", () => {
+  checkTable("\ud83e\udd8a", { type: "string" }, "x");
+  assert.throws(() => checkTable("\ud800", { type: "string" }, "x"), { reason: "bad_value" });
 });
 
 /** The root of `paged` as it was when it had this many groups after no page. */

@@ -8,10 +8,10 @@ import { sizesAfter } from "../../src/play/policies/mpc.ts";
 import { makePolicy } from "../../src/play/policies/named.ts";
 import { Repairs } from "../../src/play/repairs.ts";
 import { Session } from "../../src/play/session.ts";
-import { byView, sessionSettings } from "../../src/play/settings.ts";
+import { byView } from "../../src/play/settings.ts";
 import { Boxes, cameraOf, expected, type ViewState, velocityOf, Watcher } from "../../src/play/sight.ts";
 import { Stores } from "../../src/play/stores.ts";
-import { playoutOf, SimulatedDownloader, Trace } from "../support/link.ts";
+import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { type GroupNumbers, NumberTables } from "../support/offers.ts";
 
 const RADIANS = Math.PI / 180;
@@ -132,7 +132,7 @@ test("sizes are those of the tiles that are asked for", () => {
 class Viewer {
   readonly offers: Offers;
   readonly watcher = new Watcher();
-  readonly settings = byView(sessionSettings({ loops: 1, startupS: 0, bufferS: 10 }));
+  readonly settings = { ...byView(rulesOf({ startupS: 0, bufferS: 10 })), loops: 1 };
   readonly playout: Playout;
   readonly stores: Stores;
   readonly downloader: SimulatedDownloader;
@@ -180,13 +180,13 @@ test("a tile that cannot be had is left out, and the others are shown", async ()
 
 test("who turns gets what he turns to, and who sees nothing the tile that is nearest", () => {
   const viewer = new Viewer();
-  assert.deepEqual(viewer.planner.plan(0, 0).tiles, [0]);
+  assert.deepEqual(viewer.planner.plan(0, 0), [0]);
   viewer.watcher.look(turned(10), 0.1); // 100 degrees a second, so that 50 more are expected
-  assert.deepEqual(viewer.planner.plan(0, 0.1).tiles, [0, 1]);
+  assert.deepEqual(viewer.planner.plan(0, 0.1), [0, 1]);
   viewer.watcher.look(turned(110), 5);
-  assert.deepEqual(viewer.planner.plan(0, 9).tiles, [1]);
+  assert.deepEqual(viewer.planner.plan(0, 9), [1]);
   viewer.watcher.look(turned(130), 10);
-  assert.deepEqual(viewer.planner.plan(0, 19).tiles, [2]);
+  assert.deepEqual(viewer.planner.plan(0, 19), [2]);
 });
 
 test("what is lacking soon before a segment is shown is looked for in a wider picture", () => {

@@ -1,8 +1,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { gzipSync } from "node:zlib";
 import {
-  applyBases,
   atlasSamples,
+  basesAfter,
   checkLuma,
   pages,
   planeCorner,
@@ -10,12 +11,11 @@ import {
   readCodes,
   rowOffsets,
 } from "../../src/format/atlas.ts";
-import { Bases, readEscapes } from "../../src/format/escapes.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { ColumnReader } from "../../src/format/rangecoder.ts";
 import { motionUnits } from "../../src/format/sidecar.ts";
 import type { Atlas, BaseChanges, Canonical, Gaussians, Group, Root } from "../../src/format/types.ts";
-import { levelRows } from "../../src/format/units.ts";
+import { Bases, levelRows, readEscapes } from "../../src/format/units.ts";
 import { fromBase64, readVectors, runs } from "./files.ts";
 
 interface Case {
@@ -79,13 +79,20 @@ for (const { name, luma, bases, codes, ...atlas } of planes.cases) {
   });
 }
 
-test("samples outside of the limited range are refused", () => {
-  checkLuma(Uint8Array.of(16, 128, 235), "file");
-  checkLuma(new Uint8Array(0), "file");
-  for (const sample of [15, 236]) {
-    assert.throws(() => checkLuma(Uint8Array.of(128, sample), "file"), { reason: "bad_picture" });
+test("luma that differs from its checksum is refused", () => {
+  checkLuma(new Uint8Array(0), 0, "file");
+  checkLuma(new TextEncoder().encode("123456789"), 0xcbf43926, "file"); // a value that is published
+  const luma = new Uint8Array(100_000).map((_, i) => i % 251);
+  const checksum = gzipChecksum(luma);
+  checkLuma(luma, checksum, "file");
+  luma[99_999]! ^= 1;
+  for (const other of [checksum, undefined]) {
+    assert.throws(() => checkLuma(luma, other, "file"), { reason: "bad_picture" });
   }
 });
+
+/** CRC-32 as gzip writes it before the length at its end. */
+const gzipChecksum = (data: Uint8Array) => gzipSync(data).subarray(-8).readUInt32LE();
 
 /** An atlas with a plane for each channel, and a picture in it that decodes to codes. */
 function pictureOf(channels: unknown[][]): { atlas: Atlas; luma: Uint8Array; changes: BaseChanges } {
@@ -157,10 +164,8 @@ for (const one of readVectors("states").cases) {
     assert.deepEqual([...levelRows(canonical.depths, one.level)], runs(one.rows));
     for (const { codes, values, tolerance } of one.frames) {
       const { atlas, luma, changes } = pictureOf(codes);
-      const bases = new Int32Array(luma.length);
-      applyBases(bases, changes);
       const table = { ...group, tiles: [{ levels: new Array(8).fill(atlas) }] } as Group;
-      const state = { level: one.level, luma, bases };
+      const state = { level: one.level, luma, bases: basesAfter(luma.length, [changes]) };
       near(shownGaussians(root, table, base, canonical, state), values, tolerance);
     }
   });

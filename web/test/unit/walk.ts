@@ -2,6 +2,7 @@
 import { FormatError } from "../../src/format/errors.ts";
 import { Tables } from "../../src/format/package.ts";
 import { groupPath } from "../../src/format/paths.ts";
+import { packetsOf, readSound } from "../../src/format/sound.ts";
 import { checkCount, readKeyUnit, readStateUnit } from "../../src/format/units.ts";
 import { ROOT_PATH } from "../../src/generated/constants.ts";
 import { type Files, readFiles } from "./files.ts";
@@ -23,8 +24,10 @@ export const readTables = (folder: string): Promise<Tables> => tablesOf(readFile
 
 async function tablesOf(files: Files): Promise<Tables> {
   const tables = Tables.parse(read(files, ROOT_PATH));
-  for (const path of tables.index.pages()) await tables.add(path, read(files, path));
   for (let group = 0; group < tables.index.groups; group++) {
+    for (const path of tables.index.pagesTo("groups", group)) {
+      if (!tables.index.hasPage(path)) await tables.add(path, read(files, path));
+    }
     await tables.add(groupPath(group + 1), read(files, groupPath(group + 1)));
   }
   return tables;
@@ -71,9 +74,14 @@ async function walkStates(tables: Tables, files: Files, group: number, tile: num
 export async function walk(files: Files): Promise<number> {
   const tables = await tablesOf(files);
   const { root, index } = tables;
-  await fetched(tables, files, "init.mp4");
-  let count = 1;
+  const inits = root.sound ? ["init.mp4", "sound/init.m4a"] : ["init.mp4"];
+  await Promise.all(inits.map((path) => fetched(tables, files, path)));
+  let count = inits.length;
   for (let group = 0; group < index.groups; group++) {
+    for (const path of tables.soundFiles(group)) {
+      readSound(await fetched(tables, files, path), path, packetsOf(root, tables.group(group)));
+      count++;
+    }
     for (const tile of tables.tiles) {
       for (let quality = 0; quality < root.qualities.length; quality++) {
         count += await walkKeys(tables, files, { group, tile, quality });

@@ -11,7 +11,7 @@ import torch
 from airgs_codec.errors import TrainingError
 from airgs_codec.progress import silent
 from airgs_codec.render import render
-from airgs_codec.render.absgrad import AbsGrad
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene

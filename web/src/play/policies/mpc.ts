@@ -33,9 +33,7 @@ const harmonic = (rates: readonly number[]): number => rates.length / rates.redu
 /** The link and the buffer as the controller takes them to be. */
 interface Model {
   rateBps: number;
-  /** Of every request. */
   latencyS: number;
-  /** Of the buffer. */
   limitS: number;
   /** (B) buffers for which values are known. */
   gridS: Float64Array;
@@ -59,7 +57,9 @@ export function chooseRobustMpc(state: PlayerState): Decision {
   if (rateBps <= 0) return select(fullLadder(state), 0);
   const model = { rateBps, latencyS: state.requestLatencyS, limitS: limitS(state), gridS: grid(limitS(state)) };
   const steps = horizon(state);
-  const value = valueAfter(model, steps);
+  /** (R · B) best total of what follows the first step, by its rung and the buffer that it leaves. */
+  let value: Float64Array = new Float64Array(steps[0].quality.length * GRID_POINTS);
+  for (let i = steps.length - 1; i > 0; i--) value = valueBefore(model, steps[i], steps[i - 1].quality, value);
   const [have, seconds] = [bufferS(state), segmentS(state)];
   let best = { total: -Infinity, fits: false, option: state.options[0] };
   for (const option of state.options) {
@@ -74,8 +74,7 @@ export function chooseRobustMpc(state: PlayerState): Decision {
     if (total > best.total || smaller) best = { total, fits: stall <= 0, option };
   }
   const { index, sizeBytes } = best.option;
-  const ahead = `buffer ${have.toFixed(2)} s, ${steps.length} segments ahead`;
-  return { index, fits: best.fits, reason: `${(rateBps / 1e6).toFixed(2)} Mbit/s, ${ahead}`, sizeBytes };
+  return { index, fits: best.fits, sizeBytes };
 }
 
 /** Seconds to fetch so many bytes; nothing is requested for none. */
@@ -110,13 +109,6 @@ export function sizesAfter(offer: SegmentOffer, before: SegmentOffer, known: Uni
     table.set(sizesOf(offer, { has: (unit) => others.has(unit) || held.has(unit) }), p * offer.rungs.length);
   }
   return table;
-}
-
-/** (R · B) best total of what follows the first step, by its rung and the buffer that it leaves. */
-function valueAfter(model: Model, steps: readonly Step[]): Float64Array {
-  let value: Float64Array = new Float64Array(steps[0].quality.length * GRID_POINTS);
-  for (let i = steps.length - 1; i > 0; i--) value = valueBefore(model, steps[i], steps[i - 1].quality, value);
-  return value;
 }
 
 /** (R · B) best total from a step on, by the rung before it and the buffer; `value` is that of what follows it. */

@@ -1,7 +1,7 @@
 // The policies by name: Algorithm 1 of the paper (arXiv 2512.20943) with its cases defined, and as printed; rules of
 // the throughput and of the buffer; one rung for ever; and the controller of mpc.ts.
 import { DEFAULT_BETA, HORIZON_SEGMENTS, type POLICY_NAMES, RESERVE_S, SAFETY } from "../../generated/constants.ts";
-import { type Decision, frameBudget, select, selectLiteral } from "../ladder.ts";
+import { type Decision, select, selectLiteral } from "../ladder.ts";
 import type { Offers } from "../offers.ts";
 import { ConfigError } from "../settings.ts";
 import { chooseRobustMpc } from "./mpc.ts";
@@ -22,11 +22,10 @@ function choosePaperLiteral(state: PlayerState, beta = DEFAULT_BETA): Decision {
   const { rungs } = state.ahead[0].offer;
   const finest = state.options.filter(({ index }) => rungs[index].quality === 0);
   const levels = finest.length ? finest : state.options;
-  const budget = frameBudget(estimateThroughput(state.history), 1 / segmentS(state));
+  const budget = estimateThroughput(state.history) / (8 / segmentS(state));
   const answer = selectLiteral(levels, budget, beta);
   const { index, sizeBytes } = levels[answer ?? levels.length - 1];
-  const reason = answer === null ? "Algorithm 1 leaves it undefined" : `Algorithm 1 for ${budget.toFixed(0)} B`;
-  return { index, fits: sizeBytes <= budget, reason, sizeBytes };
+  return { index, fits: sizeBytes <= budget, sizeBytes };
 }
 
 /** The best rung within SAFETY · B over the segment's own length. */
@@ -42,7 +41,7 @@ const chooseThroughput = (state: PlayerState): Decision =>
 function chooseBola(state: PlayerState): Decision {
   const rungs = fullLadder(state);
   const last = rungs[rungs.length - 1];
-  if (rungs.length === 1) return { index: last.index, fits: true, reason: "one rung", sizeBytes: last.sizeBytes };
+  if (rungs.length === 1) return { index: last.index, fits: true, sizeBytes: last.sizeBytes };
   const utility = rungs.map((rung) => ((rung.quality - last.quality) * Math.log(10)) / 20);
   const limit = Math.max(limitS(state) - segmentS(state), segmentS(state));
   const reserve = Math.min(RESERVE_S, limit / 3);
@@ -53,14 +52,7 @@ function chooseBola(state: PlayerState): Decision {
   const scores = rungs.map((p, i) => (v * (utility[i] + g) - bufferS(state)) / Math.max(1, p.sizeBytes));
   const most = Math.max(...scores);
   const { index, sizeBytes } = rungs[most <= 0 ? 0 : scores.indexOf(most)];
-  return { index, fits: true, reason: `buffer ${bufferS(state).toFixed(2)} s`, sizeBytes };
-}
-
-/** One rung for every segment; the smallest one where it cannot be had. */
-function chooseFixed(state: PlayerState, rung: number): Decision {
-  const smallest = state.options.reduce((a, b) => (b.sizeBytes < a.sizeBytes ? b : a));
-  const { index, sizeBytes } = state.options.find((option) => option.index === rung) ?? smallest;
-  return { index, fits: true, reason: "fixed", sizeBytes };
+  return { index, fits: true, sizeBytes };
 }
 
 type Name = (typeof POLICY_NAMES)[number];
@@ -78,7 +70,7 @@ const CHOOSE: Record<Name, Policy["choose"]> = {
 export const ADAPTIVE: ReadonlyMap<string, Policy> = new Map(
   Object.entries(CHOOSE).map(([name, choose]) => {
     const horizon = choose === chooseRobustMpc ? HORIZON_SEGMENTS : 1;
-    return [name, { name, choose, mayAbandon: true, mayReplace: true, needsQuality: true, horizon }];
+    return [name, { name, choose, adapts: true, horizon }];
   }),
 );
 
@@ -88,16 +80,20 @@ export function wishedPolicy(wishes: { quality: string; policy: string }, { meas
   return measured ? wishes.policy : "fixed:0";
 }
 
-/** A policy by name, or fixed:J (level J with the finest keys) or fixed:RUNG (such as Q1+L3).
- *
- * Throws ConfigError for other names.
+/** A policy by name, or fixed:J (level J, finest keys), or fixed:RUNG, in the finest level that is offered. Throws
+ * ConfigError for other names.
  */
 export function makePolicy(name: string, offers: Offers): Policy {
   const known = ADAPTIVE.get(name);
   if (known) return known;
   const rung = fixedRung(name, offers);
-  const choose: Policy["choose"] = (state) => chooseFixed(state, rung);
-  return { name, choose, mayAbandon: false, mayReplace: false, needsQuality: false, horizon: 1 };
+  const choose: Policy["choose"] = ({ options }) => {
+    const smallest = options.reduce((a, b) => (b.sizeBytes < a.sizeBytes ? b : a));
+    const wanted = rung + Math.max(0, offers.finest - offers.rungs[rung][1]);
+    const { index, sizeBytes } = options.find((option) => option.index === wanted) ?? smallest;
+    return { index, fits: true, sizeBytes };
+  };
+  return { name, choose, adapts: false, horizon: 1 };
 }
 
 function fixedRung(name: string, { names, tables }: Offers): number {

@@ -37,17 +37,12 @@ export interface PlayerState {
 export interface Policy {
   name: string;
   choose: (state: PlayerState) => Decision;
-  /** Give up downloads that would come too late. */
-  mayAbandon: boolean;
-  /** Fetch better rungs for buffered segments. */
-  mayReplace: boolean;
-  /** Only packages with measured quality. */
-  needsQuality: boolean;
+  /** By measured quality, with downloads given up that would come too late, and better rungs for buffered segments. */
+  adapts: boolean;
   /** Segments whose sizes it looks at, the next one first. */
   horizon: number;
 }
 
-/** Seconds for which a segment is on the screen. */
 export const shownS = (state: PlayerState, offer: SegmentOffer): number => offer.seconds / state.speed;
 
 /** Seconds for which the segment to be requested is on the screen. */

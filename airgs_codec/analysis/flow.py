@@ -1,0 +1,107 @@
+"""Where the Gaussians of one frame go in another one that knows nothing of them: with other rows, in another order.
+
+Every row is matched with the row of the other frame that is most like it, where that holds both ways. Single matches
+are noise; the motion is that of nodes, each of which moves and turns as the matches about it do, and every row goes
+along with the nodes next to it (embedded deformation, Sumner et al. 2007). N rows, M rows of the other frame, S nodes,
+K nodes next to a row.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from airgs_codec.analysis.matching import attributes, spacing_of
+from airgs_codec.scene.gaussians import Gaussians, from_rotation_vector, multiply
+
+NODE_ROWS = (200, 60, 40)  # rows of a node, in rounds: with fewer, what is matched by chance moves them
+NEAR = 6  # nodes that a row goes with
+FAR = 3.0  # medians of the differences of matches: further rows tell nothing
+NEAR_BY = 0.5  # sizes of a row: one that is as near tells something all the same
+DOUBT = 0.2  # of the usual weight of a node's matches: a node with as few goes half as far as they say
+ATTRIBUTE_SHARE = 0.2  # of what attributes count for in frames of one tracking, whose rows keep them
+Vectors = NDArray[np.float64]
+
+
+def carry(g: Gaussians, frame: Gaussians, velocity: NDArray[np.floating] | None = None) -> Gaussians:
+    """The rows of `g`, finite, moved and turned to where they are in `frame`; nothing else changes.
+
+    `velocity`: (N, 3) by which they are expected to move.
+    """
+    if len(g) < 2 * NODE_ROWS[-1] or len(frame) < 2:
+        return g
+    spacing = spacing_of(g.means)
+    tree, moved = cKDTree(_features(frame, spacing)), g
+    if velocity is not None:
+        moved = replace(g, means=(g.means + velocity).astype(np.float32))
+    for rows in NODE_ROWS:
+        moved = _round(moved, frame, tree, spacing, rows)
+    return moved
+
+
+def _round(g: Gaussians, frame: Gaussians, tree: cKDTree, spacing: float, rows: int) -> Gaussians:
+    """The rows after a round whose nodes have so many of them; `tree`: of the features of `frame`."""
+    apart, there, mutual = _matches(g, tree, spacing)
+    here = g.means.astype(np.float64)
+    shift = frame.means[there] - here
+    size = np.maximum(np.exp(g.log_scales.max(axis=1)), spacing)
+    way = np.linalg.norm(shift, axis=1)
+    known = mutual & ((apart <= FAR * np.median(apart)) | (way <= NEAR_BY * size))
+    weight = np.where(known, g.opacities(), 0.0) / (1 + np.square(way / size))
+    nodes = here[np.linspace(0, len(g) - 1, max(1, len(g) // rows)).astype(int)]
+    ties = _ties(here, nodes)
+    centre, move, turn = _motion(ties, here, shift, weight)
+    spin = ties @ turn
+    go = ties @ (move - np.cross(turn, centre)) + np.cross(spin, here)
+    turned = multiply(from_rotation_vector(spin), g.quaternions.astype(np.float64))
+    return replace(g, means=(here + go).astype(np.float32), quaternions=turned.astype(np.float32))
+
+
+def unmatched(g: Gaussians, frame: Gaussians) -> NDArray[np.intp]:
+    """The rows of `frame` that are no row of `g`, which is where it would be in that frame."""
+    spacing = spacing_of(g.means)
+    _, there, mutual = _matches(g, cKDTree(_features(frame, spacing)), spacing)
+    return np.setdiff1d(np.arange(len(frame)), there[mutual])
+
+
+def _matches(g: Gaussians, tree: cKDTree, spacing: float) -> tuple[Vectors, NDArray[np.intp], NDArray[np.bool_]]:
+    """How far (N,) the row of a tree of features is that is most like each row, which it is, and if both ways."""
+    wanted = _features(g, spacing)
+    apart, there = tree.query(wanted, workers=-1)
+    back = cKDTree(wanted).query(tree.data[there], workers=-1)[1]
+    return apart, there, back == np.arange(len(g))
+
+
+def _features(g: Gaussians, spacing: float) -> Vectors:
+    """(N, 10) mean in units of `spacing`, and attributes, which count for less than in frames of one tracking."""
+    return np.hstack([g.means.astype(np.float64) / spacing, ATTRIBUTE_SHARE * attributes(g)])
+
+
+def _ties(points: Vectors, nodes: Vectors) -> csr_array:
+    """(N, S) how much each row goes with the nodes next to it, summing to 1."""
+    count = min(NEAR, len(nodes))
+    away, which = cKDTree(nodes).query(points, k=count, workers=-1)
+    away, which = away.reshape(len(points), count), which.reshape(len(points), count)
+    width = np.maximum(away[:, -1:], 1e-12)
+    values = np.maximum(np.exp(-2 * np.square(away / width)), 1e-6)
+    values /= values.sum(axis=1, keepdims=True)
+    starts = np.arange(0, count * len(points) + 1, count)
+    return csr_array((values.ravel(), which.ravel(), starts), (len(points), len(nodes)))
+
+
+def _motion(ties: csr_array, here: Vectors, shift: Vectors, weight: Vectors) -> tuple[Vectors, Vectors, Vectors]:
+    """Centre, shift and small turn (S, 3) of each node that best explain the shifts (N, 3) of rows about it."""
+    pull = (ties.T * weight).tocsr()
+    total = pull.sum(axis=1)[:, None] + 1e-12
+    centre, move = (pull @ here) / total, (pull @ shift) / total
+    trust = total / (total + DOUBT * np.median(total) + 1e-12)
+    cross = pull @ np.cross(here, shift) / total - np.cross(centre, move)
+    outer = (pull @ np.einsum("ni,nj->nij", here, here).reshape(-1, 9)) / total
+    spread = outer.reshape(-1, 3, 3) - np.einsum("ni,nj->nij", centre, centre)
+    size = np.trace(spread, axis1=1, axis2=2)[:, None, None]
+    inertia = size * np.eye(3) - spread + (0.02 * size + 1e-18) * np.eye(3)
+    return centre, trust * move, trust * np.linalg.solve(inertia, cross[..., None])[..., 0]

@@ -1,0 +1,130 @@
+"""What commands say on a terminal: answers, errors as one line, progress; and how they end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+from airgs_codec.errors import AirgsError
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+# OpenMP threads of numba spin while they wait unless told so before the first import that loads them.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+
+MOST_WORDS = 2000  # characters of an error's line
+LINE_S = 10.0  # between two lines of progress in a log
+NARROW = 80  # columns of a terminal that does not know how many it has
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM came."""
+
+
+def run_command(name: str, work: Callable[[], int]) -> int:
+    """Exit status of a command: bad input or a failing disk is one line on stderr and 2, a bug keeps its traceback.
+
+    SIGINT and SIGTERM end the work where it is, so that it removes what it has begun; the status is 130 or 143.
+    """
+    try:
+        with _terminable():
+            return work()
+    except AirgsError as error:
+        warn(f"{name}: {_one_line(str(error))}")
+        return 2
+    except KeyboardInterrupt as error:
+        warn(f"{name}: stopped")
+        return 128 + (signal.SIGTERM if isinstance(error, _Terminated) else signal.SIGINT)
+    except BrokenPipeError:  # the reader of our output has gone, `| head` for one
+        sys.stderr.close()
+        return 0
+    except OSError as error:
+        what = error.strerror or f"{error} (is the disk full?)"  # numpy counts bytes instead of asking
+        warn(f"{name}: {error.filename or 'file system'}: {what}")
+        return 2
+
+
+def say(text: str, end: str = "\n") -> None:
+    """Print a command's answer; what stands in files that came over a network may not act on a terminal."""
+    print(_plain(text), end=end, flush=True)
+
+
+def warn(text: str, end: str = "\n") -> None:
+    """Print what is beside the answer, on stderr."""
+    print(_plain(text), end=end, file=sys.stderr, flush=True)
+
+
+def _plain(text: str) -> str:
+    """The text with escapes in place of what is no printable character, but for ends of lines."""
+    return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
+
+
+def _one_line(text: str) -> str:
+    """The text with its middle left out where nobody would read it."""
+    short = text if len(text) <= MOST_WORDS else f"{text[: MOST_WORDS // 2]} … {text[-MOST_WORDS // 2 :]}"
+    return short.replace("\n", "\\n")
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Within the block SIGTERM raises _Terminated, unless this is a thread of somebody's program."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_: Any) -> None:
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+class Bar:
+    """A progress bar for each stage of a long work; a line every LINE_S where stderr is no terminal; or `quiet`."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._quiet = quiet
+        self._piped = not sys.stderr.isatty()
+        self._bar: tqdm | None = None
+        self._stage = ""
+        self._begun_s = self._said_s = time.monotonic()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """`done` of `total` parts of a stage are finished."""
+        if self._quiet:
+            return
+        if self._piped:
+            self._say(stage, done, total)
+            return
+        if stage != self._stage:
+            self.close()
+            self._stage = stage
+            from tqdm import tqdm  # 0.1 s, which a command without long work need not wait for
+
+            width = os.get_terminal_size(sys.stderr.fileno()).columns
+            self._bar = tqdm(total=total, desc=stage, leave=False, ncols=width or NARROW)
+        if self._bar is not None:
+            self._bar.update(done - self._bar.n)
+
+    def _say(self, stage: str, done: int, total: int) -> None:
+        now_s = time.monotonic()
+        if now_s - self._said_s >= LINE_S:
+            self._said_s = now_s
+            warn(f"{stage}: {done} of {total}, after {now_s - self._begun_s:.0f} s")
+
+    def close(self) -> None:
+        """Clear the line."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None

@@ -1,0 +1,133 @@
+"""What lies beside the frames of a sequence: sequence.json, usage.npz and ATTRIBUTION.txt.
+
+sequence.json has the frame rate, the first frames of groups and the background; usage.npz how much each of the N
+Gaussians of a group contributes to the training views, as the trainer measured it: an array for each group and measure,
+named "start:stop/measure".
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import SceneError
+from airgs_codec.places.whole import atomic_path, write_json
+from airgs_codec.scene.camera import BLACK, Background
+from airgs_codec.scene.files import expecting
+
+ATTRIBUTION_NAME = "ATTRIBUTION.txt"
+USAGE_NAME = "usage.npz"
+MOST_HEADER_BYTES = 1024  # of an array in it
+MEASURES = ("importance", "max", "sum", "hits")  # the first is `analysis.importance`
+DEFAULT_FPS = Fraction(30)
+MAX_FPS = 1000
+SETTINGS_NAME = "sequence.json"
+Settings = tuple[Fraction, tuple[int, ...] | None, Background]  # frames a second, keyframes, colour behind the scene
+DEFAULTS: Settings = (DEFAULT_FPS, None, BLACK)
+
+
+def read_settings(folder: Path, frames: int) -> Settings:
+    """Return what the sequence.json of a folder with so many frames says, or the defaults. Raises SceneError."""
+    path = folder / SETTINGS_NAME
+    if not path.exists():
+        return DEFAULTS
+    with expecting(path, '{"fps": number, "keyframes": [frame, ...]}'):
+        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        fps = exact_number(str(data.get("fps", DEFAULT_FPS)))
+        keyframes = data.get("keyframes")
+        starts = None if keyframes is None else tuple(sorted({0, *(int(k) for k in keyframes)}))
+    if starts and not (starts[0] >= 0 and starts[-1] < frames):
+        raise SceneError(f"{path}: expected keyframes in 0..{frames - 1}, got {starts[0]} to {starts[-1]}")
+    return frame_rate(str(path), fps), starts, _background(path, data.get("background", BLACK))
+
+
+def write_settings(
+    folder: Path, fps: Fraction, keyframes: Sequence[int] | None = None, background: Background = BLACK
+) -> None:
+    """Write it, atomically; without keyframes and a black background nothing is said of these."""
+    exact = Fraction(str(float(fps))) == fps
+    settings: dict[str, Any] = {"fps": float(fps) if exact else str(fps)}
+    settings |= {} if keyframes is None else {"keyframes": list(keyframes)}
+    settings |= {} if background == BLACK else {"background": list(background)}
+    write_json(folder / SETTINGS_NAME, settings)
+
+
+def _background(path: Path, data: Any) -> Background:
+    numbers = data if isinstance(data, (list, tuple)) else ()
+    if len(numbers) == 3 and all(type(value) in (int, float) and 0 <= value <= 1 for value in numbers):
+        r, g, b = map(float, numbers)
+        return r, g, b
+    raise SceneError(f"{path}: expected a background of r, g, b from 0 to 1, got {data}")
+
+
+def exact_number(text: str) -> Fraction:
+    """A number: 30, 29.97 or 30000/1001. Raises ValueError or ZeroDivisionError.
+
+    Powers of ten go through float64 and end at its largest: Fraction would write out all digits of 1e30000000.
+    """
+    return Fraction(text) if "/" in text else Fraction(str(float(text)))
+
+
+def frame_rate(where: str, fps: Fraction | float) -> Fraction:
+    """Frames a second, exactly. Raises SceneError where they are not above 0 and at most MAX_FPS."""
+    if not (isinstance(fps, Real) and 0 < fps <= MAX_FPS):
+        raise SceneError(f"{where}: expected 0 < fps <= {MAX_FPS}, got {fps}")
+    return Fraction(str(fps))  # 29.97 is 2997/100, not the nearest float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Usage:
+    """Blending weights alpha T of each Gaussian over all pixels, views and frames that were measured (AirGS)."""
+
+    total: NDArray[np.float64]  # (N,) sum of alpha T
+    peak: NDArray[np.float64]  # (N,) max of alpha T, 0..1
+    hits: NDArray[np.int64]  # (N,) pixels where it is blended: the paper's usage frequency, literally
+    moved: NDArray[np.float64] | None = None  # (N,) max over frames of max alpha T x size of the change, in codec steps
+
+    def measure(self, name: str) -> NDArray[np.float64]:
+        """(N,) the measure of that name: max, sum or hits. Raises KeyError for any other."""
+        return {"max": self.peak, "sum": self.total, "hits": self.hits.astype(np.float64)}[name]
+
+
+def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
+    """Write the usage of groups, given by their frames (start, stop), as .npz, whole or not at all."""
+    arrays: dict[str, NDArray] = {}
+    for (start, stop), usage in groups.items():
+        columns = {"total": usage.total, "peak": usage.peak, "hits": usage.hits, "moved": usage.moved}
+        arrays |= {f"{start}:{stop}/{name}": column for name, column in columns.items() if column is not None}
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def load_usage(path: Path, start: int, stop: int, count: int) -> Usage | None:
+    """Read the usage of the group of frames [start, stop) of so many rows; None when the file has no such group.
+
+    Raises SceneError when the file is not one that `save_usage` wrote, or has more rows: they are not unpacked.
+    """
+    names = {name: f"{start}:{stop}/{name}" for name in ("total", "peak", "hits", "moved")}
+    with (
+        expecting(path, "usage as the trainer writes it"),
+        path.open("rb") as opened,
+        np.load(opened, allow_pickle=False) as file,
+    ):
+        if names["total"] not in file:
+            return None
+        for key in names.values():
+            if (size := file.zip.getinfo(f"{key}.npy").file_size) > MOST_HEADER_BYTES + 8 * count:
+                raise ValueError(f"{count} rows of 8 bytes, got {size} bytes of {key}")
+        return Usage(**{name: file[key] for name, key in names.items()})
+
+
+def read_attribution(folder: Path) -> str:
+    """Who made a scene: the text of ATTRIBUTION.txt in its folder, empty without the file. Raises SceneError."""
+    file = folder / ATTRIBUTION_NAME
+    with expecting(file, "UTF-8 text"):
+        return file.read_text(encoding="utf-8").strip() if file.is_file() else ""

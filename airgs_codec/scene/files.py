@@ -1,0 +1,107 @@
+"""Files that others wrote, read with care: whatever is wrong with one is a SceneError of one line."""
+
+from __future__ import annotations
+
+import json
+import mmap
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tokenize import TokenError
+from typing import Any
+
+import numpy as np
+
+from airgs_codec.errors import SceneError
+
+_BROKEN = (
+    *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RuntimeError, MemoryError),
+    *(struct.error, zlib.error, zipfile.BadZipFile),  # zipfile raises RuntimeError, too
+    MemoryError,  # for an array of more bytes than there are, which the header of an .npy file says
+)
+_HEADER = (SyntaxError, TokenError)  # what numpy raises for a broken header is Python's, which it looks like
+
+
+@contextmanager
+def expecting(path: Path, what: str) -> Iterator[None]:
+    """Turns what goes wrong while `path` is read as `what` into a SceneError of one line."""
+    try:
+        with np.errstate(all="ignore"):  # what is not finite in the end is refused
+            yield
+    except SceneError:
+        raise
+    except OSError as error:
+        raise SceneError(f"{path}: expected {what}: {error.strerror or error}") from error
+    except _HEADER as error:
+        raise SceneError(f"{path}: expected {what}: its header is broken") from error
+    except _BROKEN as error:
+        reason = f"no {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
+        raise SceneError(f"{path}: expected {what}: {' '.join(reason.split())[:200]}") from error
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turns an OSError of the block into a SceneError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise SceneError(f"{path}: cannot read: {error.strerror}") from error
+
+
+def read_json(path: Path) -> Any:
+    """Return what a JSON file holds. Raises SceneError when it is not JSON or cannot be read."""
+    with expecting(path, "JSON"):
+        return json.loads(path.read_text(encoding="utf-8-sig"))
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """The object in a JSON file. Raises SceneError when there is none."""
+    data = read_json(path)
+    if not isinstance(data, dict):
+        raise SceneError(f"{path}: expected a JSON object, got {type(data).__name__}")
+    return data
+
+
+class Cursor:
+    """A place in bytes, which are read piece by piece, little-endian.
+
+    Every method raises ValueError where the bytes end before what is asked for.
+    """
+
+    def __init__(self, data: bytes | mmap.mmap) -> None:
+        self.data = data
+        self.at = 0
+
+    @classmethod
+    def open(cls, path: Path) -> Cursor:
+        """At the start of a file, which is mapped, not read. Raises OSError."""
+        if path.stat().st_size == 0:  # cannot be mapped
+            return cls(b"")
+        with path.open("rb") as file:
+            return cls(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+
+    def skip(self, count: int) -> int:
+        """Pass over `count` bytes; gives the place before them."""
+        start, self.at = self.at, self.at + count
+        if self.at > len(self.data):
+            raise ValueError(f"it ends after {len(self.data)} bytes")
+        return start
+
+    def take(self, form: str) -> tuple[Any, ...]:
+        """Values in the form that `struct` knows."""
+        return struct.unpack_from(f"<{form}", self.data, self.skip(struct.calcsize(f"<{form}")))
+
+    def piece(self, count: int) -> bytes:
+        """The next `count` bytes."""
+        start = self.skip(count)
+        return self.data[start : self.at]
+
+    def text(self) -> str:
+        """UTF-8 up to a zero byte."""
+        end = self.data.find(b"\0", self.at)
+        if end < 0:
+            raise ValueError("a name has no end")
+        return self.piece(end + 1 - self.at)[:-1].decode()

@@ -1,0 +1,26 @@
+"""Progress where nobody looks at a terminal."""
+
+from airgs_codec.cli import terminal
+
+
+def test_a_log_gets_a_line_of_progress_every_ten_seconds(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
+    bar = terminal.Bar()
+    for second in range(0, 36, 3):
+        now[0] = float(second)
+        bar("frames", second, 100)
+    bar.close()
+    assert capsys.readouterr().err.splitlines() == [
+        "frames: 12 of 100, after 12 s",
+        "frames: 24 of 100, after 24 s",
+    ]
+
+
+def test_quiet_work_says_nothing(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
+    bar = terminal.Bar(quiet=True)
+    now[0] = 100.0
+    bar("frames", 1, 2)
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,163 @@
+"""Steps and ladder of a scene, and when they are found anew."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.coding.quantize import StepSettings
+from airgs_codec.encoder.calibrate import PRIOR, STEPS, Subject, balance, calibrate, get_step, solve_steps, with_step
+from airgs_codec.encoder.pipeline import CALIBRATION
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
+from airgs_codec.errors import SceneError
+from airgs_codec.jobs.work import temporary_work
+from airgs_codec.places.results import open_store, pack
+from airgs_codec.scene.beside import USAGE_NAME, Usage, save_usage
+from airgs_codec.scene.formats.ply import write_ply
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.jobs import prepared_as_one_group
+from tests.support.paths import FOX
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+
+FAST = EncodeSettings(preset="veryfast", threads=2)
+
+
+@pytest.fixture(scope="module")
+def fox():
+    sequence = open_sequence(FOX)
+    views = ViewPlan.of(sequence, 24)
+    span = GroupSpan(0, *plan_groups(sequence).spans[0])
+    return sequence, survey_group(sequence, span, views), views
+
+
+@pytest.fixture(scope="module")
+def calibration(fox):
+    sequence, survey, _ = fox
+    return calibrate(sequence, survey, FAST)
+
+
+def test_a_calibration_is_the_same_every_time_and_survives_the_cache(fox, calibration, tmp_path):
+    sequence, survey, views = fox
+    assert calibrate(sequence, survey, FAST) == calibration
+    cache = open_store(tmp_path / "cache")
+    with temporary_work() as work:
+        prepared = prepared_as_one_group(sequence, views, work)
+        job = prepared.job(CALIBRATION, 0, FAST)
+        assert prepared.job(CALIBRATION, 0, replace(FAST, segment_s=0.5)).entry != job.entry
+        cache.write(job.entry, pack(calibration))
+        assert work.cached(job, cache) == (calibration, True)
+        assert work.cached(job, cache) == (calibration, False)  # the store of the work has it now
+
+
+def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_path):
+    frames = moving_frames(30, 6)
+    folder = write_sequence(tmp_path / "scene", frames)
+
+    def digest():
+        sequence = open_sequence(folder)
+        views = ViewPlan.of(sequence, 24)
+        with temporary_work() as work:
+            return prepared_as_one_group(sequence, views, work).job(CALIBRATION, 0, FAST).entry
+
+    digests = [digest()]
+    for number in (1, 2, 4):  # neither first, canonical nor last
+        write_ply(sorted(folder.glob("*.ply"))[number], random_gaussians(30, seed=number))
+        digests.append(digest())
+    usage = Usage(np.ones(30), np.ones(30), np.ones(30, np.int64), np.ones(30))
+    for moved in (usage.moved, 2 * usage.moved):
+        save_usage(folder / USAGE_NAME, {(0, 6): replace(usage, moved=moved)})
+        digests.append(digest())
+    assert len(set(digests)) == len(digests)
+    assert digest() == digests[-1]
+
+
+def test_steps_are_named_once_and_replaced_one_at_a_time():
+    steps = StepSettings()
+    for name in [*STEPS, "rows"]:
+        changed = with_step(steps, name, 7.0)
+        assert get_step(changed, name) == 7.0
+        assert [n for n in [*STEPS, "rows"] if get_step(changed, n) != get_step(steps, n)] == [name]
+
+
+def test_a_step_far_from_its_price_comes_back(fox):
+    """Means four times too fine or too coarse: calibration moves them the other way."""
+    sequence, survey, _ = fox
+    wanted = {}
+    for factor in (0.25, 1.0, 4.0):
+        start = StepSettings()
+        start = with_step(start, "state.means", factor * get_step(start, "state.means"))
+        subject = Subject.of(sequence, survey, replace(FAST, steps=start))
+        steps, price = solve_steps(subject.sample(24.0), subject)
+        assert price > 0
+        others = [get_step(steps, n) / get_step(start, n) for n in ("state.quaternions", "state.log_scales")]
+        wanted[factor] = get_step(steps, "state.means") / get_step(start, "state.means") / float(np.mean(others))
+    assert wanted[0.25] > 1.3 * wanted[1.0] > 1.3**2 * wanted[4.0]
+
+
+def test_ladders_descend(calibration):
+    levels = calibration.levels
+    assert levels[0].factor == 1 and levels[0].quality == 0
+    for above, below in itertools.pairwise(levels):
+        assert above.pruned <= below.pruned and above.factor < below.factor
+        assert above.tiers >= below.tiers > 0 and above.quality <= below.quality
+    assert len(set(calibration.levels)) == len(calibration.levels) > 1
+    factors = calibration.key_factors
+    assert factors[0] == 1 and all(a < b for a, b in itertools.pairwise(factors))
+    assert len(factors) == levels[-1].quality + 1  # every key quality has its levels
+    assert sum(calibration.tiers) == pytest.approx(1)
+    settings = calibration.apply(FAST)
+    assert [replace(level, pruned=0.0) for level in settings.levels] == list(calibration.levels)
+    assert settings.steps == calibration.steps
+    shares = [level.pruned for level in settings.levels]
+    assert shares == sorted(shares) and [level.pruned for level in settings.at(0.1).levels] <= shares
+    alone = calibration.apply(replace(FAST, calibrate="steps"))
+    assert (alone.steps, alone.levels, alone.key_factors) == (calibration.steps, FAST.levels, FAST.key_factors)
+
+
+def test_a_scene_that_stands_still_has_one_level(tmp_path):
+    sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300)]))
+    survey = survey_group(sequence, GroupSpan(0, 0, 1), ViewPlan.of(sequence, 24))
+    found = calibrate(sequence, survey, FAST)
+    assert found.levels == (LevelSettings(0.0),) and found.tiers == found.key_factors == (1.0,)
+    assert found.steps.state == StepSettings().state
+
+
+LARGEST = math.sqrt((1 + PRIOR) / PRIOR)
+
+
+def slopes(errors: list[float]) -> dict[str, tuple[float, float]]:
+    return {name: (1.0, error) for name, error in zip(STEPS, errors, strict=False)}
+
+
+def test_equal_slopes_change_nothing() -> None:
+    factors, price = balance(slopes([3.0] * 6))
+    assert list(factors.values()) == pytest.approx([1.0] * 6)
+    assert price == pytest.approx(2 * 3.0)
+
+
+def test_a_step_without_error_grows_to_the_limit_and_one_without_bytes_shrinks_to_it() -> None:
+    factors, _ = balance({"state.means": (1.0, 0.0), "state.opacity": (0.0, 1.0)})
+    assert factors == {"state.means": pytest.approx(LARGEST), "state.opacity": pytest.approx(1 / LARGEST)}
+
+
+@pytest.mark.parametrize("decades", [12, 300])
+def test_errors_over_many_decades_keep_within_the_limit_and_in_order(decades: int) -> None:
+    errors = [10.0 ** (-decades * i / 11) for i in range(12)]
+    factors = list(balance(slopes(errors))[0].values())
+    assert factors == sorted(factors)
+    assert 1 / LARGEST <= factors[0] < 1 < factors[-1] <= LARGEST
+
+
+@pytest.mark.parametrize("given", [{"grid": (0.0, 1.0)}, {"grid": (1.0, 0.0)}, {"grid": (-1.0, -1.0)}, {}])
+def test_where_nothing_depends_on_steps_they_stay(given: dict[str, tuple[float, float]]) -> None:
+    assert balance(given) == ({}, 0.0)
+
+
+@pytest.mark.parametrize("slope", [(math.nan, 1.0), (1.0, math.inf), (1.0, math.nan)])
+def test_slopes_that_are_not_finite_are_refused(slope: tuple[float, float]) -> None:
+    with pytest.raises(SceneError, match=r"finite bytes and errors of grid, got"):
+        balance({"state.means": (1.0, 1.0), "grid": slope})

@@ -1,0 +1,115 @@
+"""Tracking: frames that know nothing of each other take fewer bytes, and show what they have in common."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.analysis.flow import carry
+from airgs_codec.cli.encode import main as encode_command
+from airgs_codec.decoder.decode import decode
+from airgs_codec.encoder.publish import encode, encode_part
+from airgs_codec.encoder.settings import EncodeSettings, as_preview
+from airgs_codec.errors import ConfigError
+from airgs_codec.jobs.work import Part, Work
+from airgs_codec.package.package import open_package
+from airgs_codec.places.results import open_store
+from airgs_codec.render import render
+from airgs_codec.scene.camera import orbit_views
+from airgs_codec.scene.gaussians import from_rotation_vector, multiply, to_matrices
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import FOX_VIEWS
+from tests.support.scenes import random_gaussians, write_sequence
+from tools.lab.made import predicted
+
+SETTINGS = as_preview(EncodeSettings(track=True, threads=1, device="cpu"))
+
+
+def turned(g, angle):
+    """A scene that turns about y and moves along x."""
+    q = from_rotation_vector(np.array([0.0, angle, 0.0]))
+    means = g.means @ to_matrices(q).T + [angle, 0, 0]
+    quaternions = multiply(q, g.quaternions.astype(np.float64))
+    return replace(g, means=means.astype(np.float32), quaternions=quaternions.astype(np.float32))
+
+
+def mse(a, b):
+    return float(np.mean([(render(a, view).rgb - render(b, view).rgb) ** 2 for view in orbit_views(b, 5, 96)]))
+
+
+@pytest.fixture(scope="module")
+def clean():
+    still = random_gaussians(1200)
+    return [turned(still, 0.02 * t) for t in range(5)]
+
+
+@pytest.fixture(scope="module")
+def given(clean, tmp_path_factory):
+    """The clean frames as if each had been made by itself."""
+    frames = [predicted(g, np.random.default_rng(t)) for t, g in enumerate(clean)]
+    return open_sequence(write_sequence(tmp_path_factory.mktemp("given"), frames))
+
+
+def encoded(sequence, place, settings):
+    """Bytes of a top rung, its frames, and what was decided."""
+    m = encode(sequence, place, settings).manifest
+    package = open_package(place)
+    return m.bytes_of(m.rung_files(0, 0)), [decode(package, t) for t in range(m.frames)], m.decisions
+
+
+def test_tracking_takes_fewer_bytes_and_shows_no_less(clean, given, tmp_path):
+    before, apart, _ = encoded(given, tmp_path / "apart.airgs", replace(SETTINGS, track=False))
+    after, tracked, decisions = encoded(given, tmp_path / "tracked.airgs", SETTINGS)
+    assert after < 0.7 * before
+    assert np.mean(list(map(mse, tracked, clean))) < np.mean(list(map(mse, apart, clean)))
+    assert any(line.startswith("tracked: 1 key for 5 frames; against what was given") for line in decisions)
+
+
+def test_a_run_that_was_cut_off_goes_on(given, tmp_path):
+    work = Work(open_store(tmp_path / "work"))
+    encode(given, tmp_path / "first.airgs", SETTINGS, work=work)
+    [model] = (tmp_path / "work").glob("tracked-*")
+    last = (model / "000004.ply").read_bytes()
+    record = json.loads((model / "training.json").read_text())
+    record["frames"] = record["frames"][:2]
+    (model / "training.json").write_text(json.dumps(record))
+    first = (model / "000000.ply").stat().st_mtime_ns
+    encode(given, tmp_path / "second.airgs", SETTINGS, work=work)
+    assert (model / "000004.ply").read_bytes() == last
+    assert (model / "000000.ply").stat().st_mtime_ns == first
+
+
+def test_frames_of_other_scenes_are_coded_one_by_one(tmp_path):
+    frames = [random_gaussians(300 + t, seed=t) for t in range(3)]
+    others = [replace(g, sh_dc=g.sh_dc + [2, -2, 2][t]) for t, g in enumerate(frames)]
+    sequence = open_sequence(write_sequence(tmp_path / "scene", others))
+    _, shown, decisions = encoded(sequence, tmp_path / "others.airgs", SETTINGS)
+    assert len(shown) == 3
+    assert any(line.startswith("not tracked:") and "coded by itself" in line for line in decisions)
+
+
+def test_rows_that_are_in_order_are_not_tracked_again(clean, tmp_path):
+    sequence = open_sequence(write_sequence(tmp_path / "scene", clean[:2]))
+    _, _, decisions = encoded(sequence, tmp_path / "clean.airgs", SETTINGS)
+    assert "not tracked: its rows are in order already" in decisions
+
+
+def test_options_that_contradict_are_refused(given, tmp_path):
+    part = Work(open_store(tmp_path / "work"), part=Part(0, 2))
+    with pytest.raises(ConfigError, match="--part"):
+        encode_part(given, SETTINGS, part)
+    with pytest.raises(ConfigError, match="--rows keep"):
+        encode(given, tmp_path / "x.airgs", replace(SETTINGS, rows="keep"))
+    assert encode_command([str(given.folder), "--track", "--follow"]) == 2
+    assert encode_command([str(FOX_VIEWS), "--track", "-o", str(tmp_path / "y.airgs")]) == 2
+
+
+def test_rows_go_where_the_frame_has_them(clean):
+    other = predicted(clean[2], np.random.default_rng(0))
+    moved = carry(clean[0], other)
+    there, here = (np.linalg.norm(g.means - clean[2].means, axis=1) for g in (moved, clean[0]))
+    assert np.median(there) < 0.15 * np.median(here)
+    alike = np.abs(np.sum(moved.quaternions * clean[2].quaternions, axis=1))
+    alike /= np.linalg.norm(moved.quaternions, axis=1) * np.linalg.norm(clean[2].quaternions, axis=1)
+    assert np.median(alike) > np.cos(0.01)

@@ -1,0 +1,288 @@
+"""Faults beside the work: a disk that is full, SIGINT, a clock that jumps, a store that fails.
+
+    python -m tests.long.faults [--rounds 20] [--seed 0]
+
+After each the command has said one line and ended with 2 (130 after SIGINT), or has done its work; what was there is
+whole, nothing half-written lies beside it, and the same command does its work when the fault is over. Prints a line a
+fault; exit 1 if it was otherwise. A full disk is a small tmpfs, which only root can mount.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import patch
+
+from airgs_codec.encoder import live
+from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.errors import TransportError
+from airgs_codec.inspect.validate import validate
+from airgs_codec.jobs.work import Work
+from airgs_codec.package import publish
+from airgs_codec.places.place import PLAIN, Folder, Place
+from airgs_codec.places.results import Store
+from airgs_codec.play import http, http_files, player
+from airgs_codec.play.session import play
+from airgs_codec.play.settings import SessionSettings
+from airgs_codec.scene.sequence import GrowingFolder, open_sequence
+from tests.support.faulty import Weather, faultily_serving
+from tests.support.growing import Growing
+from tests.support.mutations import read_files
+from tests.support.scenes import moving_frames, write_sequence
+
+OPTIONS = ["--x264-preset", "ultrafast", "--calibrate", "none", "--measure-pictures", "0"]
+SETTINGS = EncodeSettings(
+    preset="ultrafast", calibrate="none", measure_pictures=0, decide_pictures=1, group_frames=2, threads=1
+)
+PLACES = ("target", "--work", "TMPDIR", "XDG_CACHE_HOME")  # what lies on the disk that is full
+
+
+def begin(scene: Path, target: Path, *more: str, **environment: str) -> subprocess.Popen[str]:
+    """An encode as a process of its own."""
+    code = "import sys; from airgs_codec.cli.encode import main; sys.exit(main(sys.argv[1:]))"
+    words = [sys.executable, "-c", code, str(scene), "-o", str(target), *OPTIONS, *more]
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    reset = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # which a shell ignores for what is in the background
+    return subprocess.Popen(words, **pipes, preexec_fn=reset, text=True, env=os.environ | environment)  # type: ignore[call-overload]
+
+
+def judge(code: int, said: str, allowed: Iterable[int], target: Path, beside: Iterable[Path] = ()) -> str:
+    """What is wrong after a fault; "" if nothing is."""
+    wrong = [] if code in allowed else [f"exit code {code}"]
+    wrong += [f"said {said!r}"] if code > 0 and said.count("\n") != 1 else []
+    wrong += [str(finding) for finding in (validate(target) if target.exists() else [])]
+    wrong += [f"left {path.name}" for path in beside]
+    return "; ".join(wrong)
+
+
+def fill_disks(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
+    """Encodes with the target, the store of work, temporary files or the cache on a disk of too few bytes."""
+    if os.geteuid():
+        return
+    for number in range(rounds):
+        disk, what = folder / "disk", PLACES[number % len(PLACES)]
+        with mounted(disk):
+            (target := (disk if what == "target" else folder) / "out.airgs").parent.mkdir(exist_ok=True)
+            more = ["--work", str(disk / "work")] if what == "--work" else []
+            environment = {what: str(disk)} if what.isupper() else {}
+            assert begin(scene, target).wait() == 0
+            size = shutil.disk_usage(disk).used // 1024 + chance.randrange(150)
+            resize(disk, f"{size}k")
+            process = begin(scene, target, *more, "--quality", "high", **environment)
+            said = process.communicate()[1]
+            beside = [path for path in target.parent.iterdir() if path not in (target, disk, disk / "work")]
+            wrong = judge(process.returncode, said, (0, 2), target, [] if what.isupper() else beside)
+            resize(disk, "64m")
+            if not wrong and begin(scene, target, *more, **environment).wait():
+                wrong = "cannot be done again"
+            yield f"{what} on a disk of {size} kB: {process.returncode}, {said.strip()[-100:]}", wrong
+
+
+@contextmanager
+def mounted(disk: Path) -> Iterator[None]:
+    """A tmpfs."""
+    disk.mkdir(exist_ok=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", disk], check=True)
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+def resize(disk: Path, size: str) -> None:
+    """Give a tmpfs another size, at least what it holds."""
+    subprocess.run(["mount", "-o", f"remount,size={size}", disk], check=True)
+
+
+def interrupt(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
+    """SIGINT at any moment of an encode after its imports, in which Python itself ends with a traceback."""
+    target = folder / "interrupted" / "out.airgs"
+    target.parent.mkdir()
+    began = time.perf_counter()
+    assert begin(scene, target).wait() == 0
+    whole = time.perf_counter() - began
+    began = time.perf_counter()
+    assert begin(scene, target, "--quality", "none").wait() == 2  # after the imports
+    idle = time.perf_counter() - began
+    for number in range(rounds):
+        after = chance.uniform(idle, 1.1 * whole)
+        process = begin(scene, target, *(["--jobs", "2"] if number % 3 == 2 else []))
+        time.sleep(after)
+        process.send_signal(signal.SIGINT)
+        said = process.communicate()[1]
+        beside = [path for path in target.parent.iterdir() if path != target]
+        yield (
+            f"SIGINT after {after:.2f} s of {whole:.2f}: {process.returncode}, {said.strip()[-100:]}",
+            judge(process.returncode, said, (0, 130, -signal.SIGINT), target, beside),
+        )
+    process = begin(scene, target)
+    yield "once more", judge(process.wait(), process.communicate()[1], (0,), target)
+
+
+@dataclass
+class Clock:
+    """Stands in for the modules `time` and `datetime`: each look may be later by up to an hour, or earlier."""
+
+    chance: random.Random
+    back: bool  # whether it may go back, which a monotonic clock never does
+    jumped_s: float = 0.0
+
+    def time(self) -> float:
+        """See `time.time`."""
+        if self.chance.random() < (0.5 if self.back else 0.1):
+            self.jumped_s += self.chance.uniform(-3600 if self.back else 0, 3600)
+        return time.time() + self.jumped_s
+
+    def now(self, zone: object) -> datetime:
+        """See `datetime.now`."""
+        return datetime.now(zone) + timedelta(seconds=self.time() - time.time())  # type: ignore[arg-type]
+
+    def module(self) -> SimpleNamespace:
+        """What stands in for the module `time`."""
+        return SimpleNamespace(time=self.time, monotonic=self.time, sleep=lambda seconds: None)
+
+
+def jump(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
+    """A publisher and a live player whose clocks jump."""
+    for number in range(rounds):
+        target, clock, wrong = folder / f"jumped{number}", Clock(chance, back=True), ""
+        dates = SimpleNamespace(now=clock.now, fromtimestamp=datetime.fromtimestamp)
+        with patch.multiple(live, time=clock.module(), datetime=dates), patch.object(publish, "datetime", dates):
+            for _ in live.follow(GrowingFolder(scene), target, SETTINGS, more=lambda count: False):
+                wrong = wrong or judge(0, "", (0,), target)
+        yield f"publisher, {clock.jumped_s:.0f} s", wrong or judge(0, "", (0,), target)
+        growing, clock = Growing(folder / f"growing{number}", *range(50, 66), 0), Clock(chance, back=False)
+        with (
+            patch.object(http, "time", clock.module()),
+            patch.object(http_files, "time", clock.module()),
+            patch.object(player, "POLL_S", 0.0),
+            faultily_serving(growing.folder, Weather(0.0)) as port,
+            http.HttpDownloader(
+                f"http://127.0.0.1:{port}", http_files.HttpSettings(as_fast=True), growing.received
+            ) as link,
+        ):
+            log = play(link.open(), link, "fixed:0", SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0))
+        shown = [s.segment for s in log.shown]
+        lost = "" if shown and not log.lost and shown == sorted(shown) else f"showed {shown}, lost {log.lost}"
+        yield f"player, {clock.jumped_s:.0f} s", lost
+
+
+@dataclass(eq=False)
+class Failing(Place):
+    """A place of which one call fails, and all that follow."""
+
+    inner: Place
+    calls: int  # until then
+    name: str = "store"
+
+    def _call(self) -> Place:
+        self.calls -= 1
+        if self.calls < 0:
+            raise TransportError("store: it does not answer")
+        return self.inner
+
+    def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
+        """See `Place.open`."""
+        found = self._call().open(path)
+        if found is None:
+            return None
+        size, read = found
+
+        def read_it() -> bytes:
+            self._call()
+            return read()
+
+        return size, read_it
+
+    def sizes(self) -> dict[str, int]:
+        """See `Place.sizes`."""
+        return self._call().sizes()
+
+    def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
+        """See `Place.write`."""
+        self._call().write(path, data, headers)
+
+    def delete(self, paths: Iterable[str]) -> None:
+        """See `Place.delete`."""
+        self._call().delete(paths)
+
+
+def fail(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
+    """Encodes whose store, and a live publisher whose package, fails at any call."""
+    sequence, target = open_sequence(scene), folder / "failed" / "out.airgs"
+    encode(sequence, target, SETTINGS)
+    expected = read_files(target)
+    for number in range(rounds):
+        store, said = Failing(Folder(folder / f"store{number}"), chance.randrange(40)), "nothing failed"
+        try:
+            encode(sequence, target, SETTINGS, work=Work(Store(store)))
+        except TransportError as error:
+            said = str(error)
+        beside = [path for path in target.parent.iterdir() if path != target]
+        wrong = judge(0, "", (0,), target, beside)
+        encode(sequence, folder / "again", SETTINGS, work=Work(Store(store.inner)))
+        same = read_files(folder / "again") == read_files(target) == expected
+        yield f"store, {store.calls} calls left: {said}", wrong or ("" if same else "other bytes")
+        grown, said = folder / f"grown{number}", "nothing failed"
+        place = Failing(Folder(grown), chance.randrange(20))
+        with (
+            patch.object(live, "place_at", lambda path: Folder(path)),
+            patch.object(live, "GrowingPackage", growing_at(place)),
+        ):
+            try:
+                list(live.follow(GrowingFolder(scene), grown, SETTINGS, more=lambda count: False))
+            except TransportError as error:
+                said = str(error)
+        wrong = judge_growing(grown)
+        list(live.follow(GrowingFolder(scene), grown, SETTINGS, more=lambda count: False))
+        yield f"package that grows, {place.calls} calls left: {said}", wrong or judge(0, "", (0,), grown)
+
+
+def growing_at(place: Place) -> Callable[..., publish.GrowingPackage]:
+    """What makes a package that grows at a place, whatever place is asked for."""
+    return lambda files, *rest: publish.GrowingPackage(place, *rest)
+
+
+def judge_growing(target: Path) -> str:
+    """What is wrong with a package whose publisher could not write any more; manifest.mpd may be a group ahead."""
+    ahead = ("foreign_file", "mpd_mismatch")
+    return "; ".join(str(finding) for finding in validate(target) if finding.reason not in ahead)
+
+
+def main() -> None:
+    """Make faults, look, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rounds", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    findings = 0
+    for faults in (fill_disks, interrupt, jump, fail):
+        with tempfile.TemporaryDirectory() as name:
+            folder, chance = Path(name), random.Random(args.seed)
+            scene = write_sequence(folder / "scene", moving_frames(500, 6))
+            (folder / faults.__name__).mkdir()
+            with patch.dict(os.environ, {"XDG_CACHE_HOME": f"{name}/cache"}):
+                for what, wrong in faults(args.rounds, chance, scene, folder / faults.__name__):
+                    findings += bool(wrong)
+                    print(f"{what}{': ' * bool(wrong)}{wrong}", flush=True)
+    print(f"{findings} findings")
+    sys.exit(bool(findings))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""Sequences of frames that a program has: as arrays, with the same result as from files, and refused by name."""
+
+import gc
+import pickle
+
+import numpy as np
+import pytest
+
+import airgs_codec as airgs
+from tests.support.scenes import moving_frames
+
+FRAMES = moving_frames(60, 3, degree=1)
+NAMES = FRAMES[0].__slots__
+FAST = airgs.EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast")
+CAMERAS = [airgs.Camera.look_at((0, 0, -4), (0, 0, 0), size=(64, 48))]
+
+
+def columns(frame):
+    return {name: getattr(frame, name) for name in NAMES}
+
+
+def stacked():
+    return {name: np.stack([getattr(frame, name) for frame in FRAMES]) for name in NAMES}
+
+
+def same(sequence):
+    return [(getattr(sequence.read(t), name) == getattr(FRAMES[t], name)).all() for t in range(3) for name in NAMES]
+
+
+def tensors():
+    torch = pytest.importorskip("torch")
+    return {name: torch.tensor(column, requires_grad=True) for name, column in stacked().items()}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: FRAMES,
+        lambda: [columns(frame) for frame in FRAMES],
+        lambda: {name: column.astype(np.float64) for name, column in stacked().items()},
+        tensors,
+        lambda: iter(FRAMES),
+    ],
+    ids=["Gaussians", "mappings", "time axis", "torch", "iterator"],
+)
+def test_frames_are_those_that_were_given(make):
+    sequence = airgs.Sequence.from_arrays(make(), fps=24, cameras=CAMERAS)
+    assert (len(sequence), sequence.fps, sequence.sh_degree) == (3, 24, 1)
+    assert all(same(sequence)) and all(same(pickle.loads(pickle.dumps(sequence))))
+
+
+@pytest.mark.parametrize("make", [iter, list])
+def test_frames_of_iterators_and_for_other_processes_lie_in_a_folder_that_goes_with_the_sequence(
+    make, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    sequence = airgs.Sequence.from_arrays(make(FRAMES))
+    assert any(tmp_path.iterdir()) == (make is iter)
+    copy = pickle.loads(pickle.dumps(sequence))
+    assert pickle.dumps(sequence) == pickle.dumps(sequence) and all(same(copy))
+    assert len(list(tmp_path.glob("*/*.ply"))) == 3
+    del copy
+    assert all(same(sequence))
+    del sequence
+    gc.collect()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_is_encoded_like_files(tmp_path):
+    for number, frame in enumerate(FRAMES):
+        airgs.write(frame, tmp_path / f"scene/{number}.ply")
+    filed = airgs.open_sequence(tmp_path / "scene", fps=24)
+    held = airgs.Sequence.from_arrays(FRAMES, fps=24)
+    for name, sequence in (("held", held), ("filed", filed)):
+        airgs.encode(sequence, tmp_path / name, FAST)
+    assert airgs.validate(tmp_path / "held") == []
+    assert (tmp_path / "held/airgs.json").read_bytes() == (tmp_path / "filed/airgs.json").read_bytes()
+
+
+def test_sh_past_dc_may_be_left_out():
+    frame = columns(FRAMES[0])
+    del frame["sh_rest"]
+    assert airgs.Sequence.from_arrays([frame]).sh_degree == 0
+
+
+def changed(**columns_):
+    return [FRAMES[0], columns(FRAMES[1]) | columns_]
+
+
+def hole(name, value):
+    column = getattr(FRAMES[1], name).copy()
+    column[7] = value
+    return changed(**{name: column})
+
+
+@pytest.mark.parametrize(
+    ("frames", "line"),
+    [
+        ([], "frames: expected at least one, got none"),
+        (5, "frames: expected .*, got int 5"),
+        (FRAMES[0], "frames: expected .*, got Gaussians"),
+        ([FRAMES[0], "x.ply"], "frame 1: expected Gaussians or a mapping of their arrays, got str 'x.ply'"),
+        ([{"means": np.zeros((5, 3))}], "frame 0: expected means, quaternions.* and maybe sh_rest, got means"),
+        (changed(colours=np.zeros(3)), "frame 1: expected means.*, got means.*, colours"),
+        (changed(means="here"), "frame 1: means: expected an array of numbers"),
+        (changed(quaternions=np.zeros((60, 3))), r"frame 1: quaternions: expected .*\(60, 4\), got \(60, 3\)"),
+        (changed(sh_rest=np.zeros((60, 0, 3))), "frame 1: sh_rest: expected SH degree 1 as in frame 0, got 0"),
+        (hole("log_scales", np.inf), "frame 1: log_scales: expected finite numbers, got inf in row 7"),
+        (hole("means", np.nan), "frame 1: means: expected finite numbers, got nan in row 7"),
+        ([FRAMES[0].take(slice(0, 0))], "frame 0: expected at least one Gaussian, got none"),
+        (columns(FRAMES[0]), r"means: expected an array of shape \(T, N, 3\), got \(60, 3\)"),
+        (
+            stacked() | {"sh_dc": np.zeros((2, 60, 3))},
+            r"sh_dc: expected 3 frames as of means, got the shape \(2, 60, 3\)",
+        ),
+    ],
+)
+def test_what_cannot_be_is_refused_by_frame_and_argument(frames, line):
+    with pytest.raises(airgs.AirgsError, match=f"^{line}") as caught:
+        airgs.Sequence.from_arrays(frames)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("more", [{"fps": 0}, {"fps": "30"}, {"cameras": ["front"]}])
+def test_other_arguments_are_checked(more):
+    with pytest.raises(airgs.AirgsError, match=r"fps|cameras"):
+        airgs.Sequence.from_arrays(FRAMES, **more)

@@ -1,0 +1,106 @@
+"""Callers take figures and events of sessions as plain values, make traces, and compare, read and write frames."""
+
+import importlib.util
+import json
+
+import numpy as np
+import pytest
+
+import airgs_codec as airgs
+from tests.support.paths import FOX, GOLDEN
+
+PACKAGE = GOLDEN / "fox"
+
+
+@pytest.fixture(scope="module")
+def log():
+    return airgs.simulate(PACKAGE, "const:5", "bola")
+
+
+def test_figures_and_events_are_plain_values(log):
+    figures = json.loads(json.dumps(log.metrics.as_dict()))
+    assert figures["psnr_mean"] == log.metrics.psnr_mean
+    events = json.loads(json.dumps(log.events))
+    assert [event["event"] for event in events].count("fetch") == len(log.fetches)
+    shown = [event for event in events if event["event"] == "show"]
+    assert [event["at_s"] for event in shown] == [segment.start_s for segment in log.shown]
+    assert [event["at_s"] for event in events] == sorted(event["at_s"] for event in events)
+
+
+@pytest.mark.skipif(not importlib.util.find_spec("pandas"), reason="pandas is not installed")
+def test_events_are_a_table(log):
+    import pandas
+
+    assert len(pandas.DataFrame(log.events)) == len(log.fetches) + len(log.shown)
+
+
+def test_a_trace_is_made_of_arrays():
+    trace = airgs.Trace.from_arrays([10, 11, 13], np.array([8.0, 0, 4]))
+    assert [trace.rate_at(at) for at in (0.5, 1.5, 3.5)] == [8e6, 0, 4e6]
+    assert trace.duration_s == 5
+    assert airgs.simulate(PACKAGE, trace, "bola").metrics.trace_mean_bps == trace.mean_bps
+
+
+@pytest.mark.parametrize(
+    ("seconds", "rates"), [([], []), ([0, 1], [5]), ([[0]], [[5]]), ([1, 0], [5, 5]), ([0], [-1]), (["a"], [1]), (0, 5)]
+)
+def test_arrays_that_are_no_trace_are_refused(seconds, rates):
+    with pytest.raises(airgs.AirgsError, match="arrays: "):
+        airgs.Trace.from_arrays(seconds, rates)
+
+
+def test_a_policy_knows_the_throughput():
+    seen = []
+
+    def largest(state):
+        seen.append(state.throughput_bps)
+        return airgs.Decision(state.options[0].index, True, "the largest", state.options[0].size_bytes)
+
+    airgs.simulate(PACKAGE, "const:5", largest, airgs.SessionSettings(loops=4))
+    assert 0 < seen[-1] <= 5e6
+
+
+def test_what_is_open_is_compared_and_what_is_at_a_path():
+    cameras = [airgs.Camera.look_at((0, -1, -4), (0, 0, 0), size=(64, 48))]
+    frames = range(0, 4, 2)
+    package = airgs.open_package(PACKAGE)
+    top = airgs.Sequence.from_arrays([f.gaussians for f in airgs.decode_frames(package, 0, 4)], fps=24)
+    same, low = (airgs.compare(top, package, rung=r, cameras=cameras, frames=frames) for r in (None, "Q1+L1"))
+    assert same.frames == (0, 2) and same.quality.psnr > low.quality.psnr > 20
+    assert airgs.compare(str(PACKAGE), PACKAGE, rung="Q1+L1", frames=frames).quality.psnr < 60
+
+
+@pytest.mark.parametrize(
+    ("given", "more", "line"),
+    [
+        ((3, PACKAGE), {}, "reference: expected an open sequence or package, or the path of one, got int 3"),
+        ((PACKAGE, PACKAGE), {"frames": range(0, 99)}, "frames: expected some of"),
+        ((PACKAGE, PACKAGE), {"frames": 3}, "frames: expected a range, got int 3"),
+        ((FOX, FOX), {"rung": "Q0+L0"}, "expected a package for the rung"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(given, more, line):
+    with pytest.raises(airgs.AirgsError, match=line):
+        airgs.compare(*given, **more)
+
+
+def test_a_frame_is_written_and_read_in_formats_by_their_names(tmp_path):
+    frame = airgs.read(str(FOX / "000000.ply"))
+    assert airgs.write(frame, tmp_path / "frame.ply") == []
+    assert (airgs.read(tmp_path / "frame.ply").means == frame.means).all()
+    assert any("SH" in line for line in airgs.write(frame, str(tmp_path / "frame.splat")))
+    assert len(airgs.read(tmp_path / "frame.splat")) == len(frame)
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (lambda: airgs.read(FOX), "expected one frame, got"),
+        (lambda: airgs.read(3), "path: expected a path or an address, got int 3"),
+        (lambda: airgs.write(FOX, "x.ply"), "gaussians: expected Gaussians, got"),
+        (lambda: airgs.write(airgs.read(FOX / "000000.ply"), None), "path: expected a path or an address, got None"),
+    ],
+)
+def test_what_is_no_frame_is_refused(call, line):
+    with pytest.raises(airgs.AirgsError, match=line):
+        call()

@@ -1,0 +1,64 @@
+"""Loops, and the packages that people see first."""
+
+import numpy as np
+import pytest
+
+from airgs_codec.decoder.decode import decode
+from airgs_codec.package.package import find_faults, open_package
+from airgs_codec.package.region import place_view
+from airgs_codec.scene.sequence import open_sequence
+from tests.support.paths import CORPUS
+from tests.support.scenes import moving_frames, write_sequence
+from tools.make_loop import main, mix
+
+SHOWCASE = CORPUS / "showcase"
+MOST_BYTES = 1_500_000
+
+
+def test_the_end_of_a_loop_turns_into_what_was_before_its_beginning(tmp_path):
+    frames = moving_frames(50, 12)
+    source = write_sequence(tmp_path / "long", frames)
+    words = ["--frames", "4:10", "--blend", "3", "--position", "0,0.5,3", "--focus", "0,0,0"]
+    assert main([str(source), "-o", str(tmp_path / "loop"), *words]) == 0
+    loop = open_sequence(tmp_path / "loop")
+    assert len(loop) == 6 and {camera.split for camera in loop.cameras} == {"train", "test"}
+    for place in range(3):
+        np.testing.assert_array_equal(loop.read(place).means, frames[4 + place].means)
+    for place, share in ((3, 0.25), (4, 0.5), (5, 0.75)):
+        expected = frames[4 + place].means * (1 - share) + frames[place - 2].means * share
+        np.testing.assert_allclose(loop.read(place).means, expected, atol=1e-5)
+
+
+def test_turns_are_mixed_the_shorter_way():
+    a, b = moving_frames(50, 2)
+    mixed = mix(a, b, 0.5).quaternions
+    other = mix(a, type(b)(**{**{f: getattr(b, f) for f in b.__slots__}, "quaternions": -b.quaternions}), 0.5)
+    np.testing.assert_allclose(np.linalg.norm(mixed, axis=1), 1, atol=1e-5)
+    np.testing.assert_allclose(other.quaternions, mixed, atol=1e-6)
+
+
+def test_frames_that_are_not_there_are_refused(tmp_path, capsys):
+    source = write_sequence(tmp_path / "long", moving_frames(50, 12))
+    words = ["-o", str(tmp_path / "loop"), "--position", "0,0,3", "--focus", "0,0,0"]
+    assert main([str(source), *words, "--frames", "4:10"]) == 2
+    assert "--frames: expected A:B from 12 to 12, got 4:10" in capsys.readouterr().err
+    assert not (tmp_path / "loop").exists()
+
+
+@pytest.mark.parametrize("name", ["head.airgs", "fox.airgs"])
+def test_the_showcase_is_whole_small_and_says_whose_it_is(name):
+    package = open_package(SHOWCASE / name)
+    m = package.manifest
+    assert find_faults(package) == {} and m.poster and m.attribution
+    assert m.media_bytes() + package.manifest_bytes <= MOST_BYTES
+
+
+def test_the_end_of_the_head_meets_its_beginning():
+    package = open_package(SHOWCASE / "head.airgs")
+    m = package.manifest
+    assert m.frames / m.fps >= 8
+    frames = {number: decode(package, number).means for number in (0, 1, m.frames - 2, m.frames - 1)}
+    steps = [np.abs(frames[a] - frames[b]).mean() for a, b in ((0, 1), (m.frames - 2, m.frames - 1), (m.frames - 1, 0))]
+    assert steps[2] < 2 * max(steps[:2])
+    first = place_view(m.region, m.region.places[0])
+    assert abs(first.position[0]) < 0.2, "from in front, 0.9 away"

@@ -1,0 +1,1 @@
+"""Which way is up: what cues are worth on models and scenes whose answer is known."""

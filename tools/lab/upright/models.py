@@ -1,0 +1,177 @@
+"""Gaussians of animated models: discs on the triangles of a .glb file, at a moment of one of its animations.
+
+V vertices, J joints, N Gaussians. Matrices are those of glTF: a point p of a node is at M p in the world.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial.transform import Rotation, Slerp
+
+from airgs_codec.scene.gaussians import SH_C0, Gaussians
+
+Floats = NDArray[np.float64]
+
+KINDS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+TRIANGLES = 4
+OPACITY = 4.0  # logit
+THIN = 0.05  # thickness of a disc, in radii
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triangles:
+    """All triangles of a model at one moment."""
+
+    corners: Floats  # (V, 3, 3) world units
+    colours: Floats  # (V, 3, 3) of the corners, 0..1
+
+
+@dataclass(slots=True, eq=False)
+class Model:
+    """An open file."""
+
+    document: dict[str, Any]
+    chunk: bytes
+    pictures: dict[int, Floats] = field(default_factory=dict)
+
+    @staticmethod
+    def of(path: Path) -> Model:
+        """Read a file."""
+        data = path.read_bytes()
+        end = 20 + int.from_bytes(data[12:16], "little")
+        return Model(json.loads(data[20:end]), data[end + 8 :])
+
+    def frame(self, animation: int | None, moment: float, count: int, seed: int = 0) -> Gaussians:
+        """`count` Gaussians at a moment from 0 to 1 of an animation; None: at rest. A seed gives the same rows."""
+        t, rng = self._triangles(self._matrices(animation, moment)), np.random.default_rng(seed)
+        across = np.cross(t.corners[:, 1] - t.corners[:, 0], t.corners[:, 2] - t.corners[:, 0])
+        areas = np.linalg.norm(across, axis=1) / 2
+        picked = rng.choice(len(areas), count, p=areas / areas.sum())
+        weights = rng.dirichlet(np.ones(3), count)[:, :, None]
+        normals = across[picked] / (2 * areas[picked, None])
+        radius = np.log(np.sqrt(areas.sum() / count / np.pi))
+        colours = (t.colours[picked] * weights).sum(axis=1)
+        return Gaussians(
+            (t.corners[picked] * weights).sum(axis=1).astype(np.float32),
+            _standing(normals).astype(np.float32),
+            np.tile(radius + np.array([0, 0, np.log(THIN)]), (count, 1)).astype(np.float32),
+            np.full(count, OPACITY, np.float32),
+            ((colours - 0.5) / SH_C0).astype(np.float32),
+            np.zeros((count, 0, 3), np.float32),
+        )
+
+    def accessor(self, index: int) -> NDArray:
+        """The numbers of an accessor, (count, width)."""
+        a = self.document["accessors"][index]
+        view, kind, width = self.document["bufferViews"][a["bufferView"]], KINDS[a["componentType"]], WIDTHS[a["type"]]
+        start, item = view.get("byteOffset", 0) + a.get("byteOffset", 0), np.dtype(kind).itemsize * width
+        stride, count = view.get("byteStride", item), a["count"]
+        raw = np.frombuffer(self.chunk, np.uint8, stride * (count - 1) + item, start)
+        rows = np.lib.stride_tricks.as_strided(raw, (count, item), (stride, 1))
+        values = np.ascontiguousarray(rows).view(kind).reshape(count, width)
+        return values / np.iinfo(kind).max if a.get("normalized") else values
+
+    def _matrices(self, animation: int | None, moment: float) -> Floats:
+        """(nodes, 4, 4) from nodes to the world."""
+        nodes = [dict(node) for node in self.document["nodes"]]
+        if animation is not None:
+            self._move(nodes, self.document["animations"][animation], moment)
+        world = np.tile(np.eye(4), (len(nodes), 1, 1))
+        roots = [(n, np.eye(4)) for n in self.document["scenes"][self.document.get("scene", 0)]["nodes"]]
+        while roots:
+            n, parent = roots.pop()
+            world[n] = parent @ _local(nodes[n])
+            roots += [(child, world[n]) for child in nodes[n].get("children", ())]
+        return world
+
+    def _move(self, nodes: list[dict[str, Any]], animation: dict[str, Any], moment: float) -> None:
+        samplers = animation["samplers"]
+        end = max(float(self.accessor(s["input"])[-1, 0]) for s in samplers)
+        for channel in animation["channels"]:
+            sampler, target = samplers[channel["sampler"]], channel["target"]
+            times, values = self.accessor(sampler["input"])[:, 0], self.accessor(sampler["output"])
+            if target["path"] == "weights" or "node" not in target:
+                continue
+            if sampler.get("interpolation") == "CUBICSPLINE":
+                values = values[1::3]
+            nodes[target["node"]][target["path"]] = _between(times, values, moment * end, target["path"])
+
+    def _triangles(self, world: Floats) -> Triangles:
+        corners, colours = [], []
+        for n, node in enumerate(self.document["nodes"]):
+            for part in self.document["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ():
+                if part.get("mode", TRIANGLES) != TRIANGLES:
+                    continue
+                at = self.accessor(part["attributes"]["POSITION"]).astype(np.float64)
+                order = self.accessor(part["indices"])[:, 0].astype(int) if "indices" in part else np.arange(len(at))
+                corners.append(self._placed(node, part, world, n, at)[order].reshape(-1, 3, 3))
+                colours.append(self._colours(part, len(at))[order].reshape(-1, 3, 3))
+        return Triangles(np.concatenate(corners), np.concatenate(colours))
+
+    def _placed(self, node: dict[str, Any], part: dict[str, Any], world: Floats, n: int, at: Floats) -> Floats:
+        """(V, 3) vertices in the world."""
+        points = np.concatenate([at, np.ones((len(at), 1))], axis=1)
+        if "skin" not in node:
+            return (points @ world[n].T)[:, :3]
+        skin = self.document["skins"][node["skin"]]
+        inverse = self.accessor(skin["inverseBindMatrices"]).reshape(-1, 4, 4).transpose(0, 2, 1)
+        bones = world[skin["joints"]] @ inverse  # (J, 4, 4)
+        joints = self.accessor(part["attributes"]["JOINTS_0"]).astype(int)
+        weights = self.accessor(part["attributes"]["WEIGHTS_0"]).astype(np.float64)
+        weights = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
+        return np.einsum("vj,vjab,vb->va", weights, bones[joints], points)[:, :3]
+
+    def _colours(self, part: dict[str, Any], count: int) -> Floats:
+        """(V, 3) of vertices."""
+        material = self.document["materials"][part["material"]] if "material" in part else {}
+        surface = material.get("pbrMetallicRoughness", {})
+        colours = np.tile(
+            np.array(surface.get("baseColorFactor", [1, 1, 1, 1])[:3], np.float64) ** (1 / 2.2), (count, 1)
+        )
+        if "baseColorTexture" in surface and "TEXCOORD_0" in part["attributes"]:
+            picture = self._picture(self.document["textures"][surface["baseColorTexture"]["index"]]["source"])
+            uv = self.accessor(part["attributes"]["TEXCOORD_0"]) % 1.0
+            height, width = picture.shape[:2]
+            colours = colours * picture[(uv[:, 1] * (height - 1)).astype(int), (uv[:, 0] * (width - 1)).astype(int)]
+        return colours
+
+    def _picture(self, source: int) -> Floats:
+        """(H, W, 3), 0..1."""
+        if source not in self.pictures:
+            view = self.document["bufferViews"][self.document["images"][source]["bufferView"]]
+            start = view.get("byteOffset", 0)
+            with Image.open(io.BytesIO(self.chunk[start : start + view["byteLength"]])) as image:
+                self.pictures[source] = np.asarray(image.convert("RGB"), np.float64) / 255
+        return self.pictures[source]
+
+
+def _local(node: dict[str, Any]) -> Floats:
+    if "matrix" in node:
+        return np.reshape(node["matrix"], (4, 4)).T.astype(np.float64)
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(node.get("rotation", [0, 0, 0, 1])).as_matrix() * node.get("scale", [1, 1, 1])
+    matrix[:3, 3] = node.get("translation", [0, 0, 0])
+    return matrix
+
+
+def _between(times: NDArray, values: NDArray, at: float, path: str) -> Floats:
+    at = float(np.clip(at, times[0], times[-1]))
+    if path == "rotation" and len(times) > 1:
+        return np.asarray(Slerp(times, Rotation.from_quat(values))(at).as_quat())
+    return np.array([np.interp(at, times, column) for column in values.T])
+
+
+def _standing(normals: Floats) -> Floats:
+    """(N, 4) w, x, y, z of turns that take the z axis to normals (N, 3) of length 1."""
+    turns = np.stack([1 + normals[:, 2], -normals[:, 1], normals[:, 0], np.zeros(len(normals))], axis=1)
+    turns[turns[:, 0] < 1e-9] = [0, 1, 0, 0]
+    return turns / np.linalg.norm(turns, axis=1, keepdims=True)

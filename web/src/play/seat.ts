@@ -1,0 +1,70 @@
+// Where a scene stands around somebody who sits down at its first view with a headset on, and what his eyes see.
+//
+// A room is what WebXR calls a "local" space: metres, y up, its origin at the eyes of whom sat down, who looks along -z.
+// Matrices of WebXR are (16) column by column.
+import { firstView, levelled, scaleOf, upright } from "../format/region.ts";
+import type { Camera, Root } from "../format/types.ts";
+import { across, along, cross, dot, length, minus, scaled, type Vector } from "../format/vector.ts";
+import { cameraOf, type ViewState } from "./sight.ts";
+
+/** How far away the subject is where nobody knows how long a unit is, metres. */
+const COMFORTABLE_M = 1.5;
+/** Sine of the angle from which on a first view looks far up or down. */
+const STEEP = Math.SQRT1_2;
+
+export interface Seat {
+  /** The origin of the room in the scene, world units. */
+  origin: Vector;
+  /** The directions x, y and z of the room in the scene, of length 1. */
+  axes: readonly [Vector, Vector, Vector];
+  /** World units a metre. */
+  metre: number;
+  near: number;
+}
+
+/** The seat at the first view of a package: upright, in real size where the package tells it.
+ *
+ * Where nobody told which way is up and the first view looks far up or down, it is what is straight ahead.
+ */
+export function seatOf(root: Root): Seat {
+  const region = levelled(root);
+  const view = firstView(region);
+  const guess = upright(region);
+  const up = !root.world && Math.abs(dot(view.forward, guess)) > STEEP ? view.up : guess;
+  const back = scaled(across(view.forward, up), -1);
+  const distance = length(minus(region.places[0].focus, view.position));
+  const metre = root.world?.metric ? 1 / scaleOf(root.world) : distance / COMFORTABLE_M;
+  return { origin: view.position, axes: [cross(up, back), up, back], metre, near: region.near };
+}
+
+/** What somebody sees of the scene whose eyes are at a pose of the room. */
+export function viewFrom({ origin, axes, metre, near }: Seat, pose: Float32Array, fovY: number): ViewState {
+  const turned = (at: number): Vector =>
+    axes.reduce<Vector>((sum, axis, i) => along(sum, axis, pose[at + i]), [0, 0, 0]);
+  return {
+    position: along(origin, turned(12), metre),
+    forward: scaled(turned(8), -1),
+    up: turned(4),
+    fovY,
+    near,
+  };
+}
+
+/** The camera of an eye, whose axis need not be in the middle of its picture. */
+export function eyeCamera(seat: Seat, pose: Float32Array, lens: Float32Array, width: number, height: number): Camera {
+  return {
+    ...cameraOf(viewFrom(seat, pose, 90), width, height),
+    fx: (lens[0] * width) / 2,
+    fy: (lens[5] * height) / 2,
+    cx: ((1 - lens[8]) * width) / 2,
+    cy: ((1 + lens[9]) * height) / 2,
+  };
+}
+
+/** How far eyes with these lenses see to a side and up or down at most, as tangents. */
+export function widest(lenses: readonly Float32Array[]): [number, number] {
+  return [
+    Math.max(...lenses.map((lens) => (1 + Math.abs(lens[8])) / lens[0])),
+    Math.max(...lenses.map((lens) => (1 + Math.abs(lens[9])) / lens[5])),
+  ];
+}

@@ -1,0 +1,47 @@
+// Pictures that are not there when they are due: the schedule waits for them, and the time that this takes is counted as
+// frames that were dropped. A stall is something else: the wait for bytes.
+import type { Playout } from "./playout.ts";
+import type { Lack } from "./schedule.ts";
+
+/** Of a longer time without a chance to show something, the schedule waits for the rest, seconds. */
+const LONGEST_TICK_S = 0.25;
+
+/** Sound goes on so long without a picture; once it had to stop, so long all must be well, seconds. */
+const PATIENCE_S = 0.2;
+const CALM_S = 0.5;
+
+/** Holds a schedule while a picture lacks. Moments are seconds of its clock. */
+export class Waits {
+  #tickedS = Number.POSITIVE_INFINITY;
+  #lackedS = Number.POSITIVE_INFINITY;
+  #stoppedS = Number.NEGATIVE_INFINITY;
+
+  /** `sounds`: whether sound is heard, which a lack of pictures would break off. */
+  constructor(
+    private readonly playout: Playout,
+    private readonly sounds = () => false,
+  ) {}
+
+  /** The page has the chance to show something, whenever the display takes it. */
+  tick(nowS: number): void {
+    const sinceS = this.#tickedS + LONGEST_TICK_S;
+    if (sinceS < nowS && !this.playout.waits(sinceS) && !this.sounds()) this.playout.freeze(sinceS, "display");
+    this.#tickedS = nowS;
+  }
+
+  /** Whether pictures came in time lately. */
+  calm(nowS: number): boolean {
+    return nowS - this.#stoppedS > CALM_S;
+  }
+
+  /** What the frame that is due lacks from now on; null: nothing. */
+  lack(nowS: number, what: Lack | null): void {
+    this.#lackedS = what && what !== "start" ? Math.min(this.#lackedS, nowS) : Number.POSITIVE_INFINITY;
+    const isLong = nowS - this.#lackedS > PATIENCE_S;
+    if (isLong) this.#stoppedS = nowS;
+    if (what && (what === "start" || isLong || !this.sounds())) this.playout.freeze(nowS, what);
+    for (const other of ["decoder", "display", "start"] as const) {
+      if (other !== what) this.playout.thaw(nowS, other);
+    }
+  }
+}
