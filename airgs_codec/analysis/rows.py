@@ -57,19 +57,23 @@ class Restored:
         return notes
 
 
-def outlook(sequence: GaussianSequence, rows: str) -> str:
-    """What the first frames say of the rows of all, and what that will cost, in a line; empty where they are tracked.
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """What the first frames say of the rows of all."""
 
-    Raises SceneError for a broken frame.
-    """
+    shared: bool  # rows are the same Gaussians, in whatever order
+    words: str  # what is known of them; empty where they are in order
+
+
+def outlook(sequence: GaussianSequence, rows: str = AUTO) -> Outlook:
+    """Look at the rows of the first LOOKED_FRAMES frames. Raises SceneError for a broken frame."""
     looked = min(LOOKED_FRAMES, len(sequence))
     found = restore_rows(sequence, rows, frames=range(looked))
-    others = "--track fits one set of Gaussians to all frames first, in seconds a frame"
     if found.unmatched or len(found.sequence.breaks) > len(sequence.breaks):
-        return f"rows: the first {looked} frames do not share them; {COST}; {others}"
+        return Outlook(False, f"rows: the first {looked} frames do not share them")
     if found.missing > FEW_MISSING:
-        return f"rows: a frame lacks {found.missing:.0%} of the rows, which takes several times the bytes; {others}"
-    return "rows: out of order, so they are matched again" if found.matched else ""
+        return Outlook(False, f"rows: of those of the first {looked} frames, each lacks {found.missing:.0%}")
+    return Outlook(True, "rows: out of order, so they are matched again" if found.matched else "")
 
 
 def restore_rows(

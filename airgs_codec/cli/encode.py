@@ -10,7 +10,6 @@ from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec._settings import applied, required, setting
-from airgs_codec.analysis.rows import outlook
 from airgs_codec.analysis.viewpoints import GUESS
 from airgs_codec.cli.common import (
     BakingOptions,
@@ -34,14 +33,19 @@ from airgs_codec.encoder.publish import Beside, EncodeReport, encode_part
 from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.search import PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
+from airgs_codec.encoder.track import decide
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import write_contact_sheet
+from airgs_codec.inspect.report import write_report
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_ladder, format_summary
-from airgs_codec.jobs.report import write_report
+from airgs_codec.jobs.report import NAME as JOBS_NAME
+from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.media.sound import encode_sound
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import place_view
 from airgs_codec.places.place import is_address
+from airgs_codec.progress import Progress
 from airgs_codec.scene.beside import read_attribution
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.train.data.readers import is_multiview
@@ -100,7 +104,7 @@ class Encode:
         None, "a file whose sound goes with the frames, from its beginning", metavar="FILE", topic="output"
     )
     attribution: str | None = setting(None, "who made the scene (default: SCENE/ATTRIBUTION.txt)", topic="output")
-    report: Path | None = report("a page on who did which job, and when")
+    report: Path | None = report("a page with what came out beside what was given, and who did which job")
     verbose: bool = setting(False, "print all tables, as airgs-manifest inspect does", topic="output")
     json: bool = as_json()
 
@@ -131,7 +135,8 @@ def encode(options: Encode) -> int:
     if sound and sound.note and not options.json:
         say(f"sound: {options.audio}: {sound.note}")
     beside = Beside(options.attribution or credit, sound)
-    if not settings.track and (line := outlook(sequence, settings.rows)):
+    settings, line = decide(sequence, settings)
+    if line:
         warn(line)
     prepare()
     with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
@@ -139,9 +144,8 @@ def encode(options: Encode) -> int:
             done = encode_part(sequence, settings, work, goal=goal, beside=beside)
         else:
             done = publish(sequence, target, settings, goal=goal, beside=beside, work=work)
-    if options.report:
-        options.report.mkdir(parents=True, exist_ok=True)
-        write_report(options.report / "index.html", done.records)
+        if options.report:
+            _report(options.report, sequence, None if options.work.part else open_package(target), done, bar)
     if options.contact_sheet:
         region = done.manifest.region
         places = [place_view(region, place, f"place {i}") for i, place in enumerate(region.places)]
@@ -159,6 +163,17 @@ def encode(options: Encode) -> int:
         else _as_words(done, target, options.verbose)
     )
     return 0
+
+
+def _report(
+    folder: Path, given: GaussianSequence, package: Package | None, done: EncodeReport, progress: Progress
+) -> None:
+    """Write the page of a package; of a part, which publishes none, that of its jobs."""
+    if package:
+        write_report(folder, given, package, done.records, progress)
+    else:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_jobs(folder / JOBS_NAME, done.records)
 
 
 def _settings(options: Encode) -> EncodeSettings:

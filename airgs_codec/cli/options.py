@@ -236,7 +236,7 @@ def _annotated(one: Field[Any], hint: Any, about: str, topic: str | None) -> Any
         group=Group(topic, sort_key=5) if topic else EVERYDAY,
         metavar=told.get("metavar") or unit or "|".join(choices) or kind_words,
         converter=partial(_read, read, kind) if read else None,
-        negative=None if kind is bool and default_of(one) is True else (),
+        negative=None if kind is bool and default_of(one) is not False else (),
         consume_multiple=True if several else None,
         allow_leading_hyphen=told.get("signed", False),
     )

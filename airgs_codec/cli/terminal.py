@@ -99,6 +99,7 @@ class Bar:
         self._bar: tqdm | None = None
         self._stage = ""
         self._begun_s = self._said_s = time.monotonic()
+        self._stage_begun = (0.0, 0)  # when it was first heard of, and how much of it was done then
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """`done` of `total` parts of a stage are finished."""
@@ -119,9 +120,14 @@ class Bar:
 
     def _say(self, stage: str, done: int, total: int) -> None:
         now_s = time.monotonic()
+        if stage != self._stage:
+            self._stage, self._stage_begun = stage, (now_s, done)
         if now_s - self._said_s >= LINE_S:
             self._said_s = now_s
-            warn(f"{stage}: {done} of {total}, after {now_s - self._begun_s:.0f} s")
+            begun_s, before = self._stage_begun
+            left_s = (total - done) * (now_s - begun_s) / (done - before) if done > before else 0.0
+            left = f", about {left_s:.0f} s left" if left_s >= 1 else ""
+            warn(f"{stage}: {done} of {total}, after {now_s - self._begun_s:.0f} s{left}")
 
     def close(self) -> None:
         """Clear the line."""

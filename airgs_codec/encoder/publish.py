@@ -16,7 +16,7 @@ from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
 from airgs_codec.encoder.search import Goal, search_quality
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.tables import add_sound
-from airgs_codec.encoder.track import Tracked, expect_trackable, tracked
+from airgs_codec.encoder.track import Tracked, tracked
 from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
 from airgs_codec.errors import WorkError
 from airgs_codec.jobs.job import Record, Stored, code_digest, read_result
@@ -174,10 +174,7 @@ def _encode(
     beside: Beside,
     work: Work,
 ) -> tuple[EncodeReport, Finished]:
-    expect_trackable(settings, work)
     credit = sequence.attribution if beside.attribution is None else beside.attribution
-    if not settings.track or len(sequence) == 1:
-        return _encode_rows(Tracked(sequence), settings, goal, replace(beside, attribution=credit), work)
     with tracked(sequence, settings, work) as found:
         return _encode_rows(found, settings, goal, replace(beside, attribution=credit), work)
 

@@ -140,10 +140,11 @@ class EncodeSettings:
         "else coded frame by frame (auto); taken as they are (keep); or matched whether they look lost or not (match)",
         choices=ROWS,
     )
-    track: bool = setting(
-        False,
-        "frames that know nothing of each other become Gaussians that move, fitted to pictures of the frames: a few "
-        "seconds each, and then far fewer bytes",
+    track: bool | None = setting(
+        None,
+        "frames that share no rows become Gaussians that move, fitted to pictures of the frames; seconds a frame, and "
+        "then far fewer bytes",
+        default="where the first frames share none",
     )
     keys: str = setting(
         KEPT,
@@ -328,6 +329,7 @@ def as_preview(settings: EncodeSettings) -> EncodeSettings:
         group_frames=settings.group_frames or DEFAULT_GROUP_FRAMES,
         decide_pictures=8,
         measure_pictures=min(settings.measure_pictures, 2),
+        track=bool(settings.track),
     )
 
 

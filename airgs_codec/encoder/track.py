@@ -1,24 +1,28 @@
 """Tracking: frames that know nothing of each other become Gaussians that move, fitted to pictures drawn of the frames.
 
-What comes out is a model folder as training leaves it, in the place where the work is kept.
+What comes out is a model folder as training leaves it, in the place where the work is kept. Frames are tracked in
+chunks, which begin with a keyframe and know nothing of each other but the first frame.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.flow import carry
+from airgs_codec.analysis.rows import AUTO, KEEP, outlook
 from airgs_codec.encoder.prepare import look_at_frames
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import ViewPlan, plan_views
 from airgs_codec.errors import ConfigError
+from airgs_codec.jobs.engines import InProcess
 from airgs_codec.jobs.job import digest
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.metrics import Picture, psnr
@@ -33,6 +37,10 @@ PIXELS = 65_536  # of a picture
 MANY = 1 << 30  # Gaussians: what is given has as many as it has
 TRIED = 5  # pairs of neighbours that tell whether a scene can be tracked
 FOLLOWED_DB = 20.0  # that half of them show, at least
+CHUNK = 30  # frames
+ROW_S = 2e-4  # seconds that a Gaussian of a frame takes, about: 20,000 on two cores take 4 s
+ALONE_BYTES = (1.6, 0.2)  # about, of a Gaussian of a frame that is coded alone, and of each SH coefficient above band 0
+TRACKED_SHARE = 5  # one byte in so many, about, is left where rows go on
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,21 +52,54 @@ class Tracked:
     views: ViewPlan | None = None  # that it was fitted in; None: it was not
 
 
-def expect_trackable(settings: EncodeSettings, work: Work) -> None:
-    """Raise ConfigError where a sequence that is tracked could not be encoded in the way that is asked for."""
-    if settings.track and work.part.count > 1:
-        raise ConfigError("--part: expected a sequence that is not tracked first, got --track: one run tracks it")
-    if settings.track and settings.rows != "auto":
+def decide(sequence: GaussianSequence, settings: EncodeSettings) -> tuple[EncodeSettings, str]:
+    """Settings that say whether a sequence is tracked; and what its rows are, what that costs and what would change it.
+
+    The line is empty where rows are in order. Raises SceneError for a broken frame, ConfigError for settings that
+    contradict each other.
+    """
+    if settings.track and settings.rows != AUTO:
         raise ConfigError(f"--rows {settings.rows}: expected none with --track, which leaves rows in order")
+    apart = replace(settings, track=False)
+    if len(sequence) == 1 or settings.rows == KEEP:
+        return apart, ""
+    found = outlook(sequence, settings.rows)
+    alone, seconds = _costs(sequence)
+    each = f"about {alone:.0f} kB a frame"
+    time = f"about {seconds / 60:.0f} minutes" if seconds > 90 else f"about {seconds:.0f} s"
+    less = f"about {alone / TRACKED_SHARE:.0f} kB a frame"
+    offer = f"--track makes one set of moving Gaussians of them first: {time}, then {less}"
+    if found.shared:
+        return replace(settings, track=bool(settings.track)), found.words
+    if settings.track is False or settings.rows != AUTO:
+        return apart, f"{found.words}; coded one by one, {each}; {offer}"
+    if settings.track is None and find_spec("torch") is None:
+        install = "tracking takes a fifth of that and needs torch: pip install 'airgs-codec[train]'"
+        return apart, f"{found.words}; coded one by one, {each}; {install}"
+    return replace(settings, track=True), f"{found.words}; tracked first: {time}, then {less} in place of {each}" + (
+        "" if settings.track else "; --no-track leaves them as they are"
+    )
+
+
+def _costs(sequence: GaussianSequence) -> tuple[float, float]:
+    """About how many kB a frame takes that is coded alone, and in how many seconds the sequence is tracked."""
+    rows = float(np.mean([header.count for header in sequence.headers]))
+    further = 3 * ((sequence.sh_degree + 1) ** 2 - 1)
+    return rows * (ALONE_BYTES[0] + ALONE_BYTES[1] * further) / 1e3, len(sequence) * rows * ROW_S
 
 
 @contextmanager
 def tracked(sequence: GaussianSequence, settings: EncodeSettings, work: Work) -> Iterator[Tracked]:
-    """Track a sequence; it can be read until the block ends.
+    """Track a sequence where its settings say so; it can be read until the block ends.
 
     Raises SceneError for a broken frame, ConfigError where a device is missing, TrainingError where a loss is not
     finite.
     """
+    if settings.track is None:
+        settings, _ = decide(sequence, settings)
+    if not settings.track or len(sequence) == 1:
+        yield Tracked(sequence)
+        return
     names, in_order = look_at_frames(sequence, work)
     if in_order and len({header.count for header in sequence.headers}) == 1:
         yield Tracked(sequence, ("not tracked: its rows are in order already",))
@@ -73,16 +114,22 @@ def tracked(sequence: GaussianSequence, settings: EncodeSettings, work: Work) ->
     with tempfile.TemporaryDirectory(prefix="airgs-track-") as temporary:
         place = work.store.place
         within = place.path if isinstance(place, Folder) else Path(temporary)
-        yield _track(sequence, within / f"tracked-{digest(names, cameras)[:16]}", cameras, views, work)
+        model = within / f"tracked-{digest(names, cameras)[:16]}"
+        if work.part.count > 1:  # each part writes what all of them have found
+            model = Path(temporary) / model.name
+        yield _track(sequence, names, model, cameras, views, work)
 
 
-def _track(sequence: GaussianSequence, folder: Path, cameras: list[Camera], views: ViewPlan, work: Work) -> Tracked:
+def _track(
+    sequence: GaussianSequence, names: Sequence[str], folder: Path, cameras: list[Camera], views: ViewPlan, work: Work
+) -> Tracked:
     from airgs_codec.train.data.drawn import drawn_scene  # torch is loaded where something is tracked
-    from airgs_codec.train.pipeline import open_run, train_frames
+    from airgs_codec.train.pipeline import open_run, train_frames, train_in_jobs
 
-    scene = drawn_scene(sequence, cameras, views.renderer)
+    scene = drawn_scene(sequence, names, cameras, views.renderer)
     run = open_run(scene, folder, track_settings(sequence), resume=True, device=views.renderer.device)
-    for frame in train_frames(run):
+    here = isinstance(work.engine, InProcess) and work.part.count == 1
+    for frame in train_frames(run) if here else train_in_jobs(run, work):
         work.progress("tracking", frame.frame + 1, len(sequence))
     record = run.model.record
     found = open_sequence(folder, fps=sequence.fps)
@@ -105,6 +152,7 @@ def track_settings(sequence: GaussianSequence) -> TrainSettings:
         sh_degree=sequence.sh_degree,
         key_iterations=300,
         frame_iterations=100,
+        group_frames=CHUNK,
         min_psnr_db=28.0,
         max_drop_db=6.0,
         temporal=Temporal(weight=5e-3),  # what differs from frame to frame is noise more often than motion

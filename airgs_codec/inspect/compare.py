@@ -119,8 +119,28 @@ class Comparison:
     cameras: tuple[str, ...]  # their names
     gaussians: tuple[tuple[int, int], tuple[int, int]]  # of A and of B: fewest and most rows of a frame
     quality: Quality
-    worst: Seen
-    typical: Seen  # the picture whose error is the median
+    pictures: tuple[Seen, ...]  # all, frame after frame
+
+    @property
+    def ranked(self) -> list[Seen]:
+        """All pictures, the worst first."""
+        return sorted(self.pictures, key=lambda seen: seen.psnr)
+
+    @property
+    def worst(self) -> Seen:
+        """The picture with the largest error."""
+        return self.ranked[0]
+
+    @property
+    def typical(self) -> Seen:
+        """The picture whose error is the median."""
+        return self.ranked[(len(self.pictures) - 1) // 2]
+
+    @property
+    def by_frame(self) -> list[float]:
+        """PSNR of each frame in dB, of the mean squared error over its pictures."""
+        errors = np.array([10 ** (-seen.psnr / 10) for seen in self.pictures]).reshape(len(self.frames), -1)
+        return [psnr(float(error)) for error in errors.mean(axis=1)]
 
 
 def compare(
@@ -173,18 +193,12 @@ def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], prog
     for difference in compare_views(first, second, views, Difference.of):
         differences.append(difference)
         progress("comparing", len(differences), len(views))
-    ranked = np.argsort([difference.mse for difference in differences], kind="stable")
-
-    def seen(place: int) -> Seen:
-        return Seen(*views[place], psnr(differences[place].mse))
-
     return Comparison(
         frames=tuple(frames),
         cameras=tuple(camera.name for camera in cameras),
         gaussians=((min(rows[0]), max(rows[0])), (min(rows[1]), max(rows[1]))),
         quality=pool(differences),
-        worst=seen(int(ranked[-1])),
-        typical=seen(int(ranked[len(ranked) // 2])),
+        pictures=tuple(Seen(*view, psnr(difference.mse)) for view, difference in zip(views, differences, strict=True)),
     )
 
 

@@ -5,6 +5,7 @@ A frame is in the group of the one before unless its quality falls, or a chunk o
 
 from __future__ import annotations
 
+import itertools
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -18,11 +19,12 @@ from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians, join_rows
-from airgs_codec.train.data.multiview import MultiviewScene
+from airgs_codec.train.data.multiview import MultiviewScene, with_frames
 from airgs_codec.train.data.pictures import Exposure, Pictures, View, pictures_for
 from airgs_codec.train.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
 from airgs_codec.train.fit.given import fit_common, follow, missing
 from airgs_codec.train.fit.losses import ExposureModel, mean_psnr, mean_ssim, static_shares
+from airgs_codec.train.fit.parameters import Parameters
 from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Group, Trainer, make_trainer
 from airgs_codec.train.fit.usage import group_usage
 from airgs_codec.train.record import FrameRecord, Model, Span, TrainedFrame
@@ -68,6 +70,12 @@ class Capture:
         names = [camera.name for camera in self.scene.cameras if not camera.held_out]
         stored = [stored_plate(plate, len(names)) for plate in plates]
         return replace(self, plates=dict(zip(names, stored, strict=True)) if stored else {})
+
+    def within(self, frames: range) -> Capture:
+        """The same for frames of a chunk: what they share with later ones is not looked for, where they are given."""
+        if self.scene.given is None:
+            return self
+        return replace(self, scene=with_frames(self.scene, {0, *frames}))
 
     def views(self, frame: int) -> list[View]:
         """The training views of a frame. Raises SceneError when there are none, or a picture cannot be read."""
@@ -167,7 +175,7 @@ def train_chunk(
         if at is None:
             before, target = FrameBefore(first, None), capture.target(frame, 0)
             steps = capture.trainer.steps(first, capture.views(0))
-            fitted = _keyframe(capture, target, before, capture.trainer.fit_keyframe(target, before, steps, named))
+            fitted = _keyframe(capture, target, before, _new_key(capture, target, before, steps, named))
         else:
             before = at.before
             fitted = _fit_next(capture, capture.target(frame, frame - 1), at, named)
@@ -212,10 +220,7 @@ def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Prog
     known = group.second_psnr if capture.scene.given else group.first_psnr
     if psnr >= s.min_psnr_db and (known is None or psnr >= known - s.max_drop_db):
         return fitted
-    if capture.scene.given is None:
-        g = trainer.fit_keyframe(target, before, group.steps, progress)
-    else:
-        g = _given_key(capture, target, before, progress)
+    g = _new_key(capture, target, before, group.steps, progress)
     key_psnr = mean_psnr(g, target.views, trainer.renderer)
     if s.keep_better and key_psnr <= psnr:
         return replace(fitted, rejected_psnr=key_psnr)
@@ -236,6 +241,15 @@ def _moved(capture: Capture, target: FrameViews, at: Position, progress: Progres
     return trainer.fit_frame(target, before, at.group, progress)
 
 
+def _new_key(
+    capture: Capture, target: FrameViews, before: FrameBefore, steps: Parameters, progress: Progress
+) -> Gaussians:
+    """The Gaussians of a keyframe that goes on from another frame, whose values have these steps."""
+    if capture.scene.given is None:
+        return capture.trainer.fit_keyframe(target, before, steps, progress)
+    return _given_key(capture, target, before, progress)
+
+
 def _given_key(capture: Capture, target: FrameViews, before: FrameBefore, progress: Progress) -> Gaussians:
     """The Gaussians of the frame before with what they lack, or those that are given where that does not show all."""
     trainer, given = capture.trainer, capture.given(target.frame)
@@ -254,7 +268,8 @@ def _given_first(capture: Capture, start: int, progress: Progress) -> Gaussians:
     views = [capture.views(start)]
     steps, frames, floor = trainer.steps(g, views[0]), [g], 0.0
     at = Position(FrameBefore(g, None), Group(math.inf, steps, None))
-    for frame in range(start + 1, min(start + WINDOW, len(capture.scene))):
+    behind = range(start + 1, min(start + WINDOW, len(capture.scene)))
+    for frame in itertools.takewhile(lambda frame: capture.scene.frames[frame], behind):
         seen = capture.views(frame)
         target = FrameViews(frame, seen)
         moved = follow(trainer, at.before, capture.given(frame), target)

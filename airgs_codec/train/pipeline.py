@@ -85,13 +85,19 @@ def _cameras(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
     return [Piece(scene.cameras[camera].name, frames, (camera, frames)) for camera, frames in sources]
 
 
+def _first(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
+    """Frame 0; where Gaussians are given, what it shares with others of its chunk is told by their pictures."""
+    start, stop = chunks(len(scene), settings.group_frames)[0]
+    return [Piece("frame 0", range(start, stop) if scene.given else ())]
+
+
 def _chunks(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
     spans = chunks(len(scene), settings.group_frames)
     return [Piece(f"frames {start}-{stop - 1}", range(start, stop), ((start, stop),)) for start, stop in spans]
 
 
 REST = Step("what rests", _cameras, find_rest, fits=False)
-FIRST = Step("first frame", lambda scene, settings: [Piece("frame 0")], fit_first, reads=(REST.name,))
+FIRST = Step("first frame", _first, fit_first, reads=(REST.name,))
 CHUNKS = Step("chunks of frames", _chunks, fit_chunk, reads=(FIRST.name, REST.name))
 STEPS = {step.name: step for step in (REST, FIRST, CHUNKS)}
 
@@ -229,14 +235,16 @@ class Here:
 
     def first(self) -> TrainedFrame:
         """Fit the first frame of the run."""
-        return train_first(self._settled, self.progress)
+        [piece] = FIRST.pieces(self.capture.scene, self.capture.settings)
+        return train_first(self._settled.within(range(len(piece.frames))), self.progress)
 
     def others(self, first: First, model: Model) -> Iterator[TrainedFrame]:
         """Fit the frames behind the last one of the model; each is in it when the next one is asked for."""
         done = len(model.record.frames)
         for start, stop in chunks(model.record.total, self.capture.settings.group_frames):
             if stop > done:
-                capture, frames = self._settled.with_exposure(first.exposure), range(max(start, done), stop)
+                capture = self._settled.with_exposure(first.exposure).within(range(start, stop))
+                frames = range(max(start, done), stop)
                 at = None if frames.start == start else position_after(capture, model)
                 yield from train_chunk(capture, frames, first.gaussians, at, self.progress)
 

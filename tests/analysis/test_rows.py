@@ -11,11 +11,17 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+from tools.lab.made import predicted
 
 
 def shuffled(frames, which):
     """Frames, those whose numbers are in `which` each in an order of its own."""
     return [g.take(np.random.default_rng(t).permutation(len(g))) if t in which else g for t, g in enumerate(frames)]
+
+
+def noisy(frames):
+    """Frames as if each had been made by itself."""
+    return [predicted(g, np.random.default_rng(t)) for t, g in enumerate(frames)]
 
 
 def means(sequence):
@@ -176,12 +182,13 @@ def test_frames_that_a_file_says_are_unlike_those_before_have_no_other_number(tm
         (moving_frames(300, 4), ""),
         (shuffled(moving_frames(300, 4), {1}), "rows: out of order"),
         (thinned(moving_frames(300, 4), 0.03)[0], "rows: out of order"),
-        (thinned(moving_frames(300, 4), 0.3)[0], "rows: a frame lacks "),
+        (thinned(moving_frames(300, 4), 0.3)[0], "rows: of those of the first 3 frames, each lacks "),
+        (noisy(moving_frames(300, 4)), "rows: of those of the first 3 frames, each lacks "),
         ([random_gaussians(300, seed=i) for i in range(4)], "rows: the first 3 frames do not share them"),
         ([random_gaussians(300 + i, seed=i) for i in range(4)], "rows: the first 3 frames do not share them"),
     ],
 )
 def test_the_first_frames_tell_what_rows_will_cost(tmp_path, frames, words):
-    line = outlook(open_sequence(write_sequence(tmp_path, frames)), "auto")
-    assert line.startswith(words) and bool(line) == bool(words)
-    assert ("--track" in line) == (words not in ("", "rows: out of order"))
+    found = outlook(open_sequence(write_sequence(tmp_path, frames)))
+    assert found.words.startswith(words) and bool(found.words) == bool(words)
+    assert found.shared == (words in ("", "rows: out of order"))

@@ -12,8 +12,8 @@ def test_a_log_gets_a_line_of_progress_every_ten_seconds(monkeypatch, capsys):
         bar("frames", second, 100)
     bar.close()
     assert capsys.readouterr().err.splitlines() == [
-        "frames: 12 of 100, after 12 s",
-        "frames: 24 of 100, after 24 s",
+        "frames: 12 of 100, after 12 s, about 88 s left",
+        "frames: 24 of 100, after 24 s, about 76 s left",
     ]
 
 

@@ -1,6 +1,7 @@
 """Tracking: frames that know nothing of each other take fewer bytes, and show what they have in common."""
 
 import json
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -9,16 +10,18 @@ import pytest
 from airgs_codec.analysis.flow import carry
 from airgs_codec.cli.encode import main as encode_command
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.publish import encode, encode_part
+from airgs_codec.encoder.publish import encode, encode_part, merge
 from airgs_codec.encoder.settings import EncodeSettings, as_preview
+from airgs_codec.encoder.track import decide
 from airgs_codec.errors import ConfigError
+from airgs_codec.jobs.engines import Processes
 from airgs_codec.jobs.work import Part, Work
 from airgs_codec.package.package import open_package
 from airgs_codec.places.results import open_store
 from airgs_codec.render import render
 from airgs_codec.scene.camera import orbit_views
 from airgs_codec.scene.gaussians import from_rotation_vector, multiply, to_matrices
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tests.support.paths import FOX_VIEWS
 from tests.support.scenes import random_gaussians, write_sequence
 from tools.lab.made import predicted
@@ -95,10 +98,43 @@ def test_rows_that_are_in_order_are_not_tracked_again(clean, tmp_path):
     assert "not tracked: its rows are in order already" in decisions
 
 
+def test_chunks_are_tracked_alike_whoever_does_them(given, tmp_path, monkeypatch):
+    monkeypatch.setattr("airgs_codec.encoder.track.CHUNK", 3)
+    encode(given, tmp_path / "alone.airgs", SETTINGS)
+    with closing(Processes(2)) as engine:
+        encode(given, tmp_path / "jobs.airgs", SETTINGS, work=Work(open_store(tmp_path / "jobs"), engine))
+    for index in (0, 1):
+        encode_part(given, SETTINGS, Work(open_store(tmp_path / "parts"), part=Part(index, 2)))
+    merge(open_store(tmp_path / "parts"), tmp_path / "parts.airgs")
+    alone, jobs, parts = (
+        {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        for folder in (tmp_path / f"{name}.airgs" for name in ("alone", "jobs", "parts"))
+    )
+    assert alone == jobs == parts
+    starts = [group.start for group in open_package(tmp_path / "alone.airgs").manifest.groups]
+    assert 3 in starts
+
+
+def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(clean, given, tmp_path):
+    auto = EncodeSettings()
+    settings, line = decide(given, auto)
+    assert settings.track and "tracked first: about " in line and "--no-track" in line
+    for left in (as_preview(auto), replace(auto, track=False), replace(auto, rows="match")):
+        settings, line = decide(given, left)
+        assert not settings.track and "coded one by one, about " in line and "--track" in line
+    for rows in (clean, [g.take(np.random.default_rng(t).permutation(len(g))) for t, g in enumerate(clean)]):
+        settings, line = decide(GaussianSequence.from_arrays(rows), auto)
+        assert not settings.track and "track" not in line
+
+
+def test_two_frames_are_tracked(given, tmp_path):
+    sequence = GaussianSequence.from_arrays([given.read(0), given.read(1)])
+    _, shown, decisions = encoded(sequence, tmp_path / "two.airgs", SETTINGS)
+    assert len(shown) == 2 and len(shown[0]) == len(shown[1])
+    assert any(line.startswith("tracked: 1 key for 2 frames") for line in decisions)
+
+
 def test_options_that_contradict_are_refused(given, tmp_path):
-    part = Work(open_store(tmp_path / "work"), part=Part(0, 2))
-    with pytest.raises(ConfigError, match="--part"):
-        encode_part(given, SETTINGS, part)
     with pytest.raises(ConfigError, match="--rows keep"):
         encode(given, tmp_path / "x.airgs", replace(SETTINGS, rows="keep"))
     assert encode_command([str(given.folder), "--track", "--follow"]) == 2

@@ -16,7 +16,7 @@ import { createInterface } from "node:readline";
 import { setTimeout } from "node:timers/promises";
 import { chromium } from "playwright-core";
 
-const TIMEOUT_MS = 60_000;
+const TIMEOUT_MS = 180_000;
 const FLAGS = [
   "--autoplay-policy=no-user-gesture-required",
   "--use-angle=swiftshader",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,25 +18,35 @@ from airgs_codec.train.data.multiview import MultiviewScene, Shot
 
 
 class Drawing:
-    """What draws the frames of a sequence; the last one stays loaded for its further views."""
+    """What draws the frames of a sequence; the last one stays loaded for its further views. It can be pickled."""
 
     def __init__(self, sequence: GaussianSequence, renderer: Renderer) -> None:
-        self.load = lru_cache(maxsize=1)(lambda frame: renderer.load(sequence.load([frame]).frames[0]))
+        self.sequence, self.renderer = sequence, renderer
+        self._loaded: tuple[int, Loaded] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Drawing, (self.sequence, self.renderer)
 
     def draw(self, frame: int, camera: Camera) -> NDArray[np.uint8]:
-        """(H, W, 3) what a camera sees of a frame."""
-        loaded: Loaded = self.load(frame)
-        return to_bytes(loaded.draw(camera).rgb)
+        """(H, W, 3) what a camera sees of a frame. Raises SceneError for a broken one."""
+        if self._loaded is None or self._loaded[0] != frame:
+            self._loaded = frame, self.renderer.load(self.sequence.load([frame]).frames[0])
+        return to_bytes(self._loaded[1].draw(camera).rgb)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Drawn:
     """A picture of a frame, in place of a `Source`."""
 
-    path: Path  # of the frame
     frame: int
+    content: str  # names what is in the frame; the camera that sees it is named by the shot
     camera: Camera
     drawing: Drawing
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """None: the content is known."""
+        return ()
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
         """(H, W, 3) the picture, which has the size of its camera. Raises SceneError for a broken frame."""
@@ -44,14 +54,16 @@ class Drawn:
 
     def __str__(self) -> str:
         """Name the place in a message."""
-        return f"{self.path} frame {self.frame}"
+        return f"{self.drawing.sequence.paths[self.frame]} frame {self.frame}"
 
 
-def drawn_scene(sequence: GaussianSequence, cameras: Sequence[Camera], renderer: Renderer) -> MultiviewScene:
-    """The scene that cameras see of a sequence."""
+def drawn_scene(
+    sequence: GaussianSequence, names: Sequence[str], cameras: Sequence[Camera], renderer: Renderer
+) -> MultiviewScene:
+    """The scene that cameras see of a sequence; `names` are those of the contents of its frames."""
     drawing = Drawing(sequence, renderer)
     frames = (
-        tuple(Shot(camera, Drawn(path, frame, camera, drawing)) for camera in cameras)
-        for frame, path in enumerate(sequence.paths)
+        tuple(Shot(camera, Drawn(frame, name, camera, drawing)) for camera in cameras)
+        for frame, name in enumerate(names)
     )
     return MultiviewScene(sequence.folder, sequence.fps, tuple(frames), None, sequence.background, sequence)

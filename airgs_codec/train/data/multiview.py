@@ -36,12 +36,12 @@ class Readable(Protocol):
     """What a picture is read from."""
 
     @property
-    def path(self) -> Path:
-        """The file."""
+    def files(self) -> tuple[Path, ...]:
+        """The files whose bytes name what the picture shows, together with `content`."""
 
     @property
-    def frame(self) -> int | None:
-        """The number of the picture in the file; None: it is the picture."""
+    def content(self) -> str | int | None:
+        """What else names it."""
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
         """Read the picture, as `Source` does."""
@@ -53,6 +53,16 @@ class Source:
 
     path: Path
     frame: int | None = None  # its number in a video; None: the file is the picture
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The file itself."""
+        return (self.path,)
+
+    @property
+    def content(self) -> int | None:
+        """The number of the frame."""
+        return self.frame
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
         """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha; nothing is decoded of one of another size.
@@ -205,8 +215,9 @@ def without_masks(scene: MultiviewScene) -> MultiviewScene:
 
 def _content(shot: Shot, contents: Contents) -> tuple[Any, ...]:
     source = shot.source
-    return shot.camera, shot.lens, contents[source.path], source.frame, shot.mask and contents[shot.mask]
+    shown = [contents[file] for file in source.files]
+    return shot.camera, shot.lens, *shown, source.content, shot.mask and contents[shot.mask]
 
 
 def _files(shot: Shot) -> list[Path]:
-    return [shot.source.path, *([shot.mask] if shot.mask else [])]
+    return [*shot.source.files, *([shot.mask] if shot.mask else [])]
