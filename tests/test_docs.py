@@ -18,6 +18,7 @@ USER_PAGES = [
     "python",
     "security",
     "serving",
+    "tracking",
     "training",
 ]
 USER_PAGE_WORDS = 1200

@@ -23,6 +23,7 @@ NEAR = 6  # nodes that a row goes with
 FAR = 3.0  # medians of the differences of matches: further rows tell nothing
 NEAR_BY = 0.5  # sizes of a row: one that is as near tells something all the same
 DOUBT = 0.2  # of the usual weight of a node's matches: a node with as few goes half as far as they say
+OWN_SHARE = 0.25  # of the way to its own match that a row goes: it neither falls behind nor follows noise of a frame
 ATTRIBUTE_SHARE = 0.2  # of what attributes count for in frames of one tracking, whose rows keep them
 Vectors = NDArray[np.float64]
 
@@ -40,7 +41,18 @@ def carry(g: Gaussians, frame: Gaussians, velocity: NDArray[np.floating] | None 
         moved = replace(g, means=(g.means + velocity).astype(np.float32))
     for rows in NODE_ROWS:
         moved = _round(moved, frame, tree, spacing, rows)
-    return moved
+    return _settle(moved, frame, tree, spacing)
+
+
+def _settle(g: Gaussians, frame: Gaussians, tree: cKDTree, spacing: float) -> Gaussians:
+    """The rows a share of the way further to those rows of the frame that they surely are.
+
+    Motion that is finer than nodes would add up over frames otherwise.
+    """
+    _, there, mutual = _matches(g, tree, spacing)
+    shift = frame.means[there].astype(np.float64) - g.means
+    sure = mutual & (np.linalg.norm(shift, axis=1) <= NEAR_BY * np.exp(g.log_scales.max(axis=1)))
+    return replace(g, means=(g.means + OWN_SHARE * sure[:, None] * shift).astype(np.float32))
 
 
 def _round(g: Gaussians, frame: Gaussians, tree: cKDTree, spacing: float, rows: int) -> Gaussians:
