@@ -23,7 +23,6 @@ NEAR = 6  # nodes that a row goes with
 FAR = 3.0  # medians of the differences of matches: further rows tell nothing
 NEAR_BY = 0.5  # sizes of a row: one that is as near tells something all the same
 DOUBT = 0.2  # of the usual weight of a node's matches: a node with as few goes half as far as they say
-OWN_SHARE = 0.25  # of the way to its own match that a row goes: it neither falls behind nor follows noise of a frame
 ATTRIBUTE_SHARE = 0.2  # of what attributes count for in frames of one tracking, whose rows keep them
 Vectors = NDArray[np.float64]
 
@@ -38,21 +37,18 @@ def carry(g: Gaussians, frame: Gaussians, velocity: NDArray[np.floating] | None 
     spacing = spacing_of(g.means)
     tree, moved = cKDTree(_features(frame, spacing)), g
     if velocity is not None:
-        moved = replace(g, means=(g.means + velocity).astype(np.float32))
+        moved = _along(g, velocity.astype(np.float64))
     for rows in NODE_ROWS:
         moved = _round(moved, frame, tree, spacing, rows)
-    return _settle(moved, frame, tree, spacing)
+    return moved
 
 
-def _settle(g: Gaussians, frame: Gaussians, tree: cKDTree, spacing: float) -> Gaussians:
-    """The rows a share of the way further to those rows of the frame that they surely are.
-
-    Motion that is finer than nodes would add up over frames otherwise.
-    """
-    _, there, mutual = _matches(g, tree, spacing)
-    shift = frame.means[there].astype(np.float64) - g.means
-    sure = mutual & (np.linalg.norm(shift, axis=1) <= NEAR_BY * np.exp(g.log_scales.max(axis=1)))
-    return replace(g, means=(g.means + OWN_SHARE * sure[:, None] * shift).astype(np.float32))
+def _along(g: Gaussians, velocity: Vectors) -> Gaussians:
+    """The rows moved by (N, 3), each turned as the rows about it turn by that."""
+    here = g.means.astype(np.float64)
+    ties = _ties(here, _nodes(here, NODE_ROWS[-1]))
+    _, _, turn = _motion(ties, here, velocity, g.opacities().astype(np.float64))
+    return _placed(g, here + velocity, ties @ turn)
 
 
 def _round(g: Gaussians, frame: Gaussians, tree: cKDTree, spacing: float, rows: int) -> Gaussians:
@@ -64,13 +60,22 @@ def _round(g: Gaussians, frame: Gaussians, tree: cKDTree, spacing: float, rows: 
     way = np.linalg.norm(shift, axis=1)
     known = mutual & ((apart <= FAR * np.median(apart)) | (way <= NEAR_BY * size))
     weight = np.where(known, g.opacities(), 0.0) / (1 + np.square(way / size))
-    nodes = here[np.linspace(0, len(g) - 1, max(1, len(g) // rows)).astype(int)]
-    ties = _ties(here, nodes)
+    ties = _ties(here, _nodes(here, rows))
     centre, move, turn = _motion(ties, here, shift, weight)
     spin = ties @ turn
     go = ties @ (move - np.cross(turn, centre)) + np.cross(spin, here)
+    return _placed(g, here + go, spin)
+
+
+def _placed(g: Gaussians, means: Vectors, spin: Vectors) -> Gaussians:
+    """The rows at means (N, 3), turned by rotation vectors (N, 3)."""
     turned = multiply(from_rotation_vector(spin), g.quaternions.astype(np.float64))
-    return replace(g, means=(here + go).astype(np.float32), quaternions=turned.astype(np.float32))
+    return replace(g, means=means.astype(np.float32), quaternions=turned.astype(np.float32))
+
+
+def _nodes(here: Vectors, rows: int) -> Vectors:
+    """(S, 3) places of nodes, one for so many of the rows (N, 3)."""
+    return here[np.linspace(0, len(here) - 1, max(1, len(here) // rows)).astype(int)]
 
 
 def unmatched(g: Gaussians, frame: Gaussians) -> NDArray[np.intp]:

@@ -146,6 +146,16 @@ def test_rows_go_where_the_frame_has_them(clean):
     moved = carry(clean[0], other)
     there, here = (np.linalg.norm(g.means - clean[2].means, axis=1) for g in (moved, clean[0]))
     assert np.median(there) < 0.15 * np.median(here)
-    alike = np.abs(np.sum(moved.quaternions * clean[2].quaternions, axis=1))
-    alike /= np.linalg.norm(moved.quaternions, axis=1) * np.linalg.norm(clean[2].quaternions, axis=1)
-    assert np.median(alike) > np.cos(0.01)
+    assert turned_alike(moved, clean[2])
+
+
+def test_rows_that_go_on_as_expected_turn_with_their_neighbours(clean):
+    moved = carry(clean[2], predicted(clean[3], np.random.default_rng(0)), clean[2].means - clean[1].means)
+    assert turned_alike(moved, clean[3]) and not turned_alike(clean[2], clean[3])
+
+
+def turned_alike(moved, there):
+    """Whether the median row is turned as that of another frame, to 0.01 radians, half of a turn."""
+    alike = np.abs(np.sum(moved.quaternions * there.quaternions, axis=1))
+    alike /= np.linalg.norm(moved.quaternions, axis=1) * np.linalg.norm(there.quaternions, axis=1)
+    return np.median(alike) > np.cos(0.005)
