@@ -44,38 +44,30 @@ def carry(g: Gaussians, frame: Gaussians, velocity: NDArray[np.floating] | None 
 
 
 def _along(g: Gaussians, velocity: Vectors) -> Gaussians:
-    """The rows moved by (N, 3), each turned as the rows about it turn by that."""
-    here = g.means.astype(np.float64)
-    ties = _ties(here, _nodes(here, NODE_ROWS[-1]))
-    _, _, turn = _motion(ties, here, velocity, g.opacities().astype(np.float64))
-    return _placed(g, here + velocity, ties @ turn)
+    """The rows moved as those about them move by (N, 3): what a row alone does is noise more often than motion."""
+    return _carried(g, velocity, g.opacities().astype(np.float64), NODE_ROWS[-1])
 
 
 def _round(g: Gaussians, frame: Gaussians, tree: cKDTree, spacing: float, rows: int) -> Gaussians:
     """The rows after a round whose nodes have so many of them; `tree`: of the features of `frame`."""
     apart, there, mutual = _matches(g, tree, spacing)
-    here = g.means.astype(np.float64)
-    shift = frame.means[there] - here
+    shift = frame.means[there] - g.means.astype(np.float64)
     size = np.maximum(np.exp(g.log_scales.max(axis=1)), spacing)
     way = np.linalg.norm(shift, axis=1)
     known = mutual & ((apart <= FAR * np.median(apart)) | (way <= NEAR_BY * size))
-    weight = np.where(known, g.opacities(), 0.0) / (1 + np.square(way / size))
-    ties = _ties(here, _nodes(here, rows))
+    return _carried(g, shift, np.where(known, g.opacities(), 0.0) / (1 + np.square(way / size)), rows)
+
+
+def _carried(g: Gaussians, shift: Vectors, weight: Vectors, rows: int) -> Gaussians:
+    """The rows moved and turned by nodes with so many rows each, as shifts (N, 3) of weight (N,) say."""
+    here = g.means.astype(np.float64)
+    nodes = here[np.linspace(0, len(g) - 1, max(1, len(g) // rows)).astype(int)]
+    ties = _ties(here, nodes)
     centre, move, turn = _motion(ties, here, shift, weight)
     spin = ties @ turn
     go = ties @ (move - np.cross(turn, centre)) + np.cross(spin, here)
-    return _placed(g, here + go, spin)
-
-
-def _placed(g: Gaussians, means: Vectors, spin: Vectors) -> Gaussians:
-    """The rows at means (N, 3), turned by rotation vectors (N, 3)."""
     turned = multiply(from_rotation_vector(spin), g.quaternions.astype(np.float64))
-    return replace(g, means=means.astype(np.float32), quaternions=turned.astype(np.float32))
-
-
-def _nodes(here: Vectors, rows: int) -> Vectors:
-    """(S, 3) places of nodes, one for so many of the rows (N, 3)."""
-    return here[np.linspace(0, len(here) - 1, max(1, len(here) // rows)).astype(int)]
+    return replace(g, means=(here + go).astype(np.float32), quaternions=turned.astype(np.float32))
 
 
 def unmatched(g: Gaussians, frame: Gaussians) -> NDArray[np.intp]:
