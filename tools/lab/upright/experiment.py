@@ -1,9 +1,9 @@
 """How often viewers begin upright where nobody tells which way is up: scenes as they come, and turned at random.
 
 A scene is SCENE=UP, with what is up in it; in a .glb that is y. Each is turned by one after another of the 24 turns
-that map axes to axes, and tilted at random; of a model another animation is shown every time, but for those in which it
-lies down. A first view is upright where up is within 25 degrees of that of the picture. "held back" are those by whom
-no weight was chosen.
+that map axes to axes, and tilted at random; and as often by turns of which each is as likely as any other. Of a model
+another animation is shown every time, but for those in which it lies down. A first view is upright where up is within
+25 degrees of that of the picture. "held back" are those by whom no weight was chosen.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ ROWS = 8000  # of a model
 RIGHT = np.cos(np.radians(25))
 LYING = re.compile("death|dead|die|lie|lying", re.IGNORECASE)
 COLUMNS = {
-    "scene": ("scene", ""), "kind": ("weights", ""), "comes": ("as it comes", ""), "turned": ("turned", ".0%"),
+    "scene": ("scene", ""), "kind": ("weights", ""), "comes": ("as it comes", ""),
+    "quarters": ("turned from axis to axis", ".0%"), "turned": ("turned anyhow", ".0%"),
 }  # fmt: skip
 
 
@@ -41,7 +42,7 @@ class Options:
 
     scenes: tuple[str, ...] = required("SCENE=UP, such as head/=y, or .glb models")
     held: tuple[str, ...] = setting((), "names of those by whom no weight was chosen")
-    turns: int = setting(24, "of each")
+    turns: int = setting(24, "of each kind")
     tilt: float = setting(5.0, "degrees, standard deviation about each axis")
 
 
@@ -57,14 +58,17 @@ def measure(scene: str, options: Options) -> Row:
     place, _, told = scene.partition("=")
     up, name, rng = np.array(parse_up(told or "y"), np.float64), Path(place).stem, np.random.default_rng(0)
     shown = _moments(Path(place), rng) if place.endswith(".glb") else _always(_frames(place))
-    turns = list(Rotation.create_group("O"))
-    right = []
+    quarters = list(Rotation.create_group("O"))
+    right: dict[str, list[bool]] = {"quarters": [], "turned": []}
     for i in range(options.turns):
-        turn = Rotation.from_rotvec(rng.normal(0, np.radians(options.tilt), 3)) * turns[i % len(turns)]
-        right.append(is_upright([turned(frame, turn) for frame in next(shown)], turn.apply(up)))
+        tilt = Rotation.from_rotvec(rng.normal(0, np.radians(options.tilt), 3))
+        turns = {"quarters": tilt * quarters[i % len(quarters)], "turned": Rotation.random(random_state=i)}
+        for how, turn in turns.items():
+            right[how].append(is_upright([turned(frame, turn) for frame in next(shown)], turn.apply(up)))
     comes = "upright" if is_upright(next(shown), up) else "not"
     kind = "held back" if name in options.held else "tuned"
-    return {"scene": name, "kind": kind, "comes": comes, "turned": float(np.mean(right)), "count": len(right)}
+    shares = {how: float(np.mean(found)) for how, found in right.items()}
+    return {"scene": name, "kind": kind, "comes": comes, "count": options.turns, **shares}
 
 
 def is_upright(frames: Sequence[Gaussians], up: NDArray[np.float64]) -> bool:
@@ -84,8 +88,9 @@ def _words(rows: Sequence[Row], kind: str) -> str:
     of = [row for row in rows if row["kind"] == kind]
     if not of:
         return ""
-    comes, turned = sum(row["comes"] == "upright" for row in of), np.mean([row["turned"] for row in of])
-    return f"{kind}: {comes} of {len(of)} upright as they come, {turned:.0%} turned."
+    comes = sum(row["comes"] == "upright" for row in of)
+    quarters, turned = (np.mean([row[how] for row in of]) for how in ("quarters", "turned"))
+    return f"{kind}: {comes} of {len(of)} upright as they come, {quarters:.0%} turned by quarters, {turned:.0%} anyhow."
 
 
 def _frames(place: str) -> list[Gaussians]:
