@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import airgs_codec as airgs
-from airgs_codec.cli import encode
+from airgs_codec.cli import decode, encode
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import encode_webp
 from airgs_codec.scene.formats.form import Losses
@@ -22,7 +22,8 @@ from airgs_codec.scene.formats.tsog import TSOG
 from airgs_codec.scene.gaussians import sigmoid
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.clip_files import discrete, tone, tsog_bytes, write_ftgs
-from tests.support.scenes import moving_frames, random_gaussians
+from tests.support.paths import GOLDEN
+from tests.support.scenes import random_gaussians
 
 FPS = 24.0
 QUICK = ("--x264-preset", "ultrafast", "--calibrate", "none", "--measure-pictures", "0")
@@ -198,14 +199,9 @@ def test_a_palette_of_more_rows_than_it_holds_keeps_the_nearest(tmp_path, monkey
 
 
 def test_a_decoded_package_is_written_as_tsog_by_its_name(tmp_path):
-    frames = moving_frames(50, 3)
-    settings = airgs.EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast")
-    airgs.encode(airgs.Sequence.from_arrays(frames, fps=12), tmp_path / "a.airgs", settings)
-    from airgs_codec.cli import decode
-
-    assert decode.main([str(tmp_path / "a.airgs"), "-o", str(tmp_path / "b.tsog")]) == 0
-    back, package = open_sequence(tmp_path / "b.tsog"), airgs.open_package(tmp_path / "a.airgs")
-    assert (len(back), back.fps) == (3, 12)
+    assert decode.main([str(GOLDEN / "fox"), "-o", str(tmp_path / "b.tsog"), "--frames", "0:3"]) == 0
+    back, package = open_sequence(tmp_path / "b.tsog"), airgs.open_package(GOLDEN / "fox")
+    assert (len(back), back.fps) == (3, package.manifest.fps)
     np.testing.assert_allclose(back.read(2).means, airgs.decode(package, 2).means, atol=1e-3)
 
 
