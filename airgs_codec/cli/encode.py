@@ -64,7 +64,8 @@ class Encode:
 
     scene: str = required(
         "frames (a folder or a file: .ply, compressed .ply, .spz, SOG, .splat, glTF), a clip (.splatv, .4dgs, "
-        ".splat4d, Spacetime Gaussians .ply), either at s3://, gs://, az:// too, or a folder of multi-view pictures"
+        ".splat4d, .tsog, Spacetime Gaussians or FTGS .ply), either at s3://, gs://, az:// too, or a folder of "
+        "multi-view pictures"
     )
     output: str | None = setting(
         None,
@@ -101,7 +102,7 @@ class Encode:
         None, "write a PNG of the scene from every place of its region", metavar="FILE", topic="output"
     )
     audio: Path | None = setting(
-        None, "a file whose sound goes with the frames, from its beginning", metavar="FILE", topic="output"
+        None, "a file whose sound goes with the frames (default: the clip's own)", metavar="FILE", topic="output"
     )
     attribution: str | None = setting(None, "who made the scene (default: SCENE/ATTRIBUTION.txt)", topic="output")
     report: Path | None = report("a page with what came out beside what was given, and who did which job")

@@ -21,7 +21,7 @@ from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
 from airgs_codec.errors import WorkError
 from airgs_codec.jobs.job import Record, Stored, code_digest, read_result
 from airgs_codec.jobs.work import Work, temporary_work
-from airgs_codec.media.sound import SoundTrack
+from airgs_codec.media.sound import SoundTrack, encode_sound
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import manifest_of, root_of, write_file
@@ -40,7 +40,7 @@ class Beside:
     """What goes into a package beside frames."""
 
     attribution: str | None = None  # who made the scene; None: what ATTRIBUTION.txt in its folder says
-    sound: SoundTrack | None = None  # as long as the sequence
+    sound: SoundTrack | None = None  # as long as the sequence; None: what the clip brings
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,11 +201,17 @@ def _encode_rows(
     seconds = (rows_s, survey_s, calibrate_s, search_s, verified.encode_s, verified.measure_s)
     rows = replace(ordered.rows, sequence=sequence)
     finished = finish(verified, manifest)
-    if beside.sound:
-        manifest, files = add_sound(manifest, beside.sound)
+    if sound := beside.sound or _own_sound(sequence):
+        manifest, files = add_sound(manifest, sound)
         groups, shared = list(manifest.groups), {**finished.shared, **files}
         finished = replace(finished, root=root_of(manifest), groups=groups, shared=shared)
     return EncodeReport(manifest, 0, rows, *seconds, found.cached, work.records()), finished
+
+
+def _own_sound(sequence: GaussianSequence) -> SoundTrack | None:
+    """The sound that a clip brings. Raises SceneError."""
+    data = sequence.sound()
+    return None if data is None else encode_sound(sequence.paths[0], len(sequence) / sequence.fps, data)
 
 
 def finish(verified: Verified, manifest: Manifest) -> Finished:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,6 +83,22 @@ def _samples(picture: Image.Image) -> NDArray[np.uint8]:
     if picture.mode in ("I", "F"):
         raise ValueError("of 8 or 16 bits, got samples of 32")
     return np.asarray(picture.convert("RGBA" if picture.has_transparency_data else "RGB"))
+
+
+def decode_webp(data: bytes) -> NDArray[np.uint8]:
+    """(H, W, 4) samples of lossless WebP exactly as they are stored. Raises ValueError for what is broken."""
+    try:
+        with Image.open(io.BytesIO(data), formats=("WEBP",)) as picture:
+            return np.asarray(picture.convert("RGBA"))
+    except Exception as error:  # whatever a decoder comes upon in a broken file
+        raise ValueError(" ".join(str(error).split())[:200]) from error
+
+
+def encode_webp(samples: NDArray[np.uint8]) -> bytes:
+    """(H, W, 4) as lossless WebP that keeps the colour of what is transparent, too."""
+    target = io.BytesIO()
+    Image.fromarray(samples).save(target, "WEBP", lossless=True, exact=True)
+    return target.getvalue()
 
 
 def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.float32]:

@@ -446,7 +446,7 @@ class Header:
 
     def quality_index(self, choice: str | int) -> int:
         """Index of a key quality given by its id ("Q1") or its index (1 or "1"). Raises ConfigError for any other."""
-        return _index_of("key quality", choice, [quality.id for quality in self.qualities])
+        return _index_of("key_quality", choice, [quality.id for quality in self.qualities])
 
 
 @dataclass(frozen=True, slots=True)

@@ -138,6 +138,13 @@ class GaussianSequence:
             path = self.files.beside(self.folder / ATTRIBUTION_NAME)
             return read_attribution(path.parent) if path else ""
 
+    def sound(self) -> bytes | None:
+        """The file of sound that the clip brings; None without one. Raises SceneError."""
+        if self.clip is None or self.clip.sound is None:
+            return None
+        with self.files.hold(self.paths[:1]) as [path]:
+            return self.clip.sound(path)
+
     def __len__(self) -> int:
         return len(self.paths)
 

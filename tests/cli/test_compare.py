@@ -95,7 +95,7 @@ def test_pictures_are_written_and_named(original, package, tmp_path, capsys):
         (["--frames", "9"], "--frames"),
         (["--frames", "x"], "--frames"),
         (["--every", "0"], "--every"),
-        (["--rung", "Q9+L0"], "key quality"),
+        (["--rung", "Q9+L0"], "key_quality"),
         (["--rung", "Q0"], "level"),
         (["--views", "nowhere.json"], "nowhere.json"),
     ],

@@ -40,7 +40,7 @@ def test_some_frames_of_a_segment_are_those_of_the_whole(package, level, places)
         ({"level": "L9"}, "level: expected one of L0, L1, got 'L9'"),
         ({"level": -1}, "level: expected one of L0, L1, got -1"),
         ({"level": "Q0"}, "level: expected one of L0, L1, got 'Q0'"),
-        ({"key_quality": 2}, "key quality: expected one of Q0, Q1, got 2"),
+        ({"key_quality": 2}, "key_quality: expected one of Q0, Q1, got 2"),
         ({"frame": 4}, "frame: expected 0..3, got 4"),
         ({"frame": -1}, "frame: expected 0..3, got -1"),
     ],

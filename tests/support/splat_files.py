@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tempfile
 import zipfile
 from dataclasses import replace
@@ -11,6 +12,7 @@ import numpy as np
 import pygltflib
 from gaussforge import GaussForge
 
+from airgs_codec.media.image import encode_webp
 from airgs_codec.scene.formats.gltf import EXTENSION
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
@@ -84,3 +86,44 @@ def glb_bytes(g: Gaussians, **node: object) -> bytes:
     ]
     document.set_binary_blob(b"".join(blobs))
     return b"".join(document.save_to_bytes())
+
+
+def write_sog_v1(folder: Path, g: Gaussians) -> Path:
+    """A folder of SOG of version 1, which has bounds in place of codebooks; its palette has every row's SH."""
+    folder.mkdir()
+    files: dict[str, np.ndarray] = {}
+
+    def coded(values: np.ndarray, most: int, axis: int | None = 0) -> tuple[dict[str, object], np.ndarray]:
+        low, high = values.min(axis=axis), values.max(axis=axis)
+        codes = np.rint((values - low) / np.where(high > low, high - low, 1) * most).astype(np.int64)
+        return {"mins": low.tolist(), "maxs": high.tolist()}, codes
+
+    def picture(name: str, channels: np.ndarray, alpha: np.ndarray | int, across: int) -> str:
+        lines = -(-len(channels) // across)
+        pixels = np.zeros((lines * across, 4), np.uint8)
+        pixels[: len(channels), : channels.shape[1]] = channels
+        pixels[: len(channels), 3] = alpha
+        files[name] = pixels.reshape(lines, across, 4)
+        return name
+
+    bounds, codes = coded(np.sign(g.means) * np.log1p(np.abs(g.means)), 65535)
+    names = [picture("means_l.webp", codes % 256, 255, 32), picture("means_u.webp", codes // 256, 255, 32)]
+    meta: dict[str, object] = {"means": {"shape": [len(g), 3], "dtype": "float32", "files": names, **bounds}}
+    bounds, codes = coded(g.log_scales, 255)
+    meta["scales"] = {"files": [picture("scales.webp", codes, 255, 32)], **bounds}
+    bounds, codes = coded(np.concatenate([g.sh_dc, g.opacity_logits[:, None]], axis=1), 255)
+    meta["sh0"] = {"files": [picture("sh0.webp", codes[:, :3], codes[:, 3], 32)], **bounds}
+    largest = np.abs(g.quaternions).argmax(axis=1)
+    turned = g.quaternions * np.sign(g.quaternions[np.arange(len(g)), largest])[:, None]
+    kept = np.stack([np.delete(q, i) for q, i in zip(turned, largest, strict=True)])
+    codes = np.rint((kept * np.sqrt(2) + 1) / 2 * 255)
+    meta["quats"] = {"encoding": "quaternion_packed", "files": [picture("quats.webp", codes, 252 + largest, 32)]}
+    if g.sh_degree:
+        bounds, codes = coded(g.sh_rest, 255, None)
+        labels = np.stack([np.arange(len(g)) % 256, np.arange(len(g)) // 256], axis=1)
+        palette = picture("shN_centroids.webp", codes.reshape(-1, 3), 255, 64 * g.sh_rest.shape[1])
+        meta["shN"] = {"quantization": 8, "files": [palette, picture("shN_labels.webp", labels, 255, 32)], **bounds}
+    for name, pixels in files.items():
+        (folder / name).write_bytes(encode_webp(pixels))
+    (folder / "meta.json").write_text(json.dumps(meta))
+    return folder

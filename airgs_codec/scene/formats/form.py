@@ -71,6 +71,7 @@ class Clip:
     note: str  # what was read, and how it became frames, for people
     breaks: tuple[int, ...] = ()  # frames whose rows are known to be others than those of the frame before
     axes: Axes | None = None  # as the file says; None: it does not
+    sound: Callable[[Path], bytes] | None = None  # the file of sound within its file; raises SceneError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +82,7 @@ class Format:
     key: str  # in options; written files end in it, after a dot
     suffixes: tuple[str, ...]  # of files that are read
     holds: Holds = Holds()
-    writer: str = ""  # the library or command that `write` needs; a clip without one is read alone
+    writer: str = ""  # the library or command that `write` needs
     axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
     fits: Callable[[Header], bool] | None = None  # whether a .ply is of this format; None: any other is
 
@@ -95,7 +96,8 @@ class FrameFormat(Format):
     write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
 
 
-def _refuse_writing(path: Path, _frames: Iterable[Gaussians], _fps: float) -> None:
+def refuse_writing(path: Path, _frames: Iterable[Gaussians], _fps: float) -> None:
+    """What a clip that is only read has for its writer. Raises SceneError."""
     raise SceneError(f"{path}: expected a format that is written, got one that is read alone")
 
 
@@ -104,7 +106,7 @@ class ClipFormat(Format):
     """A format of files that hold many frames, or Gaussians that move by themselves and are baked to frames."""
 
     open: Callable[[Path, Bake], Clip]
-    write: Callable[[Path, Iterable[Gaussians], float], None] = _refuse_writing  # of frames, so many a second
+    write: Callable[[Path, Iterable[Gaussians], float], None] = refuse_writing  # of frames, so many a second
 
 
 def check_count(path: Path, header: FrameHeader) -> FrameHeader:

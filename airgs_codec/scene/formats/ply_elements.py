@@ -68,6 +68,7 @@ class Header:
     ascii: bool
     elements: tuple[Element, ...]
     size: int  # bytes of the header
+    comments: tuple[str, ...] = ()
 
     @property
     def least_size(self) -> int:
@@ -130,7 +131,8 @@ def _parse(lines: Sequence[str], size: int) -> Header:
     for names in ([e[0] for e in elements], *([p.name for p in e[2]] for e in elements)):
         if twice := [name for name, count in Counter(names).items() if count > 1]:
             raise ValueError(f"{twice[0]} stands there twice")
-    return Header(form == "ascii", tuple(Element(n, count, tuple(ps)) for n, count, ps in elements), size)
+    comments = tuple(line.removeprefix("comment ") for line in lines if line.startswith("comment "))
+    return Header(form == "ascii", tuple(Element(n, count, tuple(ps)) for n, count, ps in elements), size, comments)
 
 
 def _type(name: str, form: str) -> np.dtype:

@@ -1,27 +1,42 @@
-"""PlayCanvas' SOG, version 2: a meta.json and lossless WebP pictures, in a folder or a .sog or .zip; SH 0 to 3."""
+"""PlayCanvas' SOG: a meta.json and lossless WebP pictures, in a folder or a .sog or .zip; SH 0 to 3. N Gaussians.
+
+A pixel of each picture is a Gaussian, row by row. Positions are sign(n) (e^|n| - 1) with n of 16 bits between bounds,
+from a picture of low bytes and one of high bytes. Of a rotation the pixel's alpha, 252 to 255, names the component that
+is left out. In version 2 bytes of sizes, colours and SH are places in a codebook, and alpha of a colour is opacity. In
+version 1, which has no number, they lie evenly between bounds, and alpha of a colour is a logit. SH is a palette of 64
+entries a line; the labels in it are 16 bits of red and green.
+"""
 
 from __future__ import annotations
 
-import io
 import json
 import zipfile
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from airgs_codec.errors import SceneError
+from airgs_codec.media.image import decode_webp
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds, check_count
-from airgs_codec.scene.formats.library import LIBRARY, read_with_library, write_with_library
-from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.formats.library import LIBRARY, write_with_library
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, logits_of
 
 META_NAME = "meta.json"
-_MOST_META = 1 << 20  # bytes
+LABELS_A_LINE = 64  # entries of a palette of SH in a line of its picture
+_MOST_META = 1 << 22  # bytes
 _MOST_SPARE = 1 << 20  # pixels of a picture beyond two a Gaussian: the largest palette of SH has so many
-_MOST_FILES = 64
+_MOST_PICTURE = 1 << 29  # bytes
+_MOST_FILES = 1024
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # zipfile unpacks others past the size that an entry states
+_MOST_CHUNKS = 16  # before the pixels of a picture
 _LEVELS = 256  # of a codebook
 _PICTURES = {"means": 2, "quats": 1, "scales": 1, "sh0": 1, "shN": 2}
 Meta = dict[str, Any]
+Pixels = NDArray[np.uint8]  # (H W, 4) of a picture
 
 
 def is_sog_folder(folder: Path) -> bool:
@@ -33,23 +48,15 @@ def is_sog_folder(folder: Path) -> bool:
 
 
 def read_sog_header(path: Path) -> FrameHeader:
-    """Count and SH degree, from meta.json. Raises SceneError."""
-    return _header(path, _files(path, only_meta=True)[META_NAME])[0]
+    """Count and SH degree, from meta.json and, of version 1, the size of a picture. Raises SceneError."""
+    return _open(path, rows=False)[1]
 
 
 def read_sog(path: Path) -> Gaussians:
     """One frame. Raises SceneError; pictures larger than the rows need are not unpacked."""
-    files = _files(path)
-    header, names = _header(path, files[META_NAME])
-    if missing := [name for name in names if name not in files]:
-        raise SceneError(f"{path}: expected {missing[0]} beside {META_NAME}, got nothing")
-    for name in names:
-        _check_picture(path, name, files[name], header.count)
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w") as archive:
-        for name in (META_NAME, *names):
-            archive.writestr(name, files[name])
-    return read_with_library(path, "sog", packed.getvalue(), header)
+    meta, header, files = _open(path, rows=True)
+    with expecting(path, "SOG"):
+        return decode_rows(meta, {name: unpack(name, data, header.count) for name, data in files.items()}, header)
 
 
 def write_sog(path: Path, gaussians: Gaussians) -> None:
@@ -61,25 +68,70 @@ def write_sog_folder(folder: Path, gaussians: Gaussians) -> None:
     """Write one frame of unit quaternions as meta.json and pictures in an existing folder. Raises SceneError."""
     archive = folder / "frame.sog"
     write_sog(archive, gaussians)
-    for name, data in _files(archive).items():
-        (folder / name).write_bytes(data)
+    with zipfile.ZipFile(archive) as opened:
+        opened.extractall(folder)
     archive.unlink()
 
 
-def _header(path: Path, text: bytes) -> tuple[FrameHeader, list[str]]:
-    """Return what meta.json says, and the pictures that it names."""
+def _open(path: Path, *, rows: bool) -> tuple[Meta, FrameHeader, dict[str, bytes]]:
+    """What meta.json says, and the pictures that it names, or those that the header needs. Raises SceneError."""
+    with expecting(path, f"SOG, a {META_NAME} with WebP pictures"):
+        meta = json.loads(_files(path, [META_NAME])[META_NAME])
+    names = _check_meta(path, meta)
+    with expecting(path, f"pictures of SOG beside {META_NAME}"):
+        files = _files(path, names if rows else [] if _coded(meta) or "shN" not in meta else meta["shN"]["files"][:1])
+        header = FrameHeader(_count(meta), _bands(meta, files))
+    return meta, check_count(path / names[0] if path.is_dir() else path, header), files
+
+
+def _files(path: Path, names: list[str]) -> dict[str, bytes]:
+    """Files of a folder or an archive, by name. Raises ValueError, OSError."""
+    if not path.is_dir():
+        with zipfile.ZipFile(path) as archive:
+            return read_entries(path, archive, names, flat=True)
+    if missing := [name for name in names if not (path / name).is_file()]:
+        raise ValueError(f"no {missing[0]}")
+    return {name: _read_at_most(path / name, _MOST_META if name == META_NAME else _MOST_PICTURE) for name in names}
+
+
+def _check_meta(path: Path, meta: Meta) -> list[str]:
+    """The pictures that meta.json names. Raises SceneError."""
     with expecting(path, f"{META_NAME} of a SOG file"):
-        meta = json.loads(text)
-        if meta.get("version") != 2:
-            raise SceneError(f"{path}: expected SOG of version 2, got {meta.get('version', 'version 1 or no version')}")
-        count, bands = int(meta["count"]), int(meta["shN"]["bands"]) if "shN" in meta else 0
+        if meta.get("version") not in (None, 1, 2) or "means" not in meta:
+            raise SceneError(f"{path}: expected SOG of version 1 or 2, got {meta.get('version', 'none')!r}"[:300])
         names = [name for part, number in _PICTURES.items() if part in meta for name in _names(meta, part, number)]
-        books = [meta[part]["codebook"] for part in ("scales", "sh0", "shN") if part in meta]
-        whole = all(len(book) == _LEVELS and all(isinstance(v, int | float) for v in book) for book in books)
-        whole &= len(meta["means"]["mins"]) == len(meta["means"]["maxs"]) == 3 and len(names) >= 5
-        if count < 0 or not 0 <= bands < len(SH_REST) or not whole:
-            raise ValueError("counts, bands, bounds or codebooks that are not SOG's")
-    return check_count(path / names[0] if path.is_dir() else path, FrameHeader(count, bands)), names
+        coded = [meta[part] for part in ("scales", "sh0", "shN") if part in meta]
+        whole = len(meta["means"]["mins"]) == len(meta["means"]["maxs"]) == 3 and len(names) >= 5 and _count(meta) >= 0
+        if _coded(meta):
+            books = [part["codebook"] for part in coded]
+            whole &= all(len(book) == _LEVELS and all(isinstance(v, int | float) for v in book) for book in books)
+        if not whole:
+            raise ValueError("counts, bounds or codebooks that are not SOG's")
+    return names
+
+
+def _coded(meta: Meta) -> bool:
+    """Whether bytes are places in codebooks, as from version 2 on."""
+    return meta.get("version") not in (None, 1)
+
+
+def _count(meta: Meta) -> int:
+    return int(meta["count"] if _coded(meta) else meta["means"]["shape"][0])
+
+
+def _bands(meta: Meta, files: Mapping[str, bytes]) -> int:
+    """The SH degree, which of version 1 the width of the palette tells. Raises ValueError."""
+    if "shN" not in meta:
+        return 0
+    if _coded(meta):
+        bands = int(meta["shN"]["bands"])
+    else:
+        name = meta["shN"]["files"][0]
+        width, _ = picture_size(name, files[name])
+        bands = [LABELS_A_LINE * k for k in SH_REST].index(width)
+    if not 0 <= bands < len(SH_REST):
+        raise ValueError(f"{bands} bands of SH")
+    return bands
 
 
 def _names(meta: Meta, part: str, number: int) -> list[str]:
@@ -89,26 +141,24 @@ def _names(meta: Meta, part: str, number: int) -> list[str]:
     return list(names)
 
 
-def _files(path: Path, *, only_meta: bool = False) -> dict[str, bytes]:
-    """meta.json and, unless only that is asked for, what else lies beside it, by name."""
-    with expecting(path, f"SOG, a {META_NAME} with WebP pictures"):
-        if path.is_dir():
-            meta = _read_at_most(path / META_NAME, _MOST_META)
-            names = [] if only_meta else _header(path, meta)[1]
-            return {META_NAME: meta} | {name: (path / name).read_bytes() for name in names if (path / name).is_file()}
-        with zipfile.ZipFile(path) as archive:
-            return _unzip(path, archive, only_meta)
+def read_entries(path: Path, archive: zipfile.ZipFile, names: Iterable[str], *, flat: bool = False) -> dict[str, bytes]:
+    """Files of an archive with a meta.json, by name, `flat` by that without folders.
 
-
-def _unzip(path: Path, archive: zipfile.ZipFile, only_meta: bool) -> dict[str, bytes]:
-    entries = {Path(entry.filename).name: entry for entry in archive.infolist()}
-    if META_NAME not in entries or len(entries) > _MOST_FILES:
-        raise ValueError(f"{len(entries)} files, {META_NAME} {'' if META_NAME in entries else 'not '}among them")
-    if other := [entry.filename for entry in entries.values() if entry.compress_type not in _PACKED]:
+    No more than the archive can hold is unpacked. Raises ValueError for an archive that would unpack to far more than
+    it is, has a name twice or lacks one, or packs them in other ways than most do.
+    """
+    listed = archive.infolist()
+    entries = {Path(entry.filename).name if flat else entry.filename: entry for entry in listed}
+    if META_NAME not in entries or len(listed) > _MOST_FILES or (len(entries) < len(listed) and not flat):
+        there = "" if META_NAME in entries else "not "
+        raise ValueError(f"{len(listed)} files with {len(entries)} names, {META_NAME} {there}among them")
+    if missing := [name for name in names if name not in entries]:
+        raise ValueError(f"no {missing[0][:80]!r}")
+    wanted = {name: entries[name] for name in names}
+    if other := [name for name, entry in wanted.items() if entry.compress_type not in _PACKED or entry.flag_bits & 1]:
         raise ValueError(f"{other[0][:80]!r} is neither stored nor deflated")
-    wanted = {META_NAME: entries[META_NAME]} if only_meta else entries
-    size = sum(entry.file_size for entry in wanted.values())  # no more than that is ever unpacked
-    if entries[META_NAME].file_size > _MOST_META or size > 4 * path.stat().st_size + _MOST_META:
+    size = sum(entry.file_size for entry in wanted.values())
+    if size > 4 * path.stat().st_size + _MOST_META or entries[META_NAME].file_size > _MOST_META:
         raise ValueError(f"an archive that unpacks to {size} bytes")
     return {name: archive.read(entry) for name, entry in wanted.items()}
 
@@ -121,19 +171,96 @@ def _read_at_most(path: Path, most: int) -> bytes:
     return data
 
 
-def _check_picture(path: Path, name: str, data: bytes, count: int) -> None:
-    """Refuse what is no lossless WebP, or has more pixels than the rows can need."""
-    if data[:4] != b"RIFF" or data[8:12] != b"WEBP" or len(data) < 30:
-        raise SceneError(f"{path}: expected {name} to be WebP, got {data[:12]!r}")
-    if data[12:16] == b"VP8L":
-        bits = int.from_bytes(data[21:25], "little")
-        width, height = 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
-    elif data[12:16] == b"VP8X":
-        width, height = (1 + int.from_bytes(data[at : at + 3], "little") for at in (24, 27))
-    else:
-        raise SceneError(f"{path}: expected {name} to be lossless WebP, got {data[12:16]!r}")
+def picture_size(name: str, data: bytes) -> tuple[int, int]:
+    """Width and height of still lossless WebP, which its header tells. Raises ValueError for anything else."""
+    if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
+        raise ValueError(f"{name} is no WebP but {data[:12]!r}")
+    at, kinds = 12, list[bytes]()
+    while at + 13 <= len(data) and len(kinds) < _MOST_CHUNKS:
+        kinds.append(data[at : at + 4])
+        if kinds[-1] == b"VP8L":
+            bits = int.from_bytes(data[at + 9 : at + 13], "little")
+            return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+        if kinds[-1] in (b"VP8 ", b"ANMF", b"ALPH"):
+            break
+        size = int.from_bytes(data[at + 4 : at + 8], "little")
+        at += 8 + size + size % 2
+    raise ValueError(f"{name} is no lossless WebP but {b' '.join(kinds)[:80]!r}")
+
+
+def unpack(name: str, data: bytes, count: int) -> Pixels:
+    """The pixels of a picture, if it has no more than `count` Gaussians can need. Raises ValueError."""
+    width, height = picture_size(name, data)
     if width * height > 2 * count + _MOST_SPARE:
-        raise SceneError(f"{path}: expected {name} for {count} Gaussians, got {width} x {height} pixels")
+        raise ValueError(f"{name} for {count} Gaussians, got {width} x {height} pixels")
+    samples = decode_webp(data)
+    if samples.shape[:2] != (height, width):
+        raise ValueError(f"{name} of {width} x {height} pixels, got {samples.shape[1]} x {samples.shape[0]}")
+    return samples.reshape(-1, 4)
+
+
+def decode_rows(meta: Meta, pixels: Mapping[str, Pixels], header: FrameHeader) -> Gaussians:
+    """The Gaussians of all pictures. Raises LookupError and ValueError for what the pictures do not hold."""
+    count = header.count
+    parts = ("means", "quats", "scales", "sh0")
+    rows = {part: [_rows(pixels[name], count) for name in meta[part]["files"]] for part in parts}
+    [quats], [sizes], [colours] = rows["quats"], rows["scales"], rows["sh0"]
+    alpha = colours[:, 3]
+    if _coded(meta):
+        log_scales, dc = _book(meta["scales"])[sizes[:, :3]], _book(meta["sh0"])[colours[:, :3]]
+        logits: NDArray[Any] = logits_of(alpha / 255)
+    else:
+        log_scales, coloured = between(meta["scales"], sizes[:, :3], 255), between(meta["sh0"], colours, 255)
+        dc, logits = coloured[:, :3], coloured[:, 3]
+    logs = between(meta["means"], wide(*rows["means"])[:, :3], 65535)
+    columns = (np.sign(logs) * np.expm1(np.abs(logs)), _rotations(quats), log_scales, logits, dc)
+    rest = _harmonics(meta["shN"], _coded(meta), pixels, header) if header.sh_degree else np.zeros((count, 0, 3))
+    return Gaussians(*(np.ascontiguousarray(column, np.float32) for column in (*columns, rest)))
+
+
+def _rows(pixels: Pixels, count: int) -> Pixels:
+    if len(pixels) < count:
+        raise ValueError(f"a picture of {len(pixels)} pixels for {count} Gaussians")
+    return pixels[:count]
+
+
+def wide(low: Pixels, high: Pixels) -> NDArray[np.int64]:
+    """Two pictures of bytes as one of 16 bits."""
+    return low + 256 * high.astype(np.int64)
+
+
+def between(bounds: Meta, codes: NDArray[Any], most: int) -> NDArray[np.float64]:
+    """(N, C) codes of 0 to `most` as values between `mins` and `maxs` of C channels."""
+    low, high = (np.asarray(bounds[name], np.float64) for name in ("mins", "maxs"))
+    return low + (high - low) * (codes / most)
+
+
+def _book(part: Meta) -> NDArray[np.float64]:
+    return np.asarray(part["codebook"], np.float64)
+
+
+def _rotations(pixels: Pixels) -> NDArray[np.float64]:
+    """(N, 4) unit quaternions w, x, y, z. Raises ValueError for one that leaves no component out."""
+    left_out = pixels[:, 3].astype(np.int64) - 252
+    if (left_out < 0).any():
+        raise ValueError("a rotation whose alpha is not 252 to 255")
+    kept = (2 * (pixels[:, :3] / 255) - 1) * np.sqrt(0.5)
+    missing = np.sqrt(np.maximum(0, 1 - np.square(kept).sum(axis=1)))
+    places = np.arange(3) + (np.arange(3) >= left_out[:, None])  # of the three others
+    quaternions = np.zeros((len(pixels), 4))
+    np.put_along_axis(quaternions, places, kept, axis=1)
+    np.put_along_axis(quaternions, left_out[:, None], missing[:, None], axis=1)
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def _harmonics(part: Meta, coded: bool, pixels: Mapping[str, Pixels], header: FrameHeader) -> NDArray[np.float64]:
+    """(N, K, 3) SH of its palette."""
+    palette, labels = (pixels[name] for name in part["files"])
+    entries = palette[:, :3].reshape(-1, SH_REST[header.sh_degree], 3)
+    entries = entries[: part["count"]] if coded and "count" in part else entries
+    values = _book(part)[entries] if coded else between(part, entries, 255)
+    rows = _rows(labels, header.count)
+    return values[rows[:, 0] + 256 * rows[:, 1].astype(np.int64)]
 
 
 SOG = FrameFormat(

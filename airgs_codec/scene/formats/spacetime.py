@@ -1,17 +1,21 @@
-"""Spacetime Gaussians, the lite model: every Gaussian moves by a polynomial, turns evenly, and appears and fades.
+"""Gaussians that move by themselves, and three files of them: every one moves, may turn, and appears and fades.
 
-At the normalised time t of [0, 1], with d = t - centre (Li et al., Spacetime Gaussian Feature Splatting, CVPR 2024,
-equations 5 to 8): the mean is mean + motion_1 d + motion_2 d^2 + motion_3 d^3, the quaternion is quaternion + turn d,
-alpha is alpha exp(-(d / width)^2). Sizes and the colour, plain RGB without SH, stay. N Gaussians. Two files hold it.
+At the normalised time t of [0, 1], with d = t - centre, the mean is mean + motion_1 d + ... + motion_P d^P, the
+quaternion is quaternion + turn d, and alpha is alpha exp(-(d / width)^2). Sizes and colours stay. N Gaussians.
 
-The .ply that Spacetime Gaussians saves has INRIA's properties with motion, turns and temporal widths, and is told from
-INRIA's by trbf_center. f_dc_0 to 2 are plain RGB here, motion_0 to 2 the first power of time, and trbf_scale is a
-logarithm. The full model has further features, whose colours only its network knows: it is refused.
+Spacetime Gaussians, the lite model (Li et al., CVPR 2024, equations 5 to 8) have P = 3 and plain RGB without SH. Their
+.ply has INRIA's properties with motion, turns and temporal widths, and is told from INRIA's by trbf_center. f_dc_0 to 2
+are plain RGB here, motion_0 to 2 the first power of time, and trbf_scale is a logarithm. The full model has further
+features, whose colours only its network knows: it is refused.
 
 splaTV's .splatv, 64 bytes a row, is read from the format's description by splaTV's shader: the magic 0x674b and the
 length of a JSON header, both 32 bits little-endian; the header, a list whose chunk of type "splat" has the size of a
 texture of 16 bytes a texel; then rows. Means are float32, colour and alpha bytes, all else float16; sizes and temporal
 widths are stored as they are, without logarithm.
+
+FTGS .ply, version 1 (FORMAT.md of OpsiClear-4DGS/ftgs-player), is FreeTimeGS: P = 1, SH, no turns. log_duration is the
+logarithm of a standard deviation, which a comment of the header bounds, as one does alpha from below; frame i of F is
+at i / (F - 1), and the frame rate is the player's choice.
 """
 
 from __future__ import annotations
@@ -20,7 +24,7 @@ import functools
 import json
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -31,9 +35,9 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import DEFAULT_FPS
 from airgs_codec.scene.files import expecting, reading
-from airgs_codec.scene.formats.form import Bake, Clip, ClipFormat, FrameHeader, count_frames, rate_words
+from airgs_codec.scene.formats.form import MOST_FRAMES, Bake, Clip, ClipFormat, FrameHeader, count_frames, rate_words
 from airgs_codec.scene.formats.ply_elements import Header, read_columns, read_header
-from airgs_codec.scene.gaussians import SH_C0, Gaussians, logits_of, logs_of, sigmoid
+from airgs_codec.scene.gaussians import SH_C0, SH_REST, Floats, Gaussians, logits_of, logs_of, sigmoid
 
 DEFAULT_SECONDS = Fraction(50, 30)  # no file states it; the models of the paper are trained on 50 frames of 30 fps
 _CACHED = 2  # models of a process
@@ -51,6 +55,25 @@ _GROUPS = (
     ("trbf_scale",),
 )
 _NETWORK = ("f_t_0", "f_dc_3")
+
+FTGS_FRAMES = 300  # of a file that does not say it
+_FTGS_SIGN = "log_duration"
+_FTGS = (
+    ("x", "y", "z"),
+    tuple(f"rot_{i}" for i in range(4)),
+    tuple(f"scale_{i}" for i in range(3)),
+    ("opacity",),
+    tuple(f"f_dc_{i}" for i in range(3)),
+    ("time",),
+    (_FTGS_SIGN,),
+    tuple(f"velocity_{i}" for i in range(3)),
+)
+_FTGS_RANGES = {  # of what the comments must say: least, most, whether it is a whole number
+    "sh_degree": (0, 3, True),
+    "use_velocity": (0, 1, True),
+    "min_duration": (float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max), False),
+    "opacity_floor": (0, float(np.nextafter(np.float32(1), np.float32(0))), False),
+}
 
 _MAGIC = 0x674B
 _HEAD = struct.Struct("<II")  # magic, length of the JSON
@@ -72,60 +95,77 @@ ROW = np.dtype(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Spacetime:
+class Moving:
     """A model of N Gaussians, all float32."""
 
-    means: NDArray[np.float32]  # (N, 3) world units at d = 0
-    motion: NDArray[np.float32]  # (N, 3, 3) of powers 1 to 3 of d, then axes
-    quaternions: NDArray[np.float32]  # (N, 4) w, x, y, z at d = 0, of any length
-    turns: NDArray[np.float32]  # (N, 4) of the quaternion
-    log_scales: NDArray[np.float32]  # (N, 3)
+    rest: Gaussians  # as at d = 0, whatever its opacities
+    motion: NDArray[np.float32]  # (N, P, 3) of powers 1 to P of d, then axes
     alpha: NDArray[np.float32]  # (N,) of [0, 1]
-    rgb: NDArray[np.float32]  # (N, 3) of [0, 1]
     centres: NDArray[np.float32]  # (N,) normalised time
     widths: NDArray[np.float32]  # (N,) normalised time
+    turns: NDArray[np.float32] | None = None  # (N, 4) of the quaternion
+    least_alpha: float = 0.0
 
     def at(self, t: float) -> Gaussians:
         """The frame at normalised time t. Rows keep their order; what is not finite stays so."""
         d = (np.float32(t) - self.centres)[:, None]
-        first, second, third = self.motion.transpose(1, 0, 2)
+        shift = np.zeros_like(self.rest.means)
         with np.errstate(all="ignore"):
-            return Gaussians(
-                self.means + d * (first + d * (second + d * third)),
-                self.quaternions + d * self.turns,
-                self.log_scales,
-                logits_of(self.alpha * np.exp(-np.square(d[:, 0] / self.widths))),
-                ((self.rgb - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32),
-                np.zeros((len(self.means), 0, 3), np.float32),
-            )
+            for power in range(self.motion.shape[1])[::-1]:
+                shift = d * (self.motion[:, power] + shift)
+            alpha = np.maximum(self.alpha * np.exp(-np.square(d[:, 0] / self.widths)), np.float32(self.least_alpha))
+            quaternions = self.rest.quaternions if self.turns is None else self.rest.quaternions + d * self.turns
+            means = self.rest.means + shift
+        return replace(self.rest, means=means, quaternions=quaternions, opacity_logits=logits_of(alpha))
 
 
-Load = Callable[[Path], Spacetime]  # reads a file; raises SceneError, OSError
+Load = Callable[[Path], Moving]  # reads a file; raises SceneError, OSError
+
+
+def moving_clip(load: Load, path: Path, frames: int, fps: Fraction, intervals: int) -> Clip:
+    """A model as frames, number i of them at t = i / intervals; the note is to be written. Raises SceneError."""
+    rest = _model(load, path).rest
+    header = FrameHeader(len(rest), rest.sh_degree)
+    return Clip((header,) * frames, fps, functools.partial(_frame, load, intervals), "")
+
+
+def baked_note(name: str, clip: Clip, seconds: Fraction, stated: bool) -> str:
+    """What was read, and how it became frames."""
+    count, frames = clip.headers[0].count, len(clip.headers)
+    default = "" if stated else " by default, no length is stated"
+    return (
+        f"{name}, {count} Gaussians baked to {frames} frames at {rate_words(clip.fps)}: {float(seconds):.4g} s{default}"
+    )
 
 
 def _open(load: Load, name: str, path: Path, bake: Bake) -> Clip:
     """A model baked to frames, frame i of F at t = i / F. Raises SceneError."""
     fps, seconds = bake.fps or DEFAULT_FPS, bake.seconds if bake.seconds is not None else DEFAULT_SECONDS
     frames = count_frames(path, fps, seconds)
-    count = len(_model(load, path).means)
-    default = " by default, no length is stated" if bake.seconds is None else ""
-    note = f"{name}, {count} Gaussians baked to {frames} frames at {rate_words(fps)}: {float(seconds):.4g} s{default}"
-    return Clip((FrameHeader(count, 0),) * frames, fps, functools.partial(_frame, load, frames), note)
+    clip = moving_clip(load, path, frames, fps, frames)
+    return replace(clip, note=baked_note(name, clip, seconds, bake.seconds is not None))
 
 
-def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
-    return _model(load, path).at(frame / frames)
+def _frame(load: Load, intervals: int, path: Path, frame: int) -> Gaussians:
+    return _model(load, path).at(frame / intervals)
 
 
-def _model(load: Load, path: Path) -> Spacetime:
+def _model(load: Load, path: Path) -> Moving:
     """The model of a file as it is now."""
     with reading(path):
         return _cached(load, path, path.stat().st_mtime_ns)
 
 
 @functools.lru_cache(maxsize=_CACHED)
-def _cached(load: Load, path: Path, _written: int) -> Spacetime:
+def _cached(load: Load, path: Path, _written: int) -> Moving:
     return load(path)
+
+
+def _without_sh(means: Floats, quaternions: Floats, log_scales: Floats, rgb: Floats) -> Gaussians:
+    """Gaussians of one colour from all sides, RGB of [0, 1]."""
+    dc = ((rgb - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32)
+    nothing = np.zeros(len(means), np.float32)
+    return Gaussians(means, quaternions, log_scales, nothing, dc, np.zeros((len(means), 0, 3), np.float32))
 
 
 def is_spacetime_ply(header: Header) -> bool:
@@ -134,7 +174,7 @@ def is_spacetime_ply(header: Header) -> bool:
     return vertex is not None and any(p.name == _SIGN for p in vertex.properties)
 
 
-def read_spacetime_ply(path: Path) -> Spacetime:
+def read_spacetime_ply(path: Path) -> Moving:
     """The model of a file. Raises SceneError."""
     header = read_header(path)
     vertex = header.element("vertex")
@@ -149,25 +189,18 @@ def read_spacetime_ply(path: Path) -> Spacetime:
     means, motion, quaternions, turns, log_scales, logits, rgb, centres, log_widths = columns
     with np.errstate(over="ignore"):
         widths = np.exp(log_widths[:, 0])
-    alpha = sigmoid(logits[:, 0])
-    return Spacetime(means, motion.reshape(-1, 3, 3), quaternions, turns, log_scales, alpha, rgb, centres[:, 0], widths)
+    rest = _without_sh(means, quaternions, log_scales, rgb)
+    return Moving(rest, motion.reshape(-1, 3, 3), sigmoid(logits[:, 0]), centres[:, 0], widths, turns)
 
 
-def read_splatv(path: Path) -> Spacetime:
+def read_splatv(path: Path) -> Moving:
     """The model of a file; rows of zeros at its end, which pad the texture, are left out. Raises SceneError."""
     rows = _rows(path, path.read_bytes())
     rgba = rows["rgba"].astype(np.float32) / np.float32(255)
-    return Spacetime(
-        np.ascontiguousarray(rows["mean"]),
-        rows["motion"].astype(np.float32),
-        rows["quaternion"].astype(np.float32),
-        rows["turn"].astype(np.float32),
-        logs_of(rows["scale"].astype(np.float32)),
-        rgba[:, 3],
-        rgba[:, :3],
-        rows["centre"].astype(np.float32),
-        rows["width"].astype(np.float32),
-    )
+    means, quaternions = np.ascontiguousarray(rows["mean"]), rows["quaternion"].astype(np.float32)
+    rest = _without_sh(means, quaternions, logs_of(rows["scale"].astype(np.float32)), rgba[:, :3])
+    motion, turns, centres, widths = (rows[n].astype(np.float32) for n in ("motion", "turn", "centre", "width"))
+    return Moving(rest, motion, rgba[:, 3], centres, widths, turns)
 
 
 def _rows(path: Path, data: bytes) -> np.ndarray:
@@ -201,6 +234,67 @@ def _positive(value: Any) -> int:
     return value
 
 
+def is_ftgs(header: Header) -> bool:
+    """Return whether a .ply is of FreeTimeGS."""
+    vertex = header.element("vertex")
+    return vertex is not None and any(p.name == _FTGS_SIGN for p in vertex.properties)
+
+
+def open_ftgs(path: Path, bake: Bake) -> Clip:
+    """A model baked to frames, as many as its header says at 30 a second unless others are asked for.
+
+    Raises SceneError.
+    """
+    settings = _ftgs_settings(path, read_header(path))
+    stated = settings.get("n_frames")
+    if stated is not None and not (stated.is_integer() and 1 <= stated <= MOST_FRAMES):
+        raise SceneError(f"{path}: expected n_frames of 1 to {MOST_FRAMES}, got {stated:g}")
+    length = Fraction(FTGS_FRAMES if stated is None else int(stated)) / DEFAULT_FPS
+    fps, seconds = bake.fps or DEFAULT_FPS, length if bake.seconds is None else bake.seconds
+    frames = count_frames(path, fps, seconds)
+    clip = moving_clip(read_ftgs, path, frames, fps, max(1, frames - 1))
+    return replace(clip, note=baked_note("FTGS .ply", clip, seconds, stated is not None or bake.seconds is not None))
+
+
+def read_ftgs(path: Path) -> Moving:
+    """The model of a file. Raises SceneError."""
+    header = read_header(path)
+    settings = _ftgs_settings(path, header)
+    vertex = header.element("vertex")
+    if vertex is None or not vertex.count or header.ascii:
+        raise SceneError(f"{path}: expected FTGS, binary rows of at least one Gaussian, got none")
+    rest = SH_REST[int(settings["sh_degree"])]
+    groups = (*_FTGS, tuple(f"f_rest_{i}" for i in range(3 * rest)))
+    names = {p.name for p in vertex.properties}
+    if missing := [name for group in groups for name in group if name not in names]:
+        raise SceneError(f"{path}: expected the properties of FTGS, missing {', '.join(missing)}")
+    means, quaternions, log_scales, logits, dc, centres, log_widths, velocity, sh = read_columns(
+        path, header, vertex, groups
+    )
+    harmonics = np.ascontiguousarray(sh.reshape(len(means), 3, rest).transpose(0, 2, 1))
+    with np.errstate(over="ignore"):
+        deviations = np.maximum(np.exp(log_widths[:, 0]), np.float32(settings["min_duration"]))
+    motion = velocity[:, None] * np.float32(settings["use_velocity"])
+    still = Gaussians(means, quaternions, log_scales, logits[:, 0], dc, harmonics)
+    alpha, widths = sigmoid(logits[:, 0]), deviations * np.float32(np.sqrt(2))
+    return Moving(still, motion, alpha, centres[:, 0], widths, least_alpha=settings["opacity_floor"])
+
+
+def _ftgs_settings(path: Path, header: Header) -> dict[str, float]:
+    """The numbers in the comments of a header. Raises SceneError for one that is missing or out of its range."""
+    words = dict(line.split(maxsplit=1) for line in header.comments if len(line.split()) > 1)
+    with expecting(path, "FTGS of version 1 in normalized time"):
+        if words.get("ftgs_version") != "1" or words.get("time_units") != "normalized":
+            got = f"{words.get('ftgs_version')} in {words.get('time_units')} time"
+            raise SceneError(f"{path}: expected FTGS of version 1 in normalized time, got {got[:80]}")
+        found = {name: float(words[name]) for name in _FTGS_RANGES}
+        found |= {"n_frames": float(words["n_frames"])} if "n_frames" in words else {}
+    for name, (low, high, whole) in _FTGS_RANGES.items():
+        if not low <= found[name] <= high or (whole and not found[name].is_integer()):
+            raise SceneError(f"{path}: expected {name} from {low:g} to {high:g}, got {words[name][:40]}")
+    return found
+
+
 SPACETIME_PLY = ClipFormat(
     name="Spacetime Gaussians .ply",
     key="spacetime.ply",
@@ -211,3 +305,4 @@ SPACETIME_PLY = ClipFormat(
 SPLATV = ClipFormat(
     name=".splatv", key="splatv", suffixes=(".splatv",), open=functools.partial(_open, read_splatv, ".splatv")
 )
+FTGS = ClipFormat(name="FTGS .ply", key="ftgs.ply", suffixes=(".ply",), fits=is_ftgs, open=open_ftgs)

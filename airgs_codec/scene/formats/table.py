@@ -20,14 +20,15 @@ from airgs_codec.scene.formats.gltf import GLTF
 from airgs_codec.scene.formats.ply import INRIA
 from airgs_codec.scene.formats.ply_elements import read_header
 from airgs_codec.scene.formats.sog import META_NAME, SOG, is_sog_folder
-from airgs_codec.scene.formats.spacetime import SPACETIME_PLY, SPLATV
+from airgs_codec.scene.formats.spacetime import FTGS, SPACETIME_PLY, SPLATV
 from airgs_codec.scene.formats.splat import SPLAT
 from airgs_codec.scene.formats.splat4d import SPLAT4D
 from airgs_codec.scene.formats.spz import SPZ
+from airgs_codec.scene.formats.tsog import TSOG
 from airgs_codec.scene.gaussians import Gaussians
 
 FRAMES = (INRIA, COMPRESSED, SPZ, SOG, SPLAT, GLTF)
-CLIPS = (SPLATV, FOUR_DGS, SPLAT4D, SPACETIME_PLY)
+CLIPS = (SPLATV, FOUR_DGS, SPLAT4D, TSOG, SPACETIME_PLY, FTGS)
 FORMATS = (*FRAMES, *CLIPS)
 FRAME_SUFFIXES = tuple(dict.fromkeys(suffix for form in FRAMES for suffix in form.suffixes))
 CLIP_SUFFIXES = tuple(suffix for form in CLIPS for suffix in form.suffixes if suffix not in FRAME_SUFFIXES)

@@ -15,7 +15,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import atomic_path, staged_files
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, write_settings
 from airgs_codec.scene.camera import BLACK, Background
-from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, Losses
+from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, Losses, refuse_writing
 from airgs_codec.scene.formats.library import find_command
 from airgs_codec.scene.formats.ply import INRIA
 from airgs_codec.scene.formats.sog import META_NAME, SOG, write_sog_folder
@@ -23,7 +23,7 @@ from airgs_codec.scene.formats.table import CLIPS, FRAMES
 from airgs_codec.scene.gaussians import Gaussians
 
 SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
-WRITERS: tuple[FrameFormat | ClipFormat, ...] = (*FRAMES, *(form for form in CLIPS if form.writer))
+WRITERS: tuple[FrameFormat | ClipFormat, ...] = (*FRAMES, *(form for form in CLIPS if form.write is not refuse_writing))
 KEYS = tuple(form.key for form in WRITERS)  # the names of formats that can be asked for
 Numbered = tuple[int, Gaussians]  # a frame and its number
 

@@ -16,7 +16,7 @@ from airgs_codec.scene.gaussians import SH_C0, Gaussians, sigmoid
 from tests.support.effort import few_calls
 from tests.support.mutations import edit_tables
 from tests.support.scenes import random_gaussians
-from tests.support.splat_files import SUFFIXES, glb_bytes, splat_bytes
+from tests.support.splat_files import SUFFIXES, glb_bytes, splat_bytes, write_sog_v1
 
 TOLERANCE = {  # of means, log-scales, alpha, colour and SH, 12 bits and 8 at best
     ".compressed.ply": (3e-3, 5e-3, 3e-3, 3e-2, 0.05),
@@ -140,12 +140,13 @@ def repacked(data, change):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda m: m.pop("version"), "version 2"),
+        (lambda m: m.pop("version"), "shape"),
+        (lambda m: m.update(version=3), "version 1 or 2, got 3"),
         (lambda m: m.update(count=10**12), "can hold"),
         (lambda m: m["scales"].update(codebook=[0.0] * 3), "codebooks"),
         (lambda m: m["quats"].update(files=["../../etc/passwd"]), "plain names"),
         (lambda m: m["quats"].update(files=["none.webp"]), "none.webp"),
-        (lambda m: m.clear(), "version 2"),
+        (lambda m: m.clear(), "version 1 or 2, got 'none'"),
     ],
 )
 def test_a_broken_sog_is_refused(tmp_path, change, says):
@@ -153,6 +154,47 @@ def test_a_broken_sog_is_refused(tmp_path, change, says):
     with pytest.raises(SceneError, match=says) as caught:
         read_frame(tmp_path / "a.sog")
     assert str(caught.value).count("a.sog") == 1
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_sog_of_version_1_is_read_as_a_folder_and_as_an_archive(tmp_path, degree):
+    g = small(300, degree)
+    folder = write_sog_v1(tmp_path / "a", g)
+    with zipfile.ZipFile(tmp_path / "a.sog", "w") as archive:
+        for path in folder.iterdir():
+            archive.write(path, path.name)
+    back = read_frame(folder)
+    header = read_frame_header(folder)
+    assert (header.count, header.sh_degree, back.sh_degree) == (300, degree, degree)
+    logs = np.sign(g.means) * np.log1p(np.abs(g.means))
+    assert (np.abs(back.means - g.means) <= np.exp(np.abs(logs)) * np.ptp(logs, axis=0) / 65535).all()
+    for name in ("log_scales", "sh_dc", "opacity_logits"):
+        step = np.ptp(getattr(g, name), axis=0) / 255
+        assert (np.abs(getattr(back, name) - getattr(g, name)) <= step / 2 + 1e-5).all()
+    assert np.abs(back.sh_rest - g.sh_rest).max(initial=0) <= np.ptp(g.sh_rest) / 510 + 1e-5 if degree else True
+    assert np.abs((back.quaternions * g.quaternions).sum(axis=1)).min() > 0.9999
+    for name in back.__slots__:
+        np.testing.assert_array_equal(getattr(read_frame(tmp_path / "a.sog"), name), getattr(back, name))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda m: m["means"].update(shape=[10**12, 3]), "can hold"),
+        (lambda m: m["means"].update(shape=[301 + 31, 3]), "a picture of 320 pixels for 332 Gaussians"),
+        (lambda m: m["sh0"].update(mins=[0.0] * 3), "broadcast"),
+        (lambda m: m["shN"].update(files=["sh0.webp", "shN_labels.webp"]), "32 is not in list"),
+        (lambda m: m["quats"].update(files=["sh0.webp"]), "whose alpha is not 252 to 255"),
+    ],
+)
+def test_a_broken_sog_of_version_1_is_refused(tmp_path, change, says):
+    meta = write_sog_v1(tmp_path / "a", small(300, 1)) / "meta.json"
+    edited = json.loads(meta.read_text())
+    change(edited)
+    meta.write_text(json.dumps(edited))
+    with pytest.raises(SceneError, match=says) as caught:
+        read_frame(tmp_path / "a")
+    assert "\n" not in str(caught.value)
 
 
 def edited_glb(change):
@@ -192,9 +234,11 @@ def bombs():
         "got",
     )
     out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(splat_bytes(small(3, 0), ".sog"))) as good:
+        files = {name: good.read(name) for name in good.namelist()} | {"means_l.webp": bytes(1 << 24)}
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("meta.json", "{}")
-        archive.writestr("means_l.webp", bytes(1 << 24))
+        for name, content in files.items():
+            archive.writestr(name, content)
     yield "zip.sog", out.getvalue(), "unpacks to"
     for method in (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):  # zipfile unpacks these whole, whatever size an entry states
         out = io.BytesIO()
