@@ -51,7 +51,7 @@ def _along(g: Gaussians, velocity: Vectors) -> Gaussians:
 def _round(g: Gaussians, frame: Gaussians, tree: cKDTree, spacing: float, rows: int) -> Gaussians:
     """The rows after a round whose nodes have so many of them; `tree`: of the features of `frame`."""
     apart, there, mutual = _matches(g, tree, spacing)
-    shift = frame.means[there] - g.means.astype(np.float64)
+    shift = frame.means[there].astype(np.float64) - g.means
     size = np.maximum(np.exp(g.log_scales.max(axis=1)), spacing)
     way = np.linalg.norm(shift, axis=1)
     known = mutual & ((apart <= FAR * np.median(apart)) | (way <= NEAR_BY * size))

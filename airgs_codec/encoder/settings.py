@@ -249,6 +249,10 @@ class EncodeSettings:
             (self.decide_pictures >= 1, f"expected 1 or more pictures to decide with, got {self.decide_pictures}"),
             (self.measure_pictures >= 0, f"expected 0 or more pictures to measure, got {self.measure_pictures}"),
             (self.rows in ROWS, f"expected rows {', '.join(ROWS)}, got {self.rows}"),
+            (
+                self.rows == AUTO or not self.track,
+                f"--rows {self.rows}: expected none with --track, which leaves rows in order",
+            ),
             (self.keys in KEYS, f"expected keys {', '.join(KEYS)}, got {self.keys}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
             (self.threads >= 1, f"expected at least one thread, got {self.threads}"),

@@ -21,7 +21,6 @@ from airgs_codec.analysis.rows import AUTO, KEEP, outlook
 from airgs_codec.encoder.prepare import look_at_frames
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import ViewPlan, plan_views
-from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.engines import InProcess
 from airgs_codec.jobs.job import digest
 from airgs_codec.jobs.work import Work
@@ -55,11 +54,8 @@ class Tracked:
 def decide(sequence: GaussianSequence, settings: EncodeSettings) -> tuple[EncodeSettings, str]:
     """Settings that say whether a sequence is tracked; and what its rows are, what that costs and what would change it.
 
-    The line is empty where rows are in order. Raises SceneError for a broken frame, ConfigError for settings that
-    contradict each other.
+    The line is empty where rows are in order. Raises SceneError for a broken frame.
     """
-    if settings.track and settings.rows != AUTO:
-        raise ConfigError(f"--rows {settings.rows}: expected none with --track, which leaves rows in order")
     apart = replace(settings, track=False)
     if len(sequence) == 1 or settings.rows == KEEP:
         return apart, ""

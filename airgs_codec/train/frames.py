@@ -71,7 +71,7 @@ class Capture:
         stored = [stored_plate(plate, len(names)) for plate in plates]
         return replace(self, plates=dict(zip(names, stored, strict=True)) if stored else {})
 
-    def within(self, frames: range) -> Capture:
+    def within(self, frames: Iterable[int]) -> Capture:
         """The same for frames of a chunk: what they share with later ones is not looked for, where they are given."""
         if self.scene.given is None:
             return self

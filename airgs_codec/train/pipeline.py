@@ -86,9 +86,8 @@ def _cameras(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
 
 
 def _first(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
-    """Frame 0; where Gaussians are given, what it shares with others of its chunk is told by their pictures."""
-    start, stop = chunks(len(scene), settings.group_frames)[0]
-    return [Piece("frame 0", range(start, stop) if scene.given else ())]
+    """Frame 0; where Gaussians are given, the pictures of its chunk tell what it shares with others."""
+    return [Piece("frame 0", range(*chunks(len(scene), settings.group_frames)[0]) if scene.given else ())]
 
 
 def _chunks(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
@@ -236,7 +235,7 @@ class Here:
     def first(self) -> TrainedFrame:
         """Fit the first frame of the run."""
         [piece] = FIRST.pieces(self.capture.scene, self.capture.settings)
-        return train_first(self._settled.within(range(len(piece.frames))), self.progress)
+        return train_first(self._settled.within(piece.frames), self.progress)
 
     def others(self, first: First, model: Model) -> Iterator[TrainedFrame]:
         """Fit the frames behind the last one of the model; each is in it when the next one is asked for."""
@@ -244,9 +243,8 @@ class Here:
         for start, stop in chunks(model.record.total, self.capture.settings.group_frames):
             if stop > done:
                 capture = self._settled.with_exposure(first.exposure).within(range(start, stop))
-                frames = range(max(start, done), stop)
-                at = None if frames.start == start else position_after(capture, model)
-                yield from train_chunk(capture, frames, first.gaussians, at, self.progress)
+                at = None if done <= start else position_after(capture, model)
+                yield from train_chunk(capture, range(max(start, done), stop), first.gaussians, at, self.progress)
 
 
 def rested(capture: Capture, progress: Progress = silent) -> Capture:
