@@ -66,10 +66,10 @@ class TableStore:
         wanted = dict.fromkeys([poster, *(self._next(self.offers.place(position)[1]) for position in positions)])
         return tuple(path for path in wanted if path is not None)
 
-    def missing_pages(self) -> tuple[str, ...]:
-        """Pages of the index with segments of the session."""
-        first = max(self.first, self.offers.first)
-        return tuple(self.offers.manifest.groups.places.missing_pages(first, self._paths))
+    def missing_pages(self, position: int) -> tuple[str, ...]:
+        """Pages of the index with segments that are played from now on, up to a position."""
+        segments = range(max(self.first, self.offers.first), self.offers.first + position + 1)
+        return tuple(self.offers.manifest.groups.places.missing_pages(segments, self._paths))
 
     def forget(self, before: SegmentOffer) -> None:
         """What comes before a segment is not played again."""

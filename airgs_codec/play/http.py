@@ -211,7 +211,7 @@ def fetch_beside(log: SessionLog, downloader: HttpDownloader) -> None:
     c, pages = log.offers, set[str]()
     places = c.manifest.groups.places
     with contextlib.suppress(FormatError):  # a page cannot be had
-        while missing := places.missing_pages(0, pages):
+        while missing := places.missing_pages(range(places.segments), pages):
             downloader.complete(missing)
             pages.update(missing)
         downloader.complete([group_path(number + 1) for number in range(places.groups)])

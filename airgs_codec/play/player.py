@@ -136,12 +136,12 @@ class Player:
 
     def _grow(self, position: int) -> Fetching[bool]:
         """Wait until a growing package has a segment for a position; False: it has ended before."""
-        f, offers, since_s = self.fetcher, self.fetcher.offers, self.fetcher.now_s
-        pause_s, in_vain = max(POLL_S, offers.newest_seconds), 0
+        f, offers, since_s, in_vain = self.fetcher, self.fetcher.offers, self.fetcher.now_s, 0
         while offers.live and offers.end(1) <= position:
             if f.now_s >= since_s + SILENCE_S:
                 yield Cut(f.now_s, f"no group has followed for {SILENCE_S:g} s")
                 break
+            pause_s = max(POLL_S, offers.newest_seconds)
             ask_s = max(f.now_s, self.root_s + max(pause_s, min(pause_s * 2 ** (in_vain - 1), LONGEST_POLL_S)))
             yield from self.buffered.wait(ask_s)
             f.now_s = max(f.now_s, ask_s)
@@ -162,7 +162,7 @@ class Player:
         f = self.fetcher
         self.root_s = f.now_s
         yield from f.fetch_tables((JSON_NAME,), position)
-        while (position or f.offers.live) and (pages := f.tables.missing_pages()):
+        while (position or f.offers.live) and (pages := f.tables.missing_pages(position)):
             yield from f.fetch_tables(pages, position)
             if not f.unusable.isdisjoint(pages):
                 raise TransportError(f"{', '.join(pages)}: expected the index of the growing package")
