@@ -193,10 +193,11 @@ class _Answer:
         asked_at, window = time.monotonic(), _Window(self.client.settings.timeout_s)
         tag, last = self.client.last.get(self.path, ("", b""))
         conditional = {"If-None-Match": tag} if tag else {}
-        changing = {"Accept-Encoding": "gzip"} | conditional if self.path == JSON_NAME else {}
+        changing = self.path == JSON_NAME
+        packed = {"Accept-Encoding": "gzip"} if self.path in self.client.last else {}  # the first is as it is listed
         asking = self.client.session.get(
             f"{self.client.url}/{self.path}",
-            headers=headers | changing,
+            headers=headers | packed | conditional,
             middlewares=(self._stay,),
             trace_request_ctx=window,
         )
