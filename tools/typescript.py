@@ -97,7 +97,7 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
         downloader: _same(downloader, "CHECK_S"),
         buffered: _same(buffered, "REPLACE_GAIN_DB"),
         fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
-        player: _same(player, "POLL_S", "SILENCE_S")
+        player: _same(player, "LONGEST_POLL_S", "POLL_S", "SILENCE_S")
         | {"SESSION": {_camel(name): getattr(settings, name) for name in SETTINGS}}
         | {"VIEW_BUFFER_S": settings.view_buffer_s},
         fetch_plan: _same(fetch_plan, "LOOK_S", "EARLY_MARGIN", "LATE_MARGIN", "FURTHEST_S", "SOON_S"),

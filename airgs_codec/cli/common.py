@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import re
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -251,6 +252,13 @@ def expect_report(folder: Path | None) -> None:
     if folder:
         require_matplotlib("--report")
         expect_folder(folder)
+
+
+def expect_room(folder: Path, size: int) -> None:
+    """Raise ConfigError where so many bytes do not fit the disk that a folder is on, before the work begins."""
+    free = shutil.disk_usage(folder).free
+    if free < size:
+        raise ConfigError(f"{folder}: expected {size / 1e9:.1f} GB of room for what waits, got {free / 1e9:.1f} GB")
 
 
 def expect_folder(path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -10,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec._settings import applied, required, setting
+from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.analysis.viewpoints import GUESS
 from airgs_codec.cli.common import (
     BakingOptions,
@@ -19,6 +21,7 @@ from airgs_codec.cli.common import (
     device,
     expect_rate,
     expect_report,
+    expect_room,
     frame_rate,
     report,
     views,
@@ -83,7 +86,7 @@ class Encode:
     target_psnr: float | None = setting(
         None, "search for the quality at which the top rung has so many dB", metavar="DB"
     )
-    target_mb: float | None = setting(None, "the same for so many megabytes a frame on the top rung", metavar="MB")
+    target_kb: float | None = setting(None, "the same for so many kilobytes a frame on the top rung", metavar="KB")
     target_mbps: float | None = setting(None, "the same for so many megabits a second of playback", metavar="MBPS")
     views: Path | None = views("cameras to measure with", "those beside the frames, else on an orbit")
     fps: Fraction | None = frame_rate()
@@ -136,6 +139,9 @@ def encode(options: Encode) -> int:
     if sound and sound.note and not options.json:
         say(f"sound: {options.audio}: {sound.note}")
     beside = Beside(options.attribution or credit, sound)
+    frames = settings.group_frames or DEFAULT_GROUP_FRAMES
+    most = 2 * options.work.jobs * max(header.bytes for header in sequence.headers) * min(frames, len(sequence))
+    expect_room(Path(tempfile.gettempdir()), most)  # states of a group that wait, in each process
     settings, line = decide(sequence, settings)
     if line:
         warn(line)
@@ -183,7 +189,7 @@ def _settings(options: Encode) -> EncodeSettings:
     expect_one(
         quality=told.get("quality"),
         target_psnr=options.target_psnr,
-        target_mb=options.target_mb,
+        target_kb=options.target_kb,
         target_mbps=options.target_mbps,
     )
     expect_one(margin=told.get("margin"), region=told.get("region"))
@@ -238,8 +244,8 @@ def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:
 def _goal(options: Encode, sequence: GaussianSequence) -> Goal | None:
     if options.target_psnr is not None:
         return Goal(PSNR, options.target_psnr)
-    if options.target_mb is not None:
-        return Goal(SIZE, 1e3 * options.target_mb)
+    if options.target_kb is not None:
+        return Goal(SIZE, options.target_kb)
     if options.target_mbps is not None:
         return Goal(SIZE, 1e3 / 8 * options.target_mbps / float(sequence.fps))
     return None

@@ -120,6 +120,8 @@ def play(options: Play) -> int:
     """Simulate a viewer of a package over a bandwidth trace, compare policies over many, or play from a web server."""
     expect_report(options.report)
     if options.video:
+        if not options.video.absolute().parent.is_dir():
+            raise ConfigError(f"{options.video}: expected a folder that can be written, got none")
         expect_folder(options.video.absolute().parent)
     if options.compare and (options.player.budget is not None or options.view_adaptive):
         option = "--view-adaptive" if options.player.budget is None else "--player.budget"

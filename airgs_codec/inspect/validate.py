@@ -16,10 +16,11 @@ from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.inspect.errors import Measured
 from airgs_codec.media.h264 import BRIGHTEST, DARKEST, in_range, open_segment
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, group_path
+from airgs_codec.package.mpd import still_files
 from airgs_codec.package.mpd_check import check_mpd
-from airgs_codec.package.package import Package, find_file, open_files
+from airgs_codec.package.package import Package, find_file, open_files, read_file
 from airgs_codec.package.parse import MAX_TABLE_BYTES
-from airgs_codec.package.tables import Atlas
+from airgs_codec.package.tables import Atlas, file_entry
 from airgs_codec.places.place import Place, place_at
 from airgs_codec.scene.gaussians import Gaussians
 
@@ -113,8 +114,12 @@ def _check_files(package: Package) -> Iterator[Finding]:
             package.read(relative)
         except FormatError as error:
             yield _finding(error)
+    stills: dict[str, bytes] = {}
+    yield from _attempt(MPD_NAME, lambda: stills.update(still_files(package.manifest)))
+    for relative, data in stills.items():
+        yield from _attempt(relative, partial(read_file, package.files, relative, file_entry(data)))
     for relative in package.files.paths():
-        if relative not in listed | {JSON_NAME, MPD_NAME}:
+        if relative not in listed | stills.keys() | {JSON_NAME, MPD_NAME}:
             yield _check_stranger(package, relative)
 
 

@@ -20,7 +20,7 @@ from airgs_codec.render.cpu import use_threads
 
 RETRIES = 2  # of a call that fails because its machine does: its disk, its network
 WAITING = 4  # calls for each thread of the cluster that are sent ahead
-CONNECT_S = 20
+CONNECT_S = 5
 WORKER_S = 60  # for a worker that has what jobs need, to come
 GONE = "the Dask scheduler does not answer any more; begin again to go on"
 
@@ -111,6 +111,7 @@ class DaskEngine:
         """Leave the cluster; one that was made here ends."""
         self._client.close()
         if self._cluster is not None:
+            logging.getLogger("distributed.nanny").setLevel(logging.CRITICAL)  # it may have to end a slow process
             self._cluster.close()
 
 

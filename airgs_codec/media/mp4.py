@@ -8,6 +8,7 @@ A media segment is a uuid box with our own bytes, a moof and an mdat (FORMAT.md,
 
 from __future__ import annotations
 
+import base64
 import struct
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,6 +33,9 @@ WARM_UP = 4  # packets that a decoder of Opus needs before the first one that is
 _DEFAULT_BASE_IS_MOOF = 0x020000  # flags of tfhd
 _DURATION_AND_FLAGS = 0x8 | 0x20  # of tfhd: defaults of all samples
 _SYNC, _OTHER = 0x02000000, 0x01010000  # sample flags: depends on nothing; depends on others and is no sync sample
+_GREY = base64.b64decode(  # an IDR picture of 64x64 grey samples with its parameter sets: a sample of a track of H.264
+    "AAAAF2dkAAqstCE02QAAAwABAAADADwPEiagAAAABWjvAzywAAAAGGWIhK/+9dnjxcMJ25ojZkJMaU8x1QMnGw=="
+)
 _UNITY = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)  # the matrix that turns nothing
 
 
@@ -220,6 +224,16 @@ def media_segment(pictures: Sequence[CodedPicture], start: int, ticks: int) -> b
         COMPOSITION_OFFSET: (offsets if any(offsets) else []),
     }
     return _fragment(start, (ticks, _OTHER), columns, [picture.data for picture in pictures])
+
+
+def still_segment(start: int, ticks: int) -> bytes:
+    """moof and mdat of one grey picture of 64x64 samples, which begins at `start` and lasts `ticks`.
+
+    Raises CodecError where these are more than a sample can last.
+    """
+    if ticks >= 1 << 32:
+        raise CodecError(f"a still segment: expected less than {1 << 32} ticks, got {ticks}")
+    return media_segment([CodedPicture(_GREY, 0, len(_GREY), idr=True)], start, ticks)
 
 
 def sound_segment(packets: Sequence[bytes], first: int) -> bytes:

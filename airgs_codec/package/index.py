@@ -136,13 +136,14 @@ class GroupIndex:
         """The pages that lead to a group, frame or segment, from the root on; each is read when the next is wanted."""
         return (block.path(place) for block, place in self._descend(count, number) if block.level)
 
-    def missing_pages(self, segment: int, there: Container[str]) -> list[str]:
-        """Pages with a segment or later ones that are not there, as far as pages that are there lead to them."""
+    def missing_pages(self, segments: range, there: Container[str]) -> list[str]:
+        """Pages with some of these segments that are not there, as far as pages that are there lead to them."""
         missing, blocks = [], [block for block in self._top if block.level]
         while blocks:
             block = blocks.pop()
             for place in range(len(block.spans)):
-                if block.segments[place] + block.spans.segments[place] <= segment:
+                first = block.segments[place]
+                if first >= segments.stop or first + block.spans.segments[place] <= segments.start:
                     continue
                 if block.path(place) not in there:
                     missing.append(block.path(place))

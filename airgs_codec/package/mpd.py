@@ -6,7 +6,9 @@ The shape was chosen by what ffmpeg and dash.js read: SegmentTemplate with $Numb
 SupplementalProperty only, relative addresses, one init segment for all. The SegmentTemplate stands in the
 AdaptationSet where the timelines of its Representations are equal; otherwise each has its own, and the set has none
 (video.js would play the files of both). Runs of equal segments are one S, so that the MPD does not grow with a regular
-sequence. `mpd_check` reads an MPD back and refuses others.
+sequence. DASH players stop at a gap in a timeline, and count files from its beginning: where nothing of a level moves,
+and the tables have no file, a still file of one grey picture takes its place, which only DASH players fetch. Key tiers
+whose rows are all kept leave gaps. `mpd_check` reads an MPD back and refuses others.
 """
 
 from __future__ import annotations
@@ -17,10 +19,11 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.mp4 import CODECS, OPUS
+from airgs_codec.media.mp4 import CODECS, OPUS, still_segment
 from airgs_codec.package.layout import (
     INIT_NAME,
     JSON_NAME,
+    MPD_NAME,
     SOUND_INIT_NAME,
     key_media_path,
     sound_path,
@@ -36,7 +39,8 @@ NUMBER = "$Number$"  # stands for the number of a file in a SegmentTemplate
 SOUND = "sound"
 ID = "$RepresentationID$"  # stands there for the id, which is the folder of the files below that of all of its kind
 CONTENT = {  # the elements that this format uses, and their children in the order of ISO/IEC 23009-1's schema
-    "MPD": ("Period",),
+    "MPD": ("Period", "UTCTiming"),
+    "UTCTiming": (),
     "Period": ("AdaptationSet", "SupplementalProperty"),
     "AdaptationSet": ("SupplementalProperty", "SegmentTemplate", "Representation"),
     "SupplementalProperty": (),
@@ -151,20 +155,27 @@ class Streams:
             streams.add(group)
         return streams
 
-    def add(self, group: Group) -> None:
-        """The next group."""
+    def add(self, group: Group) -> dict[str, bytes]:
+        """The next group; gives its still files by their paths."""
         m = self._header
         self._groups += 1
         for row, tier in zip(self._keys, group.units, strict=True):
             for stream, picture in zip(row, tier.pictures, strict=True):
                 stream.add(m, self._groups, group, picture.bytes)
         self._sound.add(m, self._groups, group, group.sound.bytes if group.sound else 0)
+        stills: dict[str, bytes] = {}
         for segment in group.segments:
             self._segments += 1
             for p, row in enumerate(self._states):
                 for stream, level in zip(row, segment.levels, strict=True):
-                    stream.add(m, self._segments, segment, level.files[p].bytes)
+                    size = level.files[p].bytes
+                    if not size and stream.timeline:
+                        ticks = m.frame_ticks
+                        data = still_segment(segment.start * ticks, (segment.stop - segment.start) * ticks)
+                        stills[stream.media.replace(NUMBER, str(self._segments))], size = data, len(data)
+                    stream.add(m, self._segments, segment, size)
         self.longest = max(self.longest, group.stop - group.start)
+        return stills
 
     def sets(self) -> list[AdaptationSet]:
         """Of each tile the state, then each key tier, then the sound, as far as they have files."""
@@ -180,6 +191,13 @@ class Streams:
         return [AdaptationSet(role, priority, row) for role, priority, row in listed if row]
 
 
+def still_files(m: Manifest) -> Iterator[tuple[str, bytes]]:
+    """Path and bytes of every still file of a package, for which no table has an entry."""
+    streams = Streams(m)
+    for group in m.groups:
+        yield from streams.add(group).items()
+
+
 def write_mpd(m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> bytes:
     """The text of manifest.mpd. Raises ConfigError for a growing package without a clock.
 
@@ -193,6 +211,8 @@ def write_mpd(m: Manifest, clock: LiveClock | None = None, streams: Streams | No
     for number, adaptation_set in enumerate(streams.sets(), 1):
         _write_set(period, m, number, adaptation_set)
     _element(period, "SupplementalProperty", schemeIdUri="urn:airgs:scene:2", value=JSON_NAME)
+    if m.live:  # the clock of whoever serves the package, in the header Date of the answer to HEAD
+        _element(root, "UTCTiming", schemeIdUri="urn:mpeg:dash:utc:http-head:2014", value=MPD_NAME)
     ET.indent(root, "")  # a line for each element
     return b'<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
 

@@ -89,6 +89,8 @@ def _check_attributes(element: ET.Element) -> None:
             raise FormatError("foreign_url", f"{MPD_NAME} {name}", "expected no xlink")
         if attribute not in _ATTRIBUTES.get(name, {attribute}):
             raise FormatError("bad_mpd", f"{MPD_NAME} {name}", f"unknown attribute {attribute!r}")
+        if name == "UTCTiming" and attribute == "value" and value != MPD_NAME:
+            raise FormatError("foreign_url", f"{MPD_NAME} {name}", f"expected {MPD_NAME}, got {value!r}")
         if name == "SegmentTemplate" and (":" in value or value.startswith("/") or ".." in value.split("/")):
             raise FormatError("foreign_url", MPD_NAME, f"expected a relative address inside the package, got {value!r}")
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from airgs_codec.errors import ConfigError, FormatError, TransportError
 from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MPD_NAME, belongs, group_path
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import LiveClock, Streams, write_mpd
+from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
 from airgs_codec.package.package import open_manifest, read_file, root_of, write_file
 from airgs_codec.package.parse import build_index, extend_index, pack_group, pack_json, parse_root
 from airgs_codec.package.tables import FileEntry, Group
@@ -35,7 +35,8 @@ NEW = ".new/"  # a package below it takes the place of the one that is there
 
 
 def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> int:
-    """Write all tables and manifest.mpd of a package whose other files are there; gives their length together.
+    """Write all tables, manifest.mpd and still files of a package whose other files are there; gives the length of
+    tables and manifest.mpd together.
 
     Raises ConfigError for a growing package without a clock.
     """
@@ -44,6 +45,8 @@ def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> i
     texts = {group_path(number): table for number, table in enumerate(tables, 1)}
     texts |= {path: pack_json(page) for path, page in pages.items()}
     size = sum(write_file(files, path, text).bytes for path, text in texts.items())
+    for path, data in still_files(m):
+        write_file(files, path, data)
     return size + write_root(files, m, clock)
 
 
@@ -84,10 +87,9 @@ class GrowingPackage:
     def add(self, group: Group) -> None:
         """Publish one more group, whose files are written."""
         self.manifest = self.expect(group)
-        for path, data in self._unwritten.items():
+        for path, data in (self._unwritten | self._streams.add(group)).items():
             write_file(self.files, path, data)
         self._unwritten = {}
-        self._streams.add(group)
         self._write_root()
 
     def close(self) -> None:

@@ -78,8 +78,7 @@ class FetchPlan:
     def _seen(self, playout: Playout, at_s: float) -> Camera:
         """Return what the viewer saw at a moment; before the first picture he stands still."""
         assert self.view is not None
-        timeline = playout.timeline
-        return self.view.at(max(0.0, at_s - timeline[0].start_s) if timeline else 0.0)
+        return self.view.at(max(0.0, at_s - playout.began_s))
 
 
 def _nearest(off: NDArray[np.float64]) -> list[int]:

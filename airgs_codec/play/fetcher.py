@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from airgs_codec.package.layout import POSTER_NAME, FileKind, file_kind, group_path
+from airgs_codec.package.layout import POSTER_NAME, FileKind, file_kind, group_path, locate
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.tables import PAGE
 from airgs_codec.play.downloader import (
     Arrival,
     Arrived,
@@ -30,11 +31,22 @@ NOTHING = Download(0, 1.0)
 SHORTEST_S = 1e-9  # a download that rounds to no time still has a rate
 
 
+def is_past(path: str, group: int, bases: Iterable[int]) -> bool:
+    """Whether a table is of groups before one, a page of the index or the table of a group, and of none of `bases`."""
+    what, numbers = locate(path)
+    if what not in ("group", "page"):
+        return False
+    size = 1 if what == "group" else PAGE ** numbers[0]
+    of = range((numbers[-1] - 1) * size, numbers[-1] * size)
+    return of.stop <= group and not any(base in of for base in bases)
+
+
 @dataclass(slots=True, eq=False)
 class TableStore:
     """The tables that have come: pages of the index and tables of groups are fetched once, whatever is played again."""
 
     offers: Offers
+    first: int = 0  # the segment before which nothing is played any more
     _paths: set[str] = field(default_factory=set)
     _complete: dict[int, Manifest] = field(default_factory=dict)  # segments of which nothing is missing, and as of when
 
@@ -54,9 +66,16 @@ class TableStore:
         wanted = dict.fromkeys([poster, *(self._next(self.offers.place(position)[1]) for position in positions)])
         return tuple(path for path in wanted if path is not None)
 
-    def missing_pages(self) -> tuple[str, ...]:
-        """Pages of the index with segments of the session."""
-        return tuple(self.offers.manifest.groups.places.missing_pages(self.offers.first, self._paths))
+    def missing_pages(self, position: int) -> tuple[str, ...]:
+        """Pages of the index with segments that are played from now on, up to a position."""
+        segments = range(max(self.first, self.offers.first), self.offers.first + position + 1)
+        return tuple(self.offers.manifest.groups.places.missing_pages(segments, self._paths))
+
+    def forget(self, before: SegmentOffer) -> None:
+        """What comes before a segment is not played again."""
+        self.first = before.segment
+        self._complete = {segment: m for segment, m in self._complete.items() if segment >= before.segment}
+        self._paths = {path for path in self._paths if not is_past(path, before.group, [before.root])}
 
     def _next(self, segment: int) -> str | None:
         """The first missing of what leads to a segment, and then to the group whose rows its group keeps."""
@@ -106,6 +125,12 @@ class UnitStore:
             known[offer] = offer.options(self.decoded(loop))
         return known[offer]
 
+    def forget(self, loop: int, before: SegmentOffer) -> None:
+        """What comes before a segment is not played again in a loop."""
+        there = (before.root, before.group)
+        self._units[loop] = {unit for unit in self.decoded(loop) if unit[0] in there or unit[0] > before.group}
+        self._options = {key: known for key, known in self._options.items() if key >= (loop, before.root)}
+
     def add(self, loop: int, offer: SegmentOffer, arrival: Arrival) -> None:
         """Decode what arrived for a rung of a segment, of all tiles: a unit counts once its files are there.
 
@@ -137,6 +162,11 @@ class Fetcher:
 
     def __post_init__(self) -> None:
         self.tables = TableStore(self.offers)
+
+    def forget(self, position: int, before: SegmentOffer) -> None:
+        """What comes before a position, whose offer is given, is not played again."""
+        self.tables.forget(before)
+        self.units.forget(self.loop(position), before)
 
     def loop(self, position: int) -> int:
         """The loop over the sequence that a position is in."""
@@ -174,7 +204,7 @@ class Fetcher:
             took_s = max(arrival.at_s - request.sent_s, SHORTEST_S)
             self.first = max(self.first, Download(arrival.bytes, took_s), key=lambda d: d.bytes / d.seconds)
         else:
-            self.downloads.append((arrival.at_s, Download(arrival.bytes, took_s)))
+            self.downloads = [*self.downloads[1 - REMEMBERED :], (arrival.at_s, Download(arrival.bytes, took_s))]
             self.units.add(self.loop(request.position), self.offer(request.position), arrival)
         return arrival
 
@@ -194,7 +224,7 @@ class Fetcher:
 
     def history(self, sent_s: float) -> tuple[Download, ...]:
         """The last downloads that are over when a request is sent, oldest first; before there is one, the tables."""
-        return tuple(d for at_s, d in self.downloads[-REMEMBERED:] if at_s <= sent_s + SHORTEST_S) or (self.first,)
+        return tuple(d for at_s, d in self.downloads if at_s <= sent_s + SHORTEST_S) or (self.first,)
 
     def throughput_bps(self, sent_s: float) -> float:
         """The estimate when a request is sent."""

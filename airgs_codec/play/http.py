@@ -25,11 +25,13 @@ from airgs_codec.package.package import check_digest, open_manifest
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_root
 from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
 from airgs_codec.play.downloader import CHECK_S, Arrival, BatchKind, GiveUp, Partial, Request
+from airgs_codec.play.fetcher import is_past
 from airgs_codec.play.http_files import FileClient, HttpSettings, Transfer, connect
 from airgs_codec.play.offers import NONE, Batch, Offers
 from airgs_codec.play.session import SessionLog
 
 CONNECTIONS = 16  # at once
+RETAINED = 1024  # groups whose tables a forgetful downloader has
 GROWS = ("frames", "live")  # what of the header changes while a package grows
 Receive = Callable[[str, bytes], object]
 
@@ -38,13 +40,22 @@ class HttpDownloader:
     """Fetches a package from a server; `received` is given every file that came whole and is what the tables say.
 
     Time is seconds from the first request. With `as_fast`, waiting for room in the buffer takes none; a package that
-    grows is played in real time. Raises ConfigError for a URL that is not http or https.
+    grows is played in real time. With `forgetful`, tables of a growing package of more than RETAINED groups ago go: who
+    stays for days needs no more memory, but `SessionLog` has no figures of what was forgotten. Raises ConfigError for a
+    URL that is not http or https.
     """
 
     pipelines = False  # batches follow each other: the player knows that one is over only when it is
 
-    def __init__(self, url: str, settings: HttpSettings | None = None, received: Receive | None = None) -> None:
+    def __init__(
+        self,
+        url: str,
+        settings: HttpSettings | None = None,
+        received: Receive | None = None,
+        forgetful: bool = False,
+    ) -> None:
         self._url, self._settings, self._received = _checked(url), settings or HttpSettings(), received
+        self._forgetful = forgetful
         self._tables = RemoteTables()
         self._runner = asyncio.Runner()
         self._files = self._runner.run(self._connect())
@@ -119,6 +130,8 @@ class HttpDownloader:
 
     def _accept(self, path: str, data: bytes) -> None:
         self._tables.accept(path, data)
+        if self._forgetful and path == JSON_NAME:
+            self._tables.forget(len(self._offers.manifest.groups) - RETAINED)
         if self._received is not None:
             self._received(path, data)
 
@@ -198,7 +211,7 @@ def fetch_beside(log: SessionLog, downloader: HttpDownloader) -> None:
     c, pages = log.offers, set[str]()
     places = c.manifest.groups.places
     with contextlib.suppress(FormatError):  # a page cannot be had
-        while missing := places.missing_pages(0, pages):
+        while missing := places.missing_pages(range(places.segments), pages):
             downloader.complete(missing)
             pages.update(missing)
         downloader.complete([group_path(number + 1) for number in range(places.groups)])
@@ -229,6 +242,7 @@ class RemoteTables:
     def __init__(self) -> None:
         self.offers: Offers | None = None  # None: airgs.json has not come yet
         self._root: Root | None = None
+        self._root_text = b""
         self._files: dict[str, bytes] = {}  # pages and tables of groups
         self._keepers: dict[int, set[int]] = {}  # groups whose tables came, by the group whose rows they keep
 
@@ -252,6 +266,8 @@ class RemoteTables:
         self._read_table(self.offers, path, data)
 
     def _accept_root(self, data: bytes) -> None:
+        if data == self._root_text:
+            return
         root = parse_root(data)
         if self._root is not None:
             _check_growth(self._root, root)
@@ -260,7 +276,15 @@ class RemoteTables:
             self.offers = Offers(manifest, root_bytes=len(data), live=root.live)
         else:
             self.offers.grow(manifest, len(data))
-        self._root = root
+        self._root, self._root_text = root, data
+
+    def forget(self, group: int) -> None:
+        """Drop the tables of groups before one, and the pages that lead to none but them; bases of others stay."""
+        self._keepers = {
+            base: late for base, keepers in self._keepers.items() if (late := {n for n in keepers if n >= group})
+        }
+        for path in [path for path in self._files if is_past(path, group, self._keepers)]:
+            del self._files[path]
 
     def _find(self, path: str, entry: FileEntry) -> bytes:
         """A table that came, if it is still what the root leads to."""

@@ -2,7 +2,8 @@
 
 A server that cannot be reached, or says that it is busy (429, 502, 503, 504), is waited for as long as `outage_s`. Any
 other fault is the file's: after `attempts` of them the file cannot be had, as one with status 404 at once. A redirect
-is followed on the server itself, never to another scheme, host or port.
+is followed on the server itself, never to another scheme, host or port. airgs.json, which is asked for again and again
+while a package grows, may come compressed, and not at all where it is what came before (If-None-Match).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import itertools
 import os
 import random
 import time
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import SimpleNamespace
@@ -21,6 +23,7 @@ from yarl import URL
 
 from airgs_codec._settings import documented, setting
 from airgs_codec.errors import ConfigError, FormatError, TransportError
+from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.play.downloader import Retry
 from airgs_codec.play.repr_digest import REPR_DIGEST, check_repr_digest
 
@@ -29,6 +32,7 @@ GARBLED = ("size_mismatch", "hash_mismatch", "not_json")  # reasons to ask again
 LONGEST_PAUSE_S = 4.0
 LEAST_BYTES = 4096  # that come within the time-out: 16 connections over a modem of 18 kbit/s are faster
 STATUS_LINE_BYTES = len("HTTP/1.1 200 OK\r\n\r\n")
+ZIPPED = 16 + zlib.MAX_WBITS  # gzip, for zlib
 FRESH = {"Cache-Control": "no-cache"}  # asks caches on the way, which may hold wrong bytes, to ask the server
 
 
@@ -121,6 +125,7 @@ class FileClient:
     url: str
     settings: HttpSettings
     accept: Callable[[str, bytes], None]
+    last: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # by path, entity tag and bytes of airgs.json
 
     async def get(self, path: str, limit: int, transfer: Transfer, outage_s: float) -> None:
         """Fetch a file of at most `limit` bytes, and say in `transfer` what came of it.
@@ -166,9 +171,12 @@ class _Answer:
 
     async def fault(self, again: bool) -> FormatError | None:
         """Why the file was not accepted, None if it was."""
+        if again:
+            self.client.last.pop(self.path, None)
         try:
             self.client.accept(self.path, await self._receive(FRESH if again else {}))
         except FormatError as error:
+            self.client.last.pop(self.path, None)
             return error
         except (aiohttp.ClientSSLError, aiohttp.InvalidURL) as error:
             raise TransportError(f"{self.client.url}: {error}") from error
@@ -183,20 +191,40 @@ class _Answer:
 
     async def _receive(self, headers: dict[str, str]) -> bytes:
         asked_at, window = time.monotonic(), _Window(self.client.settings.timeout_s)
+        tag, last = self.client.last.get(self.path, ("", b""))
+        conditional = {"If-None-Match": tag} if tag else {}
+        changing = self.path == JSON_NAME
+        packed = {"Accept-Encoding": "gzip"} if self.path in self.client.last else {}  # the first is as it is listed
         asking = self.client.session.get(
             f"{self.client.url}/{self.path}",
-            headers=headers,
+            headers=headers | packed | conditional,
             middlewares=(self._stay,),
             trace_request_ctx=window,
         )
         async with window.limit, asking as response:
             self._count(STATUS_LINE_BYTES + sum(len(name) + len(value) + 4 for name, value in response.raw_headers))
             self.transfer.begin(asked_at)
+            if response.status == 304 and tag:
+                return last
             if response.status != 200:
                 raise _refusal(self.path, response.status)
             data = await self._body(response.content, window)
         check_repr_digest(self.path, data, response.headers.get(REPR_DIGEST, ""))
+        if changing and response.headers.get("Content-Encoding") == "gzip":
+            data = self._unzip(data)
+        if changing:
+            self.client.last[self.path] = response.headers.get("ETag", ""), data
         return data
+
+    def _unzip(self, data: bytes) -> bytes:
+        inflate = zlib.decompressobj(ZIPPED)
+        try:
+            text = inflate.decompress(data, self.limit + 1)
+        except zlib.error as error:
+            raise FormatError("not_json", self.path, f"expected gzip: {error}") from error
+        if len(text) > self.limit or not inflate.eof:
+            raise FormatError("not_json", self.path, f"expected gzip of at most {self.limit} bytes")
+        return text
 
     async def _stay(self, request: aiohttp.ClientRequest, pass_on: aiohttp.ClientHandlerType) -> aiohttp.ClientResponse:
         """Pass on a request to the server itself. Raises FormatError for one to another, after a redirect."""

@@ -11,8 +11,9 @@ before the first batch, later ones with the batch before. A segment whose table 
 more Gaussians than the budget are as if they could not be had.
 
 The sequence may be played several times, as if it were longer: keys and states are fetched again, tables are not. One
-that grows is played as it grows: airgs.json is fetched again a group's length after the last time, until it says that
-nothing will follow, or nothing has followed for SILENCE_S. Times are seconds from the first request.
+that grows is played as it grows: airgs.json is fetched again a group's length after the last time, later and later
+where it has not changed, until it says that nothing will follow, or nothing has followed for SILENCE_S; what is over
+is forgotten. Times are seconds from the first request.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ from airgs_codec.play.policies.state import PlayerState, Policy, budget_bytes, e
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View
 
-POLL_S = 0.2  # airgs.json of a growing package is fetched no more often
+POLL_S = 1.0  # airgs.json of a growing package is fetched no more often
+LONGEST_POLL_S = 4.0  # and, where it has not changed, no less often, or a group's length if that is longer
 SILENCE_S = 60.0  # without a new group: whoever added groups has gone
 MOST_LOST = 1000  # segments in a row
 
@@ -134,16 +136,21 @@ class Player:
 
     def _grow(self, position: int) -> Fetching[bool]:
         """Wait until a growing package has a segment for a position; False: it has ended before."""
-        f, offers, since_s = self.fetcher, self.fetcher.offers, self.fetcher.now_s
+        f, offers, since_s, in_vain = self.fetcher, self.fetcher.offers, self.fetcher.now_s, 0
         while offers.live and offers.end(1) <= position:
             if f.now_s >= since_s + SILENCE_S:
                 yield Cut(f.now_s, f"no group has followed for {SILENCE_S:g} s")
                 break
-            ask_s = max(f.now_s, self.root_s + max(POLL_S, offers.newest_seconds))
+            pause_s = max(POLL_S, offers.newest_seconds)
+            ask_s = max(f.now_s, self.root_s + max(pause_s, min(pause_s * 2 ** (in_vain - 1), LONGEST_POLL_S)))
             yield from self.buffered.wait(ask_s)
             f.now_s = max(f.now_s, ask_s)
             yield from self._shown(self.playout.started(f.now_s))
             yield from self._fetch_root(position)
+            in_vain += 1
+        oldest = self.playout.forget(f.now_s)
+        if oldest is not None and oldest.offer is not None:
+            f.forget(oldest.position, oldest.offer)
         if offers.end(1) > position:
             self.end = offers.end(1)
             return True
@@ -155,7 +162,7 @@ class Player:
         f = self.fetcher
         self.root_s = f.now_s
         yield from f.fetch_tables((JSON_NAME,), position)
-        while (position or f.offers.live) and (pages := f.tables.missing_pages()):
+        while (position or f.offers.live) and (pages := f.tables.missing_pages(position)):
             yield from f.fetch_tables(pages, position)
             if not f.unusable.isdisjoint(pages):
                 raise TransportError(f"{', '.join(pages)}: expected the index of the growing package")

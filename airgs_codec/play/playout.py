@@ -53,6 +53,7 @@ class Playout:
     settings: SessionSettings
     room_for_two: bool = False  # segments, however long they are: the next one is fetched while one is shown
     timeline: list[Slot] = field(default_factory=list)
+    _began_s: float = math.inf  # where the first segment was forgotten: its start
     _first_waiting: int = 0
     _first_unseen: int = 0  # of the timeline: those before it were given by `started`
 
@@ -60,6 +61,11 @@ class Playout:
     def last(self) -> Slot | None:
         """The segment that was enqueued last."""
         return self.timeline[-1] if self.timeline else None
+
+    @property
+    def began_s(self) -> float:
+        """Start of the first segment; inf before it has one."""
+        return min(self._began_s, self.timeline[0].start_s if self.timeline else math.inf)
 
     @property
     def scheduled_end_s(self) -> float:
@@ -110,6 +116,16 @@ class Playout:
         wanted = self.settings.resume_s if self._first_waiting else self.settings.startup_s
         if is_last or self._waiting_s() >= wanted:
             self.resume()
+
+    def forget(self, now_s: float) -> Slot | None:
+        """Drop segments that are over and were given by `started`, but for the last; gives the first that is left."""
+        self._began_s = self.began_s
+        over = 0
+        while over < self._first_unseen - 1 and self.timeline[over].end_s <= now_s:
+            over += 1
+        del self.timeline[:over]
+        self._first_waiting, self._first_unseen = self._first_waiting - over, self._first_unseen - over
+        return self.timeline[0] if self.timeline else None
 
     def finish(self, now_s: float) -> None:
         """Nothing will follow."""

@@ -22,6 +22,7 @@ from urllib.parse import quote
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
+from airgs_codec.package.mpd import still_files
 from airgs_codec.package.package import Package, find_file, open_package, read_file, root_of, write_file
 from airgs_codec.package.parse import parse_root
 from airgs_codec.places.place import Folder, is_address
@@ -114,6 +115,7 @@ def _copy(package: Package, name: str, target: Folder, progress: Progress) -> in
             for path, data in zip(paths, pool.map(read_file, repeat(source), paths, entries), strict=True):
                 size += write_file(target, path, data).bytes
             progress(f"copying {name}", 1 + number, batches)
+    size += sum(write_file(target, path, data).bytes for path, data in still_files(m))
     roots = {path: find_file(source, path)[1]() for path in (MPD_NAME, JSON_NAME)}
     if parse_root(roots[JSON_NAME]) != root_of(m):
         raise ConfigError(f"{source.name}: expected a package that stays as it is, got one that changed meanwhile")

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -137,3 +138,14 @@ def test_a_picture_or_report_that_cannot_be_written_is_said_before_the_work(opti
         assert main([*map(str, words), option, nowhere]) == 2
         assert "expected a folder that can be written" in capsys.readouterr().err
         assert not output.exists()
+
+
+def test_a_disk_without_room_is_said_before_the_work(scene, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=1000))
+    assert encode([str(scene), "-o", str(tmp_path / "out.airgs")]) == 2
+    assert "GB of room" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_a_film_that_has_no_folder_is_said_before_the_work(encoded, tmp_path, capsys):
+    assert play([str(encoded), "--trace", "none", "--video", str(tmp_path / "nowhere/film.mp4")]) == 2
+    assert "expected a folder that can be written" in capsys.readouterr().err

@@ -59,9 +59,9 @@ def test_targets_are_reached(first_frames, tmp_path, capsys):
     assert code == 0 and validate(tmp_path / "out") == []
     m = open_package(tmp_path / "out").manifest
     assert pooled_quality(m, 0, 0).psnr == pytest.approx(41, abs=0.3)
-    wanted = 0.8 * report["top_rung_bytes"] / m.frames / 1e6
-    code, report = run(first_frames, tmp_path, capsys, "--target-mb", f"{wanted}")
-    assert code == 0 and report["top_rung_bytes"] / m.frames / 1e6 == pytest.approx(wanted, rel=0.03)
+    wanted = 0.8 * report["top_rung_bytes"] / m.frames / 1e3
+    code, report = run(first_frames, tmp_path, capsys, "--target-kb", f"{wanted}")
+    assert code == 0 and report["top_rung_bytes"] / m.frames / 1e3 == pytest.approx(wanted, rel=0.03)
     assert report["calibration_cached"]
 
 
@@ -69,13 +69,13 @@ def test_sizes_are_told_by_the_frame_or_by_the_second(first_frames):
     sequence = open_sequence(first_frames, fps=Fraction(25))
     goals = [
         command._goal(command.Encode("x", **target), sequence)
-        for target in ({"target_psnr": 41.0}, {"target_mb": 0.02}, {"target_mbps": 4.0}, {})
+        for target in ({"target_psnr": 41.0}, {"target_kb": 20.0}, {"target_mbps": 4.0}, {})
     ]
     assert goals == [Goal(PSNR, 41.0), Goal(SIZE, 20.0), Goal(SIZE, 20.0), None]  # kB a frame
 
 
 def test_a_target_out_of_reach_is_one_line_and_leaves_nothing(first_frames, tmp_path, capsys):
-    code, error = run(first_frames, tmp_path, capsys, "--target-mb", "0.000001")
+    code, error = run(first_frames, tmp_path, capsys, "--target-kb", "0.001")
     assert code == 2 and error.count("\n") == 1 and "out of reach" in error
     assert list(tmp_path.iterdir()) == []
 

@@ -1,5 +1,8 @@
 """A Dask cluster of this machine: the same results, one worker dying on the way."""
 
+import logging
+from types import SimpleNamespace
+
 import pytest
 
 from airgs_codec.errors import FormatError, WorkError
@@ -39,3 +42,10 @@ def test_a_scheduler_that_nobody_runs_is_one_line(monkeypatch):
     monkeypatch.setattr("airgs_codec.jobs.dask_engine.CONNECT_S", 1)
     with pytest.raises(WorkError, match=r"--executor dask:tcp://127\.0\.0\.1:9"):
         DaskEngine.at("tcp://127.0.0.1:9")
+
+
+def test_a_cluster_that_ends_says_nothing(capfd):
+    """The nanny of a process that is slow to end has to kill it, and would say so."""
+    nanny = SimpleNamespace(close=lambda: logging.getLogger("distributed.nanny").warning("still alive, killing"))
+    DaskEngine(SimpleNamespace(close=lambda: None), nanny).close()
+    assert capfd.readouterr().err == ""

@@ -2,16 +2,20 @@
 
 import copy
 import dataclasses
+import io
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from fractions import Fraction
 
+import av
 import pytest
 
 from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.media.mp4 import init_segment
 from airgs_codec.package.layout import MPD_NAME
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import CONTENT, DASH, MIN_BUFFER_S, LiveClock, Run, Streams, write_mpd
+from airgs_codec.package.mpd import CONTENT, DASH, MIN_BUFFER_S, LiveClock, Run, Streams, still_files, write_mpd
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.tables import NO_FILE
 from tests.support.manifests import tiny_manifest, with_segments
@@ -20,23 +24,25 @@ from tests.support.mutations import apply, edit_text
 NS = f"{{{DASH}}}"
 
 
-def with_a_gap(levels: Sequence[int] = (0, 1, 2)) -> Manifest:
-    """Three groups; in these levels nothing moves in the middle one, so that it has no files of them."""
+def with_a_still_segment(levels: Sequence[int] = (0, 1, 2), number: int = 1) -> Manifest:
+    """Three groups; in these levels nothing moves in one of them, so that it has no files of them."""
     m = tiny_manifest(groups=(10, 5, 10))
     segments = list(m.segments)
     still = [
         dataclasses.replace(v, files=[NO_FILE], frame_bytes=[[]]) if j in levels else v
-        for j, v in enumerate(segments[1].levels)
+        for j, v in enumerate(segments[number].levels)
     ]
-    return with_segments(m, [segments[0], dataclasses.replace(segments[1], levels=still), segments[2]])
+    segments[number] = dataclasses.replace(segments[number], levels=still)
+    return with_segments(m, segments)
 
 
 MANIFESTS = {
     "equal groups": tiny_manifest(),
     "unequal groups": tiny_manifest(groups=(10, 10, 3, 20, 20, 7)),
     "a level without files": tiny_manifest(state_bytes=(2000, 0)),
-    "a gap": with_a_gap(),
-    "a gap in one level": with_a_gap(levels=[2]),
+    "still segments": with_a_still_segment(),
+    "a still segment of one level": with_a_still_segment(levels=[2]),
+    "a late level": with_a_still_segment(levels=[2], number=0),
 }
 
 
@@ -65,8 +71,9 @@ def spelt_out(data: bytes) -> bytes:
             element.extend(copy.deepcopy(shared))
         for template in shared:
             row.remove(template)
+    starts = {template[0]: int(template.attrib["startNumber"]) for template in root.iter(f"{NS}SegmentTemplate")}
     for timeline in root.iter(f"{NS}SegmentTimeline"):
-        files, end, number = [], 0, 1
+        files, end, number = [], 0, starts[timeline]
         for s in timeline:
             end, number = int(s.get("t", end)), int(s.get("n", number))
             for _ in range(1 + int(s.get("r", "0"))):
@@ -81,9 +88,9 @@ def test_what_is_inherited_may_also_be_spelt_out(m):
     check_mpd(spelt_out(write_mpd(m)), m)
 
 
-ALL, QUIET = (
+ALL, LATE = (
     [{"t": "0", "d": "1000"}, {"d": "500"}, {"d": "1000"}],
-    [{"t": "0", "d": "1000"}, {"t": "1500", "d": "1000", "n": "3"}],
+    [{"t": "1000", "d": "500"}, {"d": "1000"}],
 )
 
 
@@ -96,8 +103,9 @@ ALL, QUIET = (
             [[{"t": "0", "d": "1000", "r": "1"}, {"d": "300"}, {"d": "2000", "r": "1"}, {"d": "700"}]],
             [],
         ),
-        ("a gap", [QUIET], []),
-        ("a gap in one level", [], [ALL, ALL, QUIET]),
+        ("still segments", [ALL], []),
+        ("a still segment of one level", [ALL], []),
+        ("a late level", [], [ALL, ALL, LATE]),
     ],
 )
 def test_equal_timelines_stand_once_in_the_set_and_others_in_each_representation(name, shared, own):
@@ -171,11 +179,43 @@ def test_a_regular_sequence_makes_no_longer_mpd():
     assert long - short < 50
 
 
-def test_a_segment_without_files_is_a_gap_in_the_timeline():
-    m = with_a_gap()
+def test_a_still_segment_leaves_no_gap_in_a_timeline():
+    """Files are numbered as shaka and dash.js number them: from startNumber on, one after the other."""
+    m = with_a_still_segment()
     state, tier, _ = representations(m)
-    assert state[0].timeline == (Run(1, 0, 1000), Run(3, 1500, 1000))
-    assert tier[0].timeline == (Run(1, 0, 1000), Run(2, 1000, 500), Run(3, 1500, 1000))
+    assert state[0].timeline == tier[0].timeline == (Run(1, 0, 1000), Run(2, 1000, 500), Run(3, 1500, 1000))
+    assert not [s for s in ET.fromstring(write_mpd(m)).iter(f"{NS}S") if s.get("n") or s.get("t", "0") != "0"]
+
+
+def test_a_still_file_is_a_picture_for_as_long_as_nothing_moves():
+    stills = dict(still_files(with_a_still_segment()))
+    assert list(stills) == ["state/L0/2.m4s", "state/L1/2.m4s", "state/L2/2.m4s"]
+    media = stills["state/L1/2.m4s"]
+    with av.open(io.BytesIO(init_segment(1000, 64, 64) + media)) as container:
+        (frame,) = container.decode(video=0)
+        stream = container.streams.video[0]
+        assert (frame.pts, stream.time_base, frame.duration) == (1000, Fraction(1, 1000), 500)
+    assert (frame.width, frame.height) == (64, 64) and (frame.to_ndarray()[:64] == 128).all()
+
+
+def test_nothing_stands_for_a_level_before_its_first_file():
+    m = MANIFESTS["a late level"]
+    assert representations(m)[0][2].timeline == (Run(2, 1000, 500), Run(3, 1500, 1000)) and not list(still_files(m))
+
+
+def test_growing_and_whole_packages_have_the_same_still_files():
+    m = with_a_still_segment()
+    streams = Streams(m)
+    assert [list(streams.add(group)) for group in m.groups][1] == [path for path, _ in still_files(m)]
+
+
+def test_a_growing_package_says_whose_clock_counts():
+    m = dataclasses.replace(tiny_manifest(), live=True)
+    data = write_mpd(m, LiveClock(datetime(2026, 1, 1, tzinfo=UTC), datetime(2026, 1, 1, tzinfo=UTC)))
+    (timing,) = ET.fromstring(data).iter(f"{NS}UTCTiming")
+    assert (timing.get("schemeIdUri"), timing.get("value")) == ("urn:mpeg:dash:utc:http-head:2014", MPD_NAME)
+    assert reason_of(data.replace(b'value="manifest.mpd"', b'value="http://clock.example/"'), m) == "foreign_url"
+    assert b"UTCTiming" not in write_mpd(dataclasses.replace(m, live=False))
 
 
 def test_a_level_without_files_is_not_listed():
@@ -183,15 +223,17 @@ def test_a_level_without_files_is_not_listed():
     assert [row[0].id for row in representations(tiny_manifest(state_bytes=(0, 0)))] == ["T0/Q0", "T1/Q0"]
 
 
-@pytest.mark.parametrize("m", [tiny_manifest(groups=(10, 3, 20, 7)), with_a_gap()])
+@pytest.mark.parametrize("m", [tiny_manifest(groups=(10, 3, 20, 7)), with_a_still_segment()])
 def test_every_run_of_segments_fits_its_bandwidth(m):
     root = ET.fromstring(write_mpd(m))
     stated = {r.get("id"): int(r.get("bandwidth", "0")) for r in root.iter(f"{NS}Representation")}
+    stills = dict(still_files(m))
     for row in representations(m):
         for r in row:
             files = [(run.number + i, run.start + i * run.duration) for run in r.timeline for i in range(run.count)]
             starts = [start / m.timescale for _, start in files]
-            sizes = [8 * m.entry(r.media.replace("$Number$", str(number))).bytes for number, _ in files]
+            paths = [r.media.replace("$Number$", str(number)) for number, _ in files]
+            sizes = [8 * (len(stills[path]) if path in stills else m.entry(path).bytes) for path in paths]
             needed = max(
                 sum(sizes[a : b + 1]) / (MIN_BUFFER_S + starts[b] - starts[a])
                 for a in range(len(starts))

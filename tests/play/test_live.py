@@ -18,6 +18,7 @@ from airgs_codec.play.trace import open_trace
 from tests.support.faulty import Weather, faultily_serving
 from tests.support.growing import Growing
 from tests.support.paths import VALID
+from tests.support.servers import serving
 
 RULES = SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0)
 
@@ -69,6 +70,25 @@ def test_groups_are_looked_for_a_groups_length_after_the_last_time(tmp_path):
     polls = [f for f in log.fetches if f.position == 1 and f.kind == "tables"]
     roots = [0.0, *(f.request_s for f in polls[:3])]  # then there is a table to fetch
     assert all(b - a >= 1 / 30 - 1e-6 for a, b in pairwise(roots))
+
+
+def test_an_airgs_json_that_has_not_changed_is_not_sent_again(tmp_path):
+    growing, steps = Growing(tmp_path / "p", 2), [2, 2, 3, 0]
+
+    def received(path, data):
+        if path == JSON_NAME and steps:
+            growing.waiting.append(steps.pop(0))
+            growing.publish()
+
+    with (
+        serving(growing.folder) as port,
+        HttpDownloader(f"http://127.0.0.1:{port}/p", HttpSettings(backoff_s=0.001), received) as downloader,
+    ):
+        log = play(downloader.open(), downloader, "fixed:0", RULES)
+    sizes = [f.bytes for f in log.fetches if f.kind == "tables" and f.files == 1]
+    whole = (growing.folder / JSON_NAME).stat().st_size
+    assert [s.segment for s in log.shown] == [1, 2]
+    assert max(sizes[1:]) < whole and min(sizes) < 700  # packed, or a head alone
 
 
 def test_what_waits_is_shown_when_nothing_follows(tmp_path):

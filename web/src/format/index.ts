@@ -1,7 +1,11 @@
 // The index of a package at work, where a frame, a segment or a group is: FORMAT.md, section 2. All count from 0.
 import { DIGEST, PAGE } from "../generated/constants.ts";
 import { locate, pagePath } from "./paths.ts";
+import { Recent } from "./recent.ts";
 import type { FileEntry, Page, Root } from "./types.ts";
+
+/** Pages of the index, of which those last used stay: more than a buffer reaches over, and hours of play. */
+const MOST_PAGES = 256;
 
 /** What the index says of a group, or of the groups on a page. */
 export interface Entry {
@@ -80,7 +84,7 @@ export class GroupIndex {
   readonly segments: number = 0;
   /** Those of the root, groups first. */
   #top: Block[] = [];
-  #pages = new Map<string, Block>();
+  #pages = new Recent<string, Block>(MOST_PAGES);
 
   constructor(index: Root["index"]) {
     for (const [level, spans] of [...index.entries()].reverse()) {
@@ -135,13 +139,13 @@ export class GroupIndex {
     return true;
   }
 
-  /** Pages with a segment or later ones that are not there, as far as pages that are there lead to them. */
-  missingPages(segment: number, there: (path: string) => boolean): string[] {
+  /** Pages with some of the segments [start, stop) that are not there, as far as pages that are there lead to them. */
+  missingPages(start: number, stop: number, there: (path: string) => boolean): string[] {
     const missing: string[] = [];
     const blocks = this.#top.filter(({ level }) => level > 0);
     for (let above = blocks.pop(); above; above = blocks.pop()) {
       for (const [place, first] of above.segments.entries()) {
-        if (first + above.spans.segments[place]! <= segment) continue;
+        if (first >= stop || first + above.spans.segments[place]! <= start) continue;
         const path = pathAt(above, place);
         if (!there(path)) missing.push(path);
         else if (above.level > 1) blocks.push(this.#page(path));

@@ -58,6 +58,7 @@ export class Tables {
     const start = this.#starts.get(path);
     if (start) expectStart(page, start, path);
     this.index.addPage(path, page);
+    this.#starts.delete(path); // from now on the levels above say what it is
   }
 
   /** Takes in the bytes of a group's table, whose digest was checked. Throws FormatError; MissingTableError. */

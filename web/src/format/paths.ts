@@ -34,3 +34,5 @@ export const stateMediaPath = (folder: string, level: number, number: number) =>
   `state/${folder}L${level}/${number}.m4s`;
 
 export const isSound = (path: string): boolean => locate(path)?.what === "sound";
+/** Whether a file is a page of the index or the table of a group. */
+export const isTable = (path: string): boolean => ["group", "page"].includes(locate(path)?.what ?? "");

@@ -132,7 +132,8 @@ export const REMEMBERED = 24;
 export const SHORTEST_S = 1e-09;
 
 // airgs_codec.play.player
-export const POLL_S = 0.2;
+export const LONGEST_POLL_S = 4.0;
+export const POLL_S = 1.0;
 export const SILENCE_S = 60.0;
 export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decodeFrameS": 0.004, "replace": true, "abandon": true, "pipelined": true} as const;
 export const VIEW_BUFFER_S = 1.0;

@@ -2,7 +2,7 @@
 import { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
-import { locate, soundPath } from "../format/paths.ts";
+import { isTable, soundPath } from "../format/paths.ts";
 import { Recent } from "../format/recent.ts";
 import type { Canonical, CanonicalName, FileEntry, StateFrame } from "../format/types.ts";
 import { ATTEMPTS, HEADER_BYTES, MAX_TABLE_BYTES, POSTER_PATH, ROOT_PATH } from "../generated/constants.ts";
@@ -186,8 +186,6 @@ export class Engine {
     };
   }
 }
-
-const isTable = (path: string) => ["group", "page"].includes(locate(path)?.what ?? "");
 
 const nameOf = ({ group, tile, quality, tiers }: CanonicalName) => `${group} ${tile} ${quality} ${tiers}`;
 

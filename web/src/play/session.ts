@@ -7,7 +7,7 @@
 //
 // The sequence may be played several times: keys and states are fetched again, tables are not. One that grows is played
 // as it grows, until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.
-import { POLL_S, ROOT_PATH, SAFETY, SILENCE_S } from "../generated/constants.ts";
+import { LONGEST_POLL_S, POLL_S, ROOT_PATH, SAFETY, SILENCE_S } from "../generated/constants.ts";
 import { TransportError } from "../media/errors.ts";
 import { type GiveUp, isComplete, type Request, type SessionEvent, type Shown } from "./downloader.ts";
 import type { Decision, Option } from "./ladder.ts";
@@ -82,13 +82,15 @@ export class Session {
   private async *grow(position: number): Events<boolean> {
     const { offers: c, playout, stores } = this.parts;
     const sinceS = this.nowS;
-    while (c.live && c.end(1) <= position && !this.stopped) {
+    for (let inVain = 0; c.live && c.end(1) <= position && !this.stopped; inVain++) {
       if (this.nowS >= sinceS + SILENCE_S) {
         yield { type: "cut", atS: this.nowS, why: `no group has followed for ${SILENCE_S} s` };
         break;
       }
       const newest = c.tables.index.entry(c.tables.index.groups - 1);
-      const askS = Math.max(this.nowS, (stores.rootS ?? 0) + Math.max(POLL_S, (newest.stop - newest.start) / c.fps));
+      const pauseS = Math.max(POLL_S, (newest.stop - newest.start) / c.fps);
+      const longerS = Math.min(pauseS * 2 ** Math.min(inVain - 1, 8), LONGEST_POLL_S); // where it has not changed
+      const askS = Math.max(this.nowS, (stores.rootS ?? 0) + Math.max(pauseS, longerS));
       while (this.nowS < askS && !this.stopped) {
         if (yield* this.replaceBest()) continue;
         await this.receiver.wait(askS);
@@ -112,8 +114,11 @@ export class Session {
   }
 
   private async *fetchPages(position: number): Events {
-    const { tables, unusable } = this.parts.stores;
-    for (let pages = tables.missingPages(); pages.length && !this.stopped; pages = tables.missingPages()) {
+    const { playout, stores } = this.parts;
+    const { tables, unusable } = stores;
+    const from = Math.max(0, Math.min(playout.slots[0]?.position ?? position, position - 1));
+    const missing = () => tables.missingPages(from, position);
+    for (let pages = missing(); pages.length && !this.stopped; pages = missing()) {
       yield await this.receiver.fetchTables(pages, position);
       if (pages.some((path) => unusable.has(path))) {
         throw new TransportError(`${pages.join(", ")}: expected the index of the growing package`);

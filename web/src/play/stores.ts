@@ -1,20 +1,25 @@
 // What a player has of a package beside states: which tables it has read, which key units it has decoded, what it knows
 // of the link. It outlives a session: after a seek another one goes on with it.
-import { groupPath, isSound } from "../format/paths.ts";
+import { groupPath, isSound, isTable } from "../format/paths.ts";
 import { Recent } from "../format/recent.ts";
 import { type Arrival, usableFiles } from "./downloader.ts";
 import type { Option } from "./ladder.ts";
 import { type Batch, missing, type Offers, optionsOf } from "./offers.ts";
 import type { Download } from "./policies/state.ts";
 
-/** Pages of the index and tables of groups are fetched once, also where the sequence is played again. */
+/** Files that are known to have come; those of more were played long ago. */
+const MOST_PATHS = 4096;
+
+/** Pages of the index and tables of groups are fetched once, also where the sequence is played again, as long as the
+ * tables have them.
+ */
 export class TableStore {
-  private readonly paths = new Set<string>();
+  private readonly paths = new Recent<string, true>(MOST_PATHS);
 
   constructor(private readonly offers: Offers) {}
 
   add(arrival: Arrival): void {
-    for (const path of usableFiles(arrival)) this.paths.add(path);
+    for (const path of usableFiles(arrival)) if (isTable(path)) this.paths.set(path, true);
   }
 
   has(position: number): boolean {
@@ -31,9 +36,14 @@ export class TableStore {
     return [...wanted];
   }
 
-  /** Pages of the index with segments of the session. */
-  missingPages(): string[] {
-    return this.offers.tables.index.missingPages(this.offers.first, (path) => this.paths.has(path));
+  /** Pages of the index with segments of positions from one to another. */
+  missingPages(from: number, to: number): string[] {
+    const { first, tables } = this.offers;
+    return tables.index.missingPages(first + from, first + to + 1, (path) => this.hasPage(path));
+  }
+
+  private hasPage(path: string): boolean {
+    return this.paths.has(path) && this.offers.tables.index.hasPage(path); // those last used stay, not all
   }
 
   /** The first that is missing of what leads to a segment, and then to the group whose rows its group keeps. */
@@ -49,7 +59,7 @@ export class TableStore {
   }
 
   private nextPage(way: Iterable<string>): string | null {
-    for (const path of way) if (!this.paths.has(path)) return path;
+    for (const path of way) if (!this.hasPage(path)) return path;
     return null;
   }
 

@@ -82,7 +82,7 @@ test("pages that are not there are asked for from the root on", () => {
   const there = new Set<string>();
   const asked: string[][] = [];
   for (;;) {
-    const missing = places.missingPages(4000, (path) => there.has(path));
+    const missing = places.missingPages(4000, Infinity, (path) => there.has(path));
     if (!missing.length) break;
     asked.push(missing.sort());
     for (const path of missing) {
