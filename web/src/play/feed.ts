@@ -6,7 +6,7 @@ import type { SessionEvent } from "./downloader.ts";
 import { HttpDownloader, type Source } from "./http-downloader.ts";
 import { makePolicy } from "./policies/named.ts";
 import type { Shared } from "./receiver.ts";
-import { Repairs } from "./repairs.ts";
+import type { Repairs } from "./repairs.ts";
 import { Session } from "./session.ts";
 
 /** A session that lost its server is begun again so much later, seconds, if the browser does not say that it is back. */
@@ -14,6 +14,8 @@ const RETRY_S = 5;
 
 export interface FeedParts extends Shared {
   media: Source;
+  /** Fetches tiles that turn out to be lacking; null: they come with their segments. */
+  Repairs: typeof Repairs | null;
   /** The name of the policy of the next session. */
   policy: () => string;
   onEvent: (event: SessionEvent) => void;
@@ -46,8 +48,9 @@ export class Feed {
   /** Fetch from a position on; `signal` is that of `next`, or the first one. */
   run(from: number, signal: AbortSignal = this.#stop.signal): void {
     const onProblem = (error: unknown) => this.#parts.onProblem(error, false);
-    const repairs = new Repairs({ ...this.#parts, downloader: this.#downloader, onProblem }, signal);
-    this.#running = Promise.all([this.#fetch(from, signal), repairs.run()]).then(() => {});
+    const { Repairs, ...parts } = this.#parts;
+    const repairs = Repairs && new Repairs({ ...parts, downloader: this.#downloader, onProblem }, signal);
+    this.#running = Promise.all([this.#fetch(from, signal), repairs?.run()]).then(() => {});
   }
 
   close(): void {

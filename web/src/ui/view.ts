@@ -5,14 +5,11 @@ import type { RungInfo } from "../play/rungs.ts";
 import { type Moment, readAddress, writeAddress } from "./address.ts";
 import { rungColours } from "./colours.ts";
 import { type Desk, EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
-import { Gestures } from "./gestures.ts";
-import { listenToKeys } from "./keys.ts";
-import { loadPath } from "./more.ts";
+import { loadPath, type More } from "./more.ts";
 import { Orbit } from "./orbit.ts";
-import { pictureSize, Sharpness } from "./sharpness.ts";
-import { FullScreen, type Looks, type Parts, Shell } from "./shell.ts";
+import { pictureSize, type Sharpness } from "./sharpness.ts";
+import { type FullScreen, type Looks, type Parts, Shell } from "./shell.ts";
 import type { Split } from "./split.ts";
-import { troubleOf } from "./trouble.ts";
 
 const UPDATE_MS = 250;
 /** The figures of rungs change as tables come, and a player takes long to sum them up. */
@@ -65,8 +62,9 @@ export class View implements Desk {
   picture: readonly [number, number] = [1, 1];
   readonly #end = new AbortController();
   readonly #shell: Shell;
-  readonly #full: FullScreen;
-  readonly #sharpness = new Sharpness(() => this.#resize());
+  /** These two come after the first picture. */
+  #full: FullScreen | null = null;
+  #sharpness: Sharpness | null = null;
   readonly #still = window.matchMedia("(prefers-reduced-motion: reduce)");
   readonly #watch = new ResizeObserver(([{ contentRect }]) => {
     this.#area = { width: contentRect.width, height: contentRect.height };
@@ -86,9 +84,8 @@ export class View implements Desk {
     readonly plan: Plan,
     root: ShadowRoot,
   ) {
-    this.#shell = new Shell(this, plan, root);
+    this.#shell = new Shell(this, plan, root, (more) => this.#add(more));
     this.player = owner.create(this.#shell.canvas, plan.settings);
-    this.#full = new FullScreen(owner, () => this.wake(), this.signal);
     this.#listen();
     this.#watch.observe(this.#shell.frame);
     this.#shell.stir();
@@ -101,11 +98,11 @@ export class View implements Desk {
   }
 
   get full(): boolean {
-    return this.#full.on;
+    return !!this.#full?.on;
   }
 
   get scale(): number {
-    return this.#sharpness.scale;
+    return this.#sharpness?.scale ?? 1;
   }
 
   close(): void {
@@ -113,7 +110,7 @@ export class View implements Desk {
     this.#watch.disconnect();
     cancelAnimationFrame(this.#request);
     window.clearTimeout(this.#click);
-    this.#sharpness.close();
+    this.#sharpness?.close();
     this.#shell.close();
     this.#split?.close();
     this.player.close();
@@ -195,7 +192,7 @@ export class View implements Desk {
   }
 
   toggleFull(): void {
-    this.#full.toggle().then(() => this.wake());
+    this.#full?.toggle().then(() => this.wake());
   }
 
   toggleVr(): void {
@@ -316,7 +313,7 @@ export class View implements Desk {
   }
 
   #fail(error: unknown): void {
-    this.#shell.showTrouble(troubleOf(error, this.plan.src), () => this.owner.again());
+    this.#shell.showTrouble(error, () => this.owner.again());
   }
 
   #look(): void {
@@ -347,7 +344,7 @@ export class View implements Desk {
     const moved = orbit.step(seconds, plays && !this.#shell.waiting ? player.speed * seconds : 0);
     if (moved || orbit.held) this.#look();
     const goesOn = plays || moved || orbit.held || orbit.moving || this.#shell.bar.timeline.scrubbing;
-    this.#sharpness.tick(now, { goesOn, moved, plays: plays && !this.#shell.waiting }, player);
+    this.#sharpness?.tick(now, { goesOn, moved, plays: plays && !this.#shell.waiting }, player);
     if (!goesOn || now - this.#updated > UPDATE_MS) {
       this.#updated = now;
       if (now - this.#listed > LIST_MS) this.#list(now);
@@ -382,6 +379,13 @@ export class View implements Desk {
     window.addEventListener("offline", () => this.#shell.notes.show("network", OFFLINE), on);
     window.addEventListener("online", () => this.#shell.notes.hide("network", READ_MS), on);
     if (this.linked) window.addEventListener("hashchange", () => this.go(location.hash.slice(1)), on);
+  }
+
+  /** Keys and hands, once there is something to look at. */
+  #add({ FullScreen, Gestures, Sharpness, listenToKeys }: More): void {
+    const { signal, owner: host } = this;
+    this.#full = new FullScreen(host, () => this.wake(), signal);
+    this.#sharpness = new Sharpness(() => this.#resize());
     listenToKeys(this.#shell.frame, this, signal);
     new Gestures(
       this.#shell.scene,
