@@ -1,5 +1,7 @@
 // What the element loads when there is a picture, when somebody asks for it, or when something went wrong.
 export { readCameraPath } from "./play/keyframes.ts";
+export { OTHERS as POLICIES } from "./play/policies/named.ts";
+export { copyLink, goTo, momentOf } from "./ui/desk.ts";
 export { Gestures } from "./ui/gestures.ts";
 export { HELP, listenToKeys } from "./ui/keys.ts";
 export { Menu } from "./ui/menu.ts";

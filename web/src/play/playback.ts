@@ -10,7 +10,7 @@ import { Held } from "./held.ts";
 import type { Offers } from "./offers.ts";
 import { type Clip, isDecoded, Pipeline } from "./pipeline.ts";
 import { EARLY, Playout } from "./playout.ts";
-import { wishedPolicy } from "./policies/named.ts";
+import { wishedPolicy } from "./policies/mpc.ts";
 import type { Repairs } from "./repairs.ts";
 import { RungTotals } from "./rungs.ts";
 import type { Lack } from "./schedule.ts";

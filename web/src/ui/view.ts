@@ -2,7 +2,6 @@
 
 import type { Problem } from "../play/playback.ts";
 import type { RungInfo } from "../play/rungs.ts";
-import { type Moment, readAddress, writeAddress } from "./address.ts";
 import { rungColours } from "./colours.ts";
 import { type Desk, EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
 import { loadPath, type More } from "./more.ts";
@@ -62,7 +61,8 @@ export class View implements Desk {
   picture: readonly [number, number] = [1, 1];
   readonly #end = new AbortController();
   readonly #shell: Shell;
-  /** These two come after the first picture. */
+  /** These three come after the first picture. */
+  #more: More | null = null;
   #full: FullScreen | null = null;
   #sharpness: Sharpness | null = null;
   readonly #still = window.matchMedia("(prefers-reduced-motion: reduce)");
@@ -163,32 +163,22 @@ export class View implements Desk {
 
   /** The moment that is shown, as text. */
   get at(): string {
-    const { player, orbit } = this;
-    const { currentTime: t, quality, speed } = player;
-    const [rung, other] = [quality === "auto" ? {} : { rung: quality }, speed === 1 ? {} : { speed }];
-    return this.ready ? writeAddress({ t, view: orbit.stance, ...rung, ...other }) : this.plan.at;
+    return this.ready && this.#more ? this.#more.momentOf(this) : this.plan.at;
   }
 
   /** Go to a moment that is told as text. What cannot be done of it is said, and the rest done. */
-  go(text: string): void {
+  async go(text: string): Promise<void> {
     if (!this.ready) return;
-    const { moment, wrong } = readAddress(text);
-    wrong.push(...this.#take(moment));
-    if (wrong.length > 0) this.#say("address", `Not taken from the address: ${wrong.join("; ")}`);
+    await this.#shell.use(() => {
+      const wrong = this.#more!.goTo(this, text);
+      if (wrong.length > 0) this.#say("address", `Not taken from the address: ${wrong.join("; ")}`);
+    });
     this.#look();
     this.wake();
   }
 
   async copyLink(): Promise<void> {
-    if (!this.ready || !this.linked) return;
-    const link = `#${this.at}`;
-    try {
-      await navigator.clipboard.writeText(location.href.replace(/#.*|$/, link));
-      this.#say("copied", "Copied: a link to this view.");
-    } catch {
-      history.replaceState(null, "", link);
-      this.#say("copied", "The address of the page is now a link to this view.");
-    }
+    if (this.ready && this.linked && this.#more) this.#say("copied", await this.#more.copyLink(this));
   }
 
   toggleFull(): void {
@@ -268,7 +258,8 @@ export class View implements Desk {
     }
     this.#list(performance.now());
     this.orbit.reduced = true; // nothing was seen yet that one could glide from
-    this.go(plan.at);
+    if (plan.at) await this.go(plan.at);
+    else this.#look();
     this.orbit.reduced = this.#still.matches;
     if (player.region?.source === "orbit") this.#say("guess", GUESSED);
     if (plan.split) this.#shell.use(({ Split }) => this.#beside(plan.split, Split));
@@ -289,23 +280,6 @@ export class View implements Desk {
     const failed = (why: string) => this.#say("split", `There is no second picture: ${why}`);
     this.#split = new Split(this, this.#shell.frame, rung, create, failed);
     this.#split.open(plan.src);
-  }
-
-  /** Do what can be done of a moment; a line for each other part. */
-  #take({ t, view, rung, speed }: Moment): string[] {
-    const { player, orbit } = this;
-    const wrong: string[] = [];
-    if (t !== undefined && t > player.duration) wrong.push(`t=${t}: expected at most ${player.duration.toFixed(3)} s`);
-    else if (t !== undefined) player.seek(t);
-    const names = ["auto", ...this.rungs.map(({ name }) => name)];
-    if (rung && !names.includes(rung)) wrong.push(`rung=${rung}: expected one of ${names.join(", ")}`);
-    else if (rung) this.set("quality", rung);
-    if (speed) player.speed = speed;
-    if (view) {
-      orbit.begin(view);
-      if (orbit.outside && !orbit.free) this.set("view-region", "free");
-    }
-    return wrong;
   }
 
   #say(name: string, text: string): void {
@@ -382,7 +356,9 @@ export class View implements Desk {
   }
 
   /** Keys and hands, once there is something to look at. */
-  #add({ FullScreen, Gestures, Sharpness, listenToKeys }: More): void {
+  #add(more: More): void {
+    const { FullScreen, Gestures, Sharpness, listenToKeys } = more;
+    this.#more = more;
     const { signal, owner: host } = this;
     this.#full = new FullScreen(host, () => this.wake(), signal);
     this.#sharpness = new Sharpness(() => this.#resize());

@@ -455,6 +455,7 @@ export const cases: Record<string, () => Promise<object>> = {
     await until(() => find(node, ".notes").textContent === "");
     said.cleared = find(node, ".notes").textContent;
     player(node).problem({ message: "gone for good", fatal: true, error: null });
+    await until(() => find(node, ".card") !== null);
     said.fatal = find(node, ".card").textContent;
     return said;
   },

@@ -28,7 +28,7 @@ function made(lacking: () => []) {
   const told = new EventTarget();
   const feed = new Feed({
     ...{ media, offers, settings, playout, planner, Repairs, stores: new Stores(offers), onEvent: () => {} },
-    policy: () => "throughput",
+    policy: () => "robust-mpc",
     onProblem: (error, fatal) => {
       problems.push([error, fatal]);
       told.dispatchEvent(new Event("problem"));
