@@ -75,9 +75,7 @@ def off_s(heard):
 
 
 @pytest.mark.parametrize("browser", BROWSERS, ids=lambda browser: browser.name)
-def test_it_goes_with_the_pictures_also_after_a_seek_and_over_the_end_of_the_loop(
-    chirping, browser, record_property
-):
+def test_it_goes_with_the_pictures_also_after_a_seek_and_over_the_end_of_the_loop(chirping, browser, record_property):
     if why := browser.missing():
         pytest.skip(why)
     page = f"/sound.html?{urlencode({'src': '/package/', 'check': 'beside'})}"
