@@ -176,6 +176,13 @@ def sha(picture):
     return sha256(picture.tobytes()).hexdigest()
 
 
+def test_a_flipped_bit_of_a_coded_picture_shows_no_other_values():
+    """Digests aside, as if they had been made anew: the checksums of decoded luma refuse what the decoder lets pass."""
+    arguments = {"url": "/golden/room/", "level": 0, "seed": 3, "count": 60, "seconds": 30}
+    came = look({"flips": ("flips", arguments)})[0]["flips"]
+    assert came["tried"] > 0 and came["other"] == 0 and came["refused"] > came["same"]
+
+
 # Refusals
 
 

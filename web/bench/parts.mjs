@@ -1,5 +1,5 @@
 // How long parts of the player take in Node, without a browser: the depth order of 60,000 rows, and the sidecars of a
-// package with the detail of their first quality. Medians of `RUNS` runs after as many to warm up.
+// package with the detail of their first quality. Medians of the CPU time of `RUNS` runs after as many to warm up.
 //
 //     node web/bench/parts.mjs PACKAGE
 import { readFileSync } from "node:fs";
@@ -23,9 +23,10 @@ const { DepthSorter, depthView, readSidecar, readDetail, canonicalMeans, ColumnR
 
 function median(work) {
   const times = Array.from({ length: 2 * RUNS }, () => {
-    const begun = performance.now();
+    const begun = process.cpuUsage();
     work();
-    return performance.now() - begun;
+    const { user, system } = process.cpuUsage(begun);
+    return (user + system) / 1e3;
   });
   return times
     .slice(RUNS)
@@ -42,9 +43,9 @@ console.log(
 
 const folder = process.argv[2];
 const { qualities } = JSON.parse(readFileSync(`${folder}/airgs.json`, "utf8"));
-const { grid, tiers } = JSON.parse(gunzipSync(readFileSync(`${folder}/group/1.json.gz`)));
+const { grid, tiles } = JSON.parse(gunzipSync(readFileSync(`${folder}/group/1.json.gz`)));
 const coarsest = qualities.at(-1).coarser;
-for (const [t, { count, kept }] of tiers.entries()) {
+for (const [t, { count, kept }] of tiles[0].tiers.entries()) {
   if (!count || kept) continue;
   const [sidecar, key] = [`key/T${t}/1.bin`, `key/T${t}/Q0/1.m4s`];
   const [data, media] = [sidecar, key].map((path) => new Uint8Array(readFileSync(`${folder}/${path}`)));

@@ -31,6 +31,17 @@ const styles = {
   },
 };
 
+/** Modules that are mostly GLSL lose its comments, and spaces that nobody needs: of minus signs two would be one. */
+const shaders = {
+  name: "shaders",
+  setup(plugins) {
+    plugins.onLoad({ filter: /render[/].*shaders?[.]ts$/ }, async ({ path }) => {
+      const text = (await readFile(path, "utf8")).replace(/\s*[/][/].*$/gm, "").replace(/^\s+/gm, "");
+      return { contents: text.replace(/ *([=*,;(){}<>?:&|]) */g, "$1"), loader: "ts" };
+    });
+  },
+};
+
 const STARTED = `
   const url = URL.createObjectURL(new Blob([code], { type: "text/javascript" }));
   const worker = new Worker(url, { type: "module" });
@@ -70,7 +81,7 @@ export async function bundleOnce(entry, file) {
   };
   const define = { "import.meta.url": "address" };
   const options = { ...COMMON, minify: true, format: "iife", globalName: "module", metafile: true, write: false };
-  const made = await build({ ...options, define, entryPoints: [entry], plugins: [workers(load), styles] });
+  const made = await build({ ...options, define, entryPoints: [entry], plugins: [workers(load), styles, shaders] });
   const { code } = await minify(made.outputFiles[0].text, { compress: { passes: 3 }, ecma: 2020 });
   const names = await exportsOf(entry);
   await writeFile(

@@ -1,19 +1,28 @@
 // What brings files: one session after another over the same playout and stores, each until its end, or until another
 // one is wanted.
+import { POLICY_NAMES } from "../generated/constants.ts";
 import { untilOnline } from "../media/bell.ts";
 import { TransportError } from "../media/errors.ts";
 import type { SessionEvent } from "./downloader.ts";
 import { HttpDownloader, type Source } from "./http-downloader.ts";
-import { makePolicy } from "./policies/named.ts";
+import type { Offers } from "./offers.ts";
+import { fixedPolicy, ROBUST_MPC } from "./policies/mpc.ts";
+import type { OTHERS } from "./policies/named.ts";
+import type { Policy } from "./policies/state.ts";
 import type { Shared } from "./receiver.ts";
-import { Repairs } from "./repairs.ts";
+import type { Repairs } from "./repairs.ts";
 import { Session } from "./session.ts";
+
+/** Policies but for the default one are beside this script. */
+const MORE = "./airgs-more.js";
 
 /** A session that lost its server is begun again so much later, seconds, if the browser does not say that it is back. */
 const RETRY_S = 5;
 
 export interface FeedParts extends Shared {
   media: Source;
+  /** Fetches tiles that turn out to be lacking; null: they come with their segments. */
+  Repairs: typeof Repairs | null;
   /** The name of the policy of the next session. */
   policy: () => string;
   onEvent: (event: SessionEvent) => void;
@@ -46,8 +55,9 @@ export class Feed {
   /** Fetch from a position on; `signal` is that of `next`, or the first one. */
   run(from: number, signal: AbortSignal = this.#stop.signal): void {
     const onProblem = (error: unknown) => this.#parts.onProblem(error, false);
-    const repairs = new Repairs({ ...this.#parts, downloader: this.#downloader, onProblem }, signal);
-    this.#running = Promise.all([this.#fetch(from, signal), repairs.run()]).then(() => {});
+    const { Repairs, ...parts } = this.#parts;
+    const repairs = Repairs && new Repairs({ ...parts, downloader: this.#downloader, onProblem }, signal);
+    this.#running = Promise.all([this.#fetch(from, signal), repairs?.run()]).then(() => {});
   }
 
   close(): void {
@@ -67,7 +77,7 @@ export class Feed {
   async #session(signal: AbortSignal): Promise<boolean> {
     const { onEvent, onProblem, ...parts } = this.#parts;
     try {
-      const policy = makePolicy(parts.policy(), parts.offers);
+      const policy = await policyOf(parts.policy(), parts.offers);
       const session = new Session({ ...parts, downloader: this.#downloader, policy }, signal, this.from);
       for await (const event of session.run()) onEvent(event);
     } catch (error) {
@@ -78,4 +88,11 @@ export class Feed {
     }
     return true;
   }
+}
+
+async function policyOf(name: string, offers: Offers): Promise<Policy> {
+  if (name === ROBUST_MPC.name) return ROBUST_MPC;
+  if (!(POLICY_NAMES as readonly string[]).includes(name)) return fixedPolicy(name, offers);
+  const part: { POLICIES: typeof OTHERS } = await import(new URL(MORE, import.meta.url).href);
+  return part.POLICIES.get(name)!;
 }

@@ -20,19 +20,16 @@ export interface Lack {
 
 /** Makes fetch plans for sessions over one package. Moments are seconds of the downloader's clock. */
 export interface Planner {
-  /** Whether tiles that turn out to be lacking are fetched later. */
-  readonly late: boolean;
   /** The tiles, ascending, that come in one batch with the segment at a position, whose tables are there. */
   plan(position: number, nowS: number): readonly number[];
   /** Lists what is to be fetched late, the most urgent first. */
   lacking(nowS: number): Lack[];
 }
 
-export const whole = ({ tiles }: Offers): Planner => ({ late: false, plan: () => tiles, lacking: () => [] });
+export const whole = ({ tiles }: Offers): Planner => ({ plan: () => tiles, lacking: () => [] });
 
 /** Tiles come as they are expected in sight. */
 export class ByView implements Planner {
-  readonly late = true;
   readonly #boxes = new Recent<number, Boxes>(MOST_GROUPS);
 
   constructor(

@@ -5,12 +5,13 @@ import { TransportError } from "../media/errors.ts";
 import type { TargetFormat } from "../render/target.ts";
 import type { SessionEvent } from "./downloader.ts";
 import { Feed } from "./feed.ts";
-import { ByView, whole } from "./fetch-plan.ts";
+import { type ByView, whole } from "./fetch-plan.ts";
 import { Held } from "./held.ts";
 import type { Offers } from "./offers.ts";
 import { type Clip, isDecoded, Pipeline } from "./pipeline.ts";
 import { EARLY, Playout } from "./playout.ts";
-import { wishedPolicy } from "./policies/named.ts";
+import { wishedPolicy } from "./policies/mpc.ts";
+import type { Repairs } from "./repairs.ts";
 import { RungTotals } from "./rungs.ts";
 import type { Lack } from "./schedule.ts";
 import { Screen } from "./screen.ts";
@@ -70,6 +71,14 @@ export interface Voice {
   close(): void;
 }
 
+/** What is played: `offers` are of `media`, which is closed with the playback. */
+export interface Opened {
+  readonly media: Media;
+  readonly offers: Offers;
+  /** Fetches tiles by view; null: all of them are fetched. */
+  readonly tiles: { ByView: typeof ByView; Repairs: typeof Repairs } | null;
+}
+
 export interface Problem {
   message: string;
   /** Nothing goes on by itself. */
@@ -85,6 +94,8 @@ export const problemOf = (error: unknown, fatal = false): Problem => {
 const nowS = () => performance.now() / 1e3;
 
 export class Playback {
+  readonly media: Media;
+  readonly offers: Offers;
   readonly screen: Screen;
   readonly #watcher = new Watcher();
   readonly playout: Playout;
@@ -108,19 +119,18 @@ export class Playback {
   #waiting = false;
   #timeTold = Number.NEGATIVE_INFINITY;
 
-  /** `offers` is of `media`, which is closed with it. */
   constructor(
-    readonly media: Media,
-    readonly offers: Offers,
+    { media, offers, tiles }: Opened,
     canvas: HTMLCanvasElement,
     readonly wishes: Wishes,
     readonly statistics: Statistics,
     readonly tell: (type: string, detail?: Problem) => void,
   ) {
+    this.media = media;
+    this.offers = offers;
     const { bufferS, target } = wishes;
-    const adaptive = offers.tiles.length > 1 && (wishes.viewAdaptive ?? true);
     const given = sessionSettings({ bufferS, pipelined: false });
-    const settings = adaptive ? byView(given) : given;
+    const settings = tiles ? byView(given) : given;
     const stores = new Stores(offers);
     if (media.first) stores.first = media.first;
     const playout = new Playout(offers, settings, this.#lastPosition());
@@ -132,7 +142,8 @@ export class Playback {
     this.#feed = new Feed({
       ...parts,
       settings,
-      planner: adaptive ? new ByView(offers, playout, this.#watcher) : whole(offers),
+      planner: tiles ? new tiles.ByView(offers, playout, this.#watcher) : whole(offers),
+      Repairs: tiles?.Repairs ?? null,
       policy: () => wishedPolicy(wishes, offers),
       onEvent: (event) => this.#hear(event),
       onProblem: (error, fatal) => this.#problem(error, fatal),

@@ -36,9 +36,9 @@ export class Repairs {
   ) {}
 
   async run(): Promise<void> {
-    const { downloader, planner, playout } = this.parts;
+    const { downloader, playout } = this.parts;
     try {
-      while (planner.late && !this.signal.aborted) {
+      while (!this.signal.aborted) {
         const nowS = downloader.now();
         if (nowS >= this.#restS) this.look(nowS);
         await downloader.wait(nowS + LOOK_S, playout, this.signal);

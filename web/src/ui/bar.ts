@@ -1,6 +1,6 @@
 // The row of buttons below the picture, and the time line above it.
 import type { Desk } from "./desk.ts";
-import { iconButton, make, relabel, write } from "./dom.ts";
+import { ICONS, iconButton, make, relabel, write } from "./dom.ts";
 import type { Page } from "./menu.ts";
 import { Timeline } from "./timeline.ts";
 import { clock, qualityName, rungTitle, speedName } from "./words.ts";
@@ -10,16 +10,16 @@ const LIVE_S = 8;
 export class Bar {
   readonly node: HTMLElement;
   readonly timeline: Timeline;
-  readonly play = iconButton("play", "Play");
-  readonly #sound = iconButton("mute", "Sound on");
-  readonly #loop = iconButton("loop", "Loop", { class: "wide" });
-  readonly #home = iconButton("home", "Back to the first view", { class: "home" });
-  readonly #free = iconButton("bounded", "Leave the viewing region", { class: "wide" });
-  readonly #link = iconButton("link", "Copy a link to this view", { class: "wide" });
-  readonly info = iconButton("info", "Figures");
-  readonly #vr = iconButton("vr", "Enter VR");
-  readonly #full = iconButton("full", "Full screen");
-  readonly #settings = this.#opens(iconButton("settings", "Settings", { class: "narrow" }));
+  readonly play = iconButton(ICONS.play, "Play");
+  readonly #sound = iconButton(ICONS.mute, "Sound on");
+  readonly #loop = iconButton(ICONS.loop, "Loop", { class: "wide" });
+  readonly #home = iconButton(ICONS.home, "Back to the first view", { class: "home" });
+  readonly #free = iconButton(ICONS.bounded, "Leave the viewing region", { class: "wide" });
+  readonly #link = iconButton(ICONS.link, "Copy a link to this view", { class: "wide" });
+  readonly info = iconButton(ICONS.info, "Figures");
+  readonly #vr = iconButton(ICONS.vr, "Enter VR");
+  readonly #full = iconButton(ICONS.full, "Full screen");
+  readonly #settings = this.#opens(iconButton(ICONS.settings, "Settings", { class: "narrow" }));
   readonly #speed = this.#opens(make("button", { type: "button", class: "text wide", "data-tip": "Speed" }));
   readonly #quality = this.#opens(make("button", { type: "button", class: "text wide", "data-tip": "Quality" }));
   readonly #chosen = document.createTextNode("Auto");

@@ -2,6 +2,7 @@
 import type { PlayerOptions } from "../play/playback.ts";
 import type { Player } from "../play/player.ts";
 import type { RungInfo } from "../play/rungs.ts";
+import { readAddress, writeAddress } from "./address.ts";
 import type { Orbit } from "./orbit.ts";
 
 /** `Player`, or one that only pretends, in tests. */
@@ -70,4 +71,41 @@ export interface Desk {
   set(attribute: "loop" | "quality" | "policy" | "view-region", value: string | boolean): void;
   /** Something has changed: look at everything in the next animation frame. */
   wake(): void;
+}
+
+/** The moment that is shown, as text. */
+export function momentOf({ player, orbit }: Desk): string {
+  const { currentTime: t, quality, speed } = player;
+  const [rung, other] = [quality === "auto" ? {} : { rung: quality }, speed === 1 ? {} : { speed }];
+  return writeAddress({ t, view: orbit.stance, ...rung, ...other });
+}
+
+/** Go to a moment that is told as text; a line for each part of it that cannot be done. */
+export function goTo(desk: Desk, text: string): string[] {
+  const { player, orbit, rungs } = desk;
+  const { moment, wrong } = readAddress(text);
+  const { t, view, rung, speed } = moment;
+  if (t !== undefined && t > player.duration) wrong.push(`t=${t}: expected at most ${player.duration.toFixed(3)} s`);
+  else if (t !== undefined) player.seek(t);
+  const names = ["auto", ...rungs.map(({ name }) => name)];
+  if (rung && !names.includes(rung)) wrong.push(`rung=${rung}: expected one of ${names.join(", ")}`);
+  else if (rung) desk.set("quality", rung);
+  if (speed) player.speed = speed;
+  if (view) {
+    orbit.begin(view);
+    if (orbit.outside && !orbit.free) desk.set("view-region", "free");
+  }
+  return wrong;
+}
+
+/** Copies a link to the moment that is shown, or makes it the address of the page; says which. */
+export async function copyLink(desk: Desk): Promise<string> {
+  const link = `#${momentOf(desk)}`;
+  try {
+    await navigator.clipboard.writeText(location.href.replace(/#.*|$/, link));
+    return "Copied: a link to this view.";
+  } catch {
+    history.replaceState(null, "", link);
+    return "The address of the page is now a link to this view.";
+  }
 }

@@ -23,18 +23,32 @@ export function make<K extends keyof HTMLElementTagNameMap>(
 
 const SVG = "http://www.w3.org/2000/svg";
 
-/** An icon of 24 × 24 units: its paths, in the colour of the text. Hidden from those who listen. */
-export function icon(name: keyof typeof ICONS): SVGSVGElement {
+/** An icon of 24 × 24 units: its outlines, in the colour of the text. Hidden from those who listen. */
+export function icon(d: string): SVGSVGElement {
   const svg = document.createElementNS(SVG, "svg");
   set(svg, { viewBox: "0 0 24 24", "aria-hidden": "true" });
   const path = document.createElementNS(SVG, "path");
-  set(path, { d: ICONS[name] });
+  set(path, { d });
   svg.append(path);
   return svg;
 }
 
+/** Of what is not seen before there is a picture, or something went wrong. */
+export const OTHERS = {
+  next: "M9.5 6l6 6-6 6",
+  back: "M14.5 6l-6 6 6 6",
+  close: "M6.5 6.5l11 11M17.5 6.5l-11 11",
+  check: "M5.5 12.5l4.2 4.2L18.5 8",
+  warn: "M12 4 3 19.5h18zM12 10v4.5M12 17v.2",
+  offline:
+    "M4 10a12 12 0 0 1 4-2.6M20 10a12 12 0 0 0-7-3.4M7.5 13.5a7 7 0 0 1 3-1.6M16.5 13.5a7 7 0 0 0-1.5-1M12 17.5v.2M4.5 4.5l15 15",
+  browser: "M4 6h16v12H4zM4 9.5h16M6.8 7.8v.1",
+  lock: "M7 11h10v8H7zM9 11V8.5a3 3 0 0 1 6 0V11",
+  file: "M7 4h7l4 4v12H7zM14 4v4h4M10.5 12.5l4 4M14.5 12.5l-4 4",
+};
+
 /** Outlines, drawn with a round pen; those of FILLED are filled. */
-const ICONS = {
+export const ICONS = {
   play: "M8 5.5v13l10.5-6.5z",
   pause: "M8.5 6v12M15.5 6v12",
   sound: "M4 9.5v5h3.5L12 18.5v-13L7.5 9.5zM15.5 9a4.2 4.2 0 0 1 0 6M18 6.5a8 8 0 0 1 0 11",
@@ -55,32 +69,20 @@ const ICONS = {
   full: "M9 5H5v4M15 5h4v4M9 19H5v-4M15 19h4v-4",
   small: "M5 9h4V5M19 9h-4V5M5 15h4v4M19 15h-4v4",
   vr: "M3 8h18v9h-6l-2-3h-2l-2 3H3z",
-  next: "M9.5 6l6 6-6 6",
-  back: "M14.5 6l-6 6 6 6",
-  close: "M6.5 6.5l11 11M17.5 6.5l-11 11",
-  check: "M5.5 12.5l4.2 4.2L18.5 8",
-  warn: "M12 4 3 19.5h18zM12 10v4.5M12 17v.2",
-  offline:
-    "M4 10a12 12 0 0 1 4-2.6M20 10a12 12 0 0 0-7-3.4M7.5 13.5a7 7 0 0 1 3-1.6M16.5 13.5a7 7 0 0 0-1.5-1M12 17.5v.2M4.5 4.5l15 15",
-  browser: "M4 6h16v12H4zM4 9.5h16M6.8 7.8v.1",
-  lock: "M7 11h10v8H7zM9 11V8.5a3 3 0 0 1 6 0V11",
-  file: "M7 4h7l4 4v12H7zM14 4v4h4M10.5 12.5l4 4M14.5 12.5l-4 4",
 } as const;
 
-export type IconName = keyof typeof ICONS;
-
 /** A round button with an icon; its name is what is said and shown as a tooltip. */
-export function iconButton(name: IconName, label: string, attributes: Attributes = {}): HTMLButtonElement {
-  return make("button", { type: "button", "aria-label": label, "data-tip": label, ...attributes }, icon(name));
+export function iconButton(outlines: string, label: string, attributes: Attributes = {}): HTMLButtonElement {
+  return make("button", { type: "button", "aria-label": label, "data-tip": label, ...attributes }, icon(outlines));
 }
 
 /** Another icon, name and state for a button that is there. */
-export function relabel(button: HTMLButtonElement, name: IconName, label: string): void {
+export function relabel(button: HTMLButtonElement, name: keyof typeof ICONS, label: string): void {
   if (button.dataset.icon === name && button.ariaLabel === label) return;
   button.dataset.icon = name;
   button.ariaLabel = label;
   button.dataset.tip = label;
-  button.replaceChildren(icon(name));
+  button.replaceChildren(icon(ICONS[name]));
 }
 
 /** Text of a node, written only where it differs: writing costs a layout. */

@@ -2,8 +2,8 @@
 
 import type { PlayerLike, PlayerSettings } from "./desk.ts";
 import { make } from "./dom.ts";
+import { showTrouble } from "./more.ts";
 import STYLE from "./style.css";
-import { card, lacking, type Trouble, troubleOf } from "./trouble.ts";
 import { type Owner, View } from "./view.ts";
 
 /** Workers and servers, which import this with all the rest, have no elements. */
@@ -45,8 +45,11 @@ export abstract class PlayerElement extends Base implements Owner {
 
   abstract create(canvas: HTMLCanvasElement, settings: PlayerSettings): PlayerLike;
 
-  lacking(): Trouble | null {
-    return lacking();
+  /** Whether this browser, or the page, cannot play anything. */
+  lacks(): boolean {
+    return (
+      !window.isSecureContext || typeof VideoDecoder === "undefined" || typeof WebGL2RenderingContext === "undefined"
+    );
   }
 
   connectedCallback(): void {
@@ -132,9 +135,8 @@ export abstract class PlayerElement extends Base implements Owner {
 
   #start(): void {
     if (!this.src) return;
-    const trouble = this.lacking();
-    if (trouble) {
-      this.#refuse(trouble);
+    if (this.lacks()) {
+      this.#refuse(null);
       return;
     }
     const { src, autoplay, controls, poster, quality, split, loop, muted, volume, policy, hash: linked } = this;
@@ -158,7 +160,7 @@ export abstract class PlayerElement extends Base implements Owner {
     try {
       this.#view = new View(this, plan, this.#root);
     } catch (error) {
-      this.#refuse(troubleOf(error, src));
+      this.#refuse(error);
     }
   }
 
@@ -169,10 +171,11 @@ export abstract class PlayerElement extends Base implements Owner {
     this.#root.replaceChildren();
   }
 
-  #refuse(trouble: Trouble): void {
+  #refuse(error: unknown): void {
     this.#end = new AbortController();
-    const why = card(trouble, () => this.again(), this.#end.signal);
-    this.#root.replaceChildren(make("style", {}, STYLE), make("div", { class: "frame broken" }, why));
+    const frame = make("div", { class: "frame broken" });
+    this.#root.replaceChildren(make("style", {}, STYLE), frame);
+    showTrouble(frame, error, { src: this.src, again: () => this.again(), signal: this.#end.signal });
   }
 }
 

@@ -1,6 +1,6 @@
 // The menu: quality, speed, policy, and what is on or off.
 import type { Desk } from "./desk.ts";
-import { icon, make } from "./dom.ts";
+import { icon, make, OTHERS } from "./dom.ts";
 import { POLICIES, qualityName, rate, rungTitle, speedName } from "./words.ts";
 
 const SPEEDS = [0.25, 0.5, 0.75, 1, 1.25, 1.5, 2] as const;
@@ -70,7 +70,7 @@ export class Menu {
       const leave = make(
         "button",
         { type: "button", role: "menuitem", "aria-label": "Back", tabindex: -1 },
-        icon("back"),
+        icon(OTHERS.back),
       );
       leave.addEventListener("click", () => this.#show(up));
       head.prepend(leave);
@@ -186,12 +186,12 @@ export class Menu {
     const role = checked === undefined ? "menuitem" : `menuitem${item.kind ?? "radio"}`;
     const node = make("button", { type: "button", role, tabindex: -1 });
     const mark = make("span", { class: "mark" });
-    if (checked) mark.append(icon("check"));
+    if (checked) mark.append(icon(OTHERS.check));
     if (checked !== undefined) node.ariaChecked = String(checked);
     const dot = item.colour ? [make("i", { class: "dot", style: `background: ${item.colour}` })] : [];
     node.append(mark, ...dot, make("span", { class: "label" }, item.label));
     for (const key of ["note", "name"] as const) if (item[key]) node.append(make("span", { class: key }, item[key]));
-    if (checked === undefined && !item.ends) node.append(icon("next"));
+    if (checked === undefined && !item.ends) node.append(icon(OTHERS.next));
     node.addEventListener("click", () => item.run());
     return node;
   }

@@ -1,22 +1,13 @@
 // What is loaded when somebody needs it: parts of airgs-more.js, which is beside this script.
 import type { Vector } from "../format/vector.ts";
-import type { CameraPath, readCameraPath } from "../play/keyframes.ts";
-import type { Menu } from "./menu.ts";
-import type { Panel } from "./panel.ts";
-import type { Split } from "./split.ts";
+import type { CameraPath } from "../play/keyframes.ts";
+import { make } from "./dom.ts";
 
 const MORE = "./airgs-more.js";
 /** A player waits no longer for a path. */
 const LONGEST_MS = 5000;
 
-export interface More {
-  readCameraPath: typeof readCameraPath;
-  Menu: typeof Menu;
-  Panel: typeof Panel;
-  Split: typeof Split;
-  /** Of these three. */
-  STYLE: string;
-}
+export type More = typeof import("../airgs-more.ts");
 
 /** Throws TypeError where it cannot be fetched. */
 export const loadMore = (): Promise<More> => import(new URL(MORE, import.meta.url).href);
@@ -32,4 +23,21 @@ export async function loadPath(address: string): Promise<(up: Vector, fovY: numb
   });
   const [data, more] = await Promise.all([asked, loadMore()]);
   return (up, fovY) => more.readCameraPath(data, up, fovY);
+}
+
+/** Says on a frame what went wrong with what is at `src`; null: what this browser lacks to play anything. */
+export async function showTrouble(
+  frame: HTMLElement,
+  error: unknown,
+  { src, again, signal }: { src: string; again: () => void; signal: AbortSignal },
+): Promise<void> {
+  const more = await loadMore().catch(() => null);
+  if (signal.aborted) return;
+  frame.querySelector(".card")?.remove();
+  if (!more) {
+    frame.append(make("div", { class: "card", role: "alert" }, String(error ?? "This browser cannot play it.")));
+    return;
+  }
+  const trouble = (error === null && more.lacking()) || more.troubleOf(error, src);
+  frame.append(make("style", {}, more.STYLE), more.card(trouble, again, signal));
 }

@@ -3,7 +3,7 @@ import type { RungInfo } from "../play/rungs.ts";
 import type { PlayerStats } from "../play/statistics.ts";
 import { ranked, stripes } from "./colours.ts";
 import type { Desk } from "./desk.ts";
-import { iconButton, make, write } from "./dom.ts";
+import { iconButton, make, OTHERS, write } from "./dom.ts";
 import { decibels, rate, rungTitle, SOURCES, size } from "./words.ts";
 
 /** In words: how exactly this browser decodes (the player refuses to play where it does not). */
@@ -41,7 +41,7 @@ const shareOf = (part: number, all: number) => `${part}${all ? ` (${((100 * part
 
 export class Panel {
   readonly node: HTMLElement;
-  readonly close = iconButton("close", "Close");
+  readonly close = iconButton(OTHERS.close, "Close");
   readonly #cells = ROWS.map(() => make("dd"));
   readonly #history: History;
   #rungs: readonly RungInfo[] = [];

@@ -1,13 +1,11 @@
 // Everything that is on top of the picture, put together: it shows what the player says and hides when nobody needs it.
 import { Bar } from "./bar.ts";
 import type { Desk } from "./desk.ts";
-import { icon, make, write } from "./dom.ts";
-import { HELP } from "./keys.ts";
+import { ICONS, icon, make, write } from "./dom.ts";
 import type { Menu } from "./menu.ts";
-import { loadMore, type More } from "./more.ts";
+import { loadMore, type More, showTrouble } from "./more.ts";
 import type { Panel } from "./panel.ts";
 import STYLE from "./style.css";
-import { card, type Trouble } from "./trouble.ts";
 
 const HIDE_MS = 2800;
 const MISSING_MS = 7000;
@@ -44,8 +42,9 @@ export class Shell {
   readonly bar: Bar;
   #parts: Parts | null = null;
   readonly #poster = make("div", { class: "poster", part: "poster" });
-  readonly #big = make("button", { type: "button", class: "big", "aria-label": "Play" }, icon("play"));
+  readonly #big = make("button", { type: "button", class: "big", "aria-label": "Play" }, icon(ICONS.play));
   readonly #edge = make("div", { class: "edge" });
+  readonly #help = make("span", { id: "help", hidden: true });
   #timer = 0;
   #blank = true;
 
@@ -53,11 +52,13 @@ export class Shell {
     readonly desk: Desk,
     readonly looks: Looks,
     root: ShadowRoot,
+    /** Called when the rest is there. */
+    readonly added: (more: More) => void,
   ) {
     this.bar = new Bar(desk, (page, opener) => this.use(({ menu }) => menu.toggle(page, opener)));
-    const help = make("span", { id: "help", hidden: true }, HELP);
     const view = { role: "application", "aria-label": "3D view", "aria-roledescription": "3D view" };
-    this.scene = make("div", { class: "scene", tabindex: 0, "aria-describedby": "help", ...view }, this.canvas, help);
+    const told = { tabindex: 0, "aria-describedby": "help", ...view };
+    this.scene = make("div", { class: "scene", ...told }, this.canvas, this.#help);
     if (looks.poster) this.#dress(looks.poster);
     else this.#poster.append(nameOf(looks.src));
     const spinner = make("div", { class: "spinner", role: "progressbar", "aria-label": "Loading" });
@@ -97,7 +98,8 @@ export class Shell {
     act(this.#parts);
   }
 
-  #add({ Menu, Panel, Split, STYLE }: More): Parts {
+  #add(more: More): Parts {
+    const { Menu, Panel, Split, STYLE, HELP } = more;
     const [menu, panel] = [new Menu(this.desk), new Panel(this.desk)];
     const on = { signal: this.desk.signal };
     this.frame.append(make("style", {}, STYLE));
@@ -113,6 +115,8 @@ export class Shell {
       },
       on,
     );
+    write(this.#help, HELP);
+    this.added(more);
     return { menu, panel, Split };
   }
 
@@ -147,15 +151,14 @@ export class Shell {
     this.#blank = false;
     this.waiting = false;
     this.stir();
-    if (this.looks.controls) this.use(() => {});
+    this.use(() => {});
   }
 
-  showTrouble(trouble: Trouble, again: () => void): void {
+  showTrouble(error: unknown, again: () => void): void {
     this.#blank = false;
     this.waiting = false;
     this.frame.classList.add("broken");
-    this.frame.querySelector(".card")?.remove();
-    this.frame.append(card(trouble, again, this.desk.signal));
+    showTrouble(this.frame, error, { src: this.looks.src, again, signal: this.desk.signal });
   }
 
   /** Whether nothing was played yet, and the large button is there. */

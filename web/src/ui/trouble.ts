@@ -1,9 +1,10 @@
 // What went wrong, in words for people: what it means and what they can do.
-import { FormatError, type Reason } from "../format/errors.ts";
-import { type IconName, icon, make, write } from "./dom.ts";
+import type { FormatError, Reason } from "../format/errors.ts";
+import { icon, make, OTHERS, write } from "./dom.ts";
 
 export interface Trouble {
-  readonly icon: IconName;
+  /** Its outlines. */
+  readonly icon: string;
   readonly title: string;
   readonly text: string;
   /** For those who are asked for help. */
@@ -16,7 +17,7 @@ const BROKEN = "breaks the format. Whoever made the package has to make it again
 const INEXACT =
   "What it decodes is not what was sent, so that the scene would fall apart. Chrome and Edge decode exactly.";
 const UNDRAWN = {
-  icon: "browser",
+  icon: OTHERS.browser,
   title: "This browser cannot draw it",
   text: "It lacks WebGL 2, or hardware acceleration is switched off in its settings.",
 } as const;
@@ -36,7 +37,7 @@ export function lacking(): Trouble | null {
   if (!window.isSecureContext) {
     return {
       ...here,
-      icon: "lock",
+      icon: OTHERS.lock,
       title: "This page needs HTTPS",
       text: "Browsers decode video for a page only over HTTPS or on localhost. Open it with https:// in front.",
     };
@@ -44,7 +45,7 @@ export function lacking(): Trouble | null {
   if (typeof VideoDecoder === "undefined") {
     return {
       ...here,
-      icon: "browser",
+      icon: OTHERS.browser,
       title: "This browser cannot play it",
       text: /Android/.test(navigator.userAgent)
         ? "It lacks WebCodecs, as Firefox on Android does. Chrome on the same phone has it."
@@ -61,21 +62,22 @@ export function troubleOf(error: unknown, src: string): Trouble {
   const name = error instanceof Error ? error.name : "Error";
   const message = error instanceof Error ? error.message : String(error);
   const details = `${name}: ${message}\n${src}\n${navigator.userAgent}`;
-  if (error instanceof FormatError) {
-    const newer = error.reason === "unknown_version";
-    const nothing = error.where.endsWith("airgs.json") && error.reason === "missing_file";
+  if (name === "FormatError") {
+    const { reason, where } = error as FormatError;
+    const newer = reason === "unknown_version";
+    const nothing = where.endsWith("airgs.json") && reason === "missing_file";
     return {
-      icon: "file",
+      icon: OTHERS.file,
       title: newer ? "Made for another player" : nothing ? "No package is there" : "This package cannot be played",
-      text: `${error.where} ${REASONS[error.reason] ?? BROKEN}${nothing ? " Look at the address." : ""}`,
+      text: `${where} ${REASONS[reason] ?? BROKEN}${nothing ? " Look at the address." : ""}`,
       details,
-      again: error.reason === "missing_file" || REASONS[error.reason] === DAMAGED,
+      again: reason === "missing_file" || REASONS[reason] === DAMAGED,
     };
   }
   if (name === "UnsupportedError") {
     const inexact = /\bluma\b/.test(message);
     return {
-      icon: "browser",
+      icon: OTHERS.browser,
       title: inexact ? "This browser changes the pictures" : "This browser cannot play it",
       text: inexact ? INEXACT : `${message[0].toUpperCase()}${message.slice(1)}.`,
       details,
@@ -84,7 +86,7 @@ export function troubleOf(error: unknown, src: string): Trouble {
   }
   if (name === "TransportError" || error instanceof TypeError) {
     return {
-      icon: "offline",
+      icon: OTHERS.offline,
       title: navigator.onLine ? "The package cannot be reached" : "There is no network",
       text: "Look at the address and the connection. From another site, its server has to allow this page (CORS).",
       details,
@@ -92,10 +94,16 @@ export function troubleOf(error: unknown, src: string): Trouble {
     };
   }
   if (name === "ConfigError") {
-    return { icon: "warn", title: "It cannot be played with these settings", text: message, details, again: false };
+    return {
+      icon: OTHERS.warn,
+      title: "It cannot be played with these settings",
+      text: message,
+      details,
+      again: false,
+    };
   }
   if (/\bWebGL2\b/.test(message)) return { ...UNDRAWN, details, again: true };
-  return { icon: "warn", title: "Something went wrong", text: message, details, again: true };
+  return { icon: OTHERS.warn, title: "Something went wrong", text: message, details, again: true };
 }
 
 const COPIED_MS = 2000;

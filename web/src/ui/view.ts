@@ -2,17 +2,13 @@
 
 import type { Problem } from "../play/playback.ts";
 import type { RungInfo } from "../play/rungs.ts";
-import { type Moment, readAddress, writeAddress } from "./address.ts";
 import { rungColours } from "./colours.ts";
 import { type Desk, EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
-import { Gestures } from "./gestures.ts";
-import { listenToKeys } from "./keys.ts";
-import { loadPath } from "./more.ts";
+import { loadPath, type More } from "./more.ts";
 import { Orbit } from "./orbit.ts";
-import { pictureSize, Sharpness } from "./sharpness.ts";
-import { FullScreen, type Looks, type Parts, Shell } from "./shell.ts";
+import { pictureSize, type Sharpness } from "./sharpness.ts";
+import { type FullScreen, type Looks, type Parts, Shell } from "./shell.ts";
 import type { Split } from "./split.ts";
-import { troubleOf } from "./trouble.ts";
 
 const UPDATE_MS = 250;
 /** The figures of rungs change as tables come, and a player takes long to sum them up. */
@@ -65,8 +61,10 @@ export class View implements Desk {
   picture: readonly [number, number] = [1, 1];
   readonly #end = new AbortController();
   readonly #shell: Shell;
-  readonly #full: FullScreen;
-  readonly #sharpness = new Sharpness(() => this.#resize());
+  /** These three come after the first picture. */
+  #more: More | null = null;
+  #full: FullScreen | null = null;
+  #sharpness: Sharpness | null = null;
   readonly #still = window.matchMedia("(prefers-reduced-motion: reduce)");
   readonly #watch = new ResizeObserver(([{ contentRect }]) => {
     this.#area = { width: contentRect.width, height: contentRect.height };
@@ -86,9 +84,8 @@ export class View implements Desk {
     readonly plan: Plan,
     root: ShadowRoot,
   ) {
-    this.#shell = new Shell(this, plan, root);
+    this.#shell = new Shell(this, plan, root, (more) => this.#add(more));
     this.player = owner.create(this.#shell.canvas, plan.settings);
-    this.#full = new FullScreen(owner, () => this.wake(), this.signal);
     this.#listen();
     this.#watch.observe(this.#shell.frame);
     this.#shell.stir();
@@ -101,11 +98,11 @@ export class View implements Desk {
   }
 
   get full(): boolean {
-    return this.#full.on;
+    return !!this.#full?.on;
   }
 
   get scale(): number {
-    return this.#sharpness.scale;
+    return this.#sharpness?.scale ?? 1;
   }
 
   close(): void {
@@ -113,7 +110,7 @@ export class View implements Desk {
     this.#watch.disconnect();
     cancelAnimationFrame(this.#request);
     window.clearTimeout(this.#click);
-    this.#sharpness.close();
+    this.#sharpness?.close();
     this.#shell.close();
     this.#split?.close();
     this.player.close();
@@ -166,36 +163,26 @@ export class View implements Desk {
 
   /** The moment that is shown, as text. */
   get at(): string {
-    const { player, orbit } = this;
-    const { currentTime: t, quality, speed } = player;
-    const [rung, other] = [quality === "auto" ? {} : { rung: quality }, speed === 1 ? {} : { speed }];
-    return this.ready ? writeAddress({ t, view: orbit.stance, ...rung, ...other }) : this.plan.at;
+    return this.ready && this.#more ? this.#more.momentOf(this) : this.plan.at;
   }
 
   /** Go to a moment that is told as text. What cannot be done of it is said, and the rest done. */
-  go(text: string): void {
+  async go(text: string): Promise<void> {
     if (!this.ready) return;
-    const { moment, wrong } = readAddress(text);
-    wrong.push(...this.#take(moment));
-    if (wrong.length > 0) this.#say("address", `Not taken from the address: ${wrong.join("; ")}`);
+    await this.#shell.use(() => {
+      const wrong = this.#more!.goTo(this, text);
+      if (wrong.length > 0) this.#say("address", `Not taken from the address: ${wrong.join("; ")}`);
+    });
     this.#look();
     this.wake();
   }
 
   async copyLink(): Promise<void> {
-    if (!this.ready || !this.linked) return;
-    const link = `#${this.at}`;
-    try {
-      await navigator.clipboard.writeText(location.href.replace(/#.*|$/, link));
-      this.#say("copied", "Copied: a link to this view.");
-    } catch {
-      history.replaceState(null, "", link);
-      this.#say("copied", "The address of the page is now a link to this view.");
-    }
+    if (this.ready && this.linked && this.#more) this.#say("copied", await this.#more.copyLink(this));
   }
 
   toggleFull(): void {
-    this.#full.toggle().then(() => this.wake());
+    this.#full?.toggle().then(() => this.wake());
   }
 
   toggleVr(): void {
@@ -271,7 +258,8 @@ export class View implements Desk {
     }
     this.#list(performance.now());
     this.orbit.reduced = true; // nothing was seen yet that one could glide from
-    this.go(plan.at);
+    if (plan.at) await this.go(plan.at);
+    else this.#look();
     this.orbit.reduced = this.#still.matches;
     if (player.region?.source === "orbit") this.#say("guess", GUESSED);
     if (plan.split) this.#shell.use(({ Split }) => this.#beside(plan.split, Split));
@@ -294,29 +282,12 @@ export class View implements Desk {
     this.#split.open(plan.src);
   }
 
-  /** Do what can be done of a moment; a line for each other part. */
-  #take({ t, view, rung, speed }: Moment): string[] {
-    const { player, orbit } = this;
-    const wrong: string[] = [];
-    if (t !== undefined && t > player.duration) wrong.push(`t=${t}: expected at most ${player.duration.toFixed(3)} s`);
-    else if (t !== undefined) player.seek(t);
-    const names = ["auto", ...this.rungs.map(({ name }) => name)];
-    if (rung && !names.includes(rung)) wrong.push(`rung=${rung}: expected one of ${names.join(", ")}`);
-    else if (rung) this.set("quality", rung);
-    if (speed) player.speed = speed;
-    if (view) {
-      orbit.begin(view);
-      if (orbit.outside && !orbit.free) this.set("view-region", "free");
-    }
-    return wrong;
-  }
-
   #say(name: string, text: string): void {
     this.#shell.notes.show(name, text, NOTE_MS);
   }
 
   #fail(error: unknown): void {
-    this.#shell.showTrouble(troubleOf(error, this.plan.src), () => this.owner.again());
+    this.#shell.showTrouble(error, () => this.owner.again());
   }
 
   #look(): void {
@@ -347,7 +318,7 @@ export class View implements Desk {
     const moved = orbit.step(seconds, plays && !this.#shell.waiting ? player.speed * seconds : 0);
     if (moved || orbit.held) this.#look();
     const goesOn = plays || moved || orbit.held || orbit.moving || this.#shell.bar.timeline.scrubbing;
-    this.#sharpness.tick(now, { goesOn, moved, plays: plays && !this.#shell.waiting }, player);
+    this.#sharpness?.tick(now, { goesOn, moved, plays: plays && !this.#shell.waiting }, player);
     if (!goesOn || now - this.#updated > UPDATE_MS) {
       this.#updated = now;
       if (now - this.#listed > LIST_MS) this.#list(now);
@@ -382,6 +353,15 @@ export class View implements Desk {
     window.addEventListener("offline", () => this.#shell.notes.show("network", OFFLINE), on);
     window.addEventListener("online", () => this.#shell.notes.hide("network", READ_MS), on);
     if (this.linked) window.addEventListener("hashchange", () => this.go(location.hash.slice(1)), on);
+  }
+
+  /** Keys and hands, once there is something to look at. */
+  #add(more: More): void {
+    const { FullScreen, Gestures, Sharpness, listenToKeys } = more;
+    this.#more = more;
+    const { signal, owner: host } = this;
+    this.#full = new FullScreen(host, () => this.wake(), signal);
+    this.#sharpness = new Sharpness(() => this.#resize());
     listenToKeys(this.#shell.frame, this, signal);
     new Gestures(
       this.#shell.scene,

@@ -5,8 +5,11 @@ import { FormatError } from "../../src/format/errors.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { groupPath } from "../../src/format/paths.ts";
 import type { Atlas, BaseChanges, Canonical, CanonicalName, Gaussians, StateFrame } from "../../src/format/types.ts";
+import { readStateUnit } from "../../src/format/units.ts";
 import { FrameReader, joined } from "../../src/frames.ts";
 import { type Fetched, Media } from "../../src/media/client.ts";
+import { PictureDecoder } from "../../src/media/pictures.ts";
+import { probeBrowser } from "../../src/media/probe.ts";
 import { decodes } from "./decoders.ts";
 import { probes } from "./mocks.ts";
 
@@ -272,6 +275,45 @@ async function opening({ url }: Step): Promise<unknown> {
   return { groups: media.tables.index.groups, bytes: media.opened.bytes, retries: media.opened.retries };
 }
 
+/** What the player's decoder makes of state files in which one bit of a coded picture is flipped: no digest is looked at. */
+async function flips(step: Step): Promise<unknown> {
+  const { url, level, seed, count, seconds } = step as Step & Record<"level" | "seed" | "count" | "seconds", number>;
+  const media = await Media.open(url);
+  await openGroup(media, 0);
+  const [path] = media.tables.stateFiles(0, level);
+  const bytes = new Uint8Array(await (await fetch(new URL(path, new URL(url, location.href)))).arrayBuffer());
+  const read = () => readStateUnit(media.tables.group(0), { segment: 0, place: 0, tile: 0, level }, bytes.slice());
+  const decoder = new PictureDecoder(await probeBrowser());
+  const decode = async (unit: ReturnType<typeof read>) => {
+    const pictures: Uint8Array[] = [];
+    await decoder.decode({ ...unit, where: path }, (t, luma) => (pictures[t] = luma));
+    return pictures;
+  };
+  const right = await decode(read());
+  const came = { tried: 0, refused: 0, same: 0, other: 0, unlike: [] as string[] };
+  const end = performance.now() + 1e3 * seconds;
+  let state = seed;
+  const chance = (below: number) => {
+    state = (Math.imul(state, 1664525) + 1013904223) >>> 0; // Numerical Recipes' generator
+    return Math.floor((state / 2 ** 32) * below);
+  };
+  while (came.tried < count && performance.now() < end) {
+    const unit = read();
+    const samples = unit.pages.flat();
+    const { data } = samples[chance(samples.length)];
+    data[chance(data.length)] ^= 1 << chance(8);
+    came.tried++;
+    const got = await decode(unit).catch((error: Error) => error);
+    if (got instanceof Error) {
+      came.refused++;
+      if (!(got instanceof FormatError && got.reason === "bad_picture")) came.unlike.push(String(got));
+    } else if (got.every((luma, i) => luma.every((value, k) => value === right[i][k]))) came.same++;
+    else came.other++;
+  }
+  media.close();
+  return came;
+}
+
 function describe(error: unknown): unknown {
   if (error instanceof FormatError)
     return { name: error.name, reason: error.reason, where: error.where, detail: error.detail };
@@ -288,6 +330,7 @@ const tasks: Record<string, (step: Step) => Promise<unknown>> = {
   ahead,
   mistakes,
   opening,
+  flips,
   ...probes,
   ...decodes,
 };

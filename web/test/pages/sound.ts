@@ -1,10 +1,13 @@
 // The sound of a package that chirps (tests/support/chirps.py), as a page hears it, beside the pictures. Query: src, check.
+import type { Player } from "../../src/airgs.ts";
 import { query, sleep, start, until } from "../support/player-page.ts";
 
 const SAMPLES = 2048;
 /** Of the chirp: Hz, Hz a second. */
 const [LOWEST, RISE] = [400, 400];
 const QUIET = 0.02;
+/** Halves of what is heard that are further apart are of two chirps. */
+const SINGLE_S = 0.2;
 
 let ear: AnalyserNode | null = null;
 const { connect } = AudioNode.prototype;
@@ -16,22 +19,33 @@ AudioNode.prototype.connect = function (this: AudioNode, ...to: unknown[]) {
   return Reflect.apply(connect, this, to);
 } as typeof connect;
 
-/** How loud it is now, and the moment of the chirp that leaves the loudspeaker. */
-function listen(): { loud: number; moment: number } {
-  if (!ear) return { loud: 0, moment: Number.NaN };
+/** What leaves the loudspeaker now: how loud it is, and the moment of the chirp; null: it is no single tone, as where one
+ * chirp ends and another begins.
+ */
+function listen(): { loud: number; moment: number | null } {
+  if (!ear) return { loud: 0, moment: null };
   const samples = new Float32Array(SAMPLES);
   ear.getFloatTimeDomainData(samples);
   const loud = Math.sqrt(samples.reduce((sum, sample) => sum + sample * sample, 0) / SAMPLES);
+  const [early, late] = [pitch(samples, 0, SAMPLES / 2), pitch(samples, SAMPLES / 2, SAMPLES)];
+  const { sampleRate, baseLatency, outputLatency } = ear.context as AudioContext;
+  const scale = sampleRate / RISE;
+  const same = Math.abs(late.frequency - early.frequency) * scale < SINGLE_S;
+  const whole = pitch(samples, 0, SAMPLES);
+  const since = (SAMPLES - whole.middle) / sampleRate;
+  const moment = whole.frequency * scale - LOWEST / RISE + since - baseLatency - (outputLatency || 0);
+  return { loud, moment: same ? moment : null };
+}
+
+/** Periods a sample of a part of the samples, and where its middle is. */
+function pitch(samples: Float32Array, from: number, to: number): { frequency: number; middle: number } {
   const crossings: number[] = [];
-  for (let i = 1; i < SAMPLES; i++) {
+  for (let i = from + 1; i < to; i++) {
     const [before, after] = [samples[i - 1], samples[i]];
     if (before < 0 !== after < 0) crossings.push(i - 1 + before / (before - after));
   }
   const [first, last] = [crossings[0], crossings.at(-1) ?? 0];
-  const { sampleRate, baseLatency, outputLatency } = ear.context as AudioContext;
-  const frequency = ((crossings.length - 1) / 2 / (last - first)) * sampleRate;
-  const since = (SAMPLES - (first + last) / 2) / sampleRate;
-  return { loud, moment: (frequency - LOWEST) / RISE + since - baseLatency - (outputLatency || 0) };
+  return { frequency: (crossings.length - 1) / 2 / (last - first), middle: (first + last) / 2 };
 }
 
 /** A touch, as far as the browser lets a page pretend one. */
@@ -46,7 +60,7 @@ async function sounding() {
   const heard: Heard[] = [];
   player.on("time", () => {
     const { loud, moment } = listen();
-    if (loud > QUIET) heard.push({ picture: player.currentTime, sound: moment, loud });
+    if (loud > QUIET && moment !== null) heard.push({ picture: player.currentTime, sound: moment, loud });
   });
   await until("the sound", () => player.hasSound);
   touch();
@@ -54,8 +68,28 @@ async function sounding() {
   return { log, player, heard };
 }
 
+/** What is heard with new pictures in the last second of the loop, and in the first: so many of each. */
+async function seamOf(player: Player, count: number): Promise<{ ends: Heard[]; begins: Heard[] }> {
+  const [ends, begins]: Heard[][] = [[], []];
+  let picture = Number.NaN;
+  let goesOn = true;
+  const look = () => {
+    if (goesOn) requestAnimationFrame(look);
+    const { loud, moment } = listen();
+    if (player.currentTime === picture) return;
+    picture = player.currentTime;
+    if (loud <= QUIET || moment === null) return;
+    if (picture > player.duration - 1) ends.push({ picture, sound: moment, loud });
+    if (picture < 1) begins.push({ picture, sound: moment, loud });
+  };
+  look();
+  await until("pictures and sound", () => Math.min(ends.length, begins.length) >= count, 90);
+  goesOn = false;
+  return { ends, begins };
+}
+
 const checks: Record<string, () => Promise<unknown>> = {
-  /** Plays for some seconds, and then from a moment that is sought. */
+  /** Plays for some seconds, then from a moment that is sought, and from the end of the loop into the next one. */
   async beside() {
     const { log, player, heard } = await sounding();
     await until("pictures and sound", () => heard.length >= Number(query.get("looks") ?? 8), 90);
@@ -63,14 +97,16 @@ const checks: Record<string, () => Promise<unknown>> = {
     await player.seek(4);
     await until("pictures and sound after a seek", () => heard.length >= 4);
     const sought = heard.splice(0);
+    await player.seek(player.duration - 1);
+    const seam = await seamOf(player, 10);
     player.pause();
     await sleep(300);
     const paused = listen().loud;
     player.muted = true;
     player.play();
-    await until("more frames", () => player.currentTime > 5);
+    await sleep(500);
     const muted = listen().loud;
-    return { ...log.report(), played, sought, paused, muted, isMuted: player.muted };
+    return { ...log.report(), played, sought, seam, paused, muted, isMuted: player.muted };
   },
 
   /** Plays past a file that comes late. */

@@ -1,7 +1,7 @@
 // What tests do with the element, each with input as people give it, and what they report.
 import { FormatError } from "../../src/format/errors.ts";
 import { PlayerElement } from "../../src/ui/element.ts";
-import { lacking, type Trouble } from "../../src/ui/trouble.ts";
+import { lacking } from "../../src/ui/trouble.ts";
 import { FakePlayer, type Pretence } from "./fake-player.ts";
 
 declare global {
@@ -13,7 +13,7 @@ declare global {
 let pretence: Partial<Pretence> = {};
 /** In the order in which they were made. */
 const players: FakePlayer[] = [];
-let lacks: () => Trouble | null = () => null;
+let lacks = () => false;
 
 export class FakeElement extends PlayerElement {
   override create(canvas: HTMLCanvasElement, settings: { policy?: string; loop?: boolean }): FakePlayer {
@@ -22,7 +22,7 @@ export class FakeElement extends PlayerElement {
     return made;
   }
 
-  override lacking(): Trouble | null {
+  override lacks(): boolean {
     return lacks();
   }
 }
@@ -135,11 +135,11 @@ export const cases: Record<string, () => Promise<object>> = {
     if (error === "luma") rest.refusal = Object.assign(new Error("changes luma"), { name: "UnsupportedError" });
     if (lack === "secure") {
       Object.defineProperty(window, "isSecureContext", { value: false });
-      lacks = lacking;
+      lacks = () => lacking() !== null;
     }
     if (lack === "codecs") {
       Reflect.deleteProperty(globalThis, "VideoDecoder");
-      lacks = lacking;
+      lacks = () => lacking() !== null;
     }
     const attributes = JSON.parse(query.get("attributes") ?? "{}");
     await element({ style: "position: fixed; inset: 0; block-size: 100dvh", ...attributes }, rest, false);
@@ -455,6 +455,7 @@ export const cases: Record<string, () => Promise<object>> = {
     await until(() => find(node, ".notes").textContent === "");
     said.cleared = find(node, ".notes").textContent;
     player(node).problem({ message: "gone for good", fatal: true, error: null });
+    await until(() => find(node, ".card") !== null);
     said.fatal = find(node, ".card").textContent;
     return said;
   },

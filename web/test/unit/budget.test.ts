@@ -3,13 +3,13 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { whole } from "../../src/play/fetch-plan.ts";
 import { NONE, Offers, optionsOf } from "../../src/play/offers.ts";
-import { makePolicy } from "../../src/play/policies/named.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
 import { ConfigError } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { NumberTables } from "../support/offers.ts";
+import { makePolicy } from "../support/policies.ts";
 
 /** Two groups of two tiers; L0 needs both, L1 the first. */
 const tables = () =>

@@ -4,12 +4,12 @@ import { test } from "node:test";
 import { whole } from "../../src/play/fetch-plan.ts";
 import { Offers } from "../../src/play/offers.ts";
 import { type Cause, DropRule } from "../../src/play/policies/drops.ts";
-import { ADAPTIVE, makePolicy } from "../../src/play/policies/named.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { NumberTables, type PackageNumbers } from "../support/offers.ts";
+import { ADAPTIVE, makePolicy } from "../support/policies.ts";
 import { readVectors } from "./files.ts";
 
 const FPS = 24;

@@ -6,6 +6,7 @@ import { Feed } from "../../src/play/feed.ts";
 import { ByView } from "../../src/play/fetch-plan.ts";
 import type { Source } from "../../src/play/http-downloader.ts";
 import { Offers } from "../../src/play/offers.ts";
+import { Repairs } from "../../src/play/repairs.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf } from "../support/link.ts";
 import { NumberTables, type PackageNumbers } from "../support/offers.ts";
@@ -26,8 +27,8 @@ function made(lacking: () => []) {
   const problems: [unknown, boolean][] = [];
   const told = new EventTarget();
   const feed = new Feed({
-    ...{ media, offers, settings, playout, planner, stores: new Stores(offers), onEvent: () => {} },
-    policy: () => "throughput",
+    ...{ media, offers, settings, playout, planner, Repairs, stores: new Stores(offers), onEvent: () => {} },
+    policy: () => "robust-mpc",
     onProblem: (error, fatal) => {
       problems.push([error, fatal]);
       told.dispatchEvent(new Event("problem"));

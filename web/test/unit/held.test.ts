@@ -4,12 +4,12 @@ import { test } from "node:test";
 import { whole } from "../../src/play/fetch-plan.ts";
 import { NONE, Offers, optionsOf, sizesOf, type Units } from "../../src/play/offers.ts";
 import { sizesAfter } from "../../src/play/policies/mpc.ts";
-import { makePolicy } from "../../src/play/policies/named.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { type GroupNumbers, NumberTables } from "../support/offers.ts";
+import { makePolicy } from "../support/policies.ts";
 
 const SEGMENT = {
   frames: 10,

@@ -7,11 +7,11 @@ import type { Partial, Request } from "../../src/play/downloader.ts";
 import { whole as allTiles } from "../../src/play/fetch-plan.ts";
 import { HttpDownloader, joinNewest, type Source } from "../../src/play/http-downloader.ts";
 import { missing, NONE, Offers } from "../../src/play/offers.ts";
-import { makePolicy } from "../../src/play/policies/named.ts";
 import { Session } from "../../src/play/session.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf } from "../support/link.ts";
 import { NumberTables, type PackageNumbers } from "../support/offers.ts";
+import { makePolicy } from "../support/policies.ts";
 import { readVectors } from "./files.ts";
 
 const { packages } = readVectors("sessions") as { packages: PackageNumbers[] };

@@ -4,9 +4,9 @@ import { test } from "node:test";
 import { HORIZON_SEGMENTS } from "../../src/generated/constants.ts";
 import { Offers, optionsOf } from "../../src/play/offers.ts";
 import { discountedThroughput } from "../../src/play/policies/mpc.ts";
-import { ADAPTIVE, makePolicy } from "../../src/play/policies/named.ts";
 import { estimateThroughput, type PlayerState } from "../../src/play/policies/state.ts";
 import { type PolicyOffer, UnitTables } from "../support/offers.ts";
+import { ADAPTIVE, makePolicy } from "../support/policies.ts";
 import { readVectors } from "./files.ts";
 
 interface State {

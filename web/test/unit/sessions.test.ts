@@ -6,11 +6,11 @@ import { ROOT_PATH } from "../../src/generated/constants.ts";
 import type { GiveUp, Request, SessionEvent } from "../../src/play/downloader.ts";
 import { whole } from "../../src/play/fetch-plan.ts";
 import { Offers } from "../../src/play/offers.ts";
-import { makePolicy } from "../../src/play/policies/named.ts";
 import { Session } from "../../src/play/session.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { NumberTables, type PackageNumbers } from "../support/offers.ts";
+import { makePolicy } from "../support/policies.ts";
 import { readVectors } from "./files.ts";
 
 type Row = (string | number)[];

@@ -5,7 +5,6 @@ import { ByView } from "../../src/play/fetch-plan.ts";
 import { missing, NONE, Offers, sizesOf } from "../../src/play/offers.ts";
 import type { Playout } from "../../src/play/playout.ts";
 import { sizesAfter } from "../../src/play/policies/mpc.ts";
-import { makePolicy } from "../../src/play/policies/named.ts";
 import { Repairs } from "../../src/play/repairs.ts";
 import { Session } from "../../src/play/session.ts";
 import { byView } from "../../src/play/settings.ts";
@@ -13,6 +12,7 @@ import { Boxes, cameraOf, expected, type ViewState, velocityOf, Watcher } from "
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { type GroupNumbers, NumberTables } from "../support/offers.ts";
+import { makePolicy } from "../support/policies.ts";
 
 const RADIANS = Math.PI / 180;
 

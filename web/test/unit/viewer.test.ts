@@ -5,12 +5,12 @@ import type { GiveUp, Request, SessionEvent } from "../../src/play/downloader.ts
 import { whole } from "../../src/play/fetch-plan.ts";
 import { Offers } from "../../src/play/offers.ts";
 import type { Playout } from "../../src/play/playout.ts";
-import { makePolicy } from "../../src/play/policies/named.ts";
 import { Session } from "../../src/play/session.ts";
 import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { NumberTables, type PackageNumbers } from "../support/offers.ts";
+import { makePolicy } from "../support/policies.ts";
 import { readVectors } from "./files.ts";
 
 const { packages } = readVectors("sessions") as { packages: PackageNumbers[] };

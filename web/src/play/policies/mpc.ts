@@ -6,15 +6,27 @@
 import {
   GRID_POINTS,
   HORIZON_S,
+  HORIZON_SEGMENTS,
   LOW_BUFFER_DB,
   PAST_DOWNLOADS,
+  POLICY_NAMES,
   RESERVE_S,
   STALL_DB,
   SWITCH_DB,
 } from "../../generated/constants.ts";
 import { type Decision, select } from "../ladder.ts";
-import { NONE, type SegmentOffer, sizesOf, type Units } from "../offers.ts";
-import { bufferS, type Download, fullLadder, limitS, type PlayerState, segmentS, shownS } from "./state.ts";
+import { NONE, type Offers, type SegmentOffer, sizesOf, type Units } from "../offers.ts";
+import { ConfigError } from "../settings.ts";
+import {
+  bufferS,
+  type Download,
+  fullLadder,
+  limitS,
+  type PlayerState,
+  type Policy,
+  segmentS,
+  shownS,
+} from "./state.ts";
 
 /** bit/s: harmonic mean of the last downloads over 1 + the worst relative error of predicting them so. */
 export function discountedThroughput(history: readonly Download[]): number {
@@ -167,4 +179,40 @@ function interpolate(place: number, gridS: Float64Array, value: Float64Array, ro
   while (at < GRID_POINTS - 2 && gridS[at + 1] <= place) at++;
   const slope = (value[row + at + 1] - value[row + at]) / (gridS[at + 1] - gridS[at]);
   return slope * (place - gridS[at]) + value[row + at];
+}
+
+export const ROBUST_MPC: Policy = {
+  name: "robust-mpc",
+  choose: chooseRobustMpc,
+  adapts: true,
+  horizon: HORIZON_SEGMENTS,
+};
+
+/** Name of the policy that plays what is wished for; "auto" is the best rung where no quality was measured to weigh. */
+export function wishedPolicy(wishes: { quality: string; policy: string }, { measured }: Offers): string {
+  if (wishes.quality !== "auto") return `fixed:${wishes.quality}`;
+  return measured ? wishes.policy : "fixed:0";
+}
+
+/** fixed:J (level J, finest keys), or fixed:RUNG, in the finest level that is offered. Throws ConfigError for other
+ * names.
+ */
+export function fixedPolicy(name: string, offers: Offers): Policy {
+  const rung = fixedRung(name, offers);
+  const choose: Policy["choose"] = ({ options }) => {
+    const smallest = options.reduce((a, b) => (b.sizeBytes < a.sizeBytes ? b : a));
+    const wanted = rung + Math.max(0, offers.finest - offers.rungs[rung][1]);
+    const { index, sizeBytes } = options.find((option) => option.index === wanted) ?? smallest;
+    return { index, fits: true, sizeBytes };
+  };
+  return { name, choose, adapts: false, horizon: 1 };
+}
+
+function fixedRung(name: string, { names, tables }: Offers): number {
+  const levels = tables.root.levels.length;
+  const wanted = name.startsWith("fixed:") ? name.slice("fixed:".length) : "";
+  if (names.includes(wanted)) return names.indexOf(wanted);
+  if (/^[0-9]+$/.test(wanted) && Number(wanted) < levels) return Number(wanted);
+  const expected = `${POLICY_NAMES.join(", ")}, fixed:0 … fixed:${levels - 1} or fixed:${names.at(-1)}`;
+  throw new ConfigError(`policy: expected ${expected}, got ${name}`);
 }

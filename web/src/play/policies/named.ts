@@ -1,10 +1,7 @@
 // The policies by name: Algorithm 1 of the paper (arXiv 2512.20943) with its cases defined, and as printed; rules of
 // the throughput and of the buffer; one rung for ever; and the controller of mpc.ts.
-import { DEFAULT_BETA, HORIZON_SEGMENTS, type POLICY_NAMES, RESERVE_S, SAFETY } from "../../generated/constants.ts";
+import { DEFAULT_BETA, type DEFAULT_POLICY, type POLICY_NAMES, RESERVE_S, SAFETY } from "../../generated/constants.ts";
 import { type Decision, select, selectLiteral } from "../ladder.ts";
-import type { Offers } from "../offers.ts";
-import { ConfigError } from "../settings.ts";
-import { chooseRobustMpc } from "./mpc.ts";
 import type { PlayerState, Policy } from "./state.ts";
 import { beforeCliff, budgetBytes, bufferS, estimateThroughput, fullLadder, limitS, segmentS } from "./state.ts";
 
@@ -55,7 +52,7 @@ function chooseBola(state: PlayerState): Decision {
   return { index, fits: true, sizeBytes };
 }
 
-type Name = (typeof POLICY_NAMES)[number];
+type Name = Exclude<(typeof POLICY_NAMES)[number], typeof DEFAULT_POLICY>;
 
 const CHOOSE: Record<Name, Policy["choose"]> = {
   paper: choosePaper,
@@ -64,43 +61,9 @@ const CHOOSE: Record<Name, Policy["choose"]> = {
   "paper-literal-no-cliff": (state) => choosePaperLiteral(state, Infinity),
   throughput: chooseThroughput,
   bola: chooseBola,
-  "robust-mpc": chooseRobustMpc,
 };
 
-export const ADAPTIVE: ReadonlyMap<string, Policy> = new Map(
-  Object.entries(CHOOSE).map(([name, choose]) => {
-    const horizon = choose === chooseRobustMpc ? HORIZON_SEGMENTS : 1;
-    return [name, { name, choose, adapts: true, horizon }];
-  }),
+/** All but the default one. */
+export const OTHERS: ReadonlyMap<string, Policy> = new Map(
+  Object.entries(CHOOSE).map(([name, choose]) => [name, { name, choose, adapts: true, horizon: 1 }]),
 );
-
-/** Name of the policy that plays what is wished for; "auto" is the best rung where no quality was measured to weigh. */
-export function wishedPolicy(wishes: { quality: string; policy: string }, { measured }: Offers): string {
-  if (wishes.quality !== "auto") return `fixed:${wishes.quality}`;
-  return measured ? wishes.policy : "fixed:0";
-}
-
-/** A policy by name, or fixed:J (level J, finest keys), or fixed:RUNG, in the finest level that is offered. Throws
- * ConfigError for other names.
- */
-export function makePolicy(name: string, offers: Offers): Policy {
-  const known = ADAPTIVE.get(name);
-  if (known) return known;
-  const rung = fixedRung(name, offers);
-  const choose: Policy["choose"] = ({ options }) => {
-    const smallest = options.reduce((a, b) => (b.sizeBytes < a.sizeBytes ? b : a));
-    const wanted = rung + Math.max(0, offers.finest - offers.rungs[rung][1]);
-    const { index, sizeBytes } = options.find((option) => option.index === wanted) ?? smallest;
-    return { index, fits: true, sizeBytes };
-  };
-  return { name, choose, adapts: false, horizon: 1 };
-}
-
-function fixedRung(name: string, { names, tables }: Offers): number {
-  const levels = tables.root.levels.length;
-  const wanted = name.startsWith("fixed:") ? name.slice("fixed:".length) : "";
-  if (names.includes(wanted)) return names.indexOf(wanted);
-  if (/^[0-9]+$/.test(wanted) && Number(wanted) < levels) return Number(wanted);
-  const expected = `${[...ADAPTIVE.keys()].join(", ")}, fixed:0 … fixed:${levels - 1} or fixed:${names.at(-1)}`;
-  throw new ConfigError(`policy: expected ${expected}, got ${name}`);
-}
