@@ -99,11 +99,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 def train(options: Train) -> int:
     """Train a tracked Gaussian sequence from multi-view video, for airgs-encode."""
     require_torch()
+    expect_report(options.report)
+    _settings(options, "cpu")  # what cannot work is refused before the seconds that torch takes to load
+    scene = _scene(options)
+
     from airgs_codec.render.backend import open_renderer
     from airgs_codec.train.pipeline import open_run
     from airgs_codec.train.report import write_report
 
-    expect_report(options.report)
     elsewhere = options.work.executor and options.device == "cuda"  # the workers have it
     renderer = open_renderer("auto" if elsewhere else options.device)
     device = "cuda" if elsewhere else renderer.device
@@ -111,7 +114,6 @@ def train(options: Train) -> int:
     shared = options.work.shared_by()
     if settings.group_frames is None and shared:
         raise ConfigError(f"{shared}: expected --group-frames, without which no frame is fitted before the last one")
-    scene = _scene(options)
     if settings.background is None and scene.background != BLACK and not options.json:
         colour = ",".join(f"{c:g}" for c in scene.background)
         say(f"{options.scene}: its pictures are before a background of {colour}")

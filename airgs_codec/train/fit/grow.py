@@ -206,6 +206,8 @@ def residual_seeds(
         return None
     surface = _surface(hull, views)
     chosen = _one_per_cell(surface, most)
+    if not len(chosen):
+        return None
     positions, colours = (a[chosen].astype(np.float32) for a in (surface.positions, surface.colours))
     seeds = from_points(positions, colours, g.sh_degree, OPACITY, largest)
     sizes = np.minimum(seeds.log_scales, np.median(seeds.log_scales))  # one that lies apart is no larger than others
@@ -235,7 +237,7 @@ def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.
 
 
 def _surface(hull: NDArray[np.float64], views: Sequence[View]) -> _Surface:
-    """The points of a hull (P, 3) that at least three views see first.
+    """The points of a hull (P, 3) that at least three views see first, or two where there are fewer than six views.
 
     A point is seen by a view if no other lies clearly before it in its pixel. Hulls are larger than what is in them:
     where the surface is not that of the object, views see different things behind it.
@@ -253,7 +255,7 @@ def _surface(hull: NDArray[np.float64], views: Sequence[View]) -> _Surface:
         seen[inside[first]] += 1
         sums[inside[first]] += colour
         squares[inside[first]] += colour**2
-    outside = np.flatnonzero(seen >= min(3, len(views)))
+    outside = np.flatnonzero(seen >= (3 if len(views) >= 6 else 2))
     mean = sums[outside] / seen[outside, None]
     return _Surface(hull[outside], mean, (squares[outside] / seen[outside, None] - mean**2).sum(axis=1))
 

@@ -109,6 +109,23 @@ def _with_random(points: Points, count: int, views: Sequence[View], rng: np.rand
     return Points(positions, colours)
 
 
+SHARED_DEPTHS = (0.3, 3.0)  # of the scene's extent: nearest and farthest depth at which cameras see a common place
+
+
+def see_together(cameras: Sequence[Camera]) -> bool:
+    """Whether any two of the cameras see a common place."""
+    extent = scene_extent(cameras)
+    across = np.linspace(0.1, 0.9, 5)
+    for number, camera in enumerate(cameras):
+        u, v, z = np.meshgrid(across * camera.width, across * camera.height, np.geomspace(*SHARED_DEPTHS, 8) * extent)
+        seen = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=-1).reshape(-1, 3)
+        places = seen @ camera.world_to_camera[:3, :3] + camera.position
+        others = (*cameras[:number], *cameras[number + 1 :])
+        if any(len(project(other, places)[2]) for other in others):
+            return True
+    return False
+
+
 def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
     """(3,) the point nearest to all optical axes, by least squares."""
     total, right = 1e-6 * np.eye(3), np.zeros(3)  # parallel axes meet nowhere: the system would be singular

@@ -83,7 +83,7 @@ def broken(tmp_path, what):
 )
 def test_broken_scenes_are_refused_in_one_line(tmp_path, what, message):
     with pytest.raises(SceneError, match=message) as caught:
-        Pictures(open_scene(broken(tmp_path, what))).check(0)
+        Pictures(open_scene(broken(tmp_path, what))).check()
     assert "\n" not in str(caught.value)
 
 
