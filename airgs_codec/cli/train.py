@@ -39,6 +39,7 @@ if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.train.pipeline import Run
     from airgs_codec.train.record import FrameRecord, Model
 
+SPARSE_DEGREES = 30.0  # between neighbouring cameras, from which somebody should know
 CUDA_VIEWS = 4  # an iteration sees on a GPU, which a single picture does not fill
 DEFAULTS = TrainSettings()
 EVERYDAY = ("max_size", "background", "match_exposure", "budget", "min_psnr_db", "group_frames")
@@ -99,11 +100,15 @@ def main(argv: Sequence[str] | None = None) -> int:
 def train(options: Train) -> int:
     """Train a tracked Gaussian sequence from multi-view video, for airgs-encode."""
     require_torch()
+    expect_report(options.report)
+    _settings(options, "cpu")  # what cannot work is refused before the seconds that torch takes to load
+    scene = _scene(options)
+
     from airgs_codec.render.backend import open_renderer
+    from airgs_codec.train.fit.points import degrees_apart
     from airgs_codec.train.pipeline import open_run
     from airgs_codec.train.report import write_report
 
-    expect_report(options.report)
     elsewhere = options.work.executor and options.device == "cuda"  # the workers have it
     renderer = open_renderer("auto" if elsewhere else options.device)
     device = "cuda" if elsewhere else renderer.device
@@ -111,7 +116,6 @@ def train(options: Train) -> int:
     shared = options.work.shared_by()
     if settings.group_frames is None and shared:
         raise ConfigError(f"{shared}: expected --group-frames, without which no frame is fitted before the last one")
-    scene = _scene(options)
     if settings.background is None and scene.background != BLACK and not options.json:
         colour = ",".join(f"{c:g}" for c in scene.background)
         say(f"{options.scene}: its pictures are before a background of {colour}")
@@ -120,6 +124,9 @@ def train(options: Train) -> int:
     run = open_run(
         scene, options.output or default_model(options.scene), settings, resume=options.resume, device=device
     )
+    cameras = [camera for camera in scene.cameras if not camera.held_out]
+    if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
+        warn(f"warning: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
     jobs = _train_in_jobs(options, run) if shared else []
     if not shared:
         run_training(run, quiet=options.json)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -15,6 +16,8 @@ from PIL import Image
 from airgs_codec._arguments import path_argument
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path
+
+Value = TypeVar("Value")
 
 # OpenCV counts pixel centres from 0, we have the first at 0.5: added to a matrix of theirs, it gives ours.
 TO_CENTRES = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
@@ -61,19 +64,28 @@ def read_picture(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.
     Raises SceneError when the file is not a picture of 8 or 16 bits and of `size` = (width, height), None for any. The
     header tells the size: pixels of another one, or more of them than Pillow takes for a picture, are not decoded.
     """
+    return _read(path, size, _samples)
+
+
+def check_picture(path: Path, size: tuple[int, int]) -> None:
+    """Read the header of a picture alone. Raises SceneError where `read_picture` would by what that says."""
+    _read(path, size, lambda picture: None)
+
+
+def _read(path: Path, size: tuple[int, int] | None, take: Callable[[Image.Image], Value]) -> Value:
+    """What `take` gives of a picture of a size; errors are those of `read_picture`."""
     try:
         if not path.is_file():  # opening a pipe would wait
             raise ValueError("No such file")
         with Image.open(path, formats=_FORMATS) as picture:
             found = picture.size
-            samples = _samples(picture) if size in (None, found) else None
+            if size in (None, found):
+                return take(picture)
     except Exception as error:  # whatever a decoder comes upon in a broken file
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())[:200]
         raise SceneError(f"{path}: expected a picture: {reason}") from error
-    if samples is None:
-        expected, got = (f"{width}x{height}" for width, height in (size or found, found))
-        raise SceneError(f"{path}: expected a picture of {expected}, got {got}")
-    return samples
+    expected, got = (f"{width}x{height}" for width, height in (size or found, found))
+    raise SceneError(f"{path}: expected a picture of {expected}, got {got}")
 
 
 def _samples(picture: Image.Image) -> NDArray[np.uint8]:

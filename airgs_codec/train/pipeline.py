@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
-from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.errors import AirgsError, ConfigError, SceneError
 from airgs_codec.jobs.engines import NOTHING, Needs
 from airgs_codec.jobs.job import Job, Stored
 from airgs_codec.jobs.work import Work
@@ -27,6 +27,7 @@ from airgs_codec.train.data.multiview import (
     without_masks,
 )
 from airgs_codec.train.data.plates import Plate, find_plate, plate_sources
+from airgs_codec.train.fit.points import see_together
 from airgs_codec.train.frames import Capture, First, chunks, position_after, train_chunk, train_first
 from airgs_codec.train.record import FrameRecord, Model, Record, Span, TrainedFrame, open_model
 from airgs_codec.train.settings import TrainSettings
@@ -158,17 +159,23 @@ def open_run(
 
 
 def check_pictures(capture: Capture) -> None:
-    """Check that a scene can be trained, as far as the first frame tells.
+    """Check that a scene can be trained, as far as its cameras and the headers of all its pictures tell.
 
     Raises SceneError for pictures that cannot be used, ConfigError for settings that do not fit the scene.
     """
     scene, reference = capture.scene, capture.settings.reference
-    names = [camera.name for camera in scene.cameras if not camera.held_out]
+    cameras = [camera for camera in scene.cameras if not camera.held_out]
+    names = [camera.name for camera in cameras]
     if not names:
         raise SceneError(f"{scene.path}: expected training views of the first frame, got none")
+    if scene.points is None and scene.given is None:
+        if len(names) == 1:
+            raise SceneError(f"{scene.path}: expected at least two training cameras or points to start from, got one")
+        if not see_together(cameras):
+            raise SceneError(f"{scene.path}: expected cameras that look at a common place, none of {len(names)} do")
     if reference not in (None, *names):
         raise ConfigError(f"--reference: expected a training camera of {', '.join(names)}, got {reference}")
-    capture.pictures.check(0)
+    capture.pictures.check()
 
 
 def train_frames(run: Run, progress: Progress = silent) -> Iterator[FrameRecord]:
@@ -209,7 +216,12 @@ def _train(run: Run, driver: Driver, progress: Progress) -> Iterator[FrameRecord
     if model.finished():
         return
     if not model.record.frames:
-        yield model.commit(driver.first())
+        try:
+            first = driver.first()
+        except AirgsError:
+            model.discard()
+            raise
+        yield model.commit(first)
     for trained in driver.others(First(model.read(0), model.record.exposure), model):
         yield model.commit(trained)
     usage = dict(driver.usage)

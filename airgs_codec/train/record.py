@@ -32,6 +32,7 @@ from airgs_codec.train.data.pictures import Exposure
 from airgs_codec.train.settings import BUDGET, TrainSettings
 
 RECORD_NAME = "training.json"
+CAMERAS_NAME = "transforms.json"
 VERSION = 2
 
 Span = tuple[int, int]  # frames [start, stop)
@@ -152,6 +153,13 @@ class Model:
         self.write_record()
         self.remove_leftovers()
 
+    def discard(self) -> None:
+        """Remove the folder of a run that has no frame yet, unless something else is in it."""
+        for path in (self.folder / RECORD_NAME, self.folder / CAMERAS_NAME):
+            path.unlink(missing_ok=True)
+        if not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
     def write_record(self) -> None:
         """Write the record; the folder is this run's from then on."""
         write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(self.record)})
@@ -169,7 +177,7 @@ class Model:
             entry = {"camera": c.name, "split": c.split, "file_path": "", **intrinsics}
             frames.append({**entry, "near": c.near, "transform_matrix": matrix.tolist()})
         fps = float(Fraction(self.record.fps))
-        write_json(self.folder / "transforms.json", {"camera_model": "PINHOLE", "fps": fps, "frames": frames})
+        write_json(self.folder / CAMERAS_NAME, {"camera_model": "PINHOLE", "fps": fps, "frames": frames})
 
     def networks(self) -> dict[str, np.ndarray]:
         """Weights after the last finished frame. Raises SceneError when they are not there."""

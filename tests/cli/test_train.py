@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +68,14 @@ def test_bad_input_is_one_line_and_exit_2(blobs, tmp_path, capsys, words, messag
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
     assert not list(tmp_path.glob("m/*.ply"))
+
+
+def test_a_wrong_folder_is_refused_before_torch_is_loaded(tmp_path):
+    code = (
+        "import sys; from airgs_codec.cli.train import main\n"
+        f"assert main([{str(tmp_path)!r}]) == 2\nassert 'torch' not in sys.modules"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True).returncode == 0
 
 
 def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, monkeypatch):

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from airgs_codec.cli.encode import main as encode_main
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, SceneError, TrainingError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.train.data.multiview import with_held_out
 from airgs_codec.train.data.readers import open_scene
 from airgs_codec.train.fit.trainer import Trainer
 from airgs_codec.train.pipeline import train
@@ -92,6 +93,53 @@ def test_a_reference_that_is_no_training_camera_leaves_nothing(blobs, tmp_path):
     settings = replace(SETTINGS, match_exposure=True, reference="cam99")
     with pytest.raises(ConfigError, match="expected a training camera of cam"):
         train(open_scene(blobs), tmp_path / "m", settings)
+    assert not (tmp_path / "m").exists()
+
+
+def _without_picture(folder):
+    (folder / "images" / "cam02" / "0001.png").unlink()
+    return open_scene(folder)
+
+
+def _alone(folder):
+    return replace(with_held_out(open_scene(folder), [f"cam0{i}" for i in range(1, 7)]), points=None)
+
+
+def _back_to_back(folder):
+    """Cameras that stand in a ring and look outwards."""
+    scene = open_scene(folder)
+
+    def turned(shot):
+        flip = np.diag([-1.0, 1.0, -1.0, 1.0])
+        return replace(shot, camera=replace(shot.camera, world_to_camera=flip @ shot.camera.world_to_camera))
+
+    frames = tuple(tuple(turned(shot) for shot in shots[::3]) for shots in scene.frames)
+    return replace(scene, frames=frames, points=None)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (_without_picture, "cam02/0001.png: expected a picture"),
+        (_alone, "scene: expected at least two training cameras"),
+        (_back_to_back, "scene: expected cameras that look at a common place"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused_before_a_fit_and_leaves_nothing(blobs, tmp_path, make, message, monkeypatch):
+    monkeypatch.setattr(Trainer, "fit_first", None)
+    shutil.copytree(blobs, tmp_path / "scene")
+    with pytest.raises(SceneError, match=message):
+        train(make(tmp_path / "scene"), tmp_path / "m", SETTINGS)
+    assert not (tmp_path / "m").exists()
+
+
+def test_a_first_fit_that_fails_leaves_nothing(blobs, tmp_path, monkeypatch):
+    def fail(*_):
+        raise TrainingError("the loss is not finite")
+
+    monkeypatch.setattr(Trainer, "fit_first", fail)
+    with pytest.raises(TrainingError):
+        train(open_scene(blobs), tmp_path / "m", SETTINGS)
     assert not (tmp_path / "m").exists()
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.jobs.work import Work
-from airgs_codec.media.image import Lens, read_picture
+from airgs_codec.media.image import Lens, check_picture, read_picture
 from airgs_codec.media.movie import VideoReader
 from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.cameras.posed import Posed
@@ -71,10 +71,15 @@ class Source:
         """
         if self.frame is None:
             return read_picture(self.path, size)
-        video = open_video(self.path)
-        if video.size != size:
-            raise SceneError(f"{self}: expected a picture of {size[0]}x{size[1]}, got {video.size[0]}x{video.size[1]}")
-        return video.read(self.frame)
+        self.check(size)
+        return open_video(self.path).read(self.frame)
+
+    def check(self, size: tuple[int, int]) -> None:
+        """Check that there is a picture of a size, as far as the header of its file tells. Raises SceneError."""
+        if self.frame is None:
+            check_picture(self.path, size)
+        elif (found := open_video(self.path).size) != size:
+            raise SceneError(f"{self}: expected a picture of {size[0]}x{size[1]}, got {found[0]}x{found[1]}")
 
     def __str__(self) -> str:
         """Name the place in a message."""

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.media.image import read_mask, resize, to_bytes, to_floats, undistort
+from airgs_codec.media.image import check_picture, read_mask, resize, to_bytes, to_floats, undistort
 from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera, with_pixels
-from airgs_codec.train.data.multiview import MultiviewScene, Shot
+from airgs_codec.train.data.multiview import MultiviewScene, Shot, Source
 from airgs_codec.train.data.recent import Recent
 from airgs_codec.train.settings import RANDOM, TrainSettings, named_background
 
@@ -121,11 +121,18 @@ class Pictures:
         """The cameras of the first frame at training size."""
         return [self._scaled(camera) for camera in self._scene.cameras]
 
-    def check(self, frame: int) -> None:
-        """Read every training picture of a frame. Raises SceneError for one that cannot be read or has a wrong size."""
-        for index, shot in enumerate(self._scene.frames[frame]):
-            if not shot.camera.held_out:
-                self._stored.get((frame, index))
+    def check(self) -> None:
+        """Read every training picture of the first frame, and the header of every other one.
+
+        Raises SceneError for one that cannot be read or has a wrong size, and for a mask that is wanted and not there.
+        """
+        for frame, shots in enumerate(self._scene.frames):
+            for index, shot in enumerate(shots):
+                if frame == 0 and not shot.camera.held_out:
+                    self._stored.get((frame, index))
+                elif isinstance(shot.source, Source):
+                    shot.source.check(_full_size(shot))
+                    self._check_mask(shot)
 
     def _split(self, frame: int, held_out: bool) -> list[View]:
         shots = self._scene.frames[frame]
@@ -161,11 +168,15 @@ class Pictures:
 
     def _mask(self, shot: Shot) -> NDArray[np.float32] | None:
         """(H, W) of 0 and 1, the foreground; None where all of the picture is trained."""
+        self._check_mask(shot)
+        return read_mask(shot.mask, _full_size(shot)) if self._foreground and shot.mask else None
+
+    def _check_mask(self, shot: Shot) -> None:
         if not self._foreground:
-            return None
+            return
         if shot.mask is None:
             raise SceneError(f"{shot.source}: expected a mask of the foreground, the scene has none")
-        return read_mask(shot.mask, _full_size(shot))
+        check_picture(shot.mask, _full_size(shot))
 
     def _changes(self, shot: Shot) -> bool:
         """Whether the picture is another one at training size."""

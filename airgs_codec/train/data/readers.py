@@ -2,7 +2,8 @@
 
 Those of a JSON file that names pictures with their cameras are read here. nerfstudio's transforms.json has an entry for
 each picture, or for each camera where entries name videos. CMU Panoptic, as Dynamic 3D Gaussians has it, is
-train_meta.json, pictures in ims/, and masks in seg/ that are not 0 where something moves.
+train_meta.json, pictures in ims/, masks in seg/ that are not 0 where something moves, and points of the first frame in
+init_pt_cld.npz.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from airgs_codec.train.data.videos import VIDEO_SUFFIXES, CameraFilm, read_poses
 
 POINT_FILES = (
     "points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "sparse_pc.ply", "points3d.npy",
+    "init_pt_cld.npz",
 )  # fmt: skip
 
 
@@ -153,5 +155,8 @@ def _read_points(folder: Path) -> Points | None:
     if path.suffix == ".ply":
         return Points(*read_points(path))
     with expecting(path, "rows of x, y, z [, r, g, b]"), path.open("rb") as file:
-        table = np.load(file, allow_pickle=False).astype(np.float32)
+        loaded = np.load(file, allow_pickle=False)
+        table = (loaded if isinstance(loaded, np.ndarray) else loaded["data"]).astype(np.float32)
+        if table.ndim != 2 or table.shape[1] < 3:
+            raise ValueError(f"got an array of shape {table.shape}")
         return Points(table[:, :3], table[:, 3:6] if table.shape[1] >= 6 else None)

@@ -169,7 +169,7 @@ TIGHT = 0.7  # radius of a seed, over the distance to the nearest ones: they lie
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Surface:
+class Surface:
     """Points that views see."""
 
     positions: NDArray[np.float64]  # (P, 3) world units
@@ -195,33 +195,35 @@ def residual_seeds(
 
     `largest`: their largest radius in world units.
     """
-    coarse = _hull(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
+    coarse = hull_of(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
     if len(coarse) < FEWEST or most < 1:
         return None
     low, high = coarse.min(axis=0), coarse.max(axis=0)
     margin = 0.05 * (high - low)
     drawn = rng.uniform(low - margin, high + margin, (CANDIDATES, 3))
-    hull = _hull(_away_from_visible(drawn, g), views, wrong)
+    hull = hull_of(_away_from_visible(drawn, g), views, wrong)
     if len(hull) < FEWEST:
         return None
-    surface = _surface(hull, views)
-    chosen = _one_per_cell(surface, most)
+    surface = surface_of(hull, views)
+    chosen = one_per_cell(surface, most)
+    if not len(chosen):
+        return None
     positions, colours = (a[chosen].astype(np.float32) for a in (surface.positions, surface.colours))
     seeds = from_points(positions, colours, g.sh_degree, OPACITY, largest)
     sizes = np.minimum(seeds.log_scales, np.median(seeds.log_scales))  # one that lies apart is no larger than others
     return replace(seeds, log_scales=sizes + np.float32(np.log(TIGHT)))
 
 
-def _hull(
-    points: NDArray[np.float64], views: Sequence[View], wrong: Sequence[NDArray[np.bool_]]
+def hull_of(
+    points: NDArray[np.float64], views: Sequence[View], wrong: Sequence[NDArray[np.bool_]], share: float = SEEN
 ) -> NDArray[np.float64]:
-    """The points (P, 3) at which almost every view that sees them is in its mask `wrong` (H, W)."""
+    """The points (P, 3) that a `share` of the views sees, almost all of which are in their mask `wrong` (H, W)."""
     seen, agree = np.zeros(len(points)), np.zeros(len(points))
     for view, mask in zip(views, wrong, strict=True):
         rows, columns, inside = project(view.camera, points)
         seen[inside] += 1
         agree[inside] += mask[rows, columns]
-    return points[(seen >= SEEN * len(views)) & (agree >= AGREE * seen)]
+    return points[(seen >= share * len(views)) & (agree >= AGREE * seen)]
 
 
 def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.float64]:
@@ -234,8 +236,8 @@ def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.
     return points[tree.query(points, distance_upper_bound=clear)[0] > clear]
 
 
-def _surface(hull: NDArray[np.float64], views: Sequence[View]) -> _Surface:
-    """The points of a hull (P, 3) that at least three views see first.
+def surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> Surface:
+    """The points of a hull (P, 3) that at least three views see first, or two where there are fewer than six views.
 
     A point is seen by a view if no other lies clearly before it in its pixel. Hulls are larger than what is in them:
     where the surface is not that of the object, views see different things behind it.
@@ -253,12 +255,12 @@ def _surface(hull: NDArray[np.float64], views: Sequence[View]) -> _Surface:
         seen[inside[first]] += 1
         sums[inside[first]] += colour
         squares[inside[first]] += colour**2
-    outside = np.flatnonzero(seen >= min(3, len(views)))
+    outside = np.flatnonzero(seen >= (3 if len(views) >= 6 else 2))
     mean = sums[outside] / seen[outside, None]
-    return _Surface(hull[outside], mean, (squares[outside] / seen[outside, None] - mean**2).sum(axis=1))
+    return Surface(hull[outside], mean, (squares[outside] / seen[outside, None] - mean**2).sum(axis=1))
 
 
-def _one_per_cell(surface: _Surface, most: int) -> NDArray[np.intp]:
+def one_per_cell(surface: Surface, most: int) -> NDArray[np.intp]:
     """At most `most` of the points, one in each cell of a grid: the one on whose colour views agree best."""
     points = surface.positions
     best = np.argsort(surface.disagreement, kind="stable")

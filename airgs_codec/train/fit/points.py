@@ -61,7 +61,7 @@ def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng
     if not len(points.positions):
         raise SceneError("expected training views that look at a common place: no point to start from was found")
     if points.colours is None:
-        points = replace(points, colours=_seen_colours(points.positions, views))
+        points = replace(points, colours=seen_colours(points.positions, views))
     return points
 
 
@@ -105,8 +105,34 @@ def _with_random(points: Points, count: int, views: Sequence[View], rng: np.rand
     positions = np.concatenate([points.positions, random])
     colours = None
     if points.colours is not None:
-        colours = np.concatenate([points.colours, _seen_colours(random, views)])
+        colours = np.concatenate([points.colours, seen_colours(random, views)])
     return Points(positions, colours)
+
+
+SHARED_DEPTHS = (0.3, 3.0)  # of the scene's extent: nearest and farthest depth at which cameras see a common place
+
+
+def see_together(cameras: Sequence[Camera]) -> bool:
+    """Whether any two of the cameras see a common place."""
+    extent = scene_extent(cameras)
+    across = np.linspace(0.1, 0.9, 5)
+    for number, camera in enumerate(cameras):
+        u, v, z = np.meshgrid(across * camera.width, across * camera.height, np.geomspace(*SHARED_DEPTHS, 8) * extent)
+        seen = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=-1).reshape(-1, 3)
+        places = seen @ camera.world_to_camera[:3, :3] + camera.position
+        others = (*cameras[:number], *cameras[number + 1 :])
+        if any(len(project(other, places)[2]) for other in others):
+            return True
+    return False
+
+
+def degrees_apart(cameras: Sequence[Camera]) -> float:
+    """Median angle between a camera and the nearest other one, from where they look at; 0 for fewer than two."""
+    towards = np.stack([camera.position for camera in cameras]) - looked_at(cameras)
+    unit = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    cosines = unit @ unit.T
+    np.fill_diagonal(cosines, -1)
+    return float(np.degrees(np.median(np.arccos(np.clip(cosines.max(axis=1), -1, 1))))) if len(cameras) > 1 else 0.0
 
 
 def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
@@ -120,7 +146,7 @@ def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.solve(total, right), np.float64)
 
 
-def _seen_colours(positions: NDArray[np.float32], views: Sequence[View]) -> NDArray[np.float32]:
+def seen_colours(positions: NDArray[np.float32], views: Sequence[View]) -> NDArray[np.float32]:
     """(P, 3) median colour over the views whose picture a point falls into, 0.5 where there is none.
 
     The median is that of the surface as long as the point is hidden from fewer than half of the views.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import View
 from airgs_codec.train.data.plates import Masks
@@ -30,6 +30,7 @@ from airgs_codec.train.fit.parameters import (
     zeros_like,
 )
 from airgs_codec.train.fit.points import from_points, initial_points, scene_extent
+from airgs_codec.train.fit.surround import sparse_cloud
 from airgs_codec.train.fit.variables import MlpDriven, Networks, PerGaussian, Rates, Regularisers
 from airgs_codec.train.settings import BUDGET, RANDOM, TrainSettings
 
@@ -39,6 +40,11 @@ HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a fit within the
 # Empty space stays empty. Against no weights +0.3 dB in held-out views of a first frame of the fox; a weight of 0.1 in
 # place of 0.03 on scales gave basketball 0.2 dB in two splits of its cameras (0.5 with their exposure matched).
 FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.1)
+# Few cameras that are far apart leave much of a scene free: what is known of its surfaces is opaque, and stays there.
+SPARSE_OPACITY = 0.6
+SPARSE_RATES = Rates(means=0.1)
+DROPOUT = 0.2
+UNSEEN_OPACITY = 0.95
 SH_SHARE = 0.25  # of the iterations until each further SH band joins
 MOVING_RATES = Rates(factor=10.0, means=0.5, last=0.1, means_last=0.1)  # of frames that start from the one before
 KEY_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
@@ -103,22 +109,34 @@ class Trainer:
         s = self.settings
         rng = self._rng(target.frame, 0)
         fewest, most = (round(RANDOM_SHARE * s.budget), s.budget) if s.densify == BUDGET else (0, s.capacity)
-        cloud = initial_points(points, target.views, fewest, rng)
-        assert cloud.colours is not None  # `initial_points` gives every point one
+        sparse = sparse_cloud(points, target.views, most, rng) if s.densify == BUDGET else None
+        cloud = sparse.points if sparse else initial_points(points, target.views, fewest, rng)
+        assert cloud.colours is not None  # both give every point one
+        if sparse:
+            most -= len(sparse.unseen.positions)
         chosen = np.sort(rng.permutation(len(cloud.positions))[:most])
-        largest = 0.1 * self.extent
-        start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, START_OPACITY, largest)
+        opacity, largest = SPARSE_OPACITY if sparse else START_OPACITY, 0.1 * self.extent
+        start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, opacity, largest)
         variables = PerGaussian(
             from_gaussians(start, self.device),
             self.extent,
+            SPARSE_RATES if sparse else Rates(),
             regularisers=FIRST_REGULARISERS if s.regularised else Regularisers(),
+            dropout=DROPOUT if sparse else 0.0,
+            seed=s.seed,
             densifier=Densifier(self._growth(most, target.views), len(start), rng),
         )
         iterations = s.iterations_from_scratch(len(target.views))
         schedule = self._schedule("first frame", iterations, self._rising_sh_degree)
         optimise(variables, target.views, schedule, rng, exposure, progress)
         variables.remove_fainter(self._least_opacity)
-        return to_gaussians(variables.detached())
+        found = to_gaussians(variables.detached())
+        return join_rows([found, self._unseen(sparse.unseen)]) if sparse and len(sparse.unseen.positions) else found
+
+    def _unseen(self, points: Points) -> Gaussians:
+        """What no view sees, so that it is no hole to others."""
+        assert points.colours is not None
+        return from_points(points.positions, points.colours, self.settings.sh_degree, UNSEEN_OPACITY, 0.1 * self.extent)
 
     def fit_frame(
         self, target: FrameViews, before: FrameBefore, group: Group, progress: Progress = silent

@@ -32,6 +32,9 @@ RATES = {
 }
 
 
+HIDDEN = -20.0  # logit of the opacity of a row that a picture is drawn without
+
+
 @dataclass(frozen=True, slots=True)
 class Rates:
     """Factors on the learning rates of 3DGS, which are made for 30,000 iterations, and where they decay to."""
@@ -71,21 +74,36 @@ class PerGaussian:
     regularisers: Regularisers = field(default_factory=Regularisers)
     densifier: Densifier | None = None  # None: no rows are added
     resting: Resting | None = None  # rows that are in the pictures, too, and are not fitted; None: there are none
+    dropout: float = 0.0  # share of the rows that a picture is drawn without at the end of the fit
+    seed: int = 0  # of the rows that are left out
     adam: Adam = field(init=False)
     _support: Parameters | None = field(init=False, default=None)  # 1 where D may still change; None: not decided yet
     _absgrad: AbsGrad | None = field(init=False, default=None)
+    _generator: torch.Generator = field(init=False)
+    _done: float = field(init=False, default=0.0)  # share of the iterations
 
     def __post_init__(self) -> None:
+        self._generator = torch.Generator().manual_seed(self.seed)
         self.adam = Adam(self.start or zeros_like(self.base), self.rates.at(0.0, self.extent))
 
     def current(self, view: int = 0) -> Parameters:
-        """The Gaussians as they are now, base + D, differentiable by D, among those that rest."""
+        """The Gaussians as they are now, base + D, differentiable by D, among those that rest.
+
+        Some are hidden where there is `dropout`: what others hide in a training view is fitted as well, and a view
+        between them shows no gap (DropGaussian, Park et al. 2025). Their share rises as the fit goes on.
+        """
         fitted = self._fitted()
+        if self.dropout and torch.is_grad_enabled():
+            hidden = torch.rand(len(self.base["means"]), generator=self._generator) < self.dropout * self._done
+            fitted["opacity_logits"] = fitted["opacity_logits"].masked_fill(
+                hidden.to(self.base["means"].device), HIDDEN
+            )
         return self.resting.joined(fitted) if self.resting else fitted
 
     def detached(self) -> Parameters:
         """The Gaussians as they are now, among those that rest."""
-        return {name: p.detach() for name, p in self.current().items()}
+        with torch.no_grad():
+            return self.current()
 
     def watch(self) -> AbsGrad | None:
         """Where the absolute gradients of the next picture are wanted; None: rows are not added."""
@@ -117,7 +135,8 @@ class PerGaussian:
         """
         if self.densifier and self._absgrad:
             self.densifier.collect(self._picked(self._absgrad))
-        self._move(iteration / iterations)
+        self._done = iteration / iterations
+        self._move(self._done)
         if self.densifier:
             self._densify(self.densifier, iteration, iterations)
 

@@ -68,7 +68,7 @@ def test_eighty_cameras_are_never_all_in_memory():
 def test_pictures_that_fit_are_read_once():
     scene, reads = noise(5, (30, 20))
     pictures = Pictures(scene)
-    pictures.check(0)
+    pictures.check()
     assert reads == [0, 1, 2, 3, 4]
     for view in pictures.train(0) + pictures.with_exposure({"cam00": [2.0] * 3 + [0.1] * 3}).train(0):
         assert view.target.rgb.shape == (20, 30, 3)
@@ -134,4 +134,4 @@ def test_masks_leave_the_background_and_opaque_pictures_have_no_random_one(tmp_p
     assert cut[:, :24].min() == 1 and 0.7 < cut[:, 24:].min() < 0.9
     Pictures(scene, foreground=True, background="random").train(0)[0].before((0, 1, 0))
     with pytest.raises(SceneError, match="expected alpha for random backgrounds, got an opaque picture"):
-        Pictures(scene, background="random").check(0)
+        Pictures(scene, background="random").check()

@@ -121,7 +121,7 @@ SCENES = [
 def test_a_scene_that_promises_more_than_it_has_is_refused_in_one_line(tmp_path, make, message):
     folder = make(tmp_path)
     with pytest.raises(SceneError, match=message) as caught:
-        Pictures(open_scene(folder)).check(0)
+        Pictures(open_scene(folder)).check()
     assert "\n" not in str(caught.value)
 
 
@@ -175,4 +175,4 @@ def test_pictures_may_lie_anywhere(tmp_path):
         (tmp_path / place).mkdir()
     write_png(tmp_path / "elsewhere" / "a.png", np.zeros((8, 8, 3), np.uint8))
     for name in ("../elsewhere/a.png", str(tmp_path / "elsewhere" / "a.png")):
-        Pictures(open_scene(transforms(tmp_path / "scene", file_path=name))).check(0)
+        Pictures(open_scene(transforms(tmp_path / "scene", file_path=name))).check()

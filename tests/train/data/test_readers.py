@@ -83,7 +83,7 @@ def broken(tmp_path, what):
 )
 def test_broken_scenes_are_refused_in_one_line(tmp_path, what, message):
     with pytest.raises(SceneError, match=message) as caught:
-        Pictures(open_scene(broken(tmp_path, what))).check(0)
+        Pictures(open_scene(broken(tmp_path, what))).check()
     assert "\n" not in str(caught.value)
 
 
@@ -197,6 +197,17 @@ def test_panoptic_reads_cameras_and_masks(tmp_path):
     cut = Pictures(scene, foreground=True).train(0)[0].target.rgb
     assert whole[:, :24].min() > 0.7
     assert cut[:, :24].max() == 0 and cut[:, 24:].min() > 0.7
+
+
+def test_panoptic_brings_its_points(tmp_path):
+    folder = write_panoptic(tmp_path, ring(3))
+    table = np.random.default_rng(0).uniform(0, 1, (9, 7)).astype(np.float32)
+    np.savez(folder / "init_pt_cld.npz", data=table)
+    points = open_scene(folder).points
+    assert (points.positions == table[:, :3]).all() and (points.colours == table[:, 3:6]).all()
+    np.savez(folder / "init_pt_cld.npz", other=table)
+    with pytest.raises(SceneError, match=r"init_pt_cld\.npz: expected rows of x, y, z"):
+        open_scene(folder)
 
 
 @pytest.mark.parametrize("name", ["", ".", "/", "a\nb", "a\x1b[2J", "a\0", "a" * 256], ids=ascii)

@@ -96,5 +96,9 @@ def test_seeds_lie_in_what_appeared():
     assert 0 < len(seeds) <= 120
     # The ball can be seen to 0.45 from its centre (0.24 + 3 sigma of 0.07), and a pixel is 0.1 wide there.
     assert np.linalg.norm(seeds.means - BALL, axis=1).max() < 0.6
+    few = views_of(joined(old, appeared()), ring(3))
+    for most in (1, 120):
+        seeds = residual_seeds(old, few, find_wrong(old, few), most, 1.0, np.random.default_rng(0))
+        assert seeds is None or 0 < len(seeds) <= most
     same = views_of(old, ring(8))
     assert residual_seeds(old, same, find_wrong(old, same), 120, 1.0, np.random.default_rng(0)) is None

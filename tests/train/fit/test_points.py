@@ -8,7 +8,15 @@ from airgs_codec.render import Camera, cpu, read_cameras
 from airgs_codec.train.data.multiview import Points
 from airgs_codec.train.data.pictures import Pictures
 from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.points import from_points, initial_points, intersect, project, scene_extent, triangulate
+from airgs_codec.train.fit.points import (
+    degrees_apart,
+    from_points,
+    initial_points,
+    intersect,
+    project,
+    scene_extent,
+    triangulate,
+)
 from tests.support.paths import FOX, FOX_VIEWS
 from tests.support.views import coloured_cloud, ring, views_of
 
@@ -43,6 +51,12 @@ def test_a_scene_is_as_wide_as_its_rig_or_as_far_as_what_a_narrow_rig_sees():
     assert scene_extent(cameras, far) == pytest.approx(40 * rig)
     assert scene_extent(cameras[:1]) == 1.0
     assert scene_extent(cameras[:1], Points(cameras[0].position[None], None)) == 1.0
+
+
+def test_cameras_of_a_ring_are_its_angle_apart():
+    level = ring(16)[::2]  # all at one height
+    assert degrees_apart(level) == pytest.approx(45 * np.cos(0.2), abs=1.5)
+    assert degrees_apart(level[:1]) == 0
 
 
 def pixel(camera: Camera, point: np.ndarray) -> np.ndarray:

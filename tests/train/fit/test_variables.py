@@ -1,10 +1,10 @@
-"""Networks that move Gaussians."""
+"""Networks that move Gaussians, and Gaussians that move on their own."""
 
 import pytest
 import torch
 
 from airgs_codec.train.fit.parameters import ATTRIBUTES, from_gaussians
-from airgs_codec.train.fit.variables import MlpDriven, Networks
+from airgs_codec.train.fit.variables import HIDDEN, MlpDriven, Networks, PerGaussian
 from tests.support.scenes import random_gaussians
 
 
@@ -23,3 +23,18 @@ def test_networks_start_at_no_change_and_come_back_from_their_arrays(degree):
     a, b = (n(n.features(base)) for n in (networks, other))
     assert all(torch.equal(a[n], b[n]) for n in networks.names)
     assert (a["means"].abs() > 0).any()
+
+
+def test_rows_are_left_out_of_pictures_alone_and_the_more_the_longer_a_fit_goes_on():
+    base = from_gaussians(random_gaussians(400, 1))
+    variables = PerGaussian(base, 1.0, dropout=0.5)
+
+    def hidden():
+        return int((variables.current()["opacity_logits"] == HIDDEN).sum())
+
+    assert hidden() == 0
+    for iteration in (1, 2):
+        variables.current()["means"].sum().backward()
+        variables.step(iteration, 2)
+    assert 120 < hidden() < 280
+    assert not (variables.detached()["opacity_logits"] == HIDDEN).any()
