@@ -33,7 +33,6 @@ from airgs_codec.encoder.keys import (
 from airgs_codec.encoder.measure import RoundErrors, measure_round
 from airgs_codec.encoder.omit import omit_bands
 from airgs_codec.encoder.plan import GroupLayout, find_box, keep_rows, lay_out
-from airgs_codec.encoder.poster import draw_poster
 from airgs_codec.encoder.representation import Clock, Representation
 from airgs_codec.encoder.sample import compare_lengths
 from airgs_codec.encoder.settings import EncodeSettings
@@ -41,12 +40,18 @@ from airgs_codec.encoder.states import code_states, encode_states
 from airgs_codec.encoder.survey import GroupSpan, Pictures, Survey, ViewPlan, survey_group
 from airgs_codec.encoder.tables import CodedGroup, finish_group
 from airgs_codec.jobs.job import Job, digest
+from airgs_codec.media.image import encode_jpeg, resize, to_bytes, to_floats
 from airgs_codec.package.package import Package, manifest_of
-from airgs_codec.package.tables import Group, Root
+from airgs_codec.package.tables import MAX_POSTER_BYTES, Group, Root
 from airgs_codec.places.place import Memory
+from airgs_codec.render import Camera
 from airgs_codec.render.backend import Renderer
+from airgs_codec.scene.camera import with_pixels
 from airgs_codec.scene.gaussians import SH_REST
 from airgs_codec.scene.sequence import GaussianSequence
+
+POSTER_SIDE = 640  # pixels of the longer side
+POSTER_QUALITIES = (90, 80, 70, 60, 50, 40, 30)  # of JPEG; a worse picture is made smaller instead
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,6 +165,20 @@ def measure_files(
     package = Package(Memory("encoded groups", files), manifest_of(*tables), 0)
     number = [table.start for table in tables[1]].index(own.table.start)
     return measure_round(package, original, renderer, number, pictures)
+
+
+def draw_poster(sequence: GaussianSequence, frame: int, camera: Camera, renderer: Renderer) -> bytes:
+    """Return a JPEG of what a camera sees of a frame, as good, and then as large, as MAX_POSTER_BYTES allow."""
+    share = POSTER_SIDE / max(camera.width, camera.height)
+    shown = with_pixels(camera, round(share * camera.width), round(share * camera.height))
+    picture = to_bytes(renderer.render(sequence.load([frame]).frames[0], shown).rgb)
+    while True:
+        for quality in POSTER_QUALITIES:
+            data = encode_jpeg(picture, quality)
+            if len(data) <= MAX_POSTER_BYTES:
+                return data
+        height, width = (side * 3 // 4 for side in picture.shape[:2])
+        picture = to_bytes(resize(to_floats(picture), width, height))
 
 
 @dataclass(frozen=True, slots=True)

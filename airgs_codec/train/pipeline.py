@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from airgs_codec.errors import AirgsError, ConfigError, SceneError
 from airgs_codec.jobs.engines import NOTHING, Needs
@@ -27,7 +27,7 @@ from airgs_codec.train.data.multiview import (
     without_masks,
 )
 from airgs_codec.train.data.plates import Plate, find_plate, plate_sources
-from airgs_codec.train.fit.points import see_together
+from airgs_codec.train.fit.points import expect_overlap
 from airgs_codec.train.frames import Capture, First, chunks, position_after, train_chunk, train_first
 from airgs_codec.train.record import FrameRecord, Model, Record, Span, TrainedFrame, open_model
 from airgs_codec.train.settings import TrainSettings
@@ -110,20 +110,6 @@ class Run:
     model: Model
 
 
-class Driver(Protocol):
-    """A way to do the steps of a run."""
-
-    def first(self) -> TrainedFrame:
-        """The first frame of the run."""
-
-    def others(self, first: First, model: Model) -> Iterator[TrainedFrame]:
-        """The frames that the model does not have; each is in it when the next one is asked for."""
-
-    @property
-    def usage(self) -> Mapping[Span, Usage]:
-        """The usage of those groups that was measured on the way."""
-
-
 def train(
     scene: MultiviewScene,
     folder: Path,
@@ -169,10 +155,7 @@ def check_pictures(capture: Capture) -> None:
     if not names:
         raise SceneError(f"{scene.path}: expected training views of the first frame, got none")
     if scene.points is None and scene.given is None:
-        if len(names) == 1:
-            raise SceneError(f"{scene.path}: expected at least two training cameras or points to start from, got one")
-        if not see_together(cameras):
-            raise SceneError(f"{scene.path}: expected cameras that look at a common place, none of {len(names)} do")
+        expect_overlap(scene.path, cameras)
     if reference not in (None, *names):
         raise ConfigError(f"--reference: expected a training camera of {', '.join(names)}, got {reference}")
     capture.pictures.check()
@@ -211,7 +194,7 @@ def train_part(scene: MultiviewScene, settings: TrainSettings, device: str, work
     work.run(list(farm.chunks(First(trained.gaussians, trained.exposure)).values()))
 
 
-def _train(run: Run, driver: Driver, progress: Progress) -> Iterator[FrameRecord]:
+def _train(run: Run, driver: Here | Farm, progress: Progress) -> Iterator[FrameRecord]:
     model = run.model
     if model.finished():
         return

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -112,8 +113,15 @@ def _with_random(points: Points, count: int, views: Sequence[View], rng: np.rand
 SHARED_DEPTHS = (0.3, 3.0)  # of the scene's extent: nearest and farthest depth at which cameras see a common place
 
 
-def see_together(cameras: Sequence[Camera]) -> bool:
-    """Whether any two of the cameras see a common place."""
+def expect_overlap(where: Path, cameras: Sequence[Camera]) -> None:
+    """Raise SceneError unless two of the cameras of the scene at `where` see a common place."""
+    if len(cameras) == 1:
+        raise SceneError(f"{where}: expected at least two training cameras or points to start from, got one")
+    if not _see_together(cameras):
+        raise SceneError(f"{where}: expected cameras that look at a common place, none of {len(cameras)} do")
+
+
+def _see_together(cameras: Sequence[Camera]) -> bool:
     extent = scene_extent(cameras)
     across = np.linspace(0.1, 0.9, 5)
     for number, camera in enumerate(cameras):
