@@ -35,7 +35,7 @@ def test_a_package_has_a_view_of_its_first_frame_from_where_viewers_begin(demo_p
 
 @pytest.mark.parametrize("most", [20_000, 5_000, 900])
 def test_it_is_worse_and_then_smaller_until_it_fits(most, monkeypatch):
-    monkeypatch.setattr("airgs_codec.encoder.poster.MAX_POSTER_BYTES", most)
+    monkeypatch.setattr("airgs_codec.encoder.pipeline.MAX_POSTER_BYTES", most)
     sequence = open_sequence(FOX)
     data = draw_poster(sequence, 0, sequence.cameras[0], CPU)
     with Image.open(io.BytesIO(data)) as opened:
