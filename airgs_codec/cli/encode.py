@@ -32,6 +32,7 @@ from airgs_codec.cli.options import Given, expect_one, given, nested, option_nam
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.cli.train import train_by_default
 from airgs_codec.encoder.live import follow
+from airgs_codec.encoder.prepare import hold_frames
 from airgs_codec.encoder.publish import Beside, EncodeReport, encode_part
 from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.search import PSNR, SIZE, Goal
@@ -142,6 +143,7 @@ def encode(options: Encode) -> int:
     frames = settings.group_frames or DEFAULT_GROUP_FRAMES
     most = 2 * options.work.jobs * max(header.bytes for header in sequence.headers) * min(frames, len(sequence))
     expect_room(Path(tempfile.gettempdir()), most)  # states of a group that wait, in each process
+    sequence = hold_frames(sequence)
     settings, line = decide(sequence, settings)
     if line:
         warn(line)
@@ -223,7 +225,7 @@ def _open(options: Encode) -> tuple[GaussianSequence, str]:
 
 def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:
     """Encode a sequence that somebody still writes."""
-    whole = ("target_psnr", "target_mb", "target_mbps", "audio", "contact_sheet", "report")
+    whole = ("target_psnr", "target_kb", "target_mbps", "audio", "contact_sheet", "report")
     asked = {name: getattr(options, name) for name in whole} | options.clip.baking()
     told = [f"--{option_name(name)}" for name, value in asked.items() if value is not None]
     if option := next(iter(told), options.work.shared_by()):

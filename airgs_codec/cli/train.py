@@ -126,7 +126,7 @@ def train(options: Train) -> int:
     )
     cameras = [camera for camera in scene.cameras if not camera.held_out]
     if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
-        warn(f"warning: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
+        say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
     jobs = _train_in_jobs(options, run) if shared else []
     if not shared:
         run_training(run, quiet=options.json)

@@ -35,7 +35,7 @@ def hold_frames(sequence: GaussianSequence) -> GaussianSequence:
 
     Each is read once where it has room for all of them, else twice: to name it, and while its group is encoded.
     """
-    return replace(sequence, held=HeldFrames(held_bytes()))
+    return sequence if sequence.held is not None else replace(sequence, held=HeldFrames(held_bytes()))
 
 
 def held_bytes() -> int:

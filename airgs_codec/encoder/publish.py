@@ -175,7 +175,7 @@ def _encode(
     work: Work,
 ) -> tuple[EncodeReport, Finished]:
     credit = sequence.attribution if beside.attribution is None else beside.attribution
-    with tracked(sequence, settings, work) as found:
+    with tracked(hold_frames(sequence), settings, work) as found:
         return _encode_rows(found, settings, goal, replace(beside, attribution=credit), work)
 
 

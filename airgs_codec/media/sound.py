@@ -1,7 +1,6 @@
 """Sound: any file that FFmpeg reads to packets of Opus, and packets to samples. C channels, 48,000 samples a second.
 
-Packets last 20 ms. Packet k decodes to the samples from PACKET_TICKS * k - pre_skip on, where 0 is the first sample of
-the sound: an Opus encoder lags behind what it is given (RFC 7845).
+Packets last 20 ms. Packet k decodes to the samples from PACKET_TICKS * k - pre_skip on: Opus lags behind (RFC 7845).
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Frames that are read or made as they are asked for, and repairs that make those of one group codable.
-
-All frames of a group may not fit into memory together. N rows that they share.
-"""
+"""Frames that are read or made as they are asked for, and repairs that make those of one group codable. N rows."""
 
 from __future__ import annotations
 

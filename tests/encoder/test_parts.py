@@ -138,7 +138,7 @@ def test_a_goal_is_reached_with_the_same_bytes(scene, tmp_path):
 
 def test_the_commands_share_work_and_merge(scene, tmp_path, capsys):
     words = [str(scene), "--preset", "quick", "--group-frames", "4", "--x264-preset", "ultrafast"]
-    page, shared = tmp_path / "jobs" / "index.html", ["--work", str(tmp_path / "work")]
+    page, shared = tmp_path / "jobs" / "jobs.html", ["--work", str(tmp_path / "work")]
     for part in ("2/2", "1/2"):
         assert command.main([*words, *shared, "--part", part, "--report", str(page.parent)]) == 0
         assert "airgs-manifest merge" in capsys.readouterr().out

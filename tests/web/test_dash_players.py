@@ -13,7 +13,7 @@ import pytest
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import LevelSettings
 from airgs_codec.package.layout import INIT_NAME, MPD_NAME, tile_folder
-from airgs_codec.package.mpd import LiveClock, write_mpd
+from airgs_codec.package.mpd import LiveClock, still_files, write_mpd
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import WEB, missing, serve, visit
@@ -65,7 +65,10 @@ def expected(m):
     streams = defaultdict(list)
     for number, segment in enumerate(m.segments):
         for j, p in np.ndindex(len(m.levels), m.tiles):
-            streams[f"{tile_folder(p, m.tiles)}L{j}"] += [(segment, path) for path in m.state_files(number, j, [p])]
+            name = f"{tile_folder(p, m.tiles)}L{j}"
+            still = f"state/{name}/{number + 1}.m4s"
+            files = m.state_files(number, j, [p]) or [still for path, _ in still_files(m) if path == still]
+            streams[name] += [(segment, path) for path in files]
     for number, group in enumerate(m.groups):
         for k, q in np.ndindex(m.units, len(m.qualities)):
             name = f"{tile_folder(k // m.tiers, m.tiles)}T{k % m.tiers}/Q{q}"
