@@ -33,8 +33,7 @@ const shown = () => player.rungs[player.rung ?? -1]?.name;
 
 async function run(): Promise<object> {
   await until("a picture", () => player.stats.framesShown > 0);
-  const open = new KeyboardEvent("keydown", { key: "i" });
-  await until("a panel", () => panel() !== "" || !element.shadowRoot?.querySelector(".frame")?.dispatchEvent(open));
+  element.shadowRoot?.querySelector<HTMLElement>('[aria-label="Figures"]')?.click();
   const first = shown();
   await until("a rung that is held", () => player.stats.held !== null && shown() !== first);
   await until("a sentence", () => panel().includes("screen"));
