@@ -147,7 +147,11 @@ def _declared(value: Any) -> str:
 
 
 def _schema_file() -> str:
-    """The JSON Schemas of the tables without their words for people: what the player checks, and its types."""
+    """The schemas of the tables, shortened to what the player checks and has its types from.
+
+    They are JSON Schema without words for people, but that an object which names its `properties` has no others and
+    lists those that may be absent, `optional`.
+    """
     schema = manifest_schema()
     kinds = {"root": {name: value for name, value in schema.items() if name != "$defs"}, **schema["$defs"]}
     lines = [f"export const {name} = {json.dumps(_bare(kind))} as const;\n" for name, kind in kinds.items()]
@@ -161,11 +165,16 @@ def _bare(node: Any, of_properties: bool = False) -> Any:
     if not isinstance(node, dict):
         return node
     words = () if of_properties else ("title", "description", "$schema")
-    return {
+    bare = {
         name: _bare(value, not of_properties and name == "properties")
         for name, value in node.items()
         if name not in words
     }
+    if of_properties or "properties" not in node:
+        return bare
+    assert bare.pop("type") == "object" and bare.pop("additionalProperties") is False
+    required = bare.pop("required")
+    return bare | {"optional": [name for name in bare["properties"] if name not in required]}
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-// The bytes of tables, parsed and checked against their JSON Schema (generated/schema.ts), with no library: exactly the
+// The bytes of tables, parsed and checked against their schema (generated/schema.ts), with no library: exactly the
 // keywords that it uses. FORMAT.md, section 2. The text of a group's table is one gzip member (RFC 1952).
 import { MAX_TABLE_BYTES, MAX_VALUES, ROOT_PATH, VERSION } from "../generated/constants.ts";
 import { root as rootSchema } from "../generated/schema.ts";
@@ -78,7 +78,7 @@ async function collect(reader: ReadableStreamDefaultReader<Uint8Array>, where: s
 type Json = Record<string, unknown>;
 type Keyword = (value: unknown, argument: unknown, schema: Json) => string | null;
 
-const STRUCTURE = new Set(["type", "properties", "required", "additionalProperties", "propertyNames", "items"]);
+const STRUCTURE = new Set(["type", "properties", "optional", "additionalProperties", "propertyNames", "items"]);
 const range = (low: unknown, high: unknown) => `expected ${low ?? "any"} to ${high ?? "any"}`;
 
 /** Says why a value is refused as bad_value; null: it may stand. Values of another type are refused before. */
@@ -105,7 +105,7 @@ const shown = (value: unknown) => (JSON.stringify(value) ?? "nothing").slice(0, 
  */
 export function checkTable(value: unknown, schema: Json, where: string): void {
   const refuse = (reason: Reason, detail: string) => new FormatError(reason, where, detail);
-  const { type } = schema;
+  const type = schema.properties ? "object" : schema.type;
   const got = typeOf(value);
   if (type !== undefined && got !== (type === "integer" ? "number" : type)) {
     throw refuse("wrong_type", `expected ${type}, got ${got}`);
@@ -129,11 +129,12 @@ export function checkTable(value: unknown, schema: Json, where: string): void {
 
 function checkObject(value: Json, schema: Json, where: string): void {
   const properties = (schema.properties ?? {}) as Record<string, Json>;
+  const optional = schema.optional as string[] | undefined;
   const others = schema.additionalProperties;
   const strange = Object.keys(value).filter((name) => !Object.hasOwn(properties, name));
-  if (others === false && strange.length)
+  if (optional && strange.length)
     throw new FormatError("unknown_field", where, `unknown fields ${strange.slice(0, 8)}`);
-  const missing = ((schema.required ?? []) as string[]).filter((name) => !Object.hasOwn(value, name));
+  const missing = Object.keys(properties).filter((name) => !Object.hasOwn(value, name) && !optional?.includes(name));
   if (missing.length) throw new FormatError("missing_field", where, `missing fields ${missing}`);
   for (const [name, one] of Object.entries(properties)) {
     if (Object.hasOwn(value, name)) checkTable(value[name], one, `${where}.${name}`);

@@ -1,7 +1,7 @@
 // What decoded things look like on their way from files to pictures. N rows of a tile of a group, C colour channels.
 import type { group, page, root } from "../generated/schema.ts";
 
-/** The values that a JSON Schema describes, as far as this format uses it; every table says what it requires. */
+/** The values that a schema describes; every table says what it may lack. */
 type Of<S> = S extends { const: infer Value }
   ? Value
   : S extends { enum: readonly (infer Value)[] }
@@ -10,9 +10,9 @@ type Of<S> = S extends { const: infer Value }
       ? Of<Item>[]
       : S extends { additionalProperties: infer Value extends object }
         ? Record<string, Of<Value>>
-        : S extends { properties: infer Fields; required: readonly (infer Required)[] }
-          ? { [Name in Extract<keyof Fields, Required>]: Of<Fields[Name]> } & {
-              [Name in Exclude<keyof Fields, Required>]?: Of<Fields[Name]>;
+        : S extends { properties: infer Fields; optional: readonly (infer Optional)[] }
+          ? { [Name in Exclude<keyof Fields, Optional>]: Of<Fields[Name]> } & {
+              [Name in Extract<keyof Fields, Optional>]?: Of<Fields[Name]>;
             }
           : S extends { type: "string" }
             ? string

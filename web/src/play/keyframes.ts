@@ -7,6 +7,9 @@ const MOST_DEGREES = 170;
 const LEAST_SLANT = 1e-6;
 const KNOWN = ["t", "position", "focus", "up", "fov_y", "name"];
 
+/** A player waits no longer for a path. */
+const LONGEST_MS = 5000;
+
 type Row = readonly number[];
 type Fields = Readonly<Record<string, unknown>>;
 
@@ -52,6 +55,17 @@ export class CameraPath {
     const [from, to] = [this.#speeds[k], this.#speeds[k + 1]];
     return values[k].map((x, i) => x + bend * (values[k + 1][i] - x) + leaving * from[i] + coming * to[i]);
   }
+}
+
+/** A function that reads the camera path at an address, given what is up and the field of view where it says neither.
+ *
+ * Throws TypeError or SyntaxError where there is none, and the function Error.
+ */
+export async function fetchCameraPath(address: string): Promise<(up: Vector, fovY: number) => CameraPath> {
+  const response = await fetch(address, { signal: AbortSignal.timeout(LONGEST_MS) });
+  if (!response.ok) throw new TypeError(`${address}: HTTP ${response.status}`);
+  const data: Fields = await response.json();
+  return (up, fovY) => readCameraPath(data, up, fovY);
 }
 
 /** The camera path in JSON; `up` and `fovY`, degrees, are those of keyframes without. Throws Error. */

@@ -43,6 +43,24 @@ export class Split {
     this.#listen(frame);
   }
 
+  /** The rung `split` of the package at `src` beside the one that plays; null where there is none of that name. */
+  static beside(
+    desk: Desk,
+    frame: HTMLElement,
+    { split, src }: { split: string; src: string },
+    create: (canvas: HTMLCanvasElement) => PlayerLike,
+    failed: (why: string) => void,
+  ): Split | null {
+    const names = desk.rungs.map(({ name }) => name);
+    if (!names.includes(split)) {
+      failed(`split=${split}: expected one of ${names.join(", ")}`);
+      return null;
+    }
+    const made = new Split(desk, frame, split, create, failed);
+    made.open(src);
+    return made;
+  }
+
   async open(src: string): Promise<void> {
     try {
       await this.#player.open(src);
@@ -56,7 +74,7 @@ export class Split {
   #fail(why: string): void {
     if (this.desk.signal.aborted) return;
     this.close();
-    this.failed(why);
+    this.failed(`There is no second picture: ${why}`);
   }
 
   close(): void {

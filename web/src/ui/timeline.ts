@@ -1,25 +1,19 @@
-// The time line: where we are, what is there in which quality, and a way to go elsewhere.
+// The time line: where we are, and what is there in which quality. `Scrub` is the way to go elsewhere.
 
 import { stripes } from "./colours.ts";
 import type { Desk, Part } from "./desk.ts";
-import { make, write } from "./dom.ts";
-import { clock, rungTitle, spoken } from "./words.ts";
-
-const STEP_S = 5;
-const PAGE_SHARE = 0.1;
-/** Milliseconds between seeks while a pointer is dragged: each one fetches something. */
-const SEEK_MS = 150;
+import { make } from "./dom.ts";
+import { spoken } from "./words.ts";
 
 export class Timeline {
   readonly node: HTMLElement;
   readonly #ahead = make("div", { class: "ahead" });
   readonly #played = make("div", { class: "played" });
   readonly #thumb = make("div", { class: "thumb" });
-  readonly #tip = make("div", { class: "tip", "aria-hidden": "true" });
   /** What was on the screen, in which rung: a player may forget it. */
   #seen: Part[] = [];
-  #dragged: number | null = null;
-  #sought = 0;
+  /** The time that a hand drags it to, seconds; null: none does. */
+  dragged: number | null = null;
   #painted = "";
 
   constructor(readonly desk: Desk) {
@@ -29,22 +23,15 @@ export class Timeline {
       { class: "timeline", part: "timeline", role: "slider", tabindex: 0, "aria-label": "Seek", "aria-valuemin": 0 },
       track,
       this.#thumb,
-      this.#tip,
     );
-    const on = { signal: desk.signal };
-    this.node.addEventListener("pointerdown", (event) => this.#down(event), on);
-    this.node.addEventListener("pointermove", (event) => this.#move(event), on);
-    this.node.addEventListener("pointerup", (event) => this.#up(event), on);
-    this.node.addEventListener("pointercancel", () => this.#end(), on);
-    this.node.addEventListener("keydown", (event) => this.#key(event), on);
   }
 
   get scrubbing(): boolean {
-    return this.#dragged !== null;
+    return this.dragged !== null;
   }
 
   get time(): number {
-    return this.#dragged ?? this.desk.player.currentTime;
+    return this.dragged ?? this.desk.player.currentTime;
   }
 
   update(): void {
@@ -70,66 +57,6 @@ export class Timeline {
     this.#painted = picture;
     this.#ahead.style.backgroundImage = picture;
     this.#played.style.backgroundImage = picture;
-  }
-
-  #at(event: PointerEvent): number {
-    const { left, width } = this.node.getBoundingClientRect();
-    const share = Math.max(0, Math.min(1, (event.clientX - left) / (width || 1)));
-    return share * this.desk.player.duration;
-  }
-
-  #down(event: PointerEvent): void {
-    if (event.button !== 0 || !this.desk.ready) return;
-    this.node.setPointerCapture(event.pointerId);
-    this.#drag(this.#at(event), event.timeStamp);
-  }
-
-  #drag(time: number, now: number): void {
-    this.#dragged = time;
-    if (now - this.#sought > SEEK_MS) {
-      this.#sought = now;
-      this.desk.seek(time);
-    }
-    this.desk.wake();
-  }
-
-  #move(event: PointerEvent): void {
-    const time = this.#at(event);
-    const { player } = this.desk;
-    const there = player.buffered.find((part) => part.start <= time && time < part.stop);
-    const rung = there && this.desk.rungs[there.rung];
-    this.#tip.style.setProperty("--tip", String(player.duration > 0 ? time / player.duration : 0));
-    write(this.#tip, clock(time, player.duration) + (rung ? ` · ${rungTitle(rung)}` : ""));
-    if (this.#dragged !== null) this.#drag(time, event.timeStamp);
-  }
-
-  #up(event: PointerEvent): void {
-    if (this.#dragged === null) return;
-    this.desk.seek(this.#at(event));
-    this.#end();
-  }
-
-  #end(): void {
-    this.#dragged = null;
-    this.desk.wake();
-  }
-
-  #key(event: KeyboardEvent): void {
-    const { duration } = this.desk.player;
-    const skips: Readonly<Record<string, number>> = {
-      ArrowLeft: -STEP_S,
-      ArrowDown: -STEP_S,
-      ArrowRight: STEP_S,
-      ArrowUp: STEP_S,
-      PageDown: -PAGE_SHARE * duration,
-      PageUp: PAGE_SHARE * duration,
-      Home: -duration,
-      End: duration,
-    };
-    const skip = skips[event.key];
-    if (skip === undefined || event.ctrlKey || event.metaKey || event.altKey) return;
-    event.preventDefault();
-    this.desk.skip(skip);
   }
 }
 

@@ -4,7 +4,7 @@ import type { Problem } from "../play/playback.ts";
 import type { RungInfo } from "../play/rungs.ts";
 import { rungColours } from "./colours.ts";
 import { type Desk, EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
-import { loadPath, type More } from "./more.ts";
+import { loadMore, type More } from "./more.ts";
 import { Orbit } from "./orbit.ts";
 import { pictureSize, type Sharpness } from "./sharpness.ts";
 import { type FullScreen, type Looks, type Parts, Shell } from "./shell.ts";
@@ -238,7 +238,11 @@ export class View implements Desk {
 
   async #open(): Promise<void> {
     const { player, plan } = this;
-    const path = plan.path ? loadPath(plan.path).catch(thrown) : null;
+    const path = plan.path
+      ? loadMore()
+          .then(({ fetchCameraPath }) => fetchCameraPath(plan.path))
+          .catch(thrown)
+      : null;
     try {
       if (plan.quality !== "auto") player.quality = plan.quality;
       await player.open(plan.src);
@@ -262,24 +266,18 @@ export class View implements Desk {
     else this.#look();
     this.orbit.reduced = this.#still.matches;
     if (player.region?.source === "orbit") this.#say("guess", GUESSED);
-    if (plan.split) this.#shell.use(({ Split }) => this.#beside(plan.split, Split));
+    if (plan.split) this.#shell.use(({ Split }) => this.#beside(Split));
     if (plan.autoplay) await player.play();
     this.#shell.update();
     this.wake();
   }
 
   /** Show another rung beside the one that plays. */
-  #beside(rung: string, Split: Parts["Split"]): void {
-    const { owner, plan, rungs } = this;
-    const names = rungs.map(({ name }) => name);
-    if (!names.includes(rung)) {
-      this.#say("split", `split=${rung}: expected one of ${names.join(", ")}`);
-      return;
-    }
+  #beside(Split: Parts["Split"]): void {
+    const { owner, plan } = this;
     const create = (canvas: HTMLCanvasElement) => owner.create(canvas, { ...plan.settings, muted: true });
-    const failed = (why: string) => this.#say("split", `There is no second picture: ${why}`);
-    this.#split = new Split(this, this.#shell.frame, rung, create, failed);
-    this.#split.open(plan.src);
+    const { frame } = this.#shell;
+    this.#split = Split.beside(this, frame, plan, create, (why) => this.#say("split", why));
   }
 
   #say(name: string, text: string): void {
@@ -357,11 +355,12 @@ export class View implements Desk {
 
   /** Keys and hands, once there is something to look at. */
   #add(more: More): void {
-    const { FullScreen, Gestures, Sharpness, listenToKeys } = more;
+    const { FullScreen, Gestures, Scrub, Sharpness, listenToKeys } = more;
     this.#more = more;
     const { signal, owner: host } = this;
     this.#full = new FullScreen(host, () => this.wake(), signal);
     this.#sharpness = new Sharpness(() => this.#resize());
+    new Scrub(this, this.#shell.bar.timeline);
     listenToKeys(this.#shell.frame, this, signal);
     new Gestures(
       this.#shell.scene,
