@@ -37,7 +37,7 @@ const shaders = {
   setup(plugins) {
     plugins.onLoad({ filter: /render[/].*shaders?[.]ts$/ }, async ({ path }) => {
       const text = (await readFile(path, "utf8")).replace(/\s*[/][/].*$/gm, "").replace(/^\s+/gm, "");
-      return { contents: text.replace(/ *([=*,;(){}<>?:&|]) */g, "$1"), loader: "ts" };
+      return { contents: text.replace(/ *([=*,;(){}<>?:&|+/]) */g, "$1"), loader: "ts" };
     });
   },
 };
