@@ -167,8 +167,10 @@ class Means {
     const plane = atlas.planes.indexOf(axis);
     if (plane < 0 && !centre) return;
     const corner = plane < 0 ? 0 : planeCorner(atlas, plane);
-    for (let i = 0; i < this.#rows.length; i++) {
-      this.#add(means, i, axis, plane < 0 ? centre : luma[corner + this.#offsets[i]] - GREY + centre);
+    const [rows, offsets, { units }, step] = [this.#rows, this.#offsets, this.#positions, this.steps[axis]];
+    for (let i = 0; i < rows.length; i++) {
+      const [code, row] = [plane < 0 ? centre : luma[corner + offsets[i]] - GREY + centre, rows[i]];
+      means[AXES * row + axis] += Math.fround(code * step) * units[row];
     }
   }
 
