@@ -31,6 +31,7 @@ ENDS = (0.005, 0.995)  # quantiles of heights: below and above is what floats
 FOOT, LEG = 0.06, 0.15  # of the height: what touches the ground, and what stands on it
 SLABS = np.array([-np.inf, 1, 2, 3, 4, 5, 6, 7, np.inf]) / 8  # of the height
 STILL = 0.05  # of the mean motion: what moves less rests
+SHUFFLED = 0.25  # of the size: where rows move farther between two frames, they are other rows
 LEVEL = np.cos(np.radians(20))  # candidates nearer to a floor's normal than this are the same direction
 LEAST = 1e-4  # of the size: keeps ln(0) and 0 / 0 out
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
@@ -62,7 +63,7 @@ class Subject:
     """What cues look at."""
 
     frames: Sequence[Points]
-    motion: Vectors  # (n,) how far the points of a frame get; 0 where nobody knows which row is which
+    motion: Vectors  # (n,) how far the points of the first frame get, or what is nearest to them where rows are others
     floor: Vectors | None  # (3,) the direction away from a floor
     viewer: tuple[Vectors, Vectors] | None = None  # (3,) where a place was filmed from, and the direction
 
@@ -72,10 +73,12 @@ class Subject:
         middle = frames[len(frames) // 2]
         low, high = np.quantile(middle.means.astype(np.float64), [0.01, 0.99], axis=0)
         centre, size = (low + high) / 2, float(np.linalg.norm(high - low) + np.finfo(np.float32).tiny)
-        same = all(len(frame) == len(middle) for frame in frames)
+        same = all(_moved(frame, middle) < SHUFFLED * size for frame in frames)
         points = [_points(frame, _drawn(middle if same else frame), centre, size) for frame in frames]
-        still = np.zeros(len(points[0].at))
-        motion = np.linalg.norm(np.ptp([one.at for one in points], axis=0), axis=1) if same else still
+        if same:
+            motion = np.linalg.norm(np.ptp([one.at for one in points], axis=0), axis=1)
+        else:
+            motion = np.max([KDTree((f.means - centre) / size).query(points[0].at)[0] for f in frames[1:]], axis=0)
         where = viewer and ((viewer[0] - centre) / size, viewer[1])
         return Subject(points, motion, find_floor(middle), where)
 
@@ -180,6 +183,13 @@ def find_front(subject: Subject, up: Vectors) -> Vectors:
     along = points.at @ ahead
     more = np.average(along, weights=points.detail + LEAST) - along.mean()
     return np.asarray(ahead if more >= 0 else -ahead)
+
+
+def _moved(frame: Gaussians, other: Gaussians) -> float:
+    """How far rows get from one frame to another, world units; inf where these have not as many."""
+    if len(frame) != len(other):
+        return np.inf
+    return float(np.median(np.linalg.norm(frame.means.astype(np.float64) - other.means, axis=1)))
 
 
 def _drawn(gaussians: Gaussians) -> NDArray[np.int64]:

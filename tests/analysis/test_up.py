@@ -50,10 +50,14 @@ def test_an_animal_stands_on_its_feet_and_is_seen_from_in_front_however_it_is_tu
     assert find_front(subject, up) @ turn.apply([0, 0, 1]) > 0.9
 
 
-def test_what_rests_is_below_what_moves():
+@pytest.mark.parametrize("lost", [0, 7], ids=["as many rows", "fewer rows"])
+@pytest.mark.parametrize("ordered", [True, False], ids=["in order", "shuffled"])
+def test_what_rests_is_below_what_moves(ordered, lost):
     still = ball()
     swayed = replace(still, means=still.means + np.maximum(still.means[:, :1] + 0.2, 0) * [0, 0.1, 0.2])
     swayed = replace(swayed, means=swayed.means.astype(np.float32))
+    rows = np.arange(len(swayed)) if ordered else np.random.default_rng(1).permutation(len(swayed))
+    swayed = swayed.take(rows[: len(rows) - lost])
     assert guess_up(Subject.of([still, swayed])) == pytest.approx([1, 0, 0])
 
 
