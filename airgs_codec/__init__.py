@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from airgs_codec.play.ladder import Decision
     from airgs_codec.play.session import simulate
     from airgs_codec.play.settings import SessionSettings
-    from airgs_codec.play.trace import Trace, open_trace
+    from airgs_codec.play.trace import Trace
     from airgs_codec.render.backend import draw
     from airgs_codec.scene.camera import Camera
     from airgs_codec.scene.formats.table import read
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from airgs_codec.scene.gaussians import Gaussians
     from airgs_codec.scene.sequence import GaussianSequence as Sequence
     from airgs_codec.scene.sequence import open_sequence
+    from airgs_codec.trainer import train
 
 __version__ = "0.1.0"
 
@@ -56,9 +57,9 @@ __all__ = [
     "encode",
     "open_package",
     "open_sequence",
-    "open_trace",
     "read",
     "simulate",
+    "train",
     "validate",
     "write",
 ]
@@ -79,9 +80,9 @@ _HOMES = {
     "encode": "encoder.publish",
     "open_package": "package.package",
     "open_sequence": "scene.sequence",
-    "open_trace": "play.trace",
     "read": "scene.formats.table",
     "simulate": "play.session",
+    "train": "trainer",
     "validate": "inspect.validate",
     "write": "scene.formats.write",
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import Protocol
+from typing import Any, Protocol
 
 
 class Progress(Protocol):
@@ -15,6 +15,31 @@ class Progress(Protocol):
 
 def silent(stage: str, done: int, total: int) -> None:
     """The default: says nothing."""
+
+
+def told(progress: Progress | type) -> Progress:
+    """What `progress=` takes, as a function: a class of bars, such as tqdm.auto.tqdm, shows a bar for each stage."""
+    return _Bars(progress) if isinstance(progress, type) else progress
+
+
+class _Bars:
+    def __init__(self, kind: Any) -> None:
+        self._kind, self._stage = kind, ""
+        self._bar: Any = None
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if self._bar is None or stage != self._stage:
+            self.close()
+            self._stage, self._bar = stage, self._kind(total=total, desc=stage)
+        self._bar.total = total
+        self._bar.update(done - self._bar.n)
+        if done == total:
+            self.close()
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.close()
+        self._bar = None
 
 
 class Stopwatch:

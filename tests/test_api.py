@@ -27,9 +27,9 @@ NAMES = {
     "encode",
     "open_package",
     "open_sequence",
-    "open_trace",
     "read",
     "simulate",
+    "train",
     "validate",
     "write",
 }
@@ -69,7 +69,7 @@ def test_functions_are_typed_and_say_what_they_raise(name):
     assert "aises" in inspect.getdoc(function)
 
 
-@pytest.mark.parametrize("name", ["open_package", "open_sequence", "open_trace", "read", "validate"])
+@pytest.mark.parametrize("name", ["open_package", "open_sequence", "read", "validate"])
 def test_paths_are_text_or_paths(name):
     first = next(iter(inspect.signature(getattr(airgs, name)).parameters.values()))
     assert first.annotation == "str | Path"

@@ -22,7 +22,7 @@ def smallest(state):
 def test_a_path_opens_what_is_expected(of):
     opened = airgs.decode(airgs.open_package(PACKAGE), 1)
     assert (airgs.decode(of(PACKAGE), 1).means == opened.means).all()
-    same = airgs.simulate(airgs.open_package(PACKAGE), airgs.open_trace("const:5"), "bola")
+    same = airgs.simulate(airgs.open_package(PACKAGE), airgs.Trace.open("const:5"), "bola")
     assert airgs.simulate(of(PACKAGE), "const:5", "bola").metrics == same.metrics
 
 
@@ -55,7 +55,7 @@ def simulate(*given, **more):
         (partial(airgs.encode, FOX, 3), "path: expected a path or an address, got int 3"),
         (partial(airgs.open_package, None), "path: expected a path or an address, got None"),
         (partial(airgs.open_sequence, [1, 2]), r"folder: expected a path or an address, got list \[1, 2\]"),
-        (partial(airgs.open_trace, 5), "trace: expected a path or an address, got int 5"),
+        (partial(airgs.Trace.open, 5), "trace: expected a path or an address, got int 5"),
         (partial(airgs.validate, None), "path: expected a path or an address, got None"),
         (simulate([], "const:5"), r"package: expected an open package or the path of one, got list \[\]"),
         (simulate(PACKAGE, 5.0), r"trace: expected a trace, or its path or name, got float 5\.0"),

@@ -1,6 +1,5 @@
 """Callers take figures and events of sessions as plain values, make traces, and compare, read and write frames."""
 
-import importlib.util
 import json
 
 import numpy as np
@@ -27,11 +26,11 @@ def test_figures_and_events_are_plain_values(log):
     assert [event["at_s"] for event in events] == sorted(event["at_s"] for event in events)
 
 
-@pytest.mark.skipif(not importlib.util.find_spec("pandas"), reason="pandas is not installed")
-def test_events_are_a_table(log):
-    import pandas
-
-    assert len(pandas.DataFrame(log.events)) == len(log.fetches) + len(log.shown)
+def test_events_are_a_data_frame_with_the_figures_of_the_session(log):
+    frame = log.to_pandas()
+    assert list(frame["event"]) == [event["event"] for event in log.events]
+    assert frame["bytes"].sum() == sum(fetch.bytes for fetch in log.fetches)
+    assert frame.attrs == log.metrics.as_dict()
 
 
 def test_a_trace_is_made_of_arrays():

@@ -11,7 +11,7 @@ from tests.support.paths import PACKAGE
 
 ROOT = "the root"
 ORDER = (
-    ROOT, "places", "media", "scene", "package", "coding", "decoder", "render", "jobs", "analysis", "train", "play",
+    ROOT, "places", "media", "scene", "package", "coding", "decoder", "render", "jobs", "analysis", "trainer", "play",
     "serve", "encoder", "inspect", "cli",
 )  # fmt: skip
 MAY_IMPORT = {
@@ -19,10 +19,10 @@ MAY_IMPORT = {
         "render/differentiable.py",
         "render/cuda.py",
         "render/reference.py",
-        "train",
+        "trainer",
     },
     "gsplat": {"render/cuda.py"},
-    "pycolmap": {"train/data/rig.py"},
+    "pycolmap": {"trainer/data/rig.py"},
     "gaussforge": {"scene/formats/sandbox.py"},
     "fourdgs": {"scene/formats/bake_4dgs.py", "scene/formats/fourdgs.py"},
     "gsply": {"scene/formats/spz.py"},
@@ -36,7 +36,7 @@ MAY_IMPORT = {
         "coding/rangecoder.py",
         "render/cpu.py",
         "render/cpu_kernels.py",
-        "train/fit/kernels.py",
+        "trainer/fit/kernels.py",
     },
     "matplotlib": {"_report.py", "jobs/report.py"},
     "dask": {"jobs/dask_engine.py"},

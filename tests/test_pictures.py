@@ -2,16 +2,17 @@
 
 import base64
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import airgs_codec as airgs
-from airgs_codec.encoder.publish import Beside
 from airgs_codec.media.image import read_picture, to_bytes
 from airgs_codec.package.region import departure
 from tests.support.paths import FOX, GOLDEN
 from tests.support.scenes import moving_frames
+from tests.support.servers import plainly_serving, serving
 
 PACKAGE = GOLDEN / "fox"
 
@@ -29,7 +30,7 @@ def test_a_notebook_shows_the_poster_and_escaped_words(tmp_path):
     camera = airgs.Camera.look_at((0, 0, -4), (0, 0, 0), size=(64, 48))
     sequence = airgs.Sequence.from_arrays(moving_frames(60, 2), cameras=[camera])
     where = tmp_path / "<i>.airgs"
-    airgs.encode(sequence, where, settings, beside=Beside("points by <nobody>"))
+    airgs.encode(replace(sequence, credit="points by <nobody>"), where, settings)
     page = airgs.open_package(where)._repr_html_()
     (data,) = re.findall('<img src="data:image/jpeg;base64,([^"]*)"', page)
     assert base64.b64decode(data) == (where / "poster.jpg").read_bytes()
@@ -121,3 +122,12 @@ def test_a_picture_that_cannot_be_written_is_refused(name, tmp_path):
     with pytest.raises(airgs.AirgsError, match=re.escape(name)):
         picture.save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_notebook_shows_the_player_of_a_package_that_is_served_with_one(tmp_path):
+    with serving(PACKAGE) as port:
+        served = airgs.open_package(f"http://127.0.0.1:{port}/{PACKAGE.name}")._repr_html_()
+    assert f'<iframe src="http://127.0.0.1:{port}/{PACKAGE.name}/"' in served and "<img" not in served
+    with plainly_serving(PACKAGE) as port:
+        plain = airgs.open_package(f"http://127.0.0.1:{port}")._repr_html_()
+    assert "<iframe" not in plain

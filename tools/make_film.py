@@ -42,7 +42,7 @@ QUALITY = 70  # of WebP
 def play() -> tuple[Package, SessionLog, Trace]:
     """Play the head once over the trace."""
     package = airgs.open_package(HEAD)
-    trace = airgs.open_trace(TRACE).cut(OFFSET_S, SCALE)
+    trace = airgs.Trace.open(TRACE).cut(OFFSET_S, SCALE)
     log = airgs.simulate(package, trace, "robust-mpc", airgs.SessionSettings(buffer_s=BUFFER_S, loops=1))
     return package, log, trace
 

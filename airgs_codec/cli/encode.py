@@ -33,7 +33,7 @@ from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.cli.train import train_by_default
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import hold_frames
-from airgs_codec.encoder.publish import Beside, EncodeReport, encode_part
+from airgs_codec.encoder.publish import EncodeReport, encode_part
 from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.search import PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
@@ -52,7 +52,7 @@ from airgs_codec.places.place import is_address
 from airgs_codec.progress import Progress
 from airgs_codec.scene.beside import read_attribution
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
-from airgs_codec.train.data.readers import is_multiview
+from airgs_codec.trainer.data.readers import is_multiview
 
 PRESETS: dict[str, Callable[[EncodeSettings], EncodeSettings]] = {
     "default": replace,
@@ -128,7 +128,7 @@ def encode(options: Encode) -> int:
     target = options.output or _default_target(options.scene)
     if options.follow:
         return _follow(options, settings, target)
-    sequence, credit = _open(options)
+    sequence = _open(options)
     if sequence.clip and not options.json:
         say(f"clip: {options.scene}: {sequence.clip.note}")
     goal = _goal(options, sequence)
@@ -139,7 +139,7 @@ def encode(options: Encode) -> int:
     sound = encode_sound(options.audio, len(sequence) / sequence.fps) if options.audio else None
     if sound and sound.note and not options.json:
         say(f"sound: {options.audio}: {sound.note}")
-    beside = Beside(options.attribution or credit, sound)
+    sequence = replace(sequence, credit=options.attribution or sequence.attribution, sound_track=sound)
     frames = settings.group_frames or DEFAULT_GROUP_FRAMES
     most = 2 * options.work.jobs * max(header.bytes for header in sequence.headers) * min(frames, len(sequence))
     expect_room(Path(tempfile.gettempdir()), most)  # states of a group that wait, in each process
@@ -150,9 +150,9 @@ def encode(options: Encode) -> int:
     prepare()
     with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
         if options.work.part:
-            done = encode_part(sequence, settings, work, goal=goal, beside=beside)
+            done = encode_part(sequence, settings, work, goal=goal)
         else:
-            done = publish(sequence, target, settings, goal=goal, beside=beside, work=work)
+            done = publish(sequence, target, settings, goal=goal, work=work)
         if options.report:
             _report(options.report, sequence, None if options.work.part else open_package(target), done, bar)
     if options.contact_sheet:
@@ -209,18 +209,17 @@ def _default_target(scene: str) -> str:
     return f"{place}.airgs"
 
 
-def _open(options: Encode) -> tuple[GaussianSequence, str]:
-    """The sequence that is encoded, trained where pictures were given, and who made the scene."""
+def _open(options: Encode) -> GaussianSequence:
+    """The sequence that is encoded, trained where pictures were given."""
     folder = Path(options.scene)
     if is_address(options.scene) or not is_multiview(folder):
-        sequence = open_sequence(options.scene, views=options.views, fps=options.fps, **options.clip.baking())
-        return sequence, sequence.attribution
+        return open_sequence(options.scene, views=options.views, fps=options.fps, **options.clip.baking())
     if options.settings.get("track"):
         raise ConfigError(f"{options.scene}: expected frames for --track, got multi-view pictures, trained as one")
     if options.clip.given():
         raise ConfigError(f"{options.scene}: expected a clip for --bake-fps or --duration, got multi-view pictures")
     trained = train_by_default(folder, options.fps, options.device, quiet=options.json)
-    return open_sequence(trained, views=options.views, fps=options.fps), read_attribution(folder)
+    return replace(open_sequence(trained, views=options.views, fps=options.fps), credit=read_attribution(folder))
 
 
 def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:

@@ -23,7 +23,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba, as in `cli.
 from airgs_codec.cli.terminal import warn
 from airgs_codec.coding import rangecoder
 from airgs_codec.render import cpu_kernels
-from airgs_codec.train.fit import kernels as loss_kernels
+from airgs_codec.trainer.fit import kernels as loss_kernels
 
 _TILES = "Tuple((f4[:,::1], i8[::1], i4[::1], i4[::1], i8, i8))"  # `Tiles.argument`
 _INPUTS = "f4[:,::1], f4[:,::1], f4[:,::1], f4[::1], f4[:,:,::1]"

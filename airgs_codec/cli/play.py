@@ -49,7 +49,7 @@ from airgs_codec.play.session import play as play_over
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View
 from airgs_codec.play.study import StudySettings, run_study
-from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, open_trace
+from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
 from airgs_codec.render import read_cameras
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import open_sequence
@@ -143,7 +143,7 @@ def play(options: Play) -> int:
         raise ConfigError("expected --trace, or --compare with --traces")
     if options.rtt is not None and not (math.isfinite(options.rtt) and options.rtt >= 0):
         raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {options.rtt:g}")
-    trace = open_trace(options.trace).cut(options.offset, options.scale).ending(options.end)
+    trace = Trace.open(options.trace).cut(options.offset, options.scale).ending(options.end)
     link = Link.over(trace, None if options.rtt is None else options.rtt / 1e3)
     settings, faults = _settings(package, options), find_faults(package)
     log = simulate(package, link, options.policy, settings, faults, view=_view(package.manifest, options))
@@ -244,7 +244,7 @@ def _compare(package: Package, options: Play) -> int:
     c = Offers(package.manifest)
     policies = tuple(name for name in options.policies.split(",") if name)
     for name in policies:
-        make_policy(name, c, Link(open_trace("const:1")))
+        make_policy(name, c, Link(Trace.open("const:1")))
     rtt_s = None if options.rtt is None else options.rtt / 1e3
     link, rules = (options.offsets, options.scale, options.end, rtt_s), _settings(package, options)
     settings = StudySettings(policies, tuple(traces), *link, options.seed, rules, options.jobs)

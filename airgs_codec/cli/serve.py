@@ -16,7 +16,7 @@ from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import run_program, takes
 from airgs_codec.cli.terminal import say
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.trace import Link, Trace, open_trace
+from airgs_codec.play.trace import Link, Trace
 from airgs_codec.serve.app import make_app
 from airgs_codec.serve.files import PackageFiles
 from airgs_codec.serve.pages import NOT_BUILT, is_built, player_address
@@ -80,9 +80,9 @@ async def _serve_until_signal(files: PackageFiles, listening: socket.socket, set
 def _shape(options: Serve) -> Shape | None:
     if options.trace is None and options.rtt is None:
         return None
-    trace: Trace | None = open_trace(options.trace) if options.trace is not None else None
+    trace: Trace | None = Trace.open(options.trace) if options.trace is not None else None
     rtt_s = None if options.rtt is None else options.rtt / 1e3
-    link = Link.over(trace or open_trace("const:1"), rtt_s)  # checks the round trip
+    link = Link.over(trace or Trace.open("const:1"), rtt_s)  # checks the round trip
     return Shape(trace, link.rtt_s)
 
 

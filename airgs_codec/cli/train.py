@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from collections.abc import Iterable, Sequence
 from contextlib import closing
@@ -30,17 +29,17 @@ from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.report import NAME as JOBS_NAME
 from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.scene.camera import BLACK
-from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
-from airgs_codec.train.data.readers import is_unposed, open_scene
-from airgs_codec.train.data.rig import find_poses
-from airgs_codec.train.settings import FIRST, FIRST_A_VIEW, PRESETS, TrainSettings, preset
+from airgs_codec.trainer import default_model, default_settings, require_torch
+from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
+from airgs_codec.trainer.data.readers import is_unposed, open_scene
+from airgs_codec.trainer.data.rig import find_poses
+from airgs_codec.trainer.settings import FIRST, FIRST_A_VIEW, PRESETS, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
-    from airgs_codec.train.pipeline import Run
-    from airgs_codec.train.record import FrameRecord, Model
+    from airgs_codec.trainer.pipeline import Run
+    from airgs_codec.trainer.record import FrameRecord, Model
 
 SPARSE_DEGREES = 30.0  # between neighbouring cameras, from which somebody should know
-CUDA_VIEWS = 4  # an iteration sees on a GPU, which a single picture does not fill
 DEFAULTS = TrainSettings()
 EVERYDAY = ("max_size", "background", "match_exposure", "budget", "min_psnr_db", "group_frames")
 
@@ -105,9 +104,9 @@ def train(options: Train) -> int:
     scene = _scene(options)
 
     from airgs_codec.render.backend import open_renderer
-    from airgs_codec.train.fit.points import degrees_apart
-    from airgs_codec.train.pipeline import open_run
-    from airgs_codec.train.report import write_report
+    from airgs_codec.trainer.fit.points import degrees_apart
+    from airgs_codec.trainer.pipeline import open_run
+    from airgs_codec.trainer.report import write_report
 
     elsewhere = options.work.executor and options.device == "cuda"  # the workers have it
     renderer = open_renderer("auto" if elsewhere else options.device)
@@ -139,7 +138,7 @@ def train(options: Train) -> int:
 
 def _train_in_jobs(options: Train, run: Run) -> list[Record]:
     """Train by jobs; gives who did which."""
-    from airgs_codec.train.pipeline import train_in_jobs
+    from airgs_codec.trainer.pipeline import train_in_jobs
 
     with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
         follow_training(run, train_in_jobs(run, work), bar, quiet=options.json)
@@ -148,7 +147,7 @@ def _train_in_jobs(options: Train, run: Run) -> list[Record]:
 
 def _train_part(options: Train, scene: MultiviewScene, settings: TrainSettings, device: str) -> int:
     """Do the jobs, and write no model."""
-    from airgs_codec.train.pipeline import train_part
+    from airgs_codec.trainer.pipeline import train_part
 
     with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
         train_part(scene, settings, device, work)
@@ -190,7 +189,7 @@ def _settings(options: Train, device: str) -> TrainSettings:
 
 def summary(model: Model) -> dict[str, object]:
     """The record as JSON has it, and what it comes to: means over frames; PSNR as `psnr_definition` says."""
-    from airgs_codec.train.fit.losses import PSNR_DEFINITION
+    from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
 
     frames = model.record.frames
     held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
@@ -226,7 +225,7 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
     """
     require_torch()
     from airgs_codec.render.backend import open_renderer
-    from airgs_codec.train.pipeline import open_run
+    from airgs_codec.trainer.pipeline import open_run
 
     pose_rig(scene, quiet=quiet)
     views = with_held_out(open_scene(scene, fps=fps), None)
@@ -252,7 +251,7 @@ def pose_rig(scene: Path, *, frame: int = 0, shared_lens: bool = False, quiet: b
 
 def run_training(run: Run, *, quiet: bool) -> Model:
     """Train frame after frame with a progress bar; `follow_training` says what is done."""
-    from airgs_codec.train.pipeline import train_frames
+    from airgs_codec.trainer.pipeline import train_frames
 
     bar = Bar(quiet)
     return follow_training(run, train_frames(run, bar), bar, quiet=quiet)
@@ -281,22 +280,3 @@ def frame_line(r: FrameRecord) -> str:
         kind += f"  ({other} {r.rejected_psnr:.2f} dB)"
     static = f", static {100 * sum(r.static.values()) / len(r.static):.0f} %" if r.static else ""
     return f"frame {r.frame:4d}  {r.psnr:.2f} dB{held_out}  {r.gaussians:,} Gaussians{static}  {r.seconds:.1f} s{kind}"
-
-
-def require_torch() -> None:
-    """Raises ConfigError where torch is not installed."""
-    if importlib.util.find_spec("torch") is None:
-        raise ConfigError("training needs torch: pip install 'airgs-codec[train]'")
-
-
-def default_model(scene: Path) -> Path:
-    """The model folder of a scene unless another one is named."""
-    resolved = scene.resolve()  # "." has no name of its own
-    return resolved.with_name(resolved.name + ".gaussians")
-
-
-def default_settings(device: str) -> TrainSettings:
-    """The settings of a run on cpu or cuda unless others are named."""
-    if device == "cpu":
-        return TrainSettings()
-    return TrainSettings(deltas="mlp+residual", iteration_views=CUDA_VIEWS)

@@ -29,7 +29,7 @@ from airgs_codec.package.publish import staged_package, write_tables
 from airgs_codec.package.tables import Group, Root
 from airgs_codec.places.place import Folder, Place, place_at
 from airgs_codec.places.results import Store, pack, unpack
-from airgs_codec.progress import Stopwatch
+from airgs_codec.progress import Progress, Stopwatch, silent, told
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 PACKAGE_ENTRY = "package"  # of a store: what the last encode that was whole came to
@@ -39,8 +39,8 @@ PACKAGE_ENTRY = "package"  # of a store: what the last encode that was whole cam
 class Beside:
     """What goes into a package beside frames."""
 
-    attribution: str | None = None  # who made the scene; None: what ATTRIBUTION.txt in its folder says
-    sound: SoundTrack | None = None  # as long as the sequence; None: what the clip brings
+    attribution: str
+    sound: SoundTrack | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,15 +91,16 @@ def encode(
     settings: EncodeSettings = DEFAULT_SETTINGS,
     *,
     goal: Goal | None = None,
-    beside: Beside | None = None,
     work: Work | None = None,
+    progress: Progress | type = silent,
 ) -> EncodeReport:
     """Encode a sequence, open or at a path, and publish it as the package at `path`, whole or not at all.
 
     `path` is a folder or an address; a package that is there already is replaced. `goal`: a quality factor is searched
     for that brings the top rung to this PSNR or size; `settings.quality` is where the search starts. `work`: who does
-    the jobs, and where their results stay, by default this process and a folder that is removed. The bytes are the
-    same whoever does them.
+    the jobs, and where their results stay, by default this process, which tells `progress`, and a folder that is
+    removed. `progress`: a function, or a class of bars such as tqdm.auto.tqdm. The bytes are the same whoever does the
+    work.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails, and ConfigError for a
     margin below 0, a goal out of reach or a `path` with other files in it; then `path` is as it was. TransportError for
@@ -109,8 +110,8 @@ def encode(
     settings = argument("settings", settings, EncodeSettings, "EncodeSettings")
     if goal is not None:
         argument("goal", goal, Goal, "a Goal")
-    with staged_package(place_at(path)) as stage, _at(work) as at:
-        report, finished = _encode(sequence, settings, goal, beside or Beside(), at)
+    with staged_package(place_at(path)) as stage, _at(work, progress) as at:
+        report, finished = _encode(sequence, settings, goal, at)
         at.store.write(PACKAGE_ENTRY, pack((code_digest(encode), finished)))
         return replace(report, manifest_bytes=finished.write(at.store, Folder(stage)))
 
@@ -121,7 +122,6 @@ def encode_part(
     work: Work,
     *,
     goal: Goal | None = None,
-    beside: Beside | None = None,
 ) -> EncodeReport:
     """Do the jobs of `encode` without publishing anything; `merge` does that from the store of `work`.
 
@@ -129,7 +129,7 @@ def encode_part(
     done, and does those that nobody else has done. Raises what `encode` raises.
     """
     work.store.write(PACKAGE_ENTRY, pack((code_digest(encode), None)))  # what was there is not this package
-    report, finished = _encode(sequence, settings, goal, beside or Beside(), work)
+    report, finished = _encode(sequence, settings, goal, work)
     work.store.write(PACKAGE_ENTRY, pack((code_digest(encode), finished)))
     return report
 
@@ -159,11 +159,11 @@ def _last_package(store: Store) -> Finished:
 
 
 @contextmanager
-def _at(work: Work | None) -> Iterator[Work]:
+def _at(work: Work | None, progress: Progress | type) -> Iterator[Work]:
     if work is not None:
         yield work
         return
-    with temporary_work() as at:
+    with temporary_work(told(progress)) as at:
         yield at
 
 
@@ -171,12 +171,11 @@ def _encode(
     sequence: GaussianSequence,
     settings: EncodeSettings,
     goal: Goal | None,
-    beside: Beside,
     work: Work,
 ) -> tuple[EncodeReport, Finished]:
-    credit = sequence.attribution if beside.attribution is None else beside.attribution
+    beside = Beside(sequence.attribution, sequence.sound_track or _own_sound(sequence))
     with tracked(hold_frames(sequence), settings, work) as found:
-        return _encode_rows(found, settings, goal, replace(beside, attribution=credit), work)
+        return _encode_rows(found, settings, goal, beside, work)
 
 
 def _encode_rows(
@@ -201,8 +200,8 @@ def _encode_rows(
     seconds = (rows_s, survey_s, calibrate_s, search_s, verified.encode_s, verified.measure_s)
     rows = replace(ordered.rows, sequence=sequence)
     finished = finish(verified, manifest)
-    if sound := beside.sound or _own_sound(sequence):
-        manifest, files = add_sound(manifest, sound)
+    if beside.sound:
+        manifest, files = add_sound(manifest, beside.sound)
         groups, shared = list(manifest.groups), {**finished.shared, **files}
         finished = replace(finished, root=root_of(manifest), groups=groups, shared=shared)
     return EncodeReport(manifest, 0, rows, *seconds, found.cached, work.records()), finished

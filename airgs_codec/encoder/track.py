@@ -29,7 +29,7 @@ from airgs_codec.places.place import Folder
 from airgs_codec.render.compare import compare, draw_still
 from airgs_codec.scene.camera import Camera, resized
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from airgs_codec.train.settings import Temporal, TrainSettings
+from airgs_codec.trainer.settings import Temporal, TrainSettings
 
 VIEWS = 16
 PIXELS = 65_536  # of a picture
@@ -119,8 +119,8 @@ def tracked(sequence: GaussianSequence, settings: EncodeSettings, work: Work) ->
 def _track(
     sequence: GaussianSequence, names: Sequence[str], folder: Path, cameras: list[Camera], views: ViewPlan, work: Work
 ) -> Tracked:
-    from airgs_codec.train.data.drawn import drawn_scene  # torch is loaded where something is tracked
-    from airgs_codec.train.pipeline import open_run, train_frames, train_in_jobs
+    from airgs_codec.trainer.data.drawn import drawn_scene  # torch is loaded where something is tracked
+    from airgs_codec.trainer.pipeline import open_run, train_frames, train_in_jobs
 
     scene = drawn_scene(sequence, names, cameras, views.renderer)
     run = open_run(scene, folder, track_settings(sequence), resume=True, device=views.renderer.device)

@@ -26,7 +26,7 @@ from airgs_codec.media.image import contact_sheet, to_bytes, write_png
 from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.progress import Progress, silent
+from airgs_codec.progress import Progress, silent, told
 from airgs_codec.render import Camera, Render, render_views
 from airgs_codec.render.compare import View, draw_ahead, draw_frames, draw_still, in_order
 from airgs_codec.render.compare import compare as compare_views
@@ -150,11 +150,13 @@ def compare(
     rung: str | None = None,
     frames: range | None = None,
     cameras: Sequence[Camera] | None = None,
+    progress: Progress | type = silent,
 ) -> Comparison:
     """How near a scene or package is to another, each open or at a path: what `airgs-manifest compare` tells.
 
     `rung`: key quality and level of a package, such as Q1+L2 (default: Q0+L0); of the compared one where both are.
-    `frames` are by default all that both have; `cameras` those that `shared_views` finds. Raises ConfigError for a rung
+    `frames` are by default all that both have; `cameras` those that `shared_views` finds. `progress`: a function, or a
+    class of bars such as tqdm.auto.tqdm. Raises ConfigError for a rung
     or frames that are not there and for frame rates that differ, and what reading either raises.
     """
     first, second = _opened("reference", reference), _opened("compared", compared)
@@ -166,7 +168,7 @@ def compare(
     if not numbers or numbers[0] not in both or numbers[-1] not in both:
         raise ConfigError(f"frames: expected some of {both}, got {numbers}")
     views = shared_views(a, b)[1] if cameras is None else list(cameras)
-    return compare_two(a, b, numbers, before_both(a, b, views))
+    return compare_two(a, b, numbers, before_both(a, b, views), told(progress))
 
 
 def _opened(name: str, scene: Scene | str | Path) -> Scene:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.request import urlopen
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry
@@ -21,6 +22,7 @@ from airgs_codec.places.place import BUCKETS, WEB, Place, place_at
 if TYPE_CHECKING:  # decoding needs no cameras
     from airgs_codec.scene.camera import Camera
 
+PATIENCE_S, MOST_OF_PAGE = 2.0, 1 << 16  # bytes, of a page that may have a player
 OPENED = "an open package or the path of one"  # what functions expect that take either
 Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -> its bytes
 
@@ -47,9 +49,9 @@ class Package:
         return first_views(self.manifest.region, self.manifest.world)
 
     def _repr_html_(self) -> str:
-        """The poster, where there is one, and a line for notebooks."""
-        m, picture = self.manifest, ""
-        if m.poster:
+        """A line for notebooks, below the player where the package is served with one, else below its poster."""
+        m, picture = self.manifest, _player_at(self.files.name)
+        if m.poster and not picture:
             with suppress(FormatError):
                 data = base64.b64encode(self.read(POSTER_NAME)).decode()
                 picture = f'<img src="data:{MEDIA_TYPES[".jpg"]};base64,{data}" alt=""><br>'
@@ -64,6 +66,19 @@ class Package:
         is wrong with the table of the group that it belongs to.
         """
         return read_file(self.files, relative, self.manifest.entry(relative))
+
+
+def _player_at(address: str) -> str:
+    """The page that airgs-serve answers with at the address of a package, as HTML; nothing where there is none."""
+    if not address.startswith(tuple(f"{scheme}://" for scheme in WEB)):
+        return ""
+    page = address.rstrip("/") + "/"
+    try:
+        with urlopen(page, timeout=PATIENCE_S) as answer:
+            found = b"airgs-player" in answer.read(MOST_OF_PAGE)
+    except (OSError, ValueError):
+        return ""
+    return f'<iframe src="{escape(page)}" width="640" height="360" allowfullscreen></iframe><br>' if found else ""
 
 
 def read_file(files: Place, relative: str, entry: FileEntry) -> bytes:

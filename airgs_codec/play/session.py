@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
-from airgs_codec.errors import FormatError
+from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.layout import FileKind, file_kind
 from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
@@ -47,7 +49,7 @@ from airgs_codec.play.policies.named import DEFAULT_POLICY, Choose, make_policy
 from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View
-from airgs_codec.play.trace import Link, Trace, open_trace
+from airgs_codec.play.trace import Link, Trace
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +107,17 @@ class SessionLog:
         shown = [{"event": "show", "at_s": shown.start_s, **asdict(shown)} for shown in self.shown]
         return sorted([*fetched, *shown], key=lambda event: event["at_s"])
 
+    def to_pandas(self) -> Any:
+        """`events` as a pandas.DataFrame, a row each, with the figures of `metrics` in its `attrs`.
+
+        Raises ConfigError where pandas is not installed.
+        """
+        if not find_spec("pandas"):
+            raise ConfigError("a data frame needs pandas: pip install pandas")
+        frame = import_module("pandas").DataFrame(self.events)
+        frame.attrs.update(self.metrics.as_dict())
+        return frame
+
     @property
     def screen_ticks(self) -> list[tuple[int, int]]:
         """(entry of `shown`, frame of it) for every display tick; see `playout.screen_ticks`."""
@@ -152,7 +165,7 @@ def simulate(
 ) -> SessionLog:
     """Play a package over a trace, with the trace's own round trip, or over a link; with a `view`, by tiles.
 
-    A package may be given by its path, a trace as `open_trace` takes it. `policy`: one of the names that `make_policy`
+    A package may be given by its path, a trace as `Trace.open` takes it. `policy`: one of the names that `make_policy`
     takes, a function from PlayerState to Decision, or a Policy; `faults`: files that cannot be used, as `find_faults`
     gives them. Raises ConfigError for an unknown policy, one that needs quality that was not measured and one that
     decides for what there is not, and for a budget that all rungs of a segment are over; TransportError for a trace
@@ -162,7 +175,7 @@ def simulate(
         package = Offers.of(argument("package", package, Package, OPENED, open_package))
     offers = package
     if not isinstance(trace, Link):
-        trace = Link.over(argument("trace", trace, Trace, "a trace, or its path or name", open_trace))
+        trace = Link.over(argument("trace", trace, Trace, "a trace, or its path or name", Trace.open))
     link = trace
     rules = _rules(settings)
     offers.check_budget(range(offers.segments), rules.budget)

@@ -24,7 +24,7 @@ from airgs_codec.play.metrics import FIGURES
 from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.session import SessionLog, session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace, open_trace
+from airgs_codec.play.trace import Link, Trace
 from airgs_codec.progress import Progress, silent
 
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
@@ -38,7 +38,7 @@ class StudySettings:
     """What is compared on what."""
 
     policies: tuple[str, ...]
-    traces: tuple[str, ...]  # as `open_trace` takes them
+    traces: tuple[str, ...]  # as `Trace.open` takes them
     offsets: int = 8  # of each trace, drawn from `seed`
     scale: float = 1.0
     end: str = "loop"
@@ -99,7 +99,7 @@ def run_study(package: str | Path, settings: StudySettings, progress: Progress =
     Raises TransportError for a trace that cannot be read or ends too soon, ConfigError, FormatError.
     """
     for trace in settings.traces:
-        open_trace(trace)  # one that cannot be read is told before minutes of work
+        Trace.open(trace)  # one that cannot be read is told before minutes of work
     rows: list[Row] = []
     tasks = [(package, trace, settings) for trace in settings.traces]
     progress("sessions", 0, len(tasks))
@@ -115,7 +115,7 @@ def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:
     """Rows of the sessions on one trace."""
     path, name, settings = task
     c = Offers.of(open_package(path))
-    whole = open_trace(name)
+    whole = Trace.open(name)
     rules = replace(settings.session, loops=c.loops(settings.session.loops))
     rows = []
     for offset in offsets_of(whole, settings.offsets, settings.seed):

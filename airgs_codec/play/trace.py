@@ -64,6 +64,27 @@ class Trace:
         object.__setattr__(self, "_totals", list(accumulate((self.rates_bps * steps).tolist(), initial=0.0)))
 
     @staticmethod
+    def open(source: str | Path) -> Trace:
+        """The bandwidth trace that `source` names.
+
+        A path: a file that `read_trace` reads. `const:MBPS`: a constant rate. `markov:SEED` or
+        `markov:SEED:MEAN_MBPS`: the synthetic trace of `markov_trace`. Raises TransportError for a file that cannot be
+        read and for anything else.
+        """
+        kind, _, rest = str(path_argument("trace", source)).partition(":")
+        numbers = rest.split(":")
+        if kind not in ("const", "markov"):
+            return read_trace(Path(source))
+        try:
+            if kind == "const" and len(numbers) == 1:
+                return Trace(str(source), np.zeros(1), np.array([1e6 * float(rest)]), CONSTANT_S)
+            if kind == "markov" and len(numbers) <= 2:
+                return markov_trace(int(numbers[0]), 1e6 * float(numbers[1]) if len(numbers) > 1 else MARKOV_MEAN_BPS)
+        except ValueError:
+            pass
+        raise TransportError(f"{source}: expected const:MBPS or markov:SEED[:MEAN_MBPS]")
+
+    @staticmethod
     def from_arrays(seconds: ArrayLike, mbit_s: ArrayLike, name: str = "arrays") -> Trace:
         """A trace of K ascending times (K,), of which the first counts as 0, and of the rates from each on (K,).
 
@@ -185,26 +206,6 @@ class Link:
     def bytes_between(self, start_s: float, stop_s: float) -> float:
         """How many bytes can pass from one moment to another."""
         return max(0.0, self.trace.bits_until(stop_s) - self.trace.bits_until(start_s)) / 8
-
-
-def open_trace(source: str | Path) -> Trace:
-    """The bandwidth trace that `source` names.
-
-    A path: a file that `read_trace` reads. `const:MBPS`: a constant rate. `markov:SEED` or `markov:SEED:MEAN_MBPS`: the
-    synthetic trace of `markov_trace`. Raises TransportError for a file that cannot be read and for anything else.
-    """
-    kind, _, rest = str(path_argument("trace", source)).partition(":")
-    numbers = rest.split(":")
-    if kind not in ("const", "markov"):
-        return read_trace(Path(source))
-    try:
-        if kind == "const" and len(numbers) == 1:
-            return Trace(str(source), np.zeros(1), np.array([1e6 * float(rest)]), CONSTANT_S)
-        if kind == "markov" and len(numbers) <= 2:
-            return markov_trace(int(numbers[0]), 1e6 * float(numbers[1]) if len(numbers) > 1 else MARKOV_MEAN_BPS)
-    except ValueError:
-        pass
-    raise TransportError(f"{source}: expected const:MBPS or markov:SEED[:MEAN_MBPS]")
 
 
 def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS, duration_s: float = MARKOV_S) -> Trace:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,9 @@ from airgs_codec.scene.formats.table import (
 from airgs_codec.scene.frames import HeldFrames, LazyFrames, Repaired, place_rows, repair
 from airgs_codec.scene.gaussians import Gaussians
 
+if TYPE_CHECKING:
+    from airgs_codec.media.sound import SoundTrack  # and PyAV with it
+
 HELD_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not held in memory
 
 
@@ -91,6 +94,8 @@ class GaussianSequence:
     clip: Clip | None = None  # the file that all frames are in, if it is one; every path is its
     files: Files = field(default=LOCAL, compare=False)  # where they are
     held: HeldFrames | None = field(default=None, compare=False)  # frames that need not be read again
+    credit: str | None = None  # who made the scene; None: what ATTRIBUTION.txt in its folder says
+    sound_track: SoundTrack | None = None  # as long as the sequence; None: what the clip brings
 
     @staticmethod
     def from_arrays(
@@ -133,7 +138,9 @@ class GaussianSequence:
 
     @property
     def attribution(self) -> str:
-        """Who made the scene, as the ATTRIBUTION.txt in its folder says; empty without one. Raises SceneError."""
+        """Who made the scene: `credit`, else what ATTRIBUTION.txt says; empty without one. Raises SceneError."""
+        if self.credit is not None:
+            return self.credit
         with self.files.naming():
             path = self.files.beside(self.folder / ATTRIBUTION_NAME)
             return read_attribution(path.parent) if path else ""
@@ -205,7 +212,6 @@ def open_sequence(
     """Open a folder of frames, a file of one frame or a clip; rows are read only when they are asked for.
 
     It may be at an address, s3://, gs:// or az://: then files are fetched when they are read (`places.mirror`).
-
     Frames are of any format in `scene.formats.table.FRAMES`, all of the same, in natural order of their names (frame2
     before frame10); of an INRIA model the newest iteration is taken. Beside them may lie
 
@@ -215,18 +221,16 @@ def open_sequence(
       and Panoptic's train_meta.json; they may also lie in the INRIA model whose point_cloud/ the frames are in;
     - usage.npz: how much each Gaussian contributes to the training views, as the trainer measured it.
 
-    The first and the last are not looked for beside a file that is opened by its own name. `views` is another file or
-    folder of cameras (`scene.cameras.read.read_cameras`), `fps` (frames a second, above 0 and at most 1000) another
-    frame rate; both take precedence over what the folder says.
+    Beside a file that is opened by its own name only cameras are looked for. `views` (another file or folder of
+    cameras) and `fps` (frames a second, above 0 and at most 1000) go before what the folder says.
 
     A clip is a file of a format in `scene.formats.table.CLIPS`, which holds many frames; `clip.note` says how
     they came about. Moving Gaussians are baked at `bake_fps` frames a second, which are played at `fps` (default: the
     same); `duration` (seconds) is the length of a clip whose file states none. Its own cameras go before those beside
     it, where they are of the scene.
 
-    Raises SceneError when there is nothing there, it has no frames, a frame is broken, has no rows or another SH degree
-    than the first, one of the files beside them is malformed, or something is to be baked that leaves no choice.
-    ConfigError for an address that cannot be, TransportError for a store that does not answer.
+    Raises SceneError for no frames, a broken frame, one without rows or of another SH degree, a malformed file beside
+    them, and a `bake_fps` of frames; ConfigError for a wrong address, TransportError for a store that does not answer.
     """
     folder = path_argument("folder", folder)
     rate = None if bake_fps is None else frame_rate(str(folder), bake_fps)

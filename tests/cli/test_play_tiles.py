@@ -17,7 +17,7 @@ from airgs_codec.play.report import film
 from airgs_codec.play.report.map import path_of
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Trace
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.gaussians import join_rows
 from tests.support.manifests import missing
@@ -78,7 +78,7 @@ def test_bad_options_are_one_line_and_2(capsys, options, words):
 def test_the_screen_shows_the_tiles_that_had_come():
     """Of a viewer who turns on a slow link: at every tick the rows of those tiles, and no others."""
     package = open_package(PACKAGE)
-    log = simulate(package, open_trace("const:3"), "fixed:0", SessionSettings(loops=1), view=Turning(300, 0.1))
+    log = simulate(package, Trace.open("const:3"), "fixed:0", SessionSettings(loops=1), view=Turning(300, 0.1))
     m = package.manifest
     alone = {
         tile: list(decode_frames(package, 0, m.frames, part=Part(tiles=[tile])))
@@ -99,7 +99,7 @@ def test_a_tile_that_is_missing_costs_no_other():
     package = open_package(PACKAGE)
     faults = missing("key/P3/T0/1.bin")
     log = simulate(
-        package, open_trace("const:8"), "fixed:0", SessionSettings(loops=1), faults, path_of(package.manifest)
+        package, Trace.open("const:8"), "fixed:0", SessionSettings(loops=1), faults, path_of(package.manifest)
     )
     assert log.metrics.lost_frames == 0
     assert {event.tile for event in log.tiles.ready} == {0, 1}
@@ -110,11 +110,11 @@ def test_the_still_has_every_tile_in_its_own_rung(tmp_path, monkeypatch):
     root = shutil.copytree(PACKAGE, tmp_path / "package")
     m = open_package(root).manifest
     settings, view = SessionSettings(loops=1), path_of(m)
-    whole = simulate(open_package(root), open_trace("const:8"), "fixed:0", settings, view=view)
+    whole = simulate(open_package(root), Trace.open("const:8"), "fixed:0", settings, view=view)
     last = whole.tiles.came(0)[-1].tile
     (root / m.key_files(0, last * m.tiers, 0)[1]).unlink()
     package = open_package(root)
-    log = simulate(package, open_trace("const:8"), "fixed:0", settings, find_faults(package), view)
+    log = simulate(package, Trace.open("const:8"), "fixed:0", settings, find_faults(package), view)
     assert len({event.rung for event in log.tiles.came(0)}) == 2
     monkeypatch.setattr(film, "label", lambda picture, *_: picture)
     shown = next(film.screen_frames(package, log))[0]
@@ -126,7 +126,7 @@ def test_the_still_has_every_tile_in_its_own_rung(tmp_path, monkeypatch):
 
 def test_a_scene_without_rows_is_an_empty_picture():
     m = tiled_manifest(4, empty=range(4))
-    log = simulate(Offers(m, 0, 1000), open_trace("const:8"), "fixed:0", SessionSettings(loops=1), view=Turning())
+    log = simulate(Offers(m, 0, 1000), Trace.open("const:8"), "fixed:0", SessionSettings(loops=1), view=Turning())
     frames = [shown for shown, _ in film.screen_frames(SimpleNamespace(manifest=m), log)]
     assert len(frames) == m.frames
     assert {(len(shown), shown.sh_degree) for shown in frames} == {(0, m.sh_degree)}

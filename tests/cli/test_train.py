@@ -13,11 +13,11 @@ from airgs_codec.cli.encode import main as encode_main
 from airgs_codec.cli.train import main as train_main
 from airgs_codec.media.image import read_picture, to_bytes, write_png
 from airgs_codec.package.package import open_package
-from airgs_codec.train.data.multiview import with_held_out
-from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.losses import PSNR_DEFINITION
-from airgs_codec.train.record import read_model
+from airgs_codec.trainer.data.multiview import with_held_out
+from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
+from airgs_codec.trainer.record import read_model
 from tests.support.training import SETTINGS, write_blobs
 
 QUICK = ["--iterations", "30,20,8", "--budget", "150", "--sh-degree", "0", "--device", "cpu"]

@@ -18,7 +18,7 @@ from airgs_codec.play.offers import Offers
 from airgs_codec.play.report.film import screen_frames
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, open_trace
+from airgs_codec.play.trace import Link, Trace
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.manifests import missing, with_segments
@@ -161,7 +161,7 @@ def test_a_session_over_a_bad_link_shows_the_bits_of_fresh_decodes(package):
     views = replace(m.views, reference="original")
     c = Offers(replace(with_segments(m, segments), views=views), root_bytes=package.root_bytes)
     lost = missing(*(f"state/L0/{n}.m4s" for n in range(3, 30, 5)), "key/T0/7.bin")
-    link = Link(open_trace("markov:1:0.02"))
+    link = Link(Trace.open("markov:1:0.02"))
     log = simulate(c, link, "paper", SessionSettings(loops=1), lost)
     assert len({s.rung for s in log.shown}) > 4 and any(s.rung is None for s in log.shown)
     chance = random.Random(2)

@@ -9,7 +9,7 @@ import pytest
 from airgs_codec.cli import encode as command
 from airgs_codec.cli import manifest
 from airgs_codec.decoder.sound import decode_all
-from airgs_codec.encoder.publish import Beside, encode
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
     root = tmp_path_factory.mktemp("sound")
     sequence = open_sequence(write_sequence(root / "scene", moving_frames(40, 39)), fps=FPS)
     sound = encode_sound(write_chirp(root / "a.wav", 2.0), len(sequence) / sequence.fps)
-    encode(sequence, root / "with", SETTINGS, beside=Beside(sound=sound))
+    encode(replace(sequence, sound_track=sound), root / "with", SETTINGS)
     encode(sequence, root / "without", SETTINGS)
     return root
 

@@ -13,7 +13,7 @@ import pytest
 from airgs_codec.encoder.pipeline import code_key
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.job import code_digest, digest, modules_run
-from airgs_codec.train.pipeline import do_piece
+from airgs_codec.trainer.pipeline import do_piece
 from tests.support.jobs import square
 from tests.support.paths import PACKAGE
 
@@ -81,8 +81,8 @@ EDITS = """
 from pathlib import Path
 from airgs_codec.jobs.job import _digest_of_module
 
-JOBS = {"train": "airgs_codec.train.pipeline", "encode": "airgs_codec.encoder.pipeline"}
-for edited in ("play/player.py", "encoder/publish.py", "train/pipeline.py", "render/cpu.py", "scene/gaussians.py"):
+JOBS = {"train": "airgs_codec.trainer.pipeline", "encode": "airgs_codec.encoder.pipeline"}
+for edited in ("play/player.py", "encoder/publish.py", "trainer/pipeline.py", "render/cpu.py", "scene/gaussians.py"):
     before = {job: _digest_of_module.__wrapped__(module) for job, module in JOBS.items()}
     with Path("airgs_codec", edited).open("a") as file:
         file.write("# an edit")
@@ -97,7 +97,7 @@ def test_an_edit_renames_the_results_that_it_may_change_and_no_others(tmp_path):
     assert done.stdout.decode().splitlines() == [
         "play/player.py",
         "encoder/publish.py",
-        "train/pipeline.py train",
+        "trainer/pipeline.py train",
         "render/cpu.py train encode",
         "scene/gaussians.py train encode",
     ]

@@ -43,14 +43,14 @@ from airgs_codec.places.results import Store
 from airgs_codec.play.policies.named import NAMES
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Trace
 from airgs_codec.scene.beside import Usage, load_usage, read_settings, save_usage
 from airgs_codec.scene.cameras.read import read_cameras
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.serve.cards import look_at
-from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.record import VERSION, read_model
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.record import VERSION, read_model
 from tests.support.camera_files import FORMS, as_inria
 from tests.support.clip_files import numbered_4dgs, random_rows, splatv_bytes, write_spacetime_ply, write_splat4d
 from tests.support.layers import NUMBERS, mutate
@@ -124,7 +124,7 @@ def look_and_play(files: Files) -> str:
     format_summary(summarise(m, package.manifest_bytes))
     look_at(m, package.root_bytes)
     path_of_region(m.region)
-    assert simulate(package, open_trace("const:1"), policy, SessionSettings(loops=2)).metrics
+    assert simulate(package, Trace.open("const:1"), policy, SessionSettings(loops=2)).metrics
     format_attributes(package)
     return ""
 
@@ -236,9 +236,9 @@ def read_beside(files: Files) -> str:
 
 
 BESIDE: dict[str, Callable[[Path], object]] = {
-    "trace.csv": open_trace,
-    "trace.json": open_trace,
-    "trace.txt": open_trace,
+    "trace.csv": Trace.open,
+    "trace.json": Trace.open,
+    "trace.txt": Trace.open,
     "region.json": read_region,
     "world.json": read_world,
     "sequence.json": lambda path: read_settings(path.parent, 10),

@@ -14,7 +14,7 @@ from airgs_codec.play.policies.named import ADAPTIVE, ORACLES, make_policy
 from airgs_codec.play.report.session import format_metrics
 from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, open_trace
+from airgs_codec.play.trace import Link, Trace
 from tests.support.manifests import in_groups, tiny_manifest, with_tiers
 
 POLICIES = ("fixed:0", *ADAPTIVE, *ORACLES)
@@ -31,7 +31,7 @@ def tiered(counts=((10, 30), (20, 60))) -> Manifest:
 
 
 def link(rate="const:9"):
-    return Link(open_trace(rate), 0.0)
+    return Link(Trace.open(rate), 0.0)
 
 
 @pytest.mark.parametrize("policy", POLICIES)

@@ -23,7 +23,7 @@ from airgs_codec.play.report.session import format_metrics
 from airgs_codec.play.repr_digest import check_repr_digest, repr_digest
 from airgs_codec.play.session import play, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace, open_trace
+from airgs_codec.play.trace import Link, Trace
 from airgs_codec.serve.server import ServerSettings, Shape
 from tests.support.faulty import FAULTS, Weather, faultily_serving
 from tests.support.paths import GOLDEN, VALID
@@ -66,7 +66,7 @@ def test_the_round_trip_is_known_once_a_file_came(old_server):
 def check_played_like_a_simulation(url):
     package, files = open_package(PACKAGE), {}
     log = play_url(url, received=files.__setitem__)
-    simulated = simulate(package, open_trace("const:100"), "fixed:0", RULES)
+    simulated = simulate(package, Trace.open("const:100"), "fixed:0", RULES)
     assert [(f.kind, f.position, f.rung) for f in log.fetches] == [
         (f.kind, f.position, f.rung) for f in simulated.fetches
     ]

@@ -14,7 +14,7 @@ from airgs_codec.play.http import HttpDownloader
 from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.session import play, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Trace
 from tests.support.faulty import Weather, faultily_serving
 from tests.support.growing import Growing
 from tests.support.paths import VALID
@@ -131,5 +131,5 @@ def test_without_its_pages_a_growing_package_cannot_go_on(tmp_path):
 
 def test_a_simulated_session_plays_what_there_is(tmp_path):
     growing = Growing(tmp_path / "p", 3)
-    log = simulate(open_package(growing.folder), open_trace("const:9"), "fixed:0", replace(RULES, loops=1))
+    log = simulate(open_package(growing.folder), Trace.open("const:9"), "fixed:0", replace(RULES, loops=1))
     assert [s.segment for s in log.shown] == [0, 1, 2]

@@ -21,7 +21,7 @@ from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.session import SessionLog, session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace, open_trace
+from airgs_codec.play.trace import Link, Trace
 from tests.support.manifests import missing, tiny_manifest, with_segments
 from tests.support.paths import VALID
 
@@ -338,7 +338,7 @@ def test_policies_of_ones_own_and_packages_are_taken_as_they_are():
     log = simulate(OFFERS, link([8e6]).trace, smallest, rules())
     assert log.policy == "smallest" and {s.rung for s in log.shown} == {WORSE}
     package = open_package(VALID / "two-groups-sh1")
-    assert simulate(package, open_trace("const:100"), "fixed:0", rules()).metrics.frames == package.manifest.frames
+    assert simulate(package, Trace.open("const:100"), "fixed:0", rules()).metrics.frames == package.manifest.frames
 
 
 def test_without_its_key_a_group_is_lost_and_the_next_one_is_not():

@@ -17,7 +17,7 @@ from airgs_codec.play.offers import Offers
 from airgs_codec.play.session import measure_decoding
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
-from airgs_codec.play.trace import Link, Trace, open_trace
+from airgs_codec.play.trace import Link, Trace
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 
@@ -39,9 +39,9 @@ def constant(rate):
 
 
 def test_offsets_are_seeded_and_a_traces_own():
-    trace = open_trace("markov:1")
+    trace = Trace.open("markov:1")
     assert offsets_of(trace, 4, 1) == offsets_of(trace, 4, 1) != offsets_of(trace, 4, 2)
-    assert offsets_of(trace, 4, 1) != offsets_of(open_trace("markov:2"), 4, 1)
+    assert offsets_of(trace, 4, 1) != offsets_of(Trace.open("markov:2"), 4, 1)
     assert all(0 <= o < trace.duration_s for o in offsets_of(trace, 100, 3))
 
 

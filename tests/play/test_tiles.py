@@ -14,7 +14,7 @@ from airgs_codec.play.playout import tile_of
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Trace
 from tests.support.manifests import missing, tiny_manifest
 from tests.support.tiled import Turning, tiled_manifest
 
@@ -26,7 +26,7 @@ STILL = Turning()
 
 def play(m, rate="const:10", policy="fixed:0", view=None, **options):
     rules = SessionSettings(**({"loops": 1} | options))
-    return simulate(Offers(m, 0, 1000), open_trace(rate), policy, rules, view=view)
+    return simulate(Offers(m, 0, 1000), Trace.open(rate), policy, rules, view=view)
 
 
 def fetched(log):
@@ -162,7 +162,7 @@ def test_a_tile_without_rows_is_never_fetched():
 def test_a_missing_file_costs_its_tile_a_rung_and_no_more():
     m = tiled_manifest(TILES, **SCENE)
     path = m.state_files(5, 0, [0])[0]
-    log = simulate(Offers(m, 0, 1000), open_trace("const:10"), "robust-mpc", None, missing(path), STILL)
+    log = simulate(Offers(m, 0, 1000), Trace.open("const:10"), "robust-mpc", None, missing(path), STILL)
     assert path in log.lost[0] and log.metrics.lost_frames == 0
     (rung,) = {event.rung for event in log.tiles.came(5) if event.tile == 0}
     assert log.offers.rungs[rung] == (0, 1)
@@ -173,7 +173,7 @@ def test_a_tile_that_cannot_be_had_costs_no_other_tile(gone, came):
     """Of 16 tiles the picture shows three, the one in the middle first."""
     m = tiled_manifest(16, **SHORT)
     lost = [path for level in range(len(m.levels)) for path in m.state_files(5, level, [gone])]
-    log = simulate(Offers(m, 0, 1000), open_trace("const:10"), "fixed:0", None, missing(*lost), STILL)
+    log = simulate(Offers(m, 0, 1000), Trace.open("const:10"), "fixed:0", None, missing(*lost), STILL)
     early = {e.tile for e in log.tiles.came(5) if e.ready_s <= log.shown[5].ready_s}
     assert log.metrics.lost_frames == 0 and early == came
 
@@ -188,7 +188,7 @@ def test_tiles_that_can_be_had_in_no_common_rung_each_have_one():
         if j != level
         for path in m.state_files(0, j, [tile])
     ]
-    log = simulate(Offers(m, 0, 1000), open_trace("const:10"), "robust-mpc", None, missing(*lost), STILL)
+    log = simulate(Offers(m, 0, 1000), Trace.open("const:10"), "robust-mpc", None, missing(*lost), STILL)
     early = {e.tile: log.offers.rungs[e.rung][1] for e in log.tiles.came(0) if e.ready_s <= log.shown[0].ready_s}
     assert log.metrics.lost_frames == 0 and early == there
 

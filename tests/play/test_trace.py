@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from airgs_codec.errors import TransportError
-from airgs_codec.play.trace import Link, Trace, open_trace, read_trace
+from airgs_codec.play.trace import Link, Trace, read_trace
 from tests.support.paths import FOX
 
 RACA = (
@@ -188,11 +188,11 @@ def test_sabre_periods_and_their_latency(tmp_path):
 
 
 def test_constant_and_synthetic_traces():
-    assert open_trace("const:5").arrival_s(625_000, 0.0) == pytest.approx(1.0)
-    a, b, c = open_trace("markov:1"), open_trace("markov:1"), open_trace("markov:2:3")
+    assert Trace.open("const:5").arrival_s(625_000, 0.0) == pytest.approx(1.0)
+    a, b, c = Trace.open("markov:1"), Trace.open("markov:1"), Trace.open("markov:2:3")
     assert a.rates_bps.tolist() == b.rates_bps.tolist() and a.starts_s.tolist() == b.starts_s.tolist()
     assert a.mean_bps == pytest.approx(8e6) and c.mean_bps == pytest.approx(3e6)
     assert (a.rates_bps == 0).any() and a.duration_s == 300
     for bad in ("const:", "const:x", "const:1:2", "markov:x", "markov:1:2:3", "const:0", "const:-1", "const:nan"):
         with pytest.raises(TransportError):
-            open_trace(bad)
+            Trace.open(bad)

@@ -13,14 +13,14 @@ from airgs_codec.play.report.map import MOST_PIXELS, Viewer
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Trace
 from tests.support.manifests import tiny_manifest
 from tests.support.regions import arc, row
 
 
 def session(region):
     m = dataclasses.replace(tiny_manifest(), region=region)
-    return simulate(Offers(m, 0, 1000), open_trace("const:9"), "fixed:0", SessionSettings(loops=2))
+    return simulate(Offers(m, 0, 1000), Trace.open("const:9"), "fixed:0", SessionSettings(loops=2))
 
 
 def test_a_viewer_in_the_region_has_nothing_to_say():

@@ -7,11 +7,11 @@ import torch
 from airgs_codec.render import cuda
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.cuda import AbsGrad
-from airgs_codec.train.data.pictures import View
-from airgs_codec.train.fit.losses import mean_psnr, photometric
-from airgs_codec.train.fit.optimise import Schedule, optimise
-from airgs_codec.train.fit.parameters import ATTRIBUTES, from_gaussians, render, render_views
-from airgs_codec.train.fit.variables import PerGaussian
+from airgs_codec.trainer.data.pictures import View
+from airgs_codec.trainer.fit.losses import mean_psnr, photometric
+from airgs_codec.trainer.fit.optimise import Schedule, optimise
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES, from_gaussians, render, render_views
+from airgs_codec.trainer.fit.variables import PerGaussian
 from tests.support.scenes import random_gaussians
 from tests.support.views import coloured_cloud, moved, ring, views_of
 from tools.lab.bench.devices import compare

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.play.trace import Trace
 from airgs_codec.serve.server import LATE_S, Bucket, ServerSettings, Shape
 from tests.support.paths import VALID
 from tests.support.servers import say, serving
@@ -37,7 +37,7 @@ def test_bytes_pass_one_after_another_at_the_rate_of_the_moment():
 
 def test_what_comes_late_is_made_up_for_and_idle_time_is_not():
     clock = Clock()
-    bucket = Bucket(open_trace("const:0.008"), clock)  # 1 kB/s
+    bucket = Bucket(Trace.open("const:0.008"), clock)  # 1 kB/s
     bucket.take(100)
     clock.now_s += 0.1 + 0.02
     assert bucket.take(100) == pytest.approx(0.1 - 0.02)
@@ -59,7 +59,7 @@ def test_the_trace_begins_with_the_first_request():
 
 def test_answers_come_a_round_trip_late_and_no_faster_than_the_link():
     size = len(say_plainly(REQUEST + CLOSE))
-    shape = Shape(open_trace(f"const:{8e-6 * size / 0.1:g}"), 0.05)  # an answer in 0.1 s
+    shape = Shape(Trace.open(f"const:{8e-6 * size / 0.1:g}"), 0.05)  # an answer in 0.1 s
     with serving(PACKAGE, settings=ServerSettings(shape)) as port:
         began_s = time.monotonic()
         answer = say(port, 2 * (REQUEST + b"\r\n") + REQUEST + CLOSE)  # share a round trip
@@ -78,7 +78,7 @@ def test_a_round_trip_alone_is_a_shape_and_a_client_may_give_up():
 
 
 def test_answers_under_way_do_not_keep_the_server_from_stopping():
-    shape = Shape(open_trace("const:0.02"), 0.0)  # the rest would take seconds
+    shape = Shape(Trace.open("const:0.02"), 0.0)  # the rest would take seconds
     with (
         serving(PACKAGE, settings=ServerSettings(shape, grace_s=0.1)) as port,
         socket.create_connection(("127.0.0.1", port), 10) as waiting,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import wave
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.encoder.publish import Beside, encode
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.sound import encode_sound
 from airgs_codec.scene.sequence import open_sequence
@@ -54,7 +55,7 @@ def write_chirping(root: Path, frames: int, fps: Fraction, group_frames: int) ->
     settings = EncodeSettings(
         calibrate="none", measure_pictures=0, group_frames=group_frames, preset="veryfast", threads=2
     )
-    encode(sequence, root / "chirping", settings, beside=Beside(sound=sound))
+    encode(replace(sequence, sound_track=sound), root / "chirping", settings)
     return root / "chirping"
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 
 FOLDERS = ("airgs_codec", "tools")
 MAX_MODULE, MAX_BODY, MAX_PARAMETERS = 350, 60, 6
-EXEMPT_MODULES = {"render/cpu_kernels.py", "train/fit/kernels.py", "package/tables.py"}
+EXEMPT_MODULES = {"render/cpu_kernels.py", "trainer/fit/kernels.py", "package/tables.py"}
 COMPILED = {"njit", "jit", "vectorize", "guvectorize"}
 Definition = ast.FunctionDef | ast.AsyncFunctionDef
 

@@ -5,7 +5,7 @@ from collections import Counter
 from airgs_codec.package.package import open_package
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, open_trace
+from airgs_codec.play.trace import Link, Trace
 from tests.support.paths import GOLDEN
 from tests.support.session_packages import offers_of
 from tests.support.vectors import cases
@@ -30,6 +30,6 @@ def test_rules_and_policies_take_turns():
 def test_numbers_are_played_as_their_package_is():
     package = open_package(GOLDEN / "fox")
     numbers = next(case for case in cases("sessions", "packages") if case["name"] == "fox")
-    link, rules = Link(open_trace("markov:3:0.2"), 0.05), SessionSettings(loops=20)
+    link, rules = Link(Trace.open("markov:3:0.2"), 0.05), SessionSettings(loops=20)
     real, made = (simulate(source, link, "paper", rules) for source in (package, offers_of(numbers)))
     assert (real.fetches, real.shown) == (made.fetches, made.shown)

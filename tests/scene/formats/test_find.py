@@ -11,7 +11,7 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
-from airgs_codec.train.data.readers import is_multiview
+from airgs_codec.trainer.data.readers import is_multiview
 from tests.support.scenes import moving_frames, random_gaussians
 from tests.support.splat_files import SUFFIXES, splat_bytes, write_sog_folder
 

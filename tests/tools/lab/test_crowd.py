@@ -11,7 +11,7 @@ from airgs_codec.package.package import open_package
 from airgs_codec.play.policies.mpc import GRID_POINTS, Model
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace, open_trace
+from airgs_codec.play.trace import Link, Trace
 from tools.lab.crowd.costs import Measured, Prices, cost
 from tools.lab.crowd.edge import Edge, EqualShares, LruCache, replay
 from tools.lab.crowd.experiment import rung_rows, stored_rows
@@ -31,7 +31,7 @@ def programme(demo_package):
 
 @pytest.fixture(scope="module")
 def traces():
-    return [open_trace("markov:1:4"), open_trace("markov:2:2"), open_trace("const:3")]
+    return [Trace.open("markov:1:4"), Trace.open("markov:2:2"), Trace.open("const:3")]
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def outcome(programme, traces):
 @pytest.mark.parametrize("policy", ["robust-mpc", "throughput", "bola", "paper", "fixed:0"])
 @pytest.mark.parametrize("mean_mbps", [1.0, 3.0])
 def test_a_viewer_alone_has_the_session_of_the_simulator(programme, policy, mean_mbps):
-    trace = [open_trace(f"markov:7:{mean_mbps:g}")]
+    trace = [Trace.open(f"markov:7:{mean_mbps:g}")]
     settings = CrowdSettings(1, (policy,), 2.0, 6.0, 0.0, origin_bps=1e30, origin_rtt_s=0.0, seed=3)
     (seen,) = run_crowd(programme, trace, settings).seen
     (guest,) = draw_guests(settings, trace)

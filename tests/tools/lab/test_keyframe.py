@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.pipeline import train
+from airgs_codec.trainer import train
+from airgs_codec.trainer.data.readers import open_scene
 from tests.support.training import SETTINGS, write_blobs
 from tools.lab.bench import keyframe
 from tools.lab.command import Lab

@@ -12,7 +12,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.trace import Link, Trace
-from airgs_codec.train.data.readers import open_scene
+from airgs_codec.trainer.data.readers import open_scene
 from tests.support.paths import FOX, FOX_VIEWS, VALID
 from tests.support.training import SETTINGS
 from tools.lab import main

@@ -8,7 +8,7 @@ import pytest
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import cpu, look_at
 from airgs_codec.scene.gaussians import Gaussians, join_rows
-from airgs_codec.train.data.pictures import Target, View
+from airgs_codec.trainer.data.pictures import Target, View
 from tests.support.paths import FOX_VIEWS
 from tools.lab.bench.splits import Options, compare, from_half_way, run
 from tools.lab.command import Lab

@@ -7,7 +7,7 @@ import pytest
 
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Trace
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
@@ -119,7 +119,7 @@ def test_what_was_lacking_is_drawn_as_lacking(wide, tmp_path):
     """The same session with nothing fetched but one tile is no better than with all."""
     _, tiled = packages(wide, Options(wide.folder, tiles=4, segment=0.1), tmp_path)
     view = Watcher.of(tiled.manifest.region, "even")
-    log = simulate(tiled, open_trace("const:100"), "fixed:0", SessionSettings(loops=1))
+    log = simulate(tiled, Trace.open("const:100"), "fixed:0", SessionSettings(loops=1))
     screen = Screen(wide, tiled, view, 1, {})
     (moment,) = screen.moments(log)[:1]
     alone = [screen.squares(log, type(moment)(moment.frame, moment.at_s, (pair,))).mean() for pair in moment.tiles]

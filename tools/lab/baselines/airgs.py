@@ -16,9 +16,9 @@ from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.progress import Progress
 from airgs_codec.scene.sequence import open_sequence
-from airgs_codec.train.data.multiview import MultiviewScene
-from airgs_codec.train.pipeline import train
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.trainer import train
+from airgs_codec.trainer.data.multiview import MultiviewScene
+from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.method import Footage, Shown
 
 MODEL, PACKAGE = "model", "package"  # in the folder of the run

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from airgs_codec.train.fit.parameters import Parameters
+from airgs_codec.trainer.fit.parameters import Parameters
 
 AXES = 4  # x, y, z, t
 PAIRS = tuple(combinations(range(AXES), 2))  # xy, xz, xt, yz, yt, zt

@@ -18,9 +18,9 @@ from airgs_codec.places.whole import to_json, write_json
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.multiview import Points
-from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.fit.losses import mean_psnr, mean_ssim
+from airgs_codec.trainer.data.multiview import Points
+from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.fit.losses import mean_psnr, mean_ssim
 
 RECORD = "frames.json"
 

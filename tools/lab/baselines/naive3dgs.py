@@ -13,8 +13,8 @@ from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.fit.optimise import Schedule, optimise
-from airgs_codec.train.fit.points import from_points, initial_points, scene_extent
+from airgs_codec.trainer.fit.optimise import Schedule, optimise
+from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent
 from tools.lab.baselines.method import Footage, Shown, frame_path
 from tools.lab.baselines.threedgs import GRADIENT, ITERATIONS, SH_EVERY, START_OPACITY, Splats, Timetable
 

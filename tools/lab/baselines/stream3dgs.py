@@ -20,14 +20,14 @@ from airgs_codec.places.whole import write_bytes
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, to_matrices
-from airgs_codec.train.data.pictures import View
-from airgs_codec.train.fit.active import Resting
-from airgs_codec.train.fit.grow import Densifier, Growth, strongest
-from airgs_codec.train.fit.optimise import Schedule, optimise
-from airgs_codec.train.fit.parameters import ATTRIBUTES, from_gaussians, to_gaussians
-from airgs_codec.train.fit.trainer import FrameViews, Trainer, make_trainer
-from airgs_codec.train.fit.variables import PerGaussian, Rates
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.trainer.data.pictures import View
+from airgs_codec.trainer.fit.active import Resting
+from airgs_codec.trainer.fit.grow import Densifier, Growth, strongest
+from airgs_codec.trainer.fit.optimise import Schedule, optimise
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, make_trainer
+from airgs_codec.trainer.fit.variables import PerGaussian, Rates
+from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings
 from tools.lab.baselines.method import Footage, Shown, frame_path
 from tools.lab.baselines.transformation import CacheDriven, Region, apply_cache, region_of

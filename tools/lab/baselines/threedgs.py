@@ -12,9 +12,9 @@ import torch
 from airgs_codec.errors import TrainingError
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.fit.grow import LOW_OPACITY, is_visible, split_or_clone
-from airgs_codec.train.fit.parameters import Adam, Parameters, from_gaussians, to_gaussians
-from airgs_codec.train.fit.variables import Rates
+from airgs_codec.trainer.fit.grow import LOW_OPACITY, is_visible, split_or_clone
+from airgs_codec.trainer.fit.parameters import Adam, Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.variables import Rates
 
 ITERATIONS = 30_000  # that the paper's constants are made for
 GRADIENT = 2e-4  # mean length of the gradient by places that are -1..1 across the picture, from which rows are added

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.fit.grow import Densifier, Growth
-from airgs_codec.train.fit.parameters import EPSILON, Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.grow import Densifier, Growth
+from airgs_codec.trainer.fit.parameters import EPSILON, Parameters, from_gaussians, to_gaussians
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
 
 OUTPUTS = 7  # of a cache: change of the mean, and of the rotation

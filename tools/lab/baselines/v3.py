@@ -24,11 +24,11 @@ from airgs_codec.places.whole import write_json
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians, morton_encode
-from airgs_codec.train.fit.optimise import Schedule, optimise
-from airgs_codec.train.fit.parameters import BETAS, Parameters, from_gaussians, to_gaussians
-from airgs_codec.train.fit.trainer import FIRST_REGULARISERS, FrameViews, Trainer, make_trainer
-from airgs_codec.train.fit.variables import PerGaussian, Rates
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.trainer.fit.optimise import Schedule, optimise
+from airgs_codec.trainer.fit.parameters import BETAS, Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.trainer import FIRST_REGULARISERS, FrameViews, Trainer, make_trainer
+from airgs_codec.trainer.fit.variables import PerGaussian, Rates
+from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
 from tools.lab.baselines.method import Footage, Shown
 from tools.lab.rd.layouts import v3_layout

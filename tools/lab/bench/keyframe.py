@@ -14,16 +14,16 @@ import torch
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.multiview import with_held_out
-from airgs_codec.train.data.pictures import View
-from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.losses import mean_psnr
-from airgs_codec.train.fit.parameters import Parameters
-from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Trainer
-from airgs_codec.train.frames import Capture, frame_before
-from airgs_codec.train.pipeline import rested
-from airgs_codec.train.record import Model, read_model
-from airgs_codec.train.settings import settings_from_table
+from airgs_codec.trainer.data.multiview import with_held_out
+from airgs_codec.trainer.data.pictures import View
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit.losses import mean_psnr
+from airgs_codec.trainer.fit.parameters import Parameters
+from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
+from airgs_codec.trainer.frames import Capture, frame_before
+from airgs_codec.trainer.pipeline import rested
+from airgs_codec.trainer.record import Model, read_model
+from airgs_codec.trainer.settings import settings_from_table
 from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of, setting
 
 WARM = (25, 50, 100, 200, 400, 800, 1500)  # iterations

@@ -17,7 +17,7 @@ from airgs_codec.play.http import HttpDownloader
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.session import SessionLog, play, simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, open_trace
+from airgs_codec.play.trace import Link, Trace
 from tools.lab import Lab, Page, Row, Section, Table, required, setting
 from tools.lab.serving import airgs_serve
 
@@ -47,7 +47,7 @@ def row_of(options: Options, offers: Offers, trace: str) -> Row:
     settings = SessionSettings(loops=loops, pipelined=False)
     with airgs_serve(options.package, "--trace", trace) as (_, url):
         real = play_really(f"{url}/{options.package.resolve().name}/", options.policy, settings)
-    simulated = simulate(offers, Link.over(open_trace(trace)), options.policy, settings)
+    simulated = simulate(offers, Link.over(Trace.open(trace)), options.policy, settings)
     same, mean, worst = compare(real, simulated)
     return {
         "trace": Path(trace).name, "same batches": same, "of": len(simulated.fetches),

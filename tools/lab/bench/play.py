@@ -19,7 +19,7 @@ from airgs_codec.play.ladder import Ladder, Option, select
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import NAMES
 from airgs_codec.play.session import session_bound, simulate
-from airgs_codec.play.trace import Link, open_trace
+from airgs_codec.play.trace import Link, Trace
 from tools.lab import Lab, Page, Row, Section, Table, required, setting
 
 LEVELS = (4, 11, 100, 1000, 10_000)
@@ -38,7 +38,7 @@ class Options:
 def run(options: Options, lab: Lab) -> Page:
     """Both tables."""
     offers = Offers.of(open_package(options.package))
-    link = Link(open_trace(options.trace).cut(scale=options.scale))
+    link = Link(Trace.open(options.trace).cut(scale=options.scale))
     ladders = [ladder_row(count) for count in LEVELS]
     policies = [policy_row(offers, link, name) for name in (*NAMES, "fixed:0")]
     most = ladders[-1]

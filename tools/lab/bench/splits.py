@@ -33,12 +33,12 @@ from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, cpu, read_cameras
 from airgs_codec.scene.camera import BLACK, NEAR
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
-from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
-from airgs_codec.train.data.pictures import Pictures, View, pictures_for
-from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.points import looked_at
-from airgs_codec.train.record import Model, read_model
-from airgs_codec.train.settings import settings_from_table
+from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
+from airgs_codec.trainer.data.pictures import Pictures, View, pictures_for
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit.points import looked_at
+from airgs_codec.trainer.record import Model, read_model
+from airgs_codec.trainer.settings import settings_from_table
 from tools.lab import Lab, Page, Section, Table, required, rows_of, setting
 
 SEED = 1  # of the order in which cameras are dealt out

@@ -22,11 +22,11 @@ from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
-from airgs_codec.train.data.pictures import PICTURE_BYTES, TARGET_BYTES, Stored, Target
-from airgs_codec.train.fit.losses import moments, photometric
-from airgs_codec.train.fit.parameters import Adam, Parameters, from_gaussians, render_views
-from airgs_codec.train.fit.variables import PerGaussian, Rates
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.trainer.data.pictures import PICTURE_BYTES, TARGET_BYTES, Stored, Target
+from airgs_codec.trainer.fit.losses import moments, photometric
+from airgs_codec.trainer.fit.parameters import Adam, Parameters, from_gaussians, render_views
+from airgs_codec.trainer.fit.variables import PerGaussian, Rates
+from airgs_codec.trainer.settings import TrainSettings
 from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of, setting
 
 REPEATS = 3  # of each part, of which the fastest counts

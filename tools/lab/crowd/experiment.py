@@ -17,7 +17,7 @@ from airgs_codec.jobs.engines import Processes
 from airgs_codec.package.layout import FileKind, file_kind
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Trace
 from tools.lab import Lab, Page, nested, required, setting
 from tools.lab.crowd.costs import Prices
 from tools.lab.crowd.page import Inputs, page
@@ -71,7 +71,7 @@ def make_tasks(options: Options) -> list[Task]:
     if options.jobs < 1:
         raise ConfigError(f"--jobs: expected at least 1, got {options.jobs}")
     traces = trace_paths(options.traces)
-    if not [open_trace(trace) for trace in traces]:
+    if not [Trace.open(trace) for trace in traces]:
         raise ConfigError(f"{options.traces}: expected traces, got an empty folder")
     limits = options.bottleneck_mbps or (0.0,)
     package = str(options.package)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from airgs_codec.package.package import open_package
-from airgs_codec.play.trace import open_trace
+from airgs_codec.play.trace import Trace
 from tools.lab import Results, Row, content, seconds_of
 from tools.lab.crowd.figures import busiest_bps, cache_rows, edge_row, policy_rows
 from tools.lab.crowd.programme import Programme
@@ -55,7 +55,7 @@ def simulate_task(task: Task) -> Run:
     """Simulate a crowd and make its figures. Raises AirgsError."""
     s = task.settings
     programme = Programme(open_package(task.package), s.join_s + s.watch_s)
-    traces = [open_trace(trace) for trace in task.traces]
+    traces = [Trace.open(trace) for trace in task.traces]
     took, outcome = seconds_of(lambda: run_crowd(programme, traces, s))
     return Run(
         policies=s.policies,

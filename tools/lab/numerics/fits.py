@@ -13,13 +13,13 @@ import numpy as np
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.train.data.pictures import Target, View
-from airgs_codec.train.fit.losses import better, codec_steps, photometric, temporal_weights
-from airgs_codec.train.fit.optimise import Schedule, optimise
-from airgs_codec.train.fit.parameters import Adam, Parameters, from_gaussians, render_views, to_gaussians
-from airgs_codec.train.fit.trainer import MOVING_RATES
-from airgs_codec.train.fit.variables import PerGaussian
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.trainer.data.pictures import Target, View
+from airgs_codec.trainer.fit.losses import better, codec_steps, photometric, temporal_weights
+from airgs_codec.trainer.fit.optimise import Schedule, optimise
+from airgs_codec.trainer.fit.parameters import Adam, Parameters, from_gaussians, render_views, to_gaussians
+from airgs_codec.trainer.fit.trainer import MOVING_RATES
+from airgs_codec.trainer.fit.variables import PerGaussian
+from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.numerics.outcome import BOUNDED, INVISIBLE, UNFIT, Case, Judged, fit_end, grid
 from tools.lab.numerics.problems import AXES, EXTENT, Axis, Problem, needles
 

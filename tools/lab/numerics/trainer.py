@@ -13,13 +13,13 @@ from functools import cache, cached_property, partial
 from typing import Any
 
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.multiview import MultiviewScene, with_held_out
-from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.losses import mean_psnr
-from airgs_codec.train.fit.trainer import FrameBefore, FrameViews, Trainer
-from airgs_codec.train.frames import Capture
-from airgs_codec.train.pipeline import rested
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit.losses import mean_psnr
+from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
+from airgs_codec.trainer.frames import Capture
+from airgs_codec.trainer.pipeline import rested
+from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.numerics.rows import FOX_VIEWS, Bench, Place, Point, Row
 from tools.lab.timing import seconds_of
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.errors import TrainingError
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.airgs import AirGS
 from tools.lab.baselines.method import mean_bytes, run_method
 from tools.lab.paper.scenes import Subject

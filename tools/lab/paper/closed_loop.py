@@ -25,7 +25,7 @@ from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.paper import frame_budget
-from airgs_codec.play.trace import Link, open_trace
+from airgs_codec.play.trace import Link, Trace
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.render.backend import CPU, Renderer
@@ -260,7 +260,7 @@ COLUMNS = {
 
 def run(options: Options, lab: Lab) -> Page:
     """Serve one viewer. Raises ConfigError, FormatError, TransportError."""
-    package, link = open_package(options.package), Link.over(open_trace(options.trace))
+    package, link = open_package(options.package), Link.over(Trace.open(options.trace))
     m = package.manifest
     training, measured = checking_views(m.region, list(read_cameras(options.views)) if options.views else [])
     settings = ClosedLoopSettings(training, measured, link, Offers(m).loops(options.loops))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from airgs_codec.train.settings import TrainSettings, preset
+from airgs_codec.trainer.settings import TrainSettings, preset
 from tools.lab.baselines.airgs import AirGS
 from tools.lab.baselines.fourdgs import Fourdgs
 from tools.lab.baselines.method import Method

@@ -22,7 +22,7 @@ import numpy as np
 from airgs_codec._settings import setting
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.package.package import open_package
-from airgs_codec.play.trace import Trace, open_trace
+from airgs_codec.play.trace import Trace
 from airgs_codec.scene.formats.ply import read_ply
 from tools.lab.baselines.airgs import PACKAGE
 from tools.lab.baselines.method import frame_path
@@ -123,7 +123,7 @@ def run(options: Options, lab: Lab) -> Page:
     ablated = parse_subject(options.ablated)
     ablated = ablated.quick() if options.quick else replace(ablated, size=ablated.size or SIZE)
     files = [f for path in options.traces for f in (sorted(path.iterdir()) if path.is_dir() else [path])]
-    traces = [open_trace(str(file)) for file in files]
+    traces = [Trace.open(str(file)) for file in files]
     jobs = [Job(s, m, options.quick, folder(lab, s, m)) for s in subjects for m in options.methods]
     trained = in_processes(train, jobs, options.jobs, lab.progress)
     sections = [quality(trained)]

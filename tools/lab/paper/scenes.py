@@ -7,9 +7,9 @@ from pathlib import Path
 
 from airgs_codec.cli.common import parse_frames
 from airgs_codec.errors import ConfigError
-from airgs_codec.train.data.multiview import MultiviewScene, with_held_out, with_near
-from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.data.readers import open_scene
+from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
+from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.readers import open_scene
 from tools.lab.baselines.method import Footage
 
 OPTIONS = ("frames", "size", "near")

@@ -16,7 +16,7 @@ from airgs_codec._settings import setting
 from airgs_codec.package.package import open_package
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.study import offsets_of
-from airgs_codec.play.trace import Link, open_trace
+from airgs_codec.play.trace import Link, Trace
 from tools.lab.options import required
 from tools.lab.page import Page, Section, Table
 from tools.lab.paper.frames import CHOOSERS, frame_options, frame_programme, frame_table, simulate_frames
@@ -57,7 +57,7 @@ def run(options: Options, lab: Lab) -> Page:
     loops = c.loops(options.loops)
     links = []
     for name in options.traces:
-        trace = open_trace(name)
+        trace = Trace.open(name)
         starts = offsets_of(trace, options.offsets, options.seed)
         links += [Link.over(trace.cut(start, options.scale).ending("loop")) for start in starts]
     runs = [{"chooser": n} | frame_table(simulate_frames(c, link, n, loops)) for n in CHOOSERS for link in links]

@@ -23,7 +23,7 @@ from airgs_codec.play.study import offsets_of
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.pictures import Pictures
+from airgs_codec.trainer.data.pictures import Pictures
 from tools.lab.baselines.airgs import fetched_bytes, key_bytes, state_bytes
 from tools.lab.baselines.method import Frame
 from tools.lab.paper.frames import CHOOSERS, FrameLog, Levels, frame_table, push_frames, time_percentiles

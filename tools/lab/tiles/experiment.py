@@ -21,7 +21,7 @@ from airgs_codec.encoder.survey import GroupSpan, plan_views, survey_group
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.play.session import SessionLog
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, open_trace
+from airgs_codec.play.trace import Link, Trace
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, expect_names, required, setting
@@ -127,7 +127,7 @@ def viewer_rows(sequence: GaussianSequence, bench: Bench, name: str, options: Op
             row |= {"psnr": seen.psnr, "worst_psnr": seen.worst_psnr}
         rows.append(row)
 
-    ample = {AMPLE: Link(open_trace(AMPLE_MBPS), 0.0)}
+    ample = {AMPLE: Link(Trace.open(AMPLE_MBPS), 0.0)}
     edges: dict[str, SessionLog] = {}
     for level in range(len(bench.whole.manifest.levels)):
         for link, how, log in bench.sessions(level, ample, view):

@@ -18,7 +18,7 @@ from airgs_codec.play.offers import Offers
 from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View
-from airgs_codec.play.trace import Link, open_trace
+from airgs_codec.play.trace import Link, Trace
 from airgs_codec.scene.camera import Camera
 from tools.lab.page import Row
 
@@ -79,7 +79,7 @@ class Bench:
 
     def rate_bps(self, level: int) -> float:
         """Rate of a level with its own keys, of the one package."""
-        log = self._play(self.whole, level, Link(open_trace("const:1000"), 0.0))
+        log = self._play(self.whole, level, Link(Trace.open("const:1000"), 0.0))
         return 8 * log.metrics.wire_bytes / log.metrics.played_s
 
     def sessions(self, level: int, links: dict[str, Link], view: View) -> Iterator[tuple[str, str, SessionLog]]:
@@ -97,9 +97,9 @@ class Bench:
 
 def links_of(rate_bps: float, times: Sequence[float], trace: str | None, seconds: float) -> dict[str, Link]:
     """Constant links of so many times a rate, and a trace scaled so that its first seconds carry as much."""
-    found = {f"{n:g} x": Link(open_trace(f"const:{n * rate_bps / 1e6}")) for n in times}
+    found = {f"{n:g} x": Link(Trace.open(f"const:{n * rate_bps / 1e6}")) for n in times}
     if trace is not None:
-        recorded = open_trace(trace)
+        recorded = Trace.open(trace)
         carried_bps = recorded.bits_until(seconds) / seconds
         for n in times:
             found[f"{recorded.name}, {n:g} x"] = Link.over(recorded.cut(0.0, n * rate_bps / carried_bps))

@@ -12,9 +12,9 @@ import torch
 from airgs_codec.errors import ConfigError
 from airgs_codec.progress import silent
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.losses import mean_psnr
+from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit.losses import mean_psnr
 from tests.support.multiview_files import write_views
 from tests.support.views import coloured_cloud, moved, ring
 from tools.lab.baselines import fourdgs

@@ -10,8 +10,8 @@ import pytest
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats.ply import read_ply
-from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.data.readers import open_scene
+from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.readers import open_scene
 from tests.support.paths import VALID
 from tests.support.scenes import random_gaussians
 from tests.support.training import write_blobs

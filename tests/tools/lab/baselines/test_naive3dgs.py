@@ -13,11 +13,11 @@ from airgs_codec.progress import silent
 from airgs_codec.render import render
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.formats.ply import read_ply
-from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit import parameters
-from airgs_codec.train.fit.losses import mean_psnr
-from airgs_codec.train.fit.parameters import from_gaussians
+from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit import parameters
+from airgs_codec.trainer.fit.losses import mean_psnr
+from airgs_codec.trainer.fit.parameters import from_gaussians
 from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud, ring
 from tools.lab.baselines.method import Footage, frame_path, run_method

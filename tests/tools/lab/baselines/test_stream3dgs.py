@@ -12,10 +12,10 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.render import render
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians, from_rotation_vector, multiply, to_matrices
-from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.losses import mean_psnr
-from airgs_codec.train.fit.parameters import from_gaussians, to_gaussians
+from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit.losses import mean_psnr
+from airgs_codec.trainer.fit.parameters import from_gaussians, to_gaussians
 from tests.support.multiview_files import write_views
 from tests.support.scenes import random_gaussians
 from tests.support.training import SETTINGS

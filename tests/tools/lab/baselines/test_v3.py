@@ -13,12 +13,12 @@ from scipy.stats import norm
 from airgs_codec.errors import ConfigError
 from airgs_codec.progress import silent
 from airgs_codec.scene.formats.ply import read_ply
-from airgs_codec.train.data.pictures import Pictures
-from airgs_codec.train.data.readers import open_scene
-from airgs_codec.train.fit.losses import mean_psnr
-from airgs_codec.train.fit.parameters import from_gaussians
-from airgs_codec.train.fit.trainer import FrameViews, make_trainer
-from airgs_codec.train.settings import TrainSettings
+from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit.losses import mean_psnr
+from airgs_codec.trainer.fit.parameters import from_gaussians
+from airgs_codec.trainer.fit.trainer import FrameViews, make_trainer
+from airgs_codec.trainer.settings import TrainSettings
 from tests.support.scenes import random_gaussians
 from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud

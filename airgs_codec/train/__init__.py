@@ -1,1 +1,0 @@
-"""Multi-view video -> tracked Gaussian sequence (needs torch)."""

@@ -1,0 +1,75 @@
+"""Multi-view video -> tracked Gaussian sequence (needs torch)."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from airgs_codec._arguments import argument
+from airgs_codec.errors import ConfigError
+from airgs_codec.progress import Progress, silent, told
+from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.settings import TrainSettings
+
+if TYPE_CHECKING:  # it imports torch
+    from airgs_codec.trainer.record import Model
+
+CUDA_VIEWS = 4  # an iteration sees on a GPU, which a single picture does not fill
+
+
+def train(
+    scene: MultiviewScene | str | Path,
+    folder: str | Path | None = None,
+    settings: TrainSettings | None = None,
+    *,
+    resume: bool = False,
+    device: str = "auto",
+    progress: Progress | type = silent,
+) -> Model:
+    """Train a multi-view scene, open or at a path, into a model folder, which `open_sequence` opens.
+
+    `folder`: by default SCENE.gaussians beside the scene. `settings`: by default those of `airgs-train` on the device.
+    `resume`: go on where a run in the folder ended. `device`: auto, cpu or cuda. `progress`: a function, or a class of
+    bars such as tqdm.auto.tqdm. Finished frames stay whatever happens, and a run that was stopped and resumed ends with
+    the same files as one that was not.
+
+    Raises SceneError for pictures that cannot be used, ConfigError for a folder that holds something else, a device
+    that is not there and a missing torch, and TrainingError when a loss is not finite or a frame shows nothing.
+    """
+    require_torch()
+    from airgs_codec.render.backend import open_renderer
+    from airgs_codec.trainer.pipeline import open_run, train_frames
+
+    views = argument("scene", scene, MultiviewScene, "a multi-view scene or the path of one", _open)
+    found = open_renderer(device).device
+    chosen = argument("settings", settings or default_settings(found), TrainSettings, "TrainSettings")
+    model = default_model(views.path) if folder is None else Path(folder)
+    run = open_run(views, model, chosen, resume=resume, device=found)
+    for _ in train_frames(run, told(progress)):
+        pass
+    return run.model
+
+
+def _open(path: str | Path) -> MultiviewScene:
+    return with_held_out(open_scene(Path(path)), None)
+
+
+def require_torch() -> None:
+    """Raises ConfigError where torch is not installed."""
+    if importlib.util.find_spec("torch") is None:
+        raise ConfigError("training needs torch: pip install 'airgs-codec[train]'")
+
+
+def default_model(scene: Path) -> Path:
+    """The model folder of a scene unless another one is named."""
+    resolved = scene.resolve()  # "." has no name of its own
+    return resolved.with_name(resolved.name + ".gaussians")
+
+
+def default_settings(device: str) -> TrainSettings:
+    """The settings of a run on cpu or cuda unless others are named."""
+    if device == "cpu":
+        return TrainSettings()
+    return TrainSettings(deltas="mlp+residual", iteration_views=CUDA_VIEWS)

@@ -1,0 +1,96 @@
+"""Fits to Gaussians that are given frame by frame: what frames have in common is told from what each has of its own.
+
+N Gaussians, V views.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from airgs_codec.analysis.flow import carry, unmatched
+from airgs_codec.progress import Progress
+from airgs_codec.scene.gaussians import Gaussians, mix_rows
+from airgs_codec.trainer.data.pictures import View
+from airgs_codec.trainer.fit.active import find_active
+from airgs_codec.trainer.fit.grow import find_wrong
+from airgs_codec.trainer.fit.losses import better
+from airgs_codec.trainer.fit.optimise import Schedule, optimise
+from airgs_codec.trainer.fit.parameters import Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
+from airgs_codec.trainer.fit.variables import PerGaussian, Rates
+
+COMMON_RATES = Rates(factor=3.0, means=0.3, last=0.1, means_last=0.1)  # what is given is nearly right
+CONJUGATE = torch.tensor([1.0, -1.0, -1.0, -1.0])
+
+
+def follow(trainer: Trainer, before: FrameBefore, given: Gaussians, target: FrameViews) -> Gaussians:
+    """The frame before, moved as the Gaussians of a target went on; what rests stays, and all where that shows more."""
+    g, views = before.gaussians, target.views
+    moved = carry(g, given, before.velocity)
+    if target.moving is not None:
+        active = find_active(g, views, target.moving, trainer.renderer).rows
+        moved = mix_rows(moved, g, np.isin(np.arange(len(g)), active))
+    return better(g, moved, views[::2], trainer.renderer)
+
+
+def missing(trainer: Trainer, g: Gaussians, given: Gaussians, target: FrameViews) -> NDArray[np.intp]:
+    """The rows of the given Gaussians of a target that `g` lacks where its pictures are wrong."""
+    wrong = find_wrong(g, target.views, trainer.renderer)
+    rows = find_active(given, target.views, wrong, trainer.renderer).rows
+    return np.intersect1d(rows, unmatched(g, given))
+
+
+def fit_common(
+    trainer: Trainer, poses: Sequence[Gaussians], views: Sequence[Sequence[View]], progress: Progress
+) -> Gaussians:
+    """The first of some frames without what is in it alone; `views`: of each frame.
+
+    Raises TrainingError where the loss is not finite.
+    """
+    frame_of = [frame for frame, of in enumerate(views) for _ in of]
+    frames = [from_gaussians(g, trainer.device) for g in poses]
+    variables = Carried(frames[0], trainer.extent, COMMON_RATES, frames=frames, frame_of=frame_of)
+    s = trainer.settings
+    schedule = Schedule("what frames share", s.key_iterations, lambda _: s.sh_degree, ssim_weight=s.ssim_weight)
+    optimise(variables, [view for of in views for view in of], schedule, np.random.default_rng(s.seed), None, progress)
+    return to_gaussians(variables.detached())
+
+
+@dataclass(slots=True, eq=False)
+class Carried(PerGaussian):
+    """One D for several frames in which the base Gaussians are at other places: what all frames show is no noise.
+
+    `base` is as in the first of them. D of means and rotations turns with a row.
+    """
+
+    frames: Sequence[Parameters] = ()  # the base Gaussians in each frame
+    frame_of: Sequence[int] = ()  # of each view
+
+    def current(self, view: int = 0) -> Parameters:
+        """The Gaussians in the frame of a view, differentiable by D."""
+        here, d = self.frames[self.frame_of[view]], self.adam.parameters
+        turn = multiply(here["quaternions"], self.base["quaternions"] * CONJUGATE.to(here["means"]))
+        turn = torch.nn.functional.normalize(turn, dim=1)
+        moved = {n: p + d[n] for n, p in self.base.items() if n not in ("means", "quaternions")}
+        return moved | {
+            "means": here["means"] + rotate(turn, d["means"]),
+            "quaternions": here["quaternions"] + multiply(turn, d["quaternions"]),
+        }
+
+
+def multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """The Hamilton product of quaternions (N, 4)."""
+    aw, av, bw, bv = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
+    vector = aw * bv + bw * av + torch.linalg.cross(av, bv)
+    return torch.cat([aw * bw - (av * bv).sum(dim=1, keepdim=True), vector], dim=1)
+
+
+def rotate(q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    """Vectors (N, 3) turned by unit quaternions (N, 4)."""
+    turned = 2 * torch.linalg.cross(q[:, 1:], v)
+    return v + q[:, :1] * turned + torch.linalg.cross(q[:, 1:], turned)

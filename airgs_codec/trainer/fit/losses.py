@@ -1,0 +1,213 @@
+"""How far Gaussians are from pictures, and what their changes cost, with gradients. N Gaussians, V views, H x W pixels.
+
+L_3DGS = (1 - lambda) L1 + lambda (1 - SSIM) (AirGS, "Representation"): on the CPU one fused pass (`kernels`), on CUDA
+the same numbers from separable convolutions.
+
+L_temp counts a change in the steps that the codec will code it with. The paper's sum of |d| has no unit and no
+reduction (AirGS, "Training" 2): summed over raw values its 1e-3 stops all motion, averaged it does nothing. Here it is
+the mean over Gaussians of |d|_1 with every channel in units of the codec's step:
+weight * mean_i sum_c |d_ic| / step_ic.
+
+The PSNR of training is the mean over views of each view's PSNR in dB. The PSNR of a package pools the squared error of
+its pictures first, and is lower where views differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from airgs_codec.analysis.sensitivity import measure_sensitivity
+from airgs_codec.coding.motion import classify_motion, motion_units
+from airgs_codec.coding.quantize import StepSettings
+from airgs_codec.media.metrics import Picture, psnr
+from airgs_codec.render import Camera
+from airgs_codec.render.backend import CPU, Renderer
+from airgs_codec.render.compare import compare, draw_still
+from airgs_codec.render.cuda import upload
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.trainer.data.pictures import Target, View
+from airgs_codec.trainer.fit import kernels
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, Parameters
+from airgs_codec.trainer.settings import Temporal
+
+LAMBDA = 0.2  # weight of 1 - SSIM, as AirGS and 3DGS have it
+
+
+def photometric(rgb: torch.Tensor, target: Target, weight: float = LAMBDA) -> torch.Tensor:
+    """Return L_3DGS of a rendered picture (H, W, 3), a scalar; `weight` is lambda."""
+    loss: torch.Tensor = _on_cuda(rgb, target, weight) if rgb.is_cuda else _Fused.apply(rgb, target, weight)
+    return loss
+
+
+class _Fused(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, rgb: torch.Tensor, target: Target, weight: float) -> torch.Tensor:
+        rows = np.ascontiguousarray(rgb.detach().numpy(), np.float32).reshape(target.rows.shape)
+        gradient = np.empty_like(rows)
+        sums = np.empty((len(rows), 2))
+        scratch = _scratch(rows.shape)
+        arguments = (1 - weight, weight, *scratch, gradient, sums)
+        kernels.l1_dssim(rows, target.rows, *moments(target), *arguments)
+        l1, ssim = sums.sum(axis=0) / rows.size
+        ctx.gradient = torch.from_numpy(gradient.reshape(rgb.shape))
+        return torch.tensor((1 - weight) * l1 + weight * (1 - ssim), dtype=torch.float32)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
+        return ctx.gradient * grads[0], None, None
+
+
+def moments(target: Target) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Windowed mean and variance of a target for SSIM, (H, n) each; it holds them from then on."""
+    if target.moments is None:
+        target.moments = np.empty_like(target.rows), np.empty_like(target.rows)
+        kernels.window_moments(target.rows, *target.moments)
+    return target.moments
+
+
+_SCRATCH: dict[tuple[int, ...], tuple[NDArray[np.float32], NDArray[np.float32]]] = {}
+
+
+def _scratch(shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    if shape not in _SCRATCH:
+        padded = (3, shape[0] + 2 * kernels.RADIUS, shape[1])
+        _SCRATCH[shape] = (np.zeros(padded, np.float32), np.zeros(padded, np.float32))
+    return _SCRATCH[shape]
+
+
+def _on_cuda(rgb: torch.Tensor, target: Target, weight: float) -> torch.Tensor:
+    """Return the loss without waiting for the device."""
+    if target.on_device is None:
+        target.on_device = upload(target.rgb, rgb.device)
+    truth: torch.Tensor = target.on_device
+    return (1 - weight) * (rgb - truth).abs().mean() + weight * (1 - windowed_ssim(rgb, truth))
+
+
+def windowed_ssim(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Mean SSIM (Wang et al. 2004) of pictures (H, W, 3) that are zero outside, on any device in any precision."""
+    half = [kernels.W0, kernels.W1, kernels.W2, kernels.W3, kernels.W4]
+    window = upload([*half, kernels.W5, *half[::-1]], a.device).to(a.dtype)
+
+    def blur(x: torch.Tensor) -> torch.Tensor:
+        x = x.permute(2, 0, 1)[:, None]
+        x = torch.nn.functional.conv2d(x, window.reshape(1, 1, 1, -1), padding=(0, kernels.RADIUS))
+        return torch.nn.functional.conv2d(x, window.reshape(1, 1, -1, 1), padding=(kernels.RADIUS, 0))[:, 0]
+
+    mean_a, mean_b = blur(a), blur(b)
+    var_a, var_b, covariance = blur(a * a) - mean_a**2, blur(b * b) - mean_b**2, blur(a * b) - mean_a * mean_b
+    c1, c2 = float(kernels.C1), float(kernels.C2)
+    top = (2 * mean_a * mean_b + c1) * (2 * covariance + c2)
+    return (top / ((mean_a**2 + mean_b**2 + c1) * (var_a + var_b + c2))).mean()
+
+
+# The derivative of alpha by its logit is taken to be at least this: near 0 and 1 a step of alpha is no finite logit.
+LEAST_SLOPE = 0.02
+
+
+def temporal_weights(temporal: Temporal, steps: Mapping[str, torch.Tensor]) -> Parameters:
+    """Weight of |d| of every element, from the codec step of each."""
+    if temporal.unit == "raw":
+        return {name: torch.full_like(step, temporal.weight) for name, step in steps.items()}
+    return {name: temporal.weight / (len(step) * step) for name, step in steps.items()}
+
+
+def codec_steps(
+    g: Gaussians, cameras: Sequence[Camera], steps: StepSettings | None = None, renderer: Renderer = CPU
+) -> Parameters:
+    """One codec step for every element of the stored attributes, to first order, where the Gaussians are now.
+
+    Means: the row's motion unit, by how much pictures depend on it. Quaternions: half the rotation's step, as a small
+    rotation w changes a unit quaternion by w / 2. Opacity: the step of alpha over alpha's derivative by the logit.
+    """
+    state = (steps or StepSettings()).state
+    sensitivity = measure_sensitivity([g], cameras, renderer)
+    unit = motion_units(classify_motion(sensitivity.means, g))
+    alpha = g.opacities()
+    length = np.linalg.norm(g.quaternions.astype(np.float64), axis=1, keepdims=True)
+    table = {
+        "means": np.broadcast_to((unit * state.means)[:, None], g.means.shape),
+        "quaternions": np.broadcast_to(state.quaternions / 2 * np.maximum(length, 1e-12), g.quaternions.shape),
+        "log_scales": np.full(g.log_scales.shape, state.log_scales),
+        "opacity_logits": state.opacity / np.maximum(alpha * (1 - alpha), LEAST_SLOPE),
+        "sh_dc": np.full(g.sh_dc.shape, state.sh_dc),
+        "sh_rest": np.full(g.sh_rest.shape, state.sh_rest),
+    }
+    return {name: torch.from_numpy(np.ascontiguousarray(table[name], np.float32)) for name in ATTRIBUTES}
+
+
+def static_shares(before: Gaussians, after: Gaussians, steps: Parameters) -> dict[str, float]:
+    """Share of each attribute's channels that changed by less than half a codec step, over the rows of `before`."""
+    shares = {}
+    for name in ATTRIBUTES:
+        old, new = getattr(before, name), getattr(after, name)[: len(before)]
+        if old.size:
+            half = steps[name].cpu().numpy()[: len(before)] / 2
+            shares[name] = float(np.mean(np.abs(new - old) < half))
+    return shares
+
+
+RATE = 2e-3  # learning rate
+
+
+class ExposureModel:
+    """Gains and offsets of V cameras, fitted beside the Gaussians."""
+
+    def __init__(self, views: int, device: str, reference: int | None = None) -> None:
+        """The identity for every camera. `reference`: the view whose camera keeps it; None: the average camera does."""
+        self._reference = reference
+        self._logs = torch.zeros(views, 3, device=device, requires_grad=True)
+        self._offsets = torch.zeros(views, 3, device=device, requires_grad=True)
+        self._adam = torch.optim.Adam([self._logs, self._offsets], lr=RATE, betas=BETAS)
+
+    def apply(self, rgb: torch.Tensor, view: int) -> torch.Tensor:
+        """The rendered picture (H, W, 3) as the camera of that view would have exposed it."""
+        gains, offsets = self._tables()
+        return rgb * gains[view] + offsets[view]
+
+    def step(self) -> None:
+        """Move along the gradients, by Adam."""
+        self._adam.step()
+        self._adam.zero_grad(set_to_none=True)
+
+    def table(self, names: Sequence[str]) -> dict[str, list[float]]:
+        """Gains r, g, b and offsets r, g, b by the names of the cameras, rounded to 5 digits."""
+        gains, offsets = (t.detach().cpu().numpy() for t in self._tables())
+        rows = np.concatenate([gains, offsets], axis=1)
+        return {name: [round(float(v), 5) for v in row] for name, row in zip(names, rows, strict=True)}
+
+    def _tables(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Gains and offsets, (V, 3) each."""
+        own = slice(None) if self._reference is None else slice(self._reference, self._reference + 1)
+        logs, offsets = (t - t[own].mean(dim=0, keepdim=True) for t in (self._logs, self._offsets))
+        return logs.exp(), offsets
+
+
+PSNR_DEFINITION = "mean over views of the PSNR of each, in dB"
+
+
+def mean_psnr(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> float:
+    """Mean over views of each view's PSNR in dB."""
+    return float(np.mean([psnr(error) for error in _compare(g, views, renderer, Picture.mse)]))
+
+
+def better(before: Gaussians, after: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> Gaussians:
+    """Whichever of two shows more, `after` where they show the same."""
+    return before if mean_psnr(before, views, renderer) > mean_psnr(after, views, renderer) else after
+
+
+def mean_ssim(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> float:
+    """Mean over views of each view's SSIM, 1 for equal pictures."""
+    return float(np.mean(list(_compare(g, views, renderer, Picture.ssim))))
+
+
+def _compare(
+    g: Gaussians, views: Sequence[View], renderer: Renderer, measure: Callable[[Picture, Picture], float]
+) -> Iterator[float]:
+    """A figure of each view's picture as it was taken and as the Gaussians are drawn."""
+    numbered = [(i, view.camera) for i, view in enumerate(views)]
+    return compare(lambda i, _: Picture.of(views[i].target.rgb), draw_still(g, renderer), numbered, measure)

@@ -1,0 +1,194 @@
+"""The loop that fits Gaussians to pictures: first frames, keyframes and frames in a group all run through it.
+
+It may begin with pictures of half the size: large motion is a small one there, and an iteration costs less.
+
+N Gaussians, V views, H x W pixels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from airgs_codec.errors import TrainingError
+from airgs_codec.media.image import resize
+from airgs_codec.progress import Progress, silent
+from airgs_codec.render.cpu import TILE, Redraw, Render
+from airgs_codec.render.cuda import AbsGrad
+from airgs_codec.scene.camera import with_pixels
+from airgs_codec.trainer.data.pictures import Picture, Target, View
+from airgs_codec.trainer.fit.losses import LAMBDA, ExposureModel, photometric
+from airgs_codec.trainer.fit.parameters import Parameters, render_views
+
+LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite; rows are added no more often
+
+
+class Variables(Protocol):
+    """The variables that an iteration moves."""
+
+    def current(self, view: int = 0) -> Parameters:
+        """The Gaussians as the view of that number shows them now, differentiable by the variables."""
+
+    def watch(self) -> AbsGrad | None:
+        """Where the absolute gradients of the next picture are wanted; None: nowhere."""
+
+    def penalty(self) -> torch.Tensor | float:
+        """Return what is added to the loss of the picture."""
+
+    def step(self, iteration: int, iterations: int) -> None:
+        """Move along the gradients; this is iteration 1 .. iterations."""
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """How long a fit runs, and how much an iteration sees."""
+
+    stage: str  # what is fitted, for progress
+    iterations: int
+    sh_degree: Callable[[float], int]  # SH degree in use when a share of the iterations is past
+    random_background: bool = False  # whether every picture has another one
+    views: int = 1  # pictures an iteration, whose losses are averaged
+    ssim_weight: float = LAMBDA
+    coarse: float = 0.0  # share of the iterations, the first ones, that see pictures of half the size
+
+
+class Deck:
+    """The numbers of V views in random order, each as often as the others, all of them before any comes again."""
+
+    def __init__(self, views: int, rng: np.random.Generator) -> None:
+        self._views, self._rng = views, rng
+        self._next: list[int] = []  # the last one comes first
+
+    def take(self, count: int) -> list[int]:
+        """The next so many."""
+        self._fill(count)
+        return [self._next.pop() for _ in range(count)]
+
+    def ahead(self, count: int) -> list[int]:
+        """Up to so many of those that come next; fewer where they are not dealt yet."""
+        return self._next[-count:][::-1]
+
+    def _fill(self, count: int) -> None:
+        while len(self._next) < count:
+            self._next = [*self._rng.permutation(self._views).tolist(), *self._next]
+
+
+class Losses:
+    """Whether losses are finite, looked at seldom where looking means to wait for the device."""
+
+    def __init__(self, every: int) -> None:
+        """`every`: iterations between two looks."""
+        self._every = every
+        self._pending: list[tuple[int, str, torch.Tensor]] = []
+
+    def add(self, iteration: int, views: Sequence[View], loss: torch.Tensor, last: bool) -> None:
+        """The loss of an iteration. Raises TrainingError, at the latest at the `last` one, naming the first fault."""
+        names = ", ".join(view.camera.name for view in views)
+        self._pending.append((iteration, names, loss.detach()))
+        if iteration % self._every and not last:
+            return
+        finite = torch.isfinite(torch.stack([loss for _, _, loss in self._pending])).tolist()
+        for good, (at, names, _) in zip(finite, self._pending, strict=True):
+            if not good:
+                raise TrainingError(f"the loss is not finite at iteration {at} in view {names}")
+        self._pending.clear()
+
+
+def optimise(
+    variables: Variables,
+    views: Sequence[View],
+    schedule: Schedule,
+    rng: np.random.Generator,
+    exposure: ExposureModel | None = None,
+    progress: Progress = silent,
+) -> None:
+    """Fit `variables` to the V views in random order, each as often as the others.
+
+    `exposure`: gains and offsets of the views' cameras, which are fitted too. Raises TrainingError when the loss is not
+    finite, on CUDA up to LOOK_EVERY iterations later.
+    """
+    deck = Deck(len(views), rng)
+    losses: Losses | None = None
+    count = min(schedule.views, len(views))
+    coarse, whole = round(schedule.coarse * schedule.iterations) if can_be_halved(views) else 0, views
+    views = [halve(view) for view in whole] if coarse else whole
+    for iteration in range(1, schedule.iterations + 1):
+        if iteration == coarse + 1:
+            views = whole
+        chosen = deck.take(count)
+        for index in deck.ahead(count):
+            views[index].picture.expect()
+        seen = [_before(views[i], rng) if schedule.random_background else views[i] for i in chosen]
+        sh_degree = schedule.sh_degree(iteration / schedule.iterations)
+        cameras, redraws = zip(*((view.camera, view.redraw) for view in seen), strict=True)
+        pictures = render_views(variables.current(chosen[0]), cameras, sh_degree, variables.watch(), redraws)
+        parts = []
+        for index, view, (rgb, _) in zip(chosen, seen, pictures, strict=True):
+            shown = exposure.apply(rgb, index) if exposure else rgb
+            parts.append(photometric(shown, view.target, schedule.ssim_weight))
+        loss = (parts[0] if count == 1 else torch.stack(parts).mean()) + variables.penalty()
+        losses = losses or Losses(LOOK_EVERY if loss.is_cuda else 1)
+        losses.add(iteration, seen, loss, iteration == schedule.iterations)
+        loss.backward()
+        variables.step(iteration, schedule.iterations)
+        if exposure:
+            exposure.step()
+        progress(schedule.stage, iteration, schedule.iterations)
+
+
+def _before(view: View, rng: np.random.Generator) -> View:
+    """The view before a random background."""
+    return view.before(tuple(rng.uniform(size=3).tolist()))
+
+
+LEAST = 160  # pixels on the shorter side of a picture that is halved: smaller ones lose what moves in them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Halved:
+    """A picture at half its size."""
+
+    whole: Picture
+    size: tuple[int, int]  # width and height
+
+    def target(self) -> Target:
+        """The picture in float32. Raises SceneError where it cannot be read."""
+        whole = self.whole.target()
+        return Target(resize(whole.rgb, *self.size), None if whole.clear is None else resize(whole.clear, *self.size))
+
+    def expect(self) -> None:
+        """It will be asked for soon."""
+        self.whole.expect()
+
+
+def can_be_halved(views: Sequence[View]) -> bool:
+    """Whether all pictures are large enough."""
+    return all(min(view.camera.width, view.camera.height) >= LEAST for view in views)
+
+
+def halve(view: View) -> View:
+    """The view at half its size, or half a pixel more. A tile is drawn again where one of the four in it would be."""
+    size = -(-view.camera.width // 2), -(-view.camera.height // 2)
+    redraw = view.redraw and _halve_redraw(view.redraw, size)
+    return View(with_pixels(view.camera, *size), Halved(view.picture, size), redraw)
+
+
+def _halve_redraw(redraw: Redraw, size: tuple[int, int]) -> Redraw:
+    def rest() -> Render:
+        whole = redraw.rest()
+        return Render(resize(whole.rgb, *size), resize(whole.transmittance, *size))
+
+    return replace(redraw, tiles=_any_of_four(redraw.tiles, size), rest=rest)
+
+
+def _any_of_four(tiles: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:
+    """(down, across) of pictures of a size, from (down', across') of pictures twice as large."""
+    across, down = (-(-pixels // TILE) for pixels in size)
+    padded = np.zeros((2 * down, 2 * across), np.bool_)
+    padded[: tiles.shape[0], : tiles.shape[1]] = tiles
+    return np.asarray(padded.reshape(down, 2, across, 2).any(axis=(1, 3)))

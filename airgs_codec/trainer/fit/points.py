@@ -1,0 +1,280 @@
+"""The cloud that the first frame starts from: given, or triangulated from SIFT features that several views see.
+
+Random points fill it up where it is thin. P points, n of them inside a picture, V views, F features of all views
+together, numbered one view after another.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from airgs_codec.errors import SceneError
+from airgs_codec.media.image import match_features, sift
+from airgs_codec.render import Camera
+from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
+from airgs_codec.trainer.data.multiview import Points
+from airgs_codec.trainer.data.pictures import View
+
+BOX_POINTS = 50  # so many given points tell where the scene is
+BOX_MARGIN = 1.15  # size of the box of random points, over that of the given ones
+
+
+def scene_extent(cameras: Sequence[Camera], points: Points | None = None) -> float:
+    """Size of a scene in world units: 1.1 times the largest distance of a camera to their centre, as 3DGS has it.
+
+    It is at least the median distance of the points to that centre. Cameras that stand around a scene are as far from
+    each other as from it; those of a narrow rig before it would make steps and sizes too small for what they see. 1
+    where all cameras are in one place and there are no points.
+    """
+    places = np.stack([camera.position for camera in cameras])
+    centre = places.mean(axis=0)
+    extent = 1.1 * float(np.linalg.norm(places - centre, axis=1).max())
+    if points is None or not len(points.positions):
+        return extent or 1.0
+    return max(extent, float(np.median(np.linalg.norm(points.positions - centre, axis=1)))) or 1.0
+
+
+def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng: np.random.Generator) -> Points:
+    """The given points, or triangulated ones, with random ones beside them up to `fewest`. Every point has a colour.
+
+    Points that are not finite are left out. Raises SceneError when there are neither points nor two views to find them
+    in, or no point is left.
+    """
+    points = given
+    if points is None:
+        if len(views) < 2:
+            raise SceneError("expected a cloud of points or at least two training views, got one view")
+        points = triangulate(views)
+    finite = np.isfinite(points.positions).all(axis=1)
+    colours = None if points.colours is None else points.colours[finite]
+    points = replace(points, positions=points.positions[finite], colours=colours)
+    if len(points.positions) < fewest:
+        points = _with_random(points, fewest - len(points.positions), views, rng)
+    if not len(points.positions):
+        raise SceneError("expected training views that look at a common place: no point to start from was found")
+    if points.colours is None:
+        points = replace(points, colours=seen_colours(points.positions, views))
+    return points
+
+
+def from_points(
+    positions: NDArray[np.float32], colours: NDArray[np.float32], sh_degree: int, opacity: float, largest: float
+) -> Gaussians:
+    """Balls at `positions` (P, 3) with RGB `colours` (P, 3), as large as their three nearest neighbours are far.
+
+    `opacity`: of each, 0..1. `largest`: their largest radius in world units.
+    """
+    n = len(positions)
+    near, _ = cKDTree(positions).query(positions, k=min(4, n))
+    spacing = np.sqrt(np.square(near.reshape(n, -1)[:, 1:]).mean(axis=1)) if n > 1 else np.full(n, 0.01 * largest)
+    radius = np.log(np.clip(spacing, 1e-4 * largest, largest))  # the logarithm of coincident points' 0 is -Inf
+    return Gaussians(
+        means=positions.astype(np.float32),
+        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
+        log_scales=np.repeat(radius[:, None], 3, axis=1).astype(np.float32),
+        opacity_logits=np.full(n, math.log(opacity / (1 - opacity)), np.float32),
+        sh_dc=((colours - 0.5) / SH_C0).astype(np.float32),
+        sh_rest=np.zeros((n, SH_REST[sh_degree], 3), np.float32),
+    )
+
+
+def _with_random(points: Points, count: int, views: Sequence[View], rng: np.random.Generator) -> Points:
+    """The points and about `count` random ones, in their box or, where they are too few, before the cameras.
+
+    Surfaces without texture have no points of their own; what is placed in empty space fades away.
+    """
+    cameras = [view.camera for view in views]
+    if len(points.positions) >= BOX_POINTS:
+        low, high = np.quantile(points.positions, [0.01, 0.99], axis=0)
+        centre, reach = (low + high) / 2, BOX_MARGIN * (high - low) / 2
+    else:
+        centre, reach = looked_at(cameras), np.full(3, scene_extent(cameras))
+    drawn = rng.uniform(centre - reach, centre + reach, (2 * count, 3))
+    seen = np.zeros(len(drawn))
+    for camera in cameras:
+        seen[project(camera, drawn)[2]] += 1
+    random = drawn[seen >= min(2, len(cameras))][:count].astype(np.float32)
+    positions = np.concatenate([points.positions, random])
+    colours = None
+    if points.colours is not None:
+        colours = np.concatenate([points.colours, seen_colours(random, views)])
+    return Points(positions, colours)
+
+
+SHARED_DEPTHS = (0.3, 3.0)  # of the scene's extent: nearest and farthest depth at which cameras see a common place
+
+
+def expect_overlap(where: Path, cameras: Sequence[Camera]) -> None:
+    """Raise SceneError unless two of the cameras of the scene at `where` see a common place."""
+    if len(cameras) == 1:
+        raise SceneError(f"{where}: expected at least two training cameras or points to start from, got one")
+    if not _see_together(cameras):
+        raise SceneError(f"{where}: expected cameras that look at a common place, none of {len(cameras)} do")
+
+
+def _see_together(cameras: Sequence[Camera]) -> bool:
+    extent = scene_extent(cameras)
+    across = np.linspace(0.1, 0.9, 5)
+    for number, camera in enumerate(cameras):
+        u, v, z = np.meshgrid(across * camera.width, across * camera.height, np.geomspace(*SHARED_DEPTHS, 8) * extent)
+        seen = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=-1).reshape(-1, 3)
+        places = seen @ camera.world_to_camera[:3, :3] + camera.position
+        others = (*cameras[:number], *cameras[number + 1 :])
+        if any(len(project(other, places)[2]) for other in others):
+            return True
+    return False
+
+
+def degrees_apart(cameras: Sequence[Camera]) -> float:
+    """Median angle between a camera and the nearest other one, from where they look at; 0 for fewer than two."""
+    towards = np.stack([camera.position for camera in cameras]) - looked_at(cameras)
+    unit = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    cosines = unit @ unit.T
+    np.fill_diagonal(cosines, -1)
+    return float(np.degrees(np.median(np.arccos(np.clip(cosines.max(axis=1), -1, 1))))) if len(cameras) > 1 else 0.0
+
+
+def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """(3,) the point nearest to all optical axes, by least squares."""
+    total, right = 1e-6 * np.eye(3), np.zeros(3)  # parallel axes meet nowhere: the system would be singular
+    for camera in cameras:
+        forward = camera.world_to_camera[2, :3]
+        across = np.eye(3) - np.outer(forward, forward)
+        total += across
+        right += across @ camera.position
+    return np.asarray(np.linalg.solve(total, right), np.float64)
+
+
+def seen_colours(positions: NDArray[np.float32], views: Sequence[View]) -> NDArray[np.float32]:
+    """(P, 3) median colour over the views whose picture a point falls into, 0.5 where there is none.
+
+    The median is that of the surface as long as the point is hidden from fewer than half of the views.
+    """
+    colours = np.full((len(views), len(positions), 3), np.nan, np.float32)
+    for colour, view in zip(colours, views, strict=True):
+        rows, columns, inside = project(view.camera, positions)
+        colour[inside] = view.target.rgb[rows, columns]
+    seen = ~np.isnan(colours[..., 0]).all(axis=0)
+    out = np.full((len(positions), 3), 0.5, np.float32)
+    out[seen] = np.nanmedian(colours[:, seen], axis=0)
+    return out
+
+
+FEATURES = 4000  # most in a view
+NEIGHBOURS = 6  # views that each one is matched with
+RATIO = 0.8  # of the distances to the best and the second match, at most (Lowe 2004, 7.1)
+REPROJECTION = 2.0  # pixels, in every view of a track
+LEAST_ANGLE = np.radians(1.0)  # between two rays of a track
+
+
+def triangulate(views: Sequence[View]) -> Points:
+    """The points of the views' SIFT tracks, and their median colours.
+
+    Features are matched between neighbouring views, matches that share a feature are joined to tracks, and each track
+    is triangulated and checked (`intersect`).
+    """
+    features = [_features(view) for view in views]
+    first = np.concatenate([[0], np.cumsum([len(f[0]) for f in features])])
+    links = [
+        match_features(features[a][1], features[b][1], RATIO) + np.array([first[a], first[b]])
+        for a, b in _neighbours([view.camera for view in views])
+    ]
+    pairs = np.concatenate(links) if links else np.empty((0, 2), np.intp)
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(first[-1], first[-1]))
+    _, track = connected_components(graph, directed=False)
+    places, seen_colours = (np.concatenate([f[i] for f in features]) for i in (0, 2))
+    view_of = np.repeat(np.arange(len(views)), np.diff(first))
+    positions, colours = [], []
+    for members in _tracks(track, view_of):
+        cameras = [views[view_of[m]].camera for m in members]
+        point = intersect(cameras, places[members])
+        if point is not None:
+            positions.append(point)
+            colours.append(np.median(seen_colours[members], axis=0))
+    shape = (-1, 3)
+    return Points(np.array(positions, np.float32).reshape(shape), np.array(colours, np.float32).reshape(shape))
+
+
+def _features(view: View) -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
+    """Places (F, 2) in pixels, descriptors (F, 128) and colours (F, 3) of a view's SIFT features."""
+    picture = view.target.rgb
+    places, descriptors = sift(picture, FEATURES)
+    columns, rows = places.astype(int).T
+    return places, descriptors, picture[rows, columns]
+
+
+def _neighbours(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
+    """Pairs of cameras (a, b), a < b, that look most alike: in direction, and in place."""
+    forward = np.stack([camera.world_to_camera[2, :3] for camera in cameras])
+    place = np.stack([camera.position for camera in cameras])
+    apart = np.linalg.norm(place[:, None] - place[None], axis=2)
+    farthest = float(apart.max()) or 1.0  # all cameras in one place: 0 / 0 otherwise
+    unlike = (1 - forward @ forward.T) + apart / farthest
+    pairs = set()
+    for a, row in enumerate(unlike):
+        for b in np.argsort(row, kind="stable")[: NEIGHBOURS + 1]:
+            if a != b:
+                pairs.add((min(a, int(b)), max(a, int(b))))
+    return sorted(pairs)
+
+
+def _tracks(track: NDArray[np.integer], view_of: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Features of each track, from the number of each feature's track (F,) and view (F,).
+
+    Tracks that meet a view twice are mistaken and left out, as are features without a match.
+    """
+    order = np.argsort(track, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(track[order])) + 1)
+    return [g for g in groups if len(g) > 1 and len(set(view_of[g])) == len(g)]
+
+
+def intersect(cameras: Sequence[Camera], places: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """(3,) the point that V cameras see at pixels (V, 2), by linear triangulation (Hartley and Zisserman, 12.2).
+
+    None if it is behind a camera, projects REPROJECTION or more away from a pixel, or all rays are nearly parallel.
+    """
+    rows = []
+    for camera, (u, v) in zip(cameras, places, strict=True):
+        m = camera.world_to_camera[:3]
+        rows += [(u - camera.cx) / camera.fx * m[2] - m[0], (v - camera.cy) / camera.fy * m[2] - m[1]]
+    *_, vt = np.linalg.svd(np.array(rows))
+    x, y, z, w = vt[-1]
+    if abs(w) < 1e-12:  # at infinity
+        return None
+    point = np.array([x, y, z]) / w
+    rays = []
+    for camera, place in zip(cameras, places, strict=True):
+        a, b, depth = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
+        if depth <= 0:
+            return None
+        seen = np.array([camera.fx * a / depth + camera.cx, camera.fy * b / depth + camera.cy])
+        if np.linalg.norm(seen - place) >= REPROJECTION:
+            return None
+        rays.append((point - camera.position) / np.linalg.norm(point - camera.position))
+    cosines = np.stack(rays) @ np.stack(rays).T
+    return point if cosines.min() < np.cos(LEAST_ANGLE) else None
+
+
+def project(
+    camera: Camera, points: NDArray[np.floating]
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Rows (n,) and columns (n,) of the pixels that points (P, 3) fall into, and which points (n,) those are.
+
+    Points that are nearer than the camera's near plane, or outside its picture, are left out.
+    """
+    view = camera.world_to_camera
+    x, y, z = (points @ view[:3, :3].T + view[:3, 3]).T
+    ahead = z > camera.near
+    safe = np.where(ahead, z, 1.0)
+    column, row = camera.fx * x / safe + camera.cx, camera.fy * y / safe + camera.cy
+    inside = np.flatnonzero(ahead & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height))
+    return row[inside].astype(np.intp), column[inside].astype(np.intp), inside

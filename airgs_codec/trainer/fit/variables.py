@@ -1,0 +1,325 @@
+"""The variables of a fit: every Gaussian on its own, where rows may come and go, or all by six MLPs.
+
+Every Gaussian has a difference D to base Gaussians, so that the temporal loss is a norm of the variable itself and
+vanishes exactly where pictures ask for nothing. There is an MLP for each attribute (AirGS, "Training" 2).
+
+N Gaussians, U of them rows that stay, A MLPs, F features.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from airgs_codec.errors import TrainingError
+from airgs_codec.render.cuda import AbsGrad
+from airgs_codec.trainer.fit.active import Resting
+from airgs_codec.trainer.fit.grow import Densifier, is_visible
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, Adam, Parameters, take_and_append, zeros_like
+
+# Adam's steps of 3DGS (Kerbl et al. 2023); of means in units of the scene's extent.
+RATES = {
+    "means": 1.6e-4,
+    "quaternions": 1e-3,
+    "log_scales": 5e-3,
+    "opacity_logits": 5e-2,
+    "sh_dc": 2.5e-3,
+    "sh_rest": 2.5e-3 / 20,
+}
+
+
+HIDDEN = -20.0  # logit of the opacity of a row that a picture is drawn without
+
+
+@dataclass(frozen=True, slots=True)
+class Rates:
+    """Factors on the learning rates of 3DGS, which are made for 30,000 iterations, and where they decay to."""
+
+    factor: float = 3.0
+    means: float = 1.0  # a further factor, for means
+    last: float = 1.0  # share of the rate that is left at the end
+    means_last: float = 0.01  # the same for means
+
+    def at(self, done: float, extent: float) -> dict[str, float]:
+        """Rates when a share `done` of the iterations is past, in a scene of `extent` world units."""
+        rates = {name: rate * self.factor * self.last**done for name, rate in RATES.items()}
+        rates["means"] = RATES["means"] * self.factor * self.means * self.means_last**done * extent
+        return rates
+
+
+@dataclass(frozen=True, slots=True)
+class Regularisers:
+    """Weights of what is added to the loss of the pictures."""
+
+    opacity: float = 0.0  # of the mean opacity
+    scale: float = 0.0  # of the mean scale over the scene's extent
+    inflation: float = 0.0  # of the summed opacity of the rows past the first U
+
+
+@dataclass(slots=True, eq=False)
+class PerGaussian:
+    """Base Gaussians and a difference D of every element, fitted by Adam."""
+
+    base: Parameters
+    extent: float  # world units
+    rates: Rates = field(default_factory=Rates)
+    start: Parameters | None = None  # D to begin with; None: 0
+    temporal: Parameters | None = None  # weight of |D| of each element, `temporal_weights`; 0 in rows that are new
+    until: float = 1.0  # share of the iterations in which it acts
+    fixed: int = 0  # U
+    regularisers: Regularisers = field(default_factory=Regularisers)
+    densifier: Densifier | None = None  # None: no rows are added
+    resting: Resting | None = None  # rows that are in the pictures, too, and are not fitted; None: there are none
+    dropout: float = 0.0  # share of the rows that a picture is drawn without at the end of the fit
+    seed: int = 0  # of the rows that are left out
+    adam: Adam = field(init=False)
+    _support: Parameters | None = field(init=False, default=None)  # 1 where D may still change; None: not decided yet
+    _absgrad: AbsGrad | None = field(init=False, default=None)
+    _generator: torch.Generator = field(init=False)
+    _done: float = field(init=False, default=0.0)  # share of the iterations
+
+    def __post_init__(self) -> None:
+        self._generator = torch.Generator().manual_seed(self.seed)
+        self.adam = Adam(self.start or zeros_like(self.base), self.rates.at(0.0, self.extent))
+
+    def current(self, view: int = 0) -> Parameters:
+        """The Gaussians as they are now, base + D, differentiable by D, among those that rest.
+
+        Some are hidden where there is `dropout`: what others hide in a training view is fitted as well, and a view
+        between them shows no gap (DropGaussian, Park et al. 2025). Their share rises as the fit goes on.
+        """
+        fitted = self._fitted()
+        if self.dropout and torch.is_grad_enabled():
+            hidden = torch.rand(len(self.base["means"]), generator=self._generator) < self.dropout * self._done
+            fitted["opacity_logits"] = fitted["opacity_logits"].masked_fill(
+                hidden.to(self.base["means"].device), HIDDEN
+            )
+        return self.resting.joined(fitted) if self.resting else fitted
+
+    def detached(self) -> Parameters:
+        """The Gaussians as they are now, among those that rest."""
+        with torch.no_grad():
+            return self.current()
+
+    def watch(self) -> AbsGrad | None:
+        """Where the absolute gradients of the next picture are wanted; None: rows are not added."""
+        self._absgrad = AbsGrad() if self.densifier else None
+        return self._absgrad
+
+    def penalty(self) -> torch.Tensor | float:
+        """The regularisers.
+
+        L_inf = max(0, N - U) (AirGS, "Training" 3) has no gradient; what can act is the opacity of what was added.
+        """
+        r = self.regularisers
+        total: torch.Tensor | float = 0.0
+        if r.opacity or r.inflation:
+            opacity = (self.base["opacity_logits"] + self.adam.parameters["opacity_logits"]).sigmoid()
+            if r.opacity:
+                total = total + r.opacity * opacity.mean()
+            if r.inflation and len(opacity) > self.fixed:
+                total = total + r.inflation * opacity[self.fixed :].sum()
+        if r.scale:
+            size = (self.base["log_scales"] + self.adam.parameters["log_scales"]).exp()
+            total = total + r.scale / self.extent * size.mean()
+        return total
+
+    def step(self, iteration: int, iterations: int) -> None:
+        """Move along the gradients; then add rows where it is time to, and remove those that show nothing.
+
+        Raises TrainingError where no row is left.
+        """
+        if self.densifier and self._absgrad:
+            self.densifier.collect(self._picked(self._absgrad))
+        self._done = iteration / iterations
+        self._move(self._done)
+        if self.densifier:
+            self._densify(self.densifier, iteration, iterations)
+
+    def remove_fainter(self, opacity: float) -> None:
+        """Remove rows past the first U whose opacity is under `opacity`. Raises TrainingError where none is left."""
+        with torch.no_grad():
+            self._replace(is_visible(self._fitted(), self.fixed, opacity), None)
+
+    @torch.no_grad()
+    def _densify(self, densifier: Densifier, iteration: int, iterations: int) -> None:
+        due = densifier.growth.due(iteration, iterations)
+        if due:
+            self._replace(*densifier.grow(self._fitted(), self.extent, self.fixed, iteration / iterations))
+        if densifier.growth.removes(iteration, iterations):
+            self._replace(is_visible(self._fitted(), self.fixed), None)
+            densifier.restart(len(self.base["means"]))
+
+    def _fitted(self) -> Parameters:
+        """Base + D."""
+        return {name: p + self.adam.parameters[name] for name, p in self.base.items()}
+
+    def _picked(self, absgrad: AbsGrad) -> AbsGrad:
+        """Gradients of the rows that are fitted."""
+        resting = self.resting
+        if resting is None:
+            return absgrad
+
+        def picked(values: tuple[torch.Tensor, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+            return resting.picked(values[0]), resting.picked(values[1])
+
+        return AbsGrad(lambda: picked(absgrad.read()), lambda: picked(absgrad.signed()))
+
+    def _move(self, done: float) -> None:
+        """Adam, the temporal loss, and no Gaussian larger than the scene.
+
+        The temporal loss pulls back what does move, too. When it has had its say (`until`), what is still 0 stays so,
+        and the rest is fitted without it (the relaxed lasso, Meinshausen 2007).
+        """
+        self.adam.rates = self.rates.at(done, self.extent)
+        if self.temporal is not None and done > self.until:
+            if self._support is None:
+                self._support = _support(self.adam.parameters, self.temporal)
+            self.adam.step()
+        else:
+            self.adam.step(self.temporal)
+        with torch.no_grad():
+            for name, mask in (self._support or {}).items():
+                self.adam.parameters[name].mul_(mask)
+            # Past this size gradients of means and rotations are rounding noise.
+            sizes = self.adam.parameters["log_scales"]
+            sizes.copy_(torch.minimum(sizes, math.log(self.extent) - self.base["log_scales"]))
+
+    def _replace(self, keep: torch.Tensor, added: Parameters | None) -> None:
+        if added is None and bool(keep.all()):
+            return
+        if added is None and not bool(keep.any()) and self.resting is None:
+            raise TrainingError("expected pictures that show something, no Gaussian is left")
+        zeros = None if added is None else zeros_like(added)
+        self.adam.replace_rows(keep, zeros)
+        self.base = take_and_append(self.base, keep, added)
+        if self.temporal is not None:
+            self.temporal = take_and_append(self.temporal, keep, zeros)
+        if self._support is not None:
+            self._support = take_and_append(self._support, keep, None)
+
+
+def _support(difference: Parameters, temporal: Parameters) -> Parameters:
+    """1 where a difference has left 0, and in new rows, which have no temporal loss."""
+    return {name: ((p != 0) | (temporal[name] == 0)).to(p.dtype) for name, p in difference.items()}
+
+
+OCTAVES = 5  # of the positional encoding (NeRF, Mildenhall et al. 2020, equation 4)
+WIDTH = 64  # of a hidden layer
+RATE, RATE_LAST = 1e-2, 0.1  # learning rate, and the share of it that is left at the end
+# An output of 1 means this change, about the size of one in a frame; means in units of the scene's extent.
+SCALES = {
+    "means": 0.006,
+    "quaternions": 0.05,
+    "log_scales": 0.05,
+    "opacity_logits": 0.2,
+    "sh_dc": 0.05,
+    "sh_rest": 0.02,
+}
+
+
+class Networks(torch.nn.Module):
+    """One MLP for each attribute that has channels, with two hidden layers, evaluated side by side.
+
+    Output layers start at zero: without training no Gaussian moves.
+    """
+
+    centre: torch.Tensor
+    spread: torch.Tensor
+
+    def __init__(self, like: Parameters, extent: float, seed: int) -> None:
+        """Networks for Gaussians like these, whose statistics standardise the input.
+
+        `extent`: of the scene in world units. `seed`: of the first weights.
+        """
+        super().__init__()
+        self.names = [name for name in ATTRIBUTES if like[name][0].numel()]
+        self.extent = extent
+        features = self._encode(like)
+        inputs, count = features.shape[1], len(self.names)
+        draw = torch.Generator().manual_seed(seed)
+
+        def layer(rows: int) -> torch.nn.Parameter:
+            return torch.nn.Parameter(torch.randn(count, rows, WIDTH, generator=draw) * math.sqrt(2 / rows))
+
+        self.register_buffer("centre", features.mean(dim=0))
+        self.register_buffer("spread", features.std(dim=0) + 1e-4)  # a constant feature: 0, not 0 / 0
+        self.first, self.second = layer(inputs), layer(WIDTH)
+        self.first_bias = torch.nn.Parameter(torch.zeros(count, 1, WIDTH))
+        self.second_bias = torch.nn.Parameter(torch.zeros(count, 1, WIDTH))
+        self.last = torch.nn.ParameterList(
+            [torch.nn.Parameter(torch.zeros(WIDTH, like[name][0].numel())) for name in self.names]
+        )
+
+    def features(self, p: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """The standardised input (N, F)."""
+        return (self._encode(p) - self.centre) / self.spread
+
+    def forward(self, features: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Changes (N, channels) of each attribute from features (N, F)."""
+        hidden = torch.relu(torch.matmul(features[None], self.first) + self.first_bias)
+        hidden = torch.relu(torch.bmm(hidden, self.second) + self.second_bias)
+        scales = SCALES | {"means": SCALES["means"] * self.extent}
+        return {n: (hidden[i] @ self.last[i]) * scales[n] for i, n in enumerate(self.names)}
+
+    def _encode(self, p: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        x = p["means"] / self.extent
+        waves = [wave(x * 2**k * math.pi) for k in range(OCTAVES) for wave in (torch.sin, torch.cos)]
+        rest = [p[name].reshape(len(x), -1) for name in self.names if name != "means"]
+        return torch.cat([x, *waves, *rest], dim=1)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Copies of all numbers by name, for a file."""
+        return {name: value.cpu().numpy().copy() for name, value in self.state_dict().items()}
+
+    def load(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Take the numbers that `arrays` of networks of the same sizes gave."""
+        self.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
+
+
+@dataclass(slots=True, eq=False)
+class MlpDriven:
+    """Base Gaussians that move as the networks say. The networks' weights go on from frame to frame."""
+
+    base: Parameters
+    networks: Networks
+    temporal: Parameters | None  # weight of |change| of each element, `temporal_weights`
+    _features: torch.Tensor = field(init=False)
+    _changes: Parameters = field(init=False)  # of the last `current`
+    _adam: torch.optim.Adam = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._features = self.networks.features(self.base)
+        self._changes = {}
+        self._adam = torch.optim.Adam(self.networks.parameters(), lr=RATE, betas=BETAS)
+
+    def current(self, view: int = 0) -> Parameters:
+        """GS_t + d_{t+1}, differentiable by the weights."""
+        self._changes = {n: d.reshape(self.base[n].shape) for n, d in self.networks(self._features).items()}
+        return {n: p + self._changes[n] if n in self._changes else p for n, p in self.base.items()}
+
+    def detached(self) -> Parameters:
+        """The Gaussians as they are now."""
+        with torch.no_grad():
+            return self.current()
+
+    def watch(self) -> AbsGrad | None:
+        """None: rows are not added."""
+        return None
+
+    def penalty(self) -> torch.Tensor | float:
+        """L_temp of the changes that `current` gave last."""
+        if self.temporal is None:
+            return 0.0
+        return sum((self.temporal[name] * d.abs()).sum() for name, d in self._changes.items())
+
+    def step(self, iteration: int, iterations: int) -> None:
+        """Move the weights along the gradients, by Adam."""
+        for group in self._adam.param_groups:
+            group["lr"] = RATE * RATE_LAST ** (iteration / iterations)
+        self._adam.step()
+        self._adam.zero_grad(set_to_none=True)

@@ -1,0 +1,322 @@
+"""The steps of a training run, declared once, and who does them: this process frame after frame, or jobs.
+
+What rests before each camera comes first, then the first frame of the run, then chunks of frames, which begin with a
+keyframe that starts from the first frame and so know nothing of each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from airgs_codec.errors import AirgsError, ConfigError, SceneError
+from airgs_codec.jobs.engines import NOTHING, Needs
+from airgs_codec.jobs.job import Job, Stored
+from airgs_codec.jobs.work import Work
+from airgs_codec.progress import Progress, silent
+from airgs_codec.scene.beside import Usage
+from airgs_codec.trainer.data.multiview import (
+    Contents,
+    MultiviewScene,
+    content_of,
+    read_contents,
+    with_frames,
+    without_masks,
+)
+from airgs_codec.trainer.data.plates import Plate, find_plate, plate_sources
+from airgs_codec.trainer.fit.points import expect_overlap
+from airgs_codec.trainer.frames import Capture, First, chunks, position_after, train_chunk, train_first
+from airgs_codec.trainer.record import FrameRecord, Model, Record, Span, TrainedFrame, open_model
+from airgs_codec.trainer.settings import TrainSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A part of a step that knows nothing of its other parts."""
+
+    label: str  # for people
+    frames: Sequence[int] = ()  # whose pictures it reads, besides those of frame 0
+    which: tuple[Any, ...] = ()  # tells the function of the step which piece it is
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step of a run, which is done in pieces."""
+
+    name: str  # for people
+    pieces: Callable[[MultiviewScene, TrainSettings], list[Piece]]
+    make: Callable[..., Any]  # the result of a piece, from a `Capture`, `which`, and the results that it reads
+    reads: tuple[str, ...] = ()  # names of the steps whose results these are
+    fits: bool = True  # on the device of the run; a step that does not fit needs no device
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chunk:
+    """The frames of a chunk without the first of the run, and the usage of their groups."""
+
+    frames: tuple[TrainedFrame, ...]
+    usage: dict[Span, Usage]
+
+
+def find_rest(capture: Capture, camera: int, frames: Sequence[int]) -> Plate:
+    """Find what one camera sees at rest. Raises SceneError for a picture that cannot be read."""
+    return find_plate(capture.pictures, camera, frames)
+
+
+def fit_first(capture: Capture, *plates: Plate) -> TrainedFrame:
+    """Fit the first frame of a run. Raises what `train` does."""
+    return train_first(capture.with_plates(plates))
+
+
+def fit_chunk(capture: Capture, span: Span, first: First, *plates: Plate) -> Chunk:
+    """Fit the frames of a chunk and measure the usage of their groups. Raises what `train` does."""
+    capture = capture.with_plates(plates).with_exposure(first.exposure)
+    trained = tuple(train_chunk(capture, range(*span), first.gaussians))
+    known = {0: first.gaussians} | {t.record.frame: t.gaussians for t in trained}
+    starts = sorted({span[0], *(t.record.frame for t in trained if t.record.kind == "key")})
+    groups = list(zip(starts, [*starts[1:], span[1]], strict=True))
+    return Chunk(trained, {group: capture.usage(known.__getitem__, group) for group in groups})
+
+
+def _cameras(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
+    sources = plate_sources(scene) if settings.knows_rest else []
+    return [Piece(scene.cameras[camera].name, frames, (camera, frames)) for camera, frames in sources]
+
+
+def _first(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
+    """Frame 0; where Gaussians are given, the pictures of its chunk tell what it shares with others."""
+    return [Piece("frame 0", range(*chunks(len(scene), settings.group_frames)[0]) if scene.given else ())]
+
+
+def _chunks(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
+    spans = chunks(len(scene), settings.group_frames)
+    return [Piece(f"frames {start}-{stop - 1}", range(start, stop), ((start, stop),)) for start, stop in spans]
+
+
+REST = Step("what rests", _cameras, find_rest, fits=False)
+FIRST = Step("first frame", _first, fit_first, reads=(REST.name,))
+CHUNKS = Step("chunks of frames", _chunks, fit_chunk, reads=(FIRST.name, REST.name))
+STEPS = {step.name: step for step in (REST, FIRST, CHUNKS)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """A capture, and the model folder that it is trained into."""
+
+    capture: Capture
+    model: Model
+
+
+def open_run(
+    scene: MultiviewScene, folder: Path, settings: TrainSettings, *, resume: bool = False, device: str = "cpu"
+) -> Run:
+    """Open a run that goes on where the one in the folder ended; what is raised is what `airgs_codec.train` raises."""
+    capture = Capture.of(scene, settings, device)
+    check_pictures(capture)
+    model = open_model(folder, Record.of(scene, capture.pictures.background, settings), resume)
+    model.write_cameras(capture.pictures.cameras())
+    return Run(capture, model)
+
+
+def check_pictures(capture: Capture) -> None:
+    """Check that a scene can be trained, as far as its cameras and the headers of all its pictures tell.
+
+    Raises SceneError for pictures that cannot be used, ConfigError for settings that do not fit the scene.
+    """
+    scene, reference = capture.scene, capture.settings.reference
+    cameras = [camera for camera in scene.cameras if not camera.held_out]
+    names = [camera.name for camera in cameras]
+    if not names:
+        raise SceneError(f"{scene.path}: expected training views of the first frame, got none")
+    if scene.points is None and scene.given is None:
+        expect_overlap(scene.path, cameras)
+    if reference not in (None, *names):
+        raise ConfigError(f"--reference: expected a training camera of {', '.join(names)}, got {reference}")
+    capture.pictures.check()
+
+
+def train_frames(run: Run, progress: Progress = silent) -> Iterator[FrameRecord]:
+    """Train the frames that are not there yet in this process, one after another.
+
+    Yields the record of each when it is on disk. The run is complete, with the usage of its Gaussians, when the
+    iterator ends. Raises what `train` does.
+    """
+    return _train(run, Here(run.capture, progress), progress)
+
+
+def train_in_jobs(run: Run, work: Work) -> Iterator[FrameRecord]:
+    """Train by jobs what `train_frames` would, and yield the record of each frame when it is on disk.
+
+    The first frame is written when it is done, all others when all are. What the model folder has already is not
+    trained again, but for a chunk that is there in part. Raises what `train` does, WorkError for workers that die.
+    """
+    return _train(run, Farm.of(run.capture, work), work.progress)
+
+
+def train_part(scene: MultiviewScene, settings: TrainSettings, device: str, work: Work) -> None:
+    """Do the jobs of `train_in_jobs` without a model folder; with the same store, that then only has to write it.
+
+    Several runs with one store share the jobs: `work.part` says which come first here. Each ends when all are done.
+    Raises what `train_in_jobs` does, ConfigError on cuda, where no two runs would find the same first frame.
+    """
+    if device == "cuda":
+        raise ConfigError("--part: expected --device cpu, where all parts find the same first frame, got cuda")
+    capture = Capture.of(scene, settings, device)
+    check_pictures(capture)
+    farm = Farm.of(capture, work)
+    trained = farm.first()
+    work.run(list(farm.chunks(First(trained.gaussians, trained.exposure)).values()))
+
+
+def _train(run: Run, driver: Here | Farm, progress: Progress) -> Iterator[FrameRecord]:
+    model = run.model
+    if model.finished():
+        return
+    if not model.record.frames:
+        try:
+            first = driver.first()
+        except AirgsError:
+            model.discard()
+            raise
+        yield model.commit(first)
+    for trained in driver.others(First(model.read(0), model.record.exposure), model):
+        yield model.commit(trained)
+    usage = dict(driver.usage)
+    for span in model.record.spans():
+        if span not in usage:
+            usage[span] = run.capture.usage(model.read, span, progress)
+    model.finish({span: usage[span] for span in model.record.spans()})
+
+
+@dataclass(frozen=True, eq=False)
+class Here:
+    """This process: frame after frame, each from where the model folder has come to."""
+
+    capture: Capture
+    progress: Progress
+    usage: Mapping[Span, Usage] = field(default_factory=dict)  # measured at the end alone
+
+    @cached_property
+    def _settled(self) -> Capture:
+        """The capture that knows what rests."""
+        return rested(self.capture, self.progress)
+
+    def first(self) -> TrainedFrame:
+        """Fit the first frame of the run."""
+        [piece] = FIRST.pieces(self.capture.scene, self.capture.settings)
+        return train_first(self._settled.within(piece.frames), self.progress)
+
+    def others(self, first: First, model: Model) -> Iterator[TrainedFrame]:
+        """Fit the frames behind the last one of the model; each is in it when the next one is asked for."""
+        done = len(model.record.frames)
+        for start, stop in chunks(model.record.total, self.capture.settings.group_frames):
+            if stop > done:
+                capture = self._settled.with_exposure(first.exposure).within(range(start, stop))
+                at = None if done <= start else position_after(capture, model)
+                yield from train_chunk(capture, range(max(start, done), stop), first.gaussians, at, self.progress)
+
+
+def rested(capture: Capture, progress: Progress = silent) -> Capture:
+    """Do the step of what rests in this process: the capture with the plates of its cameras.
+
+    Camera after camera, so that no more pictures are in memory than one plate is made of.
+    """
+    pieces = REST.pieces(capture.scene, capture.settings)
+
+    def plates() -> Iterator[Plate]:
+        for done, piece in enumerate(pieces, 1):
+            yield REST.make(capture, *piece.which)
+            progress(REST.name, done, len(pieces))
+
+    return capture.with_plates(plates())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Task:
+    """The part of a run that a job reads."""
+
+    scene: MultiviewScene  # frames that do not matter have no shots
+    settings: TrainSettings
+    device: str  # cpu or cuda
+
+
+def do_piece(step: str, task: Task, *arguments: Any) -> Any:
+    """The function of all jobs: make a piece of a step."""
+    return STEPS[step].make(Capture.of(task.scene, task.settings, task.device), *arguments)
+
+
+@dataclass(frozen=True, eq=False)
+class Farm:
+    """Jobs, each named by the content of all that it reads."""
+
+    scene: MultiviewScene
+    settings: TrainSettings
+    device: str
+    work: Work
+    usage: dict[Span, Usage] = field(default_factory=dict)  # of chunks whose frames the model has
+
+    @staticmethod
+    def of(capture: Capture, work: Work) -> Farm:
+        """The farm that trains what a capture would."""
+        scene = capture.scene if capture.settings.foreground else without_masks(capture.scene)
+        return Farm(scene, capture.settings, capture.device, work)
+
+    @property
+    def needs(self) -> Needs:
+        """Return what the worker of a step that fits must have."""
+        return {"GPU": 1} if self.device == "cuda" else NOTHING
+
+    @cached_property
+    def contents(self) -> Contents:
+        """The names of what all pictures show. Raises SceneError for a file that cannot be read."""
+        return read_contents(self.scene, self.work)
+
+    @cached_property
+    def plates(self) -> tuple[Stored, ...]:
+        """Find what each training camera sees at rest."""
+        jobs = self.jobs(REST)
+        self.work.run(jobs)
+        return tuple(job.result for job in jobs)
+
+    def first(self) -> TrainedFrame:
+        """Fit the first frame of the run."""
+        [job] = self.jobs(FIRST, *self.plates)
+        trained = self.work.result(job)
+        assert isinstance(trained, TrainedFrame)
+        return trained
+
+    def chunks(self, first: First) -> dict[Span, Job]:
+        """The job of each chunk, whose result is a `Chunk`; none is done yet."""
+        jobs = self.jobs(CHUNKS, self.work.put(first), *self.plates)
+        return dict(zip(chunks(len(self.scene), self.settings.group_frames), jobs, strict=True))
+
+    def others(self, first: First, model: Model) -> Iterator[TrainedFrame]:
+        """Fit the chunks that the model does not have whole, all before the first of their frames is given."""
+        done, jobs = len(model.record.frames), self.chunks(first)
+        left = {span for span in jobs if span[1] > max(1, done) or span == (0, 1)}
+        self.work.run([job for span, job in jobs.items() if span in left])
+        for (start, stop), job in jobs.items():
+            if (start, stop) not in left and not self.work.store.has(job.entry):
+                continue  # its usage is measured at the end
+            chunk: Chunk = self.work.result(job)
+            if stop > done:
+                model.cut(max(1, start))
+                yield from chunk.frames
+            if all(trained.record == model.record.frames[trained.record.frame] for trained in chunk.frames):
+                self.usage.update(chunk.usage)
+
+    def jobs(self, step: Step, *reads: Stored) -> list[Job]:
+        """A job for each piece of a step; `reads`: results of the steps that it reads."""
+        return [self.job(step, piece, reads) for piece in step.pieces(self.scene, self.settings)]
+
+    def job(self, step: Step, piece: Piece, reads: tuple[Stored, ...]) -> Job:
+        """The job of a piece."""
+        more = (*piece.which, *reads)
+        settings = replace(self.settings, group_frames=None)  # a chunk says which frames it has
+        task = Task(with_frames(self.scene, {0, *piece.frames}), settings, self.device)
+        content = (settings, self.device, content_of(task.scene, self.contents), more)
+        needs = self.needs if step.fits else NOTHING
+        return Job.of(step.name, piece.label, do_piece, (step.name, task, *more), content, needs)

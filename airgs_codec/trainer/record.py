@@ -1,0 +1,264 @@
+"""The model folder: all that a training run leaves behind, and all that it needs to go on.
+
+    000000.ply ...    frames, float32 as they were trained
+    sequence.json     frame rate and keyframes; transforms.json  cameras at training size
+    usage.npz         usage of every Gaussian, when the run is complete
+    networks-T.npz    weights of the MLPs after frame T, the last one, while there are frames to come
+    training.json     settings and a record of every finished frame; written last, so that it names only whole frames
+
+A run that was killed goes on behind the last record. All that the next frame depends on is in these files.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.places.whole import PART_SUFFIX, atomic_path, to_json, write_json
+from airgs_codec.scene.beside import USAGE_NAME, Usage, save_usage, write_settings
+from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera
+from airgs_codec.scene.files import expecting
+from airgs_codec.scene.formats.ply import read_ply, write_ply
+from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.trainer.data.multiview import MultiviewScene
+from airgs_codec.trainer.data.pictures import Exposure
+from airgs_codec.trainer.settings import BUDGET, TrainSettings
+
+RECORD_NAME = "training.json"
+CAMERAS_NAME = "transforms.json"
+VERSION = 2
+
+Span = tuple[int, int]  # frames [start, stop)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRecord:
+    """One trained frame. Each PSNR is the mean over views of each view's PSNR."""
+
+    frame: int
+    kind: str  # first | frame | key
+    gaussians: int
+    added: int  # by a keyframe
+    psnr: float  # dB, training views
+    held_out_psnr: float | None  # dB, held-out views; None: there are none
+    held_out_ssim: float | None  # mean over held-out views
+    rejected_psnr: float | None  # dB, training views: of the other fit, where a keyframe was tried too
+    static: dict[str, float]  # share of each attribute's channels that changed by less than half a codec step
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainedFrame:
+    """A finished frame, and what is known with it."""
+
+    gaussians: Gaussians
+    record: FrameRecord
+    networks: Mapping[str, np.ndarray] | None = None  # their weights after the frame; None: frames move without
+    exposure: Exposure = field(default_factory=dict)  # that was found at the first frame
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """A run so far."""
+
+    scene: dict[str, Any]  # what must not change between sessions
+    settings: dict[str, Any]  # `TrainSettings.table`, through JSON
+    total: int  # frames of the whole run
+    fps: str  # frames a second, as a fraction
+    frames: tuple[FrameRecord, ...] = ()  # the finished ones
+    exposure: Exposure = field(default_factory=dict)
+
+    @staticmethod
+    def of(scene: MultiviewScene, background: Background, settings: TrainSettings) -> Record:
+        """The record of a run that has no frame yet, whose pictures are before a background."""
+        cameras = [f"{c.name} {c.split} {c.width}x{c.height} near {c.near:g}" for c in scene.cameras]
+        first = Path(str(scene.frames[0][0].source)).name
+        named = {"name": scene.path.resolve().name, "first picture": first, "cameras": cameras}
+        same = {**named, "background": list(background)}
+        return Record(same, settings.table(), len(scene), str(scene.fps))
+
+    @property
+    def complete(self) -> bool:
+        """Whether every frame is there."""
+        return len(self.frames) == self.total
+
+    def keyframes(self) -> list[int]:
+        """The frames that start a group."""
+        return [f.frame for f in self.frames if f.kind != "frame"]
+
+    def spans(self) -> list[Span]:
+        """Frames [start, stop) of each group."""
+        starts = self.keyframes()
+        return list(zip(starts, [*starts[1:], len(self.frames)], strict=True))
+
+    def warnings(self) -> list[str]:
+        """Return what somebody should know who looks at the run, one sentence each."""
+        low = self.settings["min_psnr_db"]
+        starts = [f for f in self.frames if f.kind != "frame" or f.rejected_psnr is not None]
+        short = [f for f in starts if f.psnr < low]
+        if self.total == 1 or not short:
+            return []
+        within = self.settings["densify"] == BUDGET
+        growth = f"up to {100 * self.settings['max_growth']:g} % of Gaussians" if within else "Gaussians"
+        return [
+            f"frame {short[0].frame}: {short[0].psnr:.1f} dB in training views, and no fit reaches the {low:g} dB of "
+            f"--min-psnr; a keyframe is tried at every frame like it, which takes long and may add {growth} each time: "
+            f"lower --min-psnr or {'raise --budget' if within else 'train for more --iterations'}"
+        ]
+
+    def group_start(self, frame: int) -> int:
+        """First frame of the group of the frame before `frame`, which is at least 1."""
+        return max(start for start in self.keyframes() if start < frame)
+
+
+class Model:
+    """The model folder of a run."""
+
+    def __init__(self, folder: Path, record: Record) -> None:
+        """`record`: as the folder has it; see `open_model` and `read_model`."""
+        self.folder = folder
+        self.record = record
+
+    def read(self, frame: int) -> Gaussians:
+        """A finished frame. Raises SceneError when it cannot be read."""
+        return read_ply(self._path(frame))
+
+    def commit(self, trained: TrainedFrame) -> FrameRecord:
+        """Write the next frame, from which on the run goes on behind it, and return its record."""
+        frame = trained.record
+        with atomic_path(self._path(frame.frame)) as temporary:
+            write_ply(temporary, trained.gaussians)
+        if trained.networks is not None:
+            with atomic_path(self._networks(frame.frame)) as temporary:
+                _save(temporary, trained.networks)
+        found = dict(trained.exposure or self.record.exposure)
+        self.record = replace(self.record, frames=(*self.record.frames, frame), exposure=found)
+        self._write_settings()
+        self.write_record()
+        if frame.frame:
+            self._networks(frame.frame - 1).unlink(missing_ok=True)
+        return frame
+
+    def cut(self, count: int) -> None:
+        """Remove all frames behind the first `count`."""
+        self.record = replace(self.record, frames=self.record.frames[:count])
+        self._write_settings()
+        self.write_record()
+        self.remove_leftovers()
+
+    def discard(self) -> None:
+        """Remove the folder of a run that has no frame yet, unless something else is in it."""
+        for path in (self.folder / RECORD_NAME, self.folder / CAMERAS_NAME):
+            path.unlink(missing_ok=True)
+        if not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
+    def write_record(self) -> None:
+        """Write the record; the folder is this run's from then on."""
+        write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(self.record)})
+
+    def _write_settings(self) -> None:
+        red, green, blue = self.record.scene.get("background", BLACK)
+        write_settings(self.folder, Fraction(self.record.fps), self.record.keyframes(), (red, green, blue))
+
+    def write_cameras(self, cameras: Sequence[Camera]) -> None:
+        """Write the cameras of the run as a nerfstudio transforms.json without pictures."""
+        frames = []
+        for c in cameras:
+            matrix = np.linalg.inv(c.world_to_camera) @ OPENGL_TO_OPENCV
+            intrinsics = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
+            entry = {"camera": c.name, "split": c.split, "file_path": "", **intrinsics}
+            frames.append({**entry, "near": c.near, "transform_matrix": matrix.tolist()})
+        fps = float(Fraction(self.record.fps))
+        write_json(self.folder / CAMERAS_NAME, {"camera_model": "PINHOLE", "fps": fps, "frames": frames})
+
+    def networks(self) -> dict[str, np.ndarray]:
+        """Weights after the last finished frame. Raises SceneError when they are not there."""
+        path = self._networks(self.record.frames[-1].frame)
+        with (
+            expecting(path, "the networks of an unfinished run"),
+            path.open("rb") as opened,
+            np.load(opened, allow_pickle=False) as file,
+        ):
+            return {name: file[name] for name in file.files}
+
+    def finish(self, usage: Mapping[Span, Usage]) -> None:
+        """Write the usage of each group of a complete run, and remove the weights, which nothing needs any more."""
+        save_usage(self.folder / USAGE_NAME, usage)
+        self._networks(self.record.frames[-1].frame).unlink(missing_ok=True)
+
+    def finished(self) -> bool:
+        """Whether nothing is left to do."""
+        return self.record.complete and (self.folder / USAGE_NAME).is_file()
+
+    def remove_leftovers(self) -> None:
+        """Remove what a killed run had not finished."""
+        for leftover in self.folder.glob(f".*{PART_SUFFIX}"):
+            leftover.unlink()
+        for stray in sorted(self.folder.glob("*.ply"))[len(self.record.frames) :]:  # written, but not recorded
+            stray.unlink()
+        if not self.record.complete:
+            (self.folder / USAGE_NAME).unlink(missing_ok=True)
+
+    def _path(self, frame: int) -> Path:
+        return self.folder / f"{frame:06d}.ply"
+
+    def _networks(self, frame: int) -> Path:
+        return self.folder / f"networks-{frame:06d}.npz"
+
+
+def open_model(folder: Path, wanted: Record, resume: bool) -> Model:
+    """A new model folder for the `wanted` run, or with `resume` the one that is there.
+
+    Raises ConfigError when there is something in `folder` that would be lost, or that another run has made.
+    """
+    new = replace(wanted, scene=json.loads(to_json(wanted.scene)), settings=json.loads(to_json(wanted.settings)))
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{folder}: expected a folder for the model, got a file")
+    if (folder / RECORD_NAME).is_file():
+        if not resume:
+            raise ConfigError(f"{folder}: there is a training run already; --resume goes on with it")
+        new = _continued(folder, read_model(folder).record, new)
+    elif folder.is_dir() and any(p for p in folder.iterdir() if not p.name.startswith(".")):
+        raise ConfigError(f"{folder}: expected a new folder or a training run, got a folder with other files")
+    folder.mkdir(parents=True, exist_ok=True)
+    model = Model(folder, new)
+    model.remove_leftovers()
+    model.write_record()
+    return model
+
+
+def read_model(folder: Path) -> Model:
+    """The model folder of a run, finished or not. Raises SceneError when it has no record that can be read."""
+    path = folder / RECORD_NAME
+    with expecting(path, "the record of a training run"):
+        data = json.loads(path.read_text(encoding="utf-8"))
+        version = data.pop("version")
+        if version != VERSION:
+            raise ValueError(f"version {version} instead of {VERSION}")
+        data["frames"] = tuple(FrameRecord(**frame) for frame in data["frames"])
+        return Model(folder, Record(**data))
+
+
+def _continued(folder: Path, known: Record, new: Record) -> Record:
+    """The new record with the frames that are known already. Raises ConfigError where the runs differ."""
+    for before, now in ((known.settings, new.settings), (known.scene, new.scene)):
+        for name in sorted({*before, *now}):
+            if before.get(name) != now.get(name):
+                had, has = json.dumps(before.get(name)), json.dumps(now.get(name))
+                raise ConfigError(f"{folder}: the run there has {name} {had}, not {has}")
+    if len(known.frames) > new.total:
+        raise ConfigError(f"{folder}: expected at most {new.total} finished frames, got {len(known.frames)}")
+    return replace(new, frames=known.frames, exposure=known.exposure)
+
+
+def _save(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    with path.open("wb") as file:
+        np.savez(file, allow_pickle=False, **arrays)

@@ -1,0 +1,197 @@
+"""`--preset paper` against the equations of the paper, in every iteration of every kind of fit. U rows stay."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+import torch
+
+from airgs_codec.errors import ConfigError
+from airgs_codec.render.cuda import AbsGrad
+from airgs_codec.trainer import train
+from airgs_codec.trainer.data.multiview import Points
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit import optimise, parameters
+from airgs_codec.trainer.fit import trainer as fits
+from airgs_codec.trainer.fit.grow import Densifier, growth_of_3dgs
+from airgs_codec.trainer.fit.losses import windowed_ssim
+from airgs_codec.trainer.fit.parameters import from_gaussians, render
+from airgs_codec.trainer.fit.points import scene_extent
+from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
+from airgs_codec.trainer.settings import Temporal, TrainSettings, preset
+from tests.support.scenes import random_gaussians
+from tests.support.training import SETTINGS
+from tests.support.views import moved, random_parameters, ring, views_of
+
+ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest")
+LAMBDA, LAMBDA_T, LAMBDA_INF = 0.2, 1e-3, 1e-5
+
+
+@dataclass
+class Seen:
+    """What every iteration of a fit had."""
+
+    losses: list[float] = field(default_factory=list)
+    gaussians: list[dict[str, torch.Tensor]] = field(default_factory=list)
+    cameras: list[str] = field(default_factory=list)
+    shrinks: list[dict[str, torch.Tensor] | None] = field(default_factory=list)  # of Adam: weights of |D|
+
+
+@pytest.fixture
+def seen(monkeypatch):
+    """Everything that a fit shows while it runs."""
+    seen, draw, add, step = Seen(), optimise.render_views, optimise.Losses.add, parameters.Adam.step
+
+    def look(p, cameras, *rest):
+        seen.gaussians.append({name: value.detach().clone() for name, value in p.items()})
+        seen.cameras.append(cameras[0].name)
+        assert len(cameras) == 1
+        return draw(p, cameras, *rest)
+
+    def note(self, iteration, views, loss, last):
+        seen.losses.append(float(loss.detach()))
+        add(self, iteration, views, loss, last)
+
+    def move(self, shrink=None):
+        seen.shrinks.append(shrink)
+        step(self, shrink)
+
+    monkeypatch.setattr(optimise, "render_views", look)
+    monkeypatch.setattr(optimise.Losses, "add", note)
+    monkeypatch.setattr(parameters.Adam, "step", move)
+    return seen
+
+
+def trainer(**settings) -> Trainer:
+    base = TrainSettings(sh_degree=1, budget=60, capacity=90)
+    counts = {"first_iterations": 4, "key_iterations": 4, "frame_iterations": 4}
+    return Trainer(replace(preset("paper", base), **(counts | settings)), scene_extent(ring()))
+
+
+def truth():
+    return random_gaussians(40, 1)
+
+
+def l_3dgs(p, views, name, sh_degree=1):
+    """(1 - lambda) L1 + lambda (1 - SSIM) of the picture of one camera."""
+    view = next(v for v in views if v.camera.name == name)
+    picture = render(p, view.camera, sh_degree)[0].double()
+    target = torch.from_numpy(view.target.rgb).double()
+    return float((1 - LAMBDA) * (picture - target).abs().mean() + LAMBDA * (1 - windowed_ssim(picture, target)))
+
+
+def raw_sum(p, base, rows):
+    """Sum over the six attributes of |difference|, of the first rows."""
+    return sum(float((p[name][:rows] - base[name][:rows]).double().abs().sum()) for name in ATTRIBUTES)
+
+
+def test_a_first_frame_has_the_loss_of_3dgs_alone(seen):
+    g = truth()
+    views = views_of(g, ring(4))
+    trainer().fit_first(FrameViews(0, views), Points(g.means, None))
+    expected = [l_3dgs(p, views, n) for p, n in zip(seen.gaussians, seen.cameras, strict=True)]
+    assert seen.losses == pytest.approx(expected, rel=1e-4, abs=2e-8)
+    assert seen.shrinks == [None] * 4
+
+
+def test_a_first_frame_starts_from_the_given_points_alone(seen):
+    g = truth()
+    trainer(budget=60).fit_first(FrameViews(0, views_of(g, ring(4))), Points(g.means, None))
+    start = seen.gaussians[0]["means"].numpy()
+    assert sorted(map(tuple, start)) == sorted(map(tuple, g.means))  # neither random ones beside them nor fewer
+
+
+@pytest.mark.parametrize(("degree", "count"), [(0, 5), (1, 6)])
+def test_a_frame_in_a_group_moves_by_six_networks_with_a_raw_sum(seen, degree, count):
+    before = truth().with_degree(degree)
+    views = views_of(moved(before, slice(0, 20), (0.05, 0.0, 0.0)), ring(4))
+    t = trainer(sh_degree=degree)
+    group = t.start_group(before, views)
+    assert len(group.networks.names) == count  # without SH past DC there is nothing for the sixth to move
+    velocity = np.full_like(before.means, 0.1)
+    t.fit_frame(FrameViews(1, views), FrameBefore(before, velocity), group)
+    base = from_gaussians(before)
+    assert all(torch.equal(seen.gaussians[0][name], base[name]) for name in ATTRIBUTES)  # GS_t, whatever its velocity
+    expected = [
+        l_3dgs(p, views, n, degree) + LAMBDA_T * raw_sum(p, base, len(before))
+        for p, n in zip(seen.gaussians, seen.cameras, strict=True)
+    ]
+    assert seen.losses == pytest.approx(expected, rel=1e-4, abs=2e-8)
+    assert len(expected) == 4 and expected[-1] > l_3dgs(seen.gaussians[-1], views, seen.cameras[-1], degree) + 1e-4
+
+
+def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
+    """L_3DGS and the surrogate of L_inf are in the loss; L^k_temp is applied by its proximal map, to U rows."""
+    monkeypatch.setattr(fits, "residual_seeds", lambda *_: pytest.fail("seeds were looked for"))
+    monkeypatch.setattr(fits, "find_wrong", lambda *_: pytest.fail("seeds were looked for"))
+    before = truth()
+    rows = len(before)
+    views = views_of(moved(before, slice(0, 20), (0.1, 0.0, 0.0)), ring(4))
+    t = trainer(key_iterations=210)  # rows are added after the hundredth
+    velocity = np.full_like(before.means, 0.1)
+    g = t.fit_keyframe(FrameViews(1, views), FrameBefore(before, velocity), t.steps(before, views))
+    base = from_gaussians(before)
+    assert all(torch.equal(seen.gaussians[0][name], base[name]) for name in ATTRIBUTES)  # GS_{t-1}
+    assert len(seen.gaussians[99]["means"]) == rows < len(seen.gaussians[100]["means"])
+    for i in (0, 1, 60, 99, 100, 150, 209):
+        p = seen.gaussians[i]
+        l_inf = float(p["opacity_logits"][rows:].sigmoid().double().sum())
+        assert seen.losses[i] == pytest.approx(
+            l_3dgs(p, views, seen.cameras[i]) + LAMBDA_INF * l_inf, rel=1e-4, abs=2e-8
+        )
+    for p, shrink in zip(seen.gaussians, seen.shrinks, strict=True):
+        for name in ATTRIBUTES:
+            assert shrink[name].shape == p[name].shape
+            assert bool((shrink[name][:rows] == np.float32(LAMBDA_T)).all()) and not shrink[name][rows:].any()
+    assert len(g) >= rows
+    moves = raw_sum(from_gaussians(g), base, rows)
+    assert 0 < moves < 0.05 * raw_sum({n: v * 0 for n, v in base.items()}, base, rows)
+
+
+def test_the_proximal_map_of_the_last_iteration_is_that_of_the_l1_norm(seen):
+    """One Adam step from D, then |D| shrinks by rate x weight / sqrt(v): the minimiser of the norm in Adam's metric."""
+    d, weight, rate = torch.tensor([0.5, -0.5, 1e-4]), 0.3, 0.01
+    a = parameters.Adam({"x": d}, {"x": rate})
+    a.parameters["x"].grad = torch.tensor([2.0, 2.0, 2.0])
+    a.step({"x": torch.full((3,), weight)})
+    stepped = d - rate * 1.0  # the first step of Adam is rate x sign
+    expected = stepped.sign() * (stepped.abs() - rate * weight / 2.0).clamp_min(0)
+    torch.testing.assert_close(a.parameters["x"].detach(), expected)
+
+
+def test_every_keyframe_is_kept_and_only_tau_makes_one(blobs, tmp_path, monkeypatch):
+    same = lambda self, target, before, steps, progress: before.gaussians  # noqa: E731
+    monkeypatch.setattr(Trainer, "fit_keyframe", same)
+    quick = replace(SETTINGS, first_iterations=40, frame_iterations=3)
+    below, above = (replace(preset("paper", quick), min_psnr_db=tau) for tau in (99.0, 0.0))
+    scene = open_scene(blobs, frames=(1, 4))
+    assert train(scene, tmp_path / "below", below).record.keyframes() == [0, 1, 2]
+    assert train(scene, tmp_path / "above", above).record.keyframes() == [0]  # though what appears costs decibels
+
+
+def test_3dgs_adds_all_rows_above_its_threshold_and_no_others():
+    growth = growth_of_3dgs(1000, pictures=1)
+    assert [i for i in range(1, 30001) if growth.due(i, 30000)] == list(range(500, 15001, 100))
+    assert growth.removes(29900, 30000) and not growth.removes(29950, 30000)  # faint rows go throughout
+    densifier = Densifier(growth, 5, np.random.default_rng(0))
+    gradients = torch.tensor([3e-4, 1e-4, 1.9e-4, 2.1e-4, 0.0])
+    densifier.collect(AbsGrad(signed=lambda: (gradients, torch.ones(5, dtype=torch.bool))))
+    p = random_parameters(5)
+    p["log_scales"][:] = np.log(0.009)
+    keep, added = densifier.grow(p, extent=1.0, fixed=0, done=0.2)
+    assert keep.all() and torch.equal(added["means"], p["means"][[0, 3]])  # no larger than 0.01 of the extent: clones
+    full = Densifier(growth_of_3dgs(6, pictures=1), 5, np.random.default_rng(0))
+    full.collect(AbsGrad(signed=lambda: (gradients, torch.ones(5, dtype=torch.bool))))
+    assert torch.equal(full.grow(p, 1.0, 0, 0.2)[1]["means"], p["means"][[0]])
+
+
+def test_what_the_preset_sets():
+    s = preset("paper", TrainSettings(seed=4, max_size=96))
+    assert (s.deltas, s.temporal, s.min_psnr_db) == ("mlp", Temporal(LAMBDA_T, "raw", 1.0), 30.0)
+    assert (s.inflation, s.ssim_weight, s.max_drop_db) == (LAMBDA_INF, LAMBDA, float("inf"))
+    assert not any((s.regularised, s.velocity, s.keep_better, s.seeds, s.match_exposure, s.knows_rest, s.coarse))
+    assert (s.densify, s.iteration_views, s.seed, s.max_size) == ("threshold", 1, 4, 96)
+    assert preset("default", s) is s
+    with pytest.raises(ConfigError, match="expected densify budget, threshold"):
+        replace(s, densify="all")
+    assert s.capacity >= 1_000_000  # only the inflation loss holds Gaussians back

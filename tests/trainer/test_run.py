@@ -1,0 +1,185 @@
+"""Whole training runs: groups, keyframes, exposure."""
+
+import itertools
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+import airgs_codec as airgs
+from airgs_codec.cli.encode import main as encode_main
+from airgs_codec.errors import ConfigError, SceneError, TrainingError
+from airgs_codec.inspect.validate import validate
+from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.trainer import train
+from airgs_codec.trainer.data.multiview import with_held_out
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit.trainer import Trainer
+from airgs_codec.trainer.settings import Temporal
+from tests.support.training import APPEARS, SETTINGS
+from tests.support.views import ring
+
+COLUMNS = ("means", "quaternions", "log_scales", "opacity_logits", "sh_dc")
+
+
+def test_a_keyframe_is_found_where_something_appears(run):
+    assert run.record.keyframes() == [0, APPEARS]
+    key = run.record.frames[APPEARS]
+    assert key.kind == "key" and key.added > 0
+    assert key.rejected_psnr < key.psnr - 2
+    counts = [f.gaussians for f in run.record.frames]
+    assert len(set(counts[:APPEARS])) == len(set(counts[APPEARS:])) == 1
+    assert max(counts) <= SETTINGS.capacity
+
+
+def test_rows_go_on_over_the_keyframe(run):
+    before, after = run.read(APPEARS - 1), run.read(APPEARS)
+    still = np.linalg.norm(after.means[: len(before)] - before.means, axis=1)
+    unrelated = np.linalg.norm(np.roll(before.means, 7, axis=0) - before.means, axis=1)
+    assert np.median(still) < 0.05 * np.median(unrelated)
+
+
+def test_the_record_says_what_moved_and_how_good_it_is(run):
+    for f in run.record.frames:
+        assert f.psnr > 20 and 0 < f.held_out_ssim <= 1 and f.held_out_psnr > 15
+        assert bool(f.static) == (f.kind == "frame")
+        assert all(0 <= share <= 1 for share in f.static.values())
+    assert "sh_rest" not in run.record.frames[1].static  # there is none
+
+
+def test_a_model_is_a_sequence_that_encodes(run, tmp_path):
+    sequence = open_sequence(run.folder)
+    assert len(sequence) == 5 and sequence.keyframes == (0, APPEARS) and sequence.fps == 12
+    assert [c.split for c in sequence.cameras] == ["train"] * 6 + ["test"]
+    assert sequence.cameras[0].world_to_camera == pytest.approx(ring(7)[0].world_to_camera, abs=1e-6)
+    assert (
+        encode_main(
+            [str(run.folder), "-o", str(tmp_path / "p"), "--x264-preset", "ultrafast", "--measure-pictures", "2"]
+        )
+        == 0
+    )
+    assert not validate(tmp_path / "p")
+
+
+def test_runs_of_one_seed_are_alike_and_of_another_are_not(blobs, tmp_path):
+    scene = open_scene(blobs, frames=(0, 1))
+    for name, seed in (("a", 0), ("b", 1), ("c", 0)):
+        train(scene, tmp_path / name, replace(SETTINGS, seed=seed, first_iterations=60))
+    first, other, same = ((tmp_path / name / "000000.ply").read_bytes() for name in "abc")
+    assert first == same and first != other
+
+
+def test_exposure_is_found(blobs, tmp_path):
+    """One camera that is 20 % brighter gets that gain, and pictures of the run are corrected by it."""
+    shutil.copytree(blobs, tmp_path / "scene")
+    for path in (tmp_path / "scene" / "images" / "cam01").glob("*.png"):
+        cv2.imwrite(str(path), np.clip(cv2.imread(str(path)) * 1.2, 0, 255).astype(np.uint8))
+    settings = replace(SETTINGS, match_exposure=True, first_iterations=500)
+    model = train(open_scene(tmp_path / "scene", frames=(0, 2)), tmp_path / "m", settings)
+    gains = {name: np.mean(values[:3]) for name, values in model.record.exposure.items()}
+    assert gains["cam01"] - np.mean([g for n, g in gains.items() if n != "cam01"]) == pytest.approx(0.2, abs=0.08)
+    assert np.mean(list(gains.values())) == pytest.approx(1.0, abs=0.01)
+
+
+def test_the_reference_keeps_its_exposure(blobs, tmp_path):
+    settings = replace(SETTINGS, match_exposure=True, reference="cam01", first_iterations=60)
+    model = train(open_scene(blobs, frames=(0, 1)), tmp_path / "m", settings)
+    assert model.record.exposure["cam01"] == [1, 1, 1, 0, 0, 0]
+    assert any(values != [1, 1, 1, 0, 0, 0] for values in model.record.exposure.values())
+
+
+def test_a_reference_that_is_no_training_camera_leaves_nothing(blobs, tmp_path):
+    settings = replace(SETTINGS, match_exposure=True, reference="cam99")
+    with pytest.raises(ConfigError, match="expected a training camera of cam"):
+        train(open_scene(blobs), tmp_path / "m", settings)
+    assert not (tmp_path / "m").exists()
+
+
+def _without_picture(folder):
+    (folder / "images" / "cam02" / "0001.png").unlink()
+    return open_scene(folder)
+
+
+def _alone(folder):
+    return replace(with_held_out(open_scene(folder), [f"cam0{i}" for i in range(1, 7)]), points=None)
+
+
+def _back_to_back(folder):
+    """Cameras that stand in a ring and look outwards."""
+    scene = open_scene(folder)
+
+    def turned(shot):
+        flip = np.diag([-1.0, 1.0, -1.0, 1.0])
+        return replace(shot, camera=replace(shot.camera, world_to_camera=flip @ shot.camera.world_to_camera))
+
+    frames = tuple(tuple(turned(shot) for shot in shots[::3]) for shots in scene.frames)
+    return replace(scene, frames=frames, points=None)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (_without_picture, "cam02/0001.png: expected a picture"),
+        (_alone, "scene: expected at least two training cameras"),
+        (_back_to_back, "scene: expected cameras that look at a common place"),
+    ],
+)
+def test_what_cannot_be_trained_is_refused_before_a_fit_and_leaves_nothing(blobs, tmp_path, make, message, monkeypatch):
+    monkeypatch.setattr(Trainer, "fit_first", None)
+    shutil.copytree(blobs, tmp_path / "scene")
+    with pytest.raises(SceneError, match=message):
+        train(make(tmp_path / "scene"), tmp_path / "m", SETTINGS)
+    assert not (tmp_path / "m").exists()
+
+
+def test_a_first_fit_that_fails_leaves_nothing(blobs, tmp_path, monkeypatch):
+    def fail(*_):
+        raise TrainingError("the loss is not finite")
+
+    monkeypatch.setattr(Trainer, "fit_first", fail)
+    with pytest.raises(TrainingError):
+        train(open_scene(blobs), tmp_path / "m", SETTINGS)
+    assert not (tmp_path / "m").exists()
+
+
+def test_a_keyframe_that_is_no_better_is_not_kept(blobs, tmp_path, monkeypatch):
+    """The fit stays in its group, and nothing is added."""
+    monkeypatch.setattr(Trainer, "fit_keyframe", lambda self, target, before, steps, progress: before.gaussians)
+    settings = replace(SETTINGS, min_psnr_db=99.0, first_iterations=60)
+    model = train(open_scene(blobs, frames=(0, 3)), tmp_path / "m", settings)
+    assert model.record.keyframes() == [0]
+    assert [f.added for f in model.record.frames] == [0, 0, 0]
+    assert len({f.gaussians for f in model.record.frames}) == 1
+    assert all(f.rejected_psnr <= f.psnr for f in model.record.frames[1:])
+
+
+def test_a_run_that_reaches_its_psnr_has_no_warnings(run):
+    assert run.record.warnings() == []
+
+
+def test_what_rests_is_the_same_bit_for_bit_over_frames_and_keyframes(run):
+    frames = [run.read(t) for t in range(5)]
+    rows = len(frames[0])
+    same = np.ones(rows, bool)
+    for a, b in itertools.pairwise(frames):
+        same &= np.all([(getattr(a, n)[:rows] == getattr(b, n)[:rows]).reshape(rows, -1).all(1) for n in COLUMNS], 0)
+    assert same.mean() > 0.2
+
+
+def test_without_plates_nothing_is_known_to_rest(blobs, tmp_path, run):
+    settings = replace(SETTINGS, static="off", temporal=Temporal(weight=0.0))
+    model = train(open_scene(blobs, frames=(0, 2)), tmp_path / "m", settings)
+    assert (model.read(0).means == model.read(1).means).all(axis=1).mean() < 0.2
+
+
+def test_python_trains_a_path_into_a_folder_beside_it_and_encodes_that(blobs, tmp_path):
+    scene = shutil.copytree(blobs, tmp_path / "blobs")
+    told = []
+    settings = replace(SETTINGS, first_iterations=5, key_iterations=2, frame_iterations=2, min_psnr_db=0)
+    model = airgs.train(scene, settings=settings, device="cpu", progress=lambda *words: told.append(words))
+    assert model.folder == tmp_path / "blobs.gaussians" and told
+    assert [frame.frame for frame in model.record.frames] == list(range(len(airgs.open_sequence(model.folder))))
+    with pytest.raises(ConfigError, match="scene: expected a multi-view scene or the path of one, got int 5"):
+        airgs.train(5)
