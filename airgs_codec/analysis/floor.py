@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.viewpoint_score import flatness, row_areas
+from airgs_codec.analysis.viewpoint_score import flatness
 from airgs_codec.scene.camera import spiral
 from airgs_codec.scene.gaussians import Gaussians, to_matrices
 
@@ -30,7 +30,7 @@ def find_floor(gaussians: Gaussians) -> Vectors | None:
     """
     rows = np.random.default_rng(0).permutation(len(gaussians))[:ROWS]
     g = gaussians.take(np.sort(rows))
-    areas = row_areas(g)
+    areas = g.areas()
     areas = np.minimum(areas, np.quantile(areas, 0.99))  # a haze is no floor
     total = max(float(areas.sum()), np.finfo(np.float64).tiny)
     normals, weights = normals_of(g), areas * flatness(g)

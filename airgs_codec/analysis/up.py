@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from airgs_codec.analysis.floor import CONE, find_floor, normals_of
-from airgs_codec.analysis.viewpoint_score import row_areas
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 
 Vectors = NDArray[np.float64]
@@ -175,6 +174,12 @@ def guess_up(subject: Subject) -> Vectors:
     return np.asarray(candidates[int(np.argmax(votes))])
 
 
+def surfaces(gaussians: Gaussians) -> Vectors:
+    """(N,) how much each row can cover, 0 to 1; the largest hundredth of them count alike, for a haze is no surface."""
+    areas = gaussians.areas()
+    return np.asarray(np.minimum(areas / max(float(np.quantile(areas, 0.99)), np.finfo(np.float64).tiny), 1))
+
+
 def find_front(subject: Subject, up: Vectors) -> Vectors:
     """(3,) from where a thing that is upright along `up` (3,) is looked at: along its mirror, where the detail is."""
     points = subject.frames[len(subject.frames) // 2]
@@ -193,10 +198,9 @@ def _moved(frame: Gaussians, other: Gaussians) -> float:
 
 
 def _drawn(gaussians: Gaussians) -> NDArray[np.int64]:
-    areas = row_areas(gaussians)
-    areas = np.minimum(areas, np.quantile(areas, 0.99)) + np.finfo(np.float64).tiny  # a haze is no surface
+    shares = surfaces(gaussians) + np.finfo(np.float64).tiny
     count = min(POINTS, len(gaussians))
-    return np.sort(np.random.default_rng(0).choice(len(gaussians), count, p=areas / areas.sum()))
+    return np.sort(np.random.default_rng(0).choice(len(gaussians), count, p=shares / shares.sum()))
 
 
 def _points(gaussians: Gaussians, rows: NDArray[np.int64], centre: Vectors, size: float) -> Points:

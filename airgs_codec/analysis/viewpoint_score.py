@@ -16,9 +16,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.render import Camera, cpu
 from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.scene.camera import BLACK
-from airgs_codec.scene.gaussians import SH_C0, Gaussians, to_matrices
-
-LARGEST = 30.0  # ln(world units) of a scale that counts: the squares of larger ones leave float32
+from airgs_codec.scene.gaussians import LARGEST, SH_C0, Gaussians, to_matrices
 
 Floats = NDArray[np.float32]
 
@@ -72,7 +70,7 @@ class Sample:
         visible = np.flatnonzero(drawn & (gaussians.opacities() > VISIBLE))
         if not visible.size:
             raise SceneError(f"expected a Gaussian with opacity above {VISIBLE}, got none in {len(gaussians)}")
-        chances = _chances(np.sqrt(row_areas(gaussians)[visible]), rows)
+        chances = _chances(np.sqrt(gaussians.areas()[visible]), rows)
         picked = np.random.default_rng(seed).random(len(visible)) < chances
         chosen = gaussians.take(visible[picked]).with_degree(0)
         growth = -0.5 * np.log(chances[picked])  # a row that stands for k rows has k times their area
@@ -115,12 +113,6 @@ class Sample:
         along = np.einsum("ni,ni->n", self.covariances, products) / squares
         across = np.maximum(self.covariances[:, :3].sum(axis=1) - along, 0)
         return np.sqrt(across / squares), np.sqrt(squares)
-
-
-def row_areas(gaussians: Gaussians) -> NDArray[np.float64]:
-    """(N,) product of a row's two larger scales and its opacity: how much it can cover, in square world units."""
-    scales = np.sort(gaussians.log_scales.astype(np.float64), axis=1)
-    return np.exp(np.minimum(scales[:, 1] + scales[:, 2], 2 * LARGEST)) * gaussians.opacities()
 
 
 def _chances(weights: NDArray[np.float64], rows: int) -> NDArray[np.float64]:

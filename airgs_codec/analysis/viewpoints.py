@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from airgs_codec.analysis.up import Subject, find_front, guess_up
+from airgs_codec.analysis.up import Subject, find_front, guess_up, surfaces
 from airgs_codec.analysis.viewpoint_score import Look, Sample
 from airgs_codec.errors import SceneError
 from airgs_codec.render.cpu import one_thread
@@ -226,7 +226,7 @@ def _object(frames: Sequence[Gaussians], up: Vector | None, _: float) -> tuple[F
 
 def _front(subject: Subject, middle: Gaussians, up: Vector) -> Camera:
     side = np.cos(RISE) * find_front(subject, up) + np.sin(RISE) * up
-    return side_view(middle, side, up, SIZE, "front")
+    return side_view(middle, side, up, SIZE, "front", surfaces(middle))
 
 
 def _place(frames: Sequence[Gaussians], up: Vector | None, solidity: float) -> tuple[FoundViews, Vector]:

@@ -117,7 +117,7 @@ def _decode(values: Whole, chances: Whole, divisors: Whole, state: Whole, data: 
             if left == 0 and length < 0:
                 length = node - _LENGTHS
                 place, node = place + _LENGTHS + (length << MODELLED_BITS), 1
-                left = min(max(0, length - 1), MODELLED_BITS)
+                left = MODELLED_BITS if length > MODELLED_BITS else max(0, length - 1)
         value = node if length else 0
         for _ in range(length - 1 - MODELLED_BITS):
             part = span >> 1
@@ -130,7 +130,8 @@ def _decode(values: Whole, chances: Whole, divisors: Whole, state: Whole, data: 
         if at > end:
             break
         values[k] = value
-        context = min(value, MODEL_CONTEXTS - 1) % contexts
+        if contexts > 1:
+            context = value if value < MODEL_CONTEXTS else MODEL_CONTEXTS - 1
     state[_CODE], state[_RANGE], state[_AT] = code, span, at
 
 

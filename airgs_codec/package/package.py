@@ -9,7 +9,6 @@ from dataclasses import dataclass, fields
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.request import urlopen
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry
@@ -72,6 +71,8 @@ def _player_at(address: str) -> str:
     """The page that airgs-serve answers with at the address of a package, as HTML; nothing where there is none."""
     if not address.startswith(tuple(f"{scheme}://" for scheme in WEB)):
         return ""
+    from urllib.request import urlopen  # 50 ms, which a decoder need not wait for
+
     page = address.rstrip("/") + "/"
     try:
         with urlopen(page, timeout=PATIENCE_S) as answer:

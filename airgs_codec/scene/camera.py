@@ -25,7 +25,7 @@ OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # turns y and z of a camera 
 UP = np.array([0.0, -1.0, 0.0])  # where nobody tells it: structure from motion mostly leaves it so
 FIELD_OF_VIEW = np.radians(50)  # of both axes
 ELEVATIONS = np.radians([10.0, 35.0])  # above the horizon; neighbouring cameras take turns
-COVERED_OPACITY = 0.98  # of the scene lies within a view, at least
+COVERED = 0.98  # of all weight lies within a view, at least
 MARGIN = 1.25  # around that
 LEAST_SHARE = 1e-6  # keeps a weighted median of nothing, and a ring of radius 0, out
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)  # radians; successive turns by it spread evenly over a sphere (Vogel 1979)
@@ -238,30 +238,42 @@ def _views_from(gaussians: Gaussians, sides: NDArray[np.float64], up: NDArray[np
     return [side_view(gaussians, side, up, size, f"orbit{i:02d}") for i, side in enumerate(sides)]
 
 
-def side_view(gaussians: Gaussians, side: NDArray[np.float64], up: NDArray[np.float64], size: int, name: str) -> Camera:
-    """A square camera that sees the whole scene from `side` (3,), of length 1, as those of `orbit_views`."""
-    means, weights, centre = _content(gaussians)
+def side_view(
+    gaussians: Gaussians,
+    side: NDArray[np.float64],
+    up: NDArray[np.float64],
+    size: int,
+    name: str,
+    weights: NDArray[np.float64] | None = None,
+) -> Camera:
+    """A square camera that sees the whole scene from `side` (3,), of length 1, as those of `orbit_views`.
+
+    `weights` (N,): what each row counts, by default its opacity.
+    """
+    means, weights, centre = _content(gaussians, gaussians.opacities() if weights is None else weights)
     offsets = means - centre
     matrix = look_at(side, np.zeros(3), up, size=size, fov_y=FIELD_OF_VIEW, name=name).world_to_camera
     x, y, z = matrix[:3, :3] @ offsets.T
     wanted = MARGIN / np.tan(FIELD_OF_VIEW / 2) * np.maximum(np.abs(x), np.abs(y)) - z
-    radius = weighted_quantile(np.linalg.norm(offsets, axis=1), weights, COVERED_OPACITY)
+    radius = weighted_quantile(np.linalg.norm(offsets, axis=1), weights, COVERED)
     # A view from no distance has no direction, nor has one whose distance is lost beside its centre in float32.
     least = max(MARGIN * radius, float(np.abs(centre).max()) * LEAST_SHARE, LEAST_SHARE)
-    away = max(weighted_quantile(wanted, weights, COVERED_OPACITY), least)
+    away = max(weighted_quantile(wanted, weights, COVERED), least)
     return look_at(centre + away * side, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=name)
 
 
-def _content(gaussians: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """(N, 3) the means that are finite, (N,) their opacities, and (3,) the middle of nearly all opacity."""
-    finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(gaussians.opacity_logits)
+def _content(
+    gaussians: Gaussians, weights: NDArray[np.floating]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """(N, 3) the means that are finite, (N,) their weights, and (3,) the middle of nearly all weight."""
+    finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(weights)
     if not finite.any():
         return np.zeros((1, 3)), np.ones(1), np.zeros(3)
     means = gaussians.means[finite].astype(np.float64)
-    weights = gaussians.opacities()[finite].astype(np.float64) + LEAST_SHARE  # opacities of 0 have a middle, too
-    ends = (1 - COVERED_OPACITY) / 2, (1 + COVERED_OPACITY) / 2
-    middle = [sum(weighted_quantile(values, weights, end) for end in ends) / 2 for values in means.T]
-    return means, weights, np.array(middle)
+    chosen = weights[finite].astype(np.float64) + LEAST_SHARE  # weights of 0 have a middle, too
+    ends = (1 - COVERED) / 2, (1 + COVERED) / 2
+    middle = [sum(weighted_quantile(values, chosen, end) for end in ends) / 2 for values in means.T]
+    return means, chosen, np.array(middle)
 
 
 def weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:

@@ -20,6 +20,7 @@ LEAST_SHARE = 1e-9
 ALPHA_LIMIT = 2.0**-20  # of a mean alpha, whose logit would be infinite at 0 and 1
 SH_REST = (0, 3, 8, 15)  # SH coefficients past DC for degree 0..3
 SATURATED_LOGIT = np.float32(math.log(1019))  # a quarter of a step of 1/255 off 0 and 1, whose logits are infinite
+LARGEST = 30.0  # ln(world units) of a scale that counts: the squares of larger ones leave float32
 SMALL_ANGLE = 1e-8  # radians, below which sin(a/2)/a is 1/2 to float64 precision; above it the division is safe
 Floats = NDArray[np.floating]
 _SHAPES: Mapping[str, tuple[str, Sequence[tuple[int, ...]]]] = {  # of attributes, for people and past N
@@ -95,6 +96,11 @@ class Gaussians:
     def opacities(self) -> NDArray[np.float32]:
         """(N,) opacity alpha in [0, 1], the sigmoid of the logits."""
         return sigmoid(self.opacity_logits)
+
+    def areas(self) -> NDArray[np.float64]:
+        """(N,) product of a row's two larger scales and its opacity: how much it can cover, in square world units."""
+        scales = np.sort(self.log_scales.astype(np.float64), axis=1)
+        return np.exp(np.minimum(scales[:, 1] + scales[:, 2], 2 * LARGEST)) * self.opacities()
 
 
 def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:

@@ -77,3 +77,12 @@ def test_the_first_view_shows_the_whole_subject_with_a_margin():
     off = np.maximum(np.abs(x), np.abs(y)) / z * camera.fx * 2 / camera.width
     assert (z > 0).all() and np.mean(off < 1) > 0.98 and 0.8 / MARGIN < np.quantile(off, 0.98) < 1.01 / MARGIN
     assert matrix[1] @ [*UP, 0] < -0.9
+
+
+def test_the_first_view_shows_what_few_large_rows_make_of_the_subject():
+    normals = np.tile([0.0, 0, 1], (60, 1))
+    centres = np.linspace([-3.0, 0, 0], [3.0, 0, 0], 60)
+    wide = joined(animal(), discs(centres, normals, 0.5))
+    camera = find_viewpoints([wide], UP).cameras[0]
+    x, y, z = camera.world_to_camera[:3, :3] @ centres.T + camera.world_to_camera[:3, 3:]
+    assert (z > 0).all() and (np.maximum(np.abs(x), np.abs(y)) / z * camera.fx * 2 / camera.width < 1).all()
