@@ -286,7 +286,7 @@ def _as_words(report: EncodeReport, target: str, verbose: bool) -> str:
 def _times(report: EncodeReport) -> dict[str, float]:
     return {
         "order of rows": report.rows_s,
-        "training views": report.survey_s,
+        "views and lengths of groups": report.survey_s,
         "calibration": report.calibrate_s,
         "search": report.search_s,
         "encoding": report.encode_s,

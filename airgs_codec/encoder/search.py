@@ -18,7 +18,7 @@ from airgs_codec.encoder.pipeline import PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.verify import Attempt
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.metrics import Picture, psnr
+from airgs_codec.media.metrics import PSNR_CAP, Picture, psnr
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.package import root_of
@@ -68,6 +68,8 @@ class Goal:
     def __post_init__(self) -> None:
         if not 0 < self.value < math.inf:
             raise ConfigError(f"target: expected a positive {self.kind}, got {self.value:g}")
+        if self.kind == PSNR and self.value > PSNR_CAP:
+            raise ConfigError(f"target: expected at most {PSNR_CAP:g} dB, that of equal pictures, got {self.value:g}")
 
     def misses(self, got: float) -> float:
         """By how many tolerances `got` misses the goal; positive: it is above."""

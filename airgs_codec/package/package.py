@@ -174,7 +174,7 @@ def _open_root(files: Place, relative: str) -> tuple[int, Callable[[], bytes]]:
     try:
         return find_file(files, relative)
     except FormatError:
-        expected = "expected a package with manifest.mpd and airgs.json"
+        expected = "expected a package with manifest.mpd and airgs.json, as airgs-encode writes it"
         raise FormatError("missing_file", f"{files.name}/{relative}", expected) from None
 
 

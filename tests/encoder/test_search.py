@@ -39,6 +39,8 @@ def test_a_search_ends_at_its_goal():
         find_quality(Goal(SIZE, 0.5), lambda f: 1.0 + 12.0 * f**-0.9, 1.0)
     with pytest.raises(ConfigError, match="positive PSNR, got nan"):
         Goal(PSNR, math.nan)
+    with pytest.raises(ConfigError, match="at most 100 dB, that of equal pictures, got 200"):
+        Goal(PSNR, 200)
 
 
 @pytest.fixture(scope="module")
