@@ -31,7 +31,7 @@ from airgs_codec.scene.camera import Camera, resized
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from airgs_codec.trainer.settings import Temporal, TrainSettings
 
-VIEWS = 16
+VIEWS = 32
 PIXELS = 65_536  # of a picture
 MANY = 1 << 30  # Gaussians: what is given has as many as it has
 TRIED = 5  # pairs of neighbours that tell whether a scene can be tracked
@@ -150,7 +150,7 @@ def track_settings(sequence: GaussianSequence) -> TrainSettings:
         frame_iterations=100,
         group_frames=CHUNK,
         min_psnr_db=28.0,
-        max_drop_db=6.0,
+        max_drop_db=10.0,
         temporal=Temporal(weight=5e-3),  # what differs from frame to frame is noise more often than motion
     )
 

@@ -22,7 +22,7 @@ from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_frames
 from airgs_codec.trainer.data.pictures import Exposure, Pictures, View, pictures_for
 from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
-from airgs_codec.trainer.fit.given import fit_common, follow, missing
+from airgs_codec.trainer.fit.given import fit_common, follow, is_noise, missing
 from airgs_codec.trainer.fit.losses import ExposureModel, mean_psnr, mean_ssim, static_shares
 from airgs_codec.trainer.fit.parameters import Parameters
 from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Group, Trainer, make_trainer
@@ -230,15 +230,20 @@ def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Prog
 def _moved(capture: Capture, target: FrameViews, at: Position, progress: Progress) -> Gaussians:
     """The Gaussians of the frame before as the target shows them.
 
-    Where they are given, they are followed first; the fit is left out where that shows what the group shows.
+    Where they are given, they are followed first; the fit is left out where what that lacks is noise.
     """
     trainer, before = capture.trainer, at.before
     if capture.scene.given is not None:
         g = follow(trainer, before, capture.given(target.frame), target)
-        if mean_psnr(g, target.views, trainer.renderer) >= KNOWN_DB:
+        if _known(trainer, g, target.views):
             return g
         before = FrameBefore(g, None)
     return trainer.fit_frame(target, before, at.group, progress)
+
+
+def _known(trainer: Trainer, g: Gaussians, views: Sequence[View]) -> bool:
+    """Whether Gaussians that followed a frame show it, but for its noise."""
+    return mean_psnr(g, views, trainer.renderer) >= KNOWN_DB and is_noise(trainer, g, views)
 
 
 def _new_key(
@@ -273,10 +278,9 @@ def _given_first(capture: Capture, start: int, progress: Progress) -> Gaussians:
         seen = capture.views(frame)
         target = FrameViews(frame, seen)
         moved = follow(trainer, at.before, capture.given(frame), target)
-        psnr = mean_psnr(moved, target.views[::2], trainer.renderer)
-        if psnr < KNOWN_DB:
+        if not _known(trainer, moved, target.views[::2]):
             moved = trainer.fit_frame(target, FrameBefore(moved, None), at.group, progress)
-            psnr = mean_psnr(moved, target.views[::2], trainer.renderer)
+        psnr = mean_psnr(moved, target.views[::2], trainer.renderer)
         if psnr < max(floor, KNOWN_DB):
             break
         floor = max(floor, psnr - capture.settings.max_drop_db)
