@@ -84,6 +84,8 @@ FIGURES = (
     *_of("docs/datapath.svg", "(drawn by hand)"),
     *_of("docs/encoding.md", "airgs-manifest inspect fox.airgs --plot docs/ladder.png", "docs/ladder.png"),
     *_of("docs/playing.md", "python -m tools.make_film", "docs/session.webp"),
+    *_of("docs/tracking.md", "airgs-encode noisy/ -o OUT --report OUT",
+         "docs/tracking.png"),
     *_of("docs/results/training.md", "airgs-train fox/ -o OUT --report OUT", "docs/results/training.png"),
     *_of("docs/results/crowd.md", "python -m tools.lab crowd fox.airgs raca2018_4g_car/ -o docs/results",
          *(f"docs/results/crowd-{name}.png" for name in ("cache", "egress", "policies", "stalls"))),
