@@ -161,9 +161,9 @@ class Visit:
     failed: list[str]  # errors that nothing caught
 
     def complaints(self, known: tuple[str, ...] = ()) -> list[str]:
-        """Errors, and errors and warnings of the console without a `known` part or what the browser brings along."""
-        said = [m["text"] for m in self.messages if m["type"] in ("error", "warning")]
-        return [*self.failed, *(text for text in said if not any(part in text for part in (OWN, *known)))]
+        """Errors, and errors and warnings of the console, without a `known` part or what the browser brings along."""
+        said = [message["text"] for message in self.messages if message["type"] in ("error", "warning")]
+        return [text for text in (*self.failed, *said) if not any(part in text for part in (OWN, *known))]
 
 
 class _Browser:

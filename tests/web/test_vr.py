@@ -35,7 +35,7 @@ def look(folder, query=""):
     answer = Answer(page.encode(), headers={"Content-Security-Policy": content_policy(page)})
     with serve({"web": WEB, "page": PAGE, "scene": folder}, {"/page/player.html": lambda: answer}) as site:
         seen = visit(f"{site.url}/page/player.html?src=/scene/{query}")
-    assert [line for line in seen.complaints(KNOWN) if "ERR_ABORTED" not in line] == []
+    assert seen.complaints(KNOWN) == []
     return seen.report, [path for path, _ in site.answers]
 
 

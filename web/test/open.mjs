@@ -17,6 +17,8 @@ import { setTimeout } from "node:timers/promises";
 import { chromium } from "playwright-core";
 
 const TIMEOUT_MS = 180_000;
+/** Of a request that the page itself ended: what a seek or another level made needless. */
+const GIVEN_UP = "net::ERR_ABORTED";
 const FLAGS = [
   "--autoplay-policy=no-user-gesture-required",
   "--use-angle=swiftshader",
@@ -38,7 +40,10 @@ async function visit(browser, { url, script }) {
   const failed = [];
   page.on("console", (message) => messages.push({ type: message.type(), text: message.text() }));
   page.on("pageerror", (error) => failed.push(String(error)));
-  page.on("requestfailed", (request) => failed.push(`${request.url()}: ${request.failure()?.errorText}`));
+  page.on("requestfailed", (request) => {
+    const error = request.failure()?.errorText;
+    if (error !== GIVEN_UP) failed.push(`${request.url()}: ${error}`);
+  });
   const devtools = await context.newCDPSession(page);
   await page.exposeFunction("drive", async (method, ...args) => {
     const path = method.split(".");
